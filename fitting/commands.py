@@ -52,14 +52,14 @@ class Options:
     seed: Annotated[int, typer.Option(help="Seed of every random draw.", min=0)] = 0
     steps: Annotated[
         int | None,
-        typer.Option(help="Most steps of a chain (--mcmc).", min=1, show_default=str(STEPS)),
+        typer.Option(help=f"Most steps of a chain of --mcmc (default: {STEPS}).", min=1),
     ] = None
     walkers: Annotated[
         int | None,
         typer.Option(
-            help="Walkers (--mcmc): twice the number of parameters and two more, or more.",
+            help="Walkers of --mcmc: twice the number of parameters and two more, or more "
+            f"(default: {WALKERS}).",
             min=4,
-            show_default=str(WALKERS),
         ),
     ] = None
 

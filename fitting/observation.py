@@ -23,11 +23,14 @@ Load = Callable[[Path], np.ndarray]  # an image by its path
 MEMORY = Path("arrays")  # where messages say that images in memory lie
 
 
-def in_memory(images: Mapping[str, ArrayLike], **entries: Any) -> tuple[Rig, Load]:
+def in_memory(
+    images: Mapping[str, ArrayLike], *, called: Mapping[str, str], **entries: Any
+) -> tuple[Rig, Load]:
     """A rig of images that are in memory, and how they are had by their paths.
 
     Args:
         images: arrays as an image file would hold them, by name.
+        called: what the caller calls a list that stands in the entries, by entry and key.
         **entries: of the rig, as in its file; they name the images.
 
     Returns:
@@ -36,7 +39,7 @@ def in_memory(images: Mapping[str, ArrayLike], **entries: Any) -> tuple[Rig, Loa
     Raises:
         InputError: for entries that no rig file may have.
     """
-    rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig")
+    rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig", first=0, called=called)
     stored = {rig.path(name): np.asarray(image) for name, image in images.items()}
     return rig, stored.__getitem__
 
@@ -55,6 +58,49 @@ def require_as_many(what: str, given: Sized, as_: str, others: Sized) -> None:
     """
     if len(given) != len(others):
         raise InputError(f"{len(given)} {what} for {len(others)} {as_}; give one for each.")
+
+
+def require_several_images(name: str, images: Sequence[ArrayLike]) -> None:
+    """Refuses a single image where a list of images is wanted, and a list of none.
+
+    Args:
+        name: of the argument.
+        images: as given.
+
+    Raises:
+        InputError: says what to give.
+    """
+    if len(images) == 0:
+        raise InputError(f"{name} is empty; give a list of images, (h, w) each.")
+    if np.ndim(images[0]) < 2:
+        shape = np.asarray(images).shape
+        raise InputError(f"{name} is one image, {shape}; give a list of images, (h, w) each.")
+
+
+def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
+    """Refuses levels that are no list of two or more frames.
+
+    Args:
+        name: of the argument.
+        levels: as given.
+
+    Raises:
+        InputError: names the first of them, and says what to give.
+    """
+    if len(levels) == 0:
+        raise InputError(f"{name} is empty; give a list of levels, each a list of frames, (h, w).")
+    for i, level in enumerate(levels):
+        shape = getattr(level, "shape", ())
+        if len(level) and (np.ndim(level[0]) < 2 or (len(shape) == 3 and shape[2] == 1)):
+            raise InputError(
+                f"{name}[{i}] is one frame, {np.asarray(level).shape}, but noise shows between "
+                "frames; give of each level a list of two or more."
+            )
+        if len(level) < 2:
+            raise InputError(
+                f"{name}[{i}] has {len(level)} frame{'' if len(level) else 's'}, but noise shows "
+                "between frames; give of each level a list of two or more."
+            )
 
 
 def read_frame(

@@ -8,8 +8,19 @@ from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
 
-from .observation import require_as_many
+from .observation import require_as_many, require_several_images
 from .rig import SphereGeometry
+
+# What a caller calls the keys of the entries.
+CALLED = {
+    "light.direction": "lights",
+    "light.position": "lights",
+    "light.intensity": "intensities",
+    "light.intensity_sd": "intensity_sd",
+    "light.direction_sd": "direction_sd",
+    "light.exposure_sd": "exposure_sd",
+    "light.stray_sd": "stray_sd",
+}
 
 
 def rig_entries(
@@ -43,6 +54,7 @@ def rig_entries(
     Raises:
         InputError: for lists of unequal length.
     """
+    require_several_images("images", images)
     require_as_many("lights", lights, "images", images)
     strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
     require_as_many("intensities", strengths, "images", images)

@@ -14,15 +14,21 @@ import numpy as np
 from jax.core import Tracer
 
 WIDE = 88  # columns of a printed record
+_SYMBOL = r"(?:W|J|m|s|K|Hz|F|eV|rad|sr|DN|e-|photons?|pixels?|rows)(?:\^-?\d+)?(?!\w)"
+# A unit behind the shape that begins what a docstring says of a field.
+UNIT = re.compile(rf"(?:\([^)]*\) (?:or )?)+({_SYMBOL}(?: (?:per )?{_SYMBOL})*)")
 SHORT = 12  # numbers of an array that are printed one by one
 
 
 class Shown(eqx.Module):
     """A record that prints its numbers: an array of more than a few as its shape and range. What is
-    absent is not printed."""
+    absent is not printed. `str` and `print` add the units that its docstring states."""
 
     def __repr__(self) -> str:
         return _shown(self)
+
+    def __str__(self) -> str:
+        return _shown(self, units=True)
 
     def _repr_html_(self) -> str:
         """The table that a notebook shows: each field, its numbers, and its unit and meaning."""
@@ -64,13 +70,25 @@ def _meanings(kind: type) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def _shown(value: Any, indent: str = "") -> str:
+def _units(kind: type) -> dict[str, str]:
+    """The unit of each field that has one, with a space before it: what follows its shape."""
+    found = {name: UNIT.match(meaning) for name, meaning in _meanings(kind).items()}
+    return {name: f" {match[1]}" for name, match in found.items() if match}
+
+
+def _shown(value: Any, indent: str = "", *, units: bool = False) -> str:
     if isinstance(value, eqx.Module):
+        unit = _units(type(value)) if units else {}
         kept = [(f.name, getattr(value, f.name)) for f in fields(value) if f.repr]
-        given = [(f"{name}=", one) for name, one in kept if one is not None]
-        return _listed(f"{type(value).__name__}(", given, ")", indent)
+        given = [
+            (f"{name}=", one, "" if isinstance(one, eqx.Module) else unit.get(name, ""))
+            for name, one in kept
+            if one is not None
+        ]
+        return _listed(f"{type(value).__name__}(", given, ")", indent, units=units)
     if isinstance(value, tuple | list) and any(isinstance(one, eqx.Module) for one in value):
-        return _listed("(", [("", one) for one in value], ",)" if len(value) == 1 else ")", indent)
+        given = [("", one, "") for one in value]
+        return _listed("(", given, ",)" if len(value) == 1 else ")", indent, units=units)
     if not isinstance(value, jax.Array | np.ndarray):
         return eqx.tree_pformat(value)
     if isinstance(value, Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
@@ -87,11 +105,15 @@ def _written(numbers: np.ndarray) -> str:
     return f"[{', '.join(map(_written, numbers))}]"
 
 
-def _listed(head: str, given: list[tuple[str, Any]], tail: str, indent: str) -> str:
-    """On one line where it fits, else one entry a line."""
-    line = head + ", ".join(name + _shown(one) for name, one in given) + tail
+def _listed(
+    head: str, given: list[tuple[str, Any, str]], tail: str, indent: str, *, units: bool
+) -> str:
+    """(name, value, unit) of each on one line where it fits, else one entry a line."""
+    line = head + ", ".join(n + _shown(one, units=units) + unit for n, one, unit in given) + tail
     if len(indent) + len(line) <= WIDE and "\n" not in line:
         return line
     inner = indent + "  "
-    entries = "".join(f"\n{inner}{name}{_shown(one, inner)}," for name, one in given)
+    entries = "".join(
+        f"\n{inner}{name}{_shown(one, inner, units=units)}{unit}," for name, one, unit in given
+    )
     return f"{head}{entries}\n{indent}{tail.lstrip(',')}"

@@ -197,15 +197,21 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
 def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
     """Raises `ValueError` unless `value` is a record of one of the kinds. None, an absent effect,
     passes."""
+    if value is not None:
+        check_given(name, value, *kinds)
+
+
+def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
+    """As `check_kind`, of what must be there: None does not pass."""
     known: tuple[Any, ...] = tuple(kind for union in kinds for kind in members_of(union))
-    if value is None or isinstance(value, known):
+    if isinstance(value, known):
         return
     wanted = " or ".join(kind.__name__ for kind in known)
     is_class = isinstance(value, type)
     kind = f"the class {value.__name__}" if is_class else _with_article(type(value).__name__)
     if isinstance(value, jax.Array | np.ndarray):
         kind = "an array"
-    got = repr(value) if np.isscalar(value) else kind
+    got = repr(value) if value is None or np.isscalar(value) else kind
     raise ValueError(f"{name} must be a record, {wanted}, got {got}.")
 
 

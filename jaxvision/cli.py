@@ -134,9 +134,14 @@ def render(
         int | None, typer.Option(help="Longest path, in pieces (default: the scene's).")
     ] = None,
     gather: Annotated[
-        int | None, typer.Option(help="Rays of the final gather of radiosity, 0 for none.")
+        int | None,
+        typer.Option(
+            help="Rays of radiosity's final gather, 0 for none (default: the scene's, 0)."
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the random numbers.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the random numbers (default: the scene's, 0).")
+    ] = None,
     tile: Annotated[
         int | None, typer.Option(help="Pixels computed at once (default: the scene's, 65536).")
     ] = None,
@@ -307,7 +312,7 @@ def _share(text: str) -> float:
 
 @sub_command(
     app,
-    "jaxvision effects cornell_box --tolerance 1%",
+    "jaxvision effects cornell_box --tolerance 25%",
     "jaxvision effects cornell_box --camera emva1288 --tolerance 0.5DN",
 )
 @failures_as_sentences("jaxvision")
@@ -330,7 +335,7 @@ def effects(
     place: Annotated[
         float | None,
         typer.Option(
-            help="Pixels by which anything may move.", show_default="0.1; 0 of a tolerance of 0"
+            help="Pixels by which anything may move (default: 0.1; 0 of a tolerance of 0)."
         ),
     ] = None,
     free: Annotated[

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ._arguments import takes_numbers
 from ._band_count import band_count
 from ._shown import Shown
-from ._types import Image, Key, Scalar, in_short, is_known, print_by_name
+from ._types import Image, Key, Scalar, check_given, in_short, is_known, print_by_name
 from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .in_notebooks import preview_png, with_picture
@@ -129,6 +129,8 @@ def capture(
         >>> print(shot.raw.round(1).ravel())
         [100. 100. 100. 100.]
     """
+    check_given("capture: scene", scene, Scene)
+    check_given("capture: camera", camera, Camera)
     _check_bands(_bands(scene), camera.sensor)
     finds_radiance = isinstance(integrator, Paths) or callable(integrator)
     if integrator is not None and (not finds_radiance or isinstance(integrator, type)):

@@ -5,6 +5,7 @@ suggests the nearest known one. The models of a schema are its documentation.
 """
 
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from inspect import signature
@@ -69,6 +70,7 @@ def checked(
     kind: str,
     *,
     first: int = 1,
+    called: Mapping[str, str] | None = None,
 ) -> Model:
     """Checks the content of a file against its schema.
 
@@ -78,6 +80,8 @@ def checked(
         schema: the model that describes them.
         kind: what the file should be ("scene"), for messages.
         first: the number of an array's first item, for messages.
+        called: what messages call a list that stands key by key in the tables of an array, by the
+            array and the key: {"flat.exposure": "exposures"}.
 
     Returns:
         The content as an instance of `schema`.
@@ -89,7 +93,7 @@ def checked(
         return schema.model_validate(content)
     except ValidationError as error:
         raise InputError(
-            f"{path}: {_first_mistake(error, content, schema, kind, first)}."
+            f"{path}: {_first_mistake(error, content, schema, kind, first, called or {})}."
         ) from error
 
 
@@ -99,13 +103,15 @@ def _first_mistake(
     schema: type[BaseModel],
     kind: str,
     first: int,
+    called: Mapping[str, str],
 ) -> str:
     mistakes = error.errors()
     unknown = [mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"]
     mistake = (unknown or mistakes)[0]  # a misspelt key also leaves another one missing
     context = mistake.get("ctx", {})
     missing = mistake["type"] == "missing"
-    where = _place(mistake["loc"], content, missing, first) or "the file"
+    place = _place(mistake["loc"], content, missing, first)
+    where = _as_called(place, called) or "the file"
     reason = mistake["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     match mistake["type"]:
         case "missing":
@@ -160,6 +166,13 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) 
     if missing:
         place += f".{loc[-1]}"
     return place.lstrip(".")
+
+
+def _as_called(place: str, called: Mapping[str, str]) -> str:
+    """`exposures[0]` for `flat[0].exposure`, where that is what a list is called."""
+    within = re.match(r"(\w+)(\[\d+\])\.(\w+)", place)
+    name = called.get(f"{within[1]}.{within[3]}") if within else None
+    return f"{name}{within[2]}{place[within.end() :]}" if within and name else place
 
 
 def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:

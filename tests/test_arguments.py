@@ -106,6 +106,9 @@ def test_nan_passes():
 
 
 WINDOW = jv.Window([0, 0, 0], [1, 0, 0], [0, 1, 0])
+SCENE = jv.Scene([jv.Surface(jv.Sphere([0, 0, 0], 1.0), jv.Lambert([0.2]))], [])
+VIEW = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.1, resolution=(2, 2))
+PATHS = jv.Paths(samples=1, depth=1)
 LAMP = jv.RectangleLight([0, 0, 1], [1, 0, 0], [0, 1, 0], [1.0])
 
 SENTENCES = {
@@ -128,6 +131,26 @@ SENTENCES = {
     "a camera for its sensor": (
         lambda: jv.sensor.at_iso(read_camera("emva1288"), 400.0),
         "at_iso: sensor must be a record, Sensor, got a Camera",
+    ),
+    "view and scene the wrong way round": (
+        lambda: jv.render(VIEW, SCENE),
+        "render: scene must be a record, Scene, got a Pinhole",
+    ),
+    "a scene without a view": (
+        lambda: jv.ray_traced(SCENE, None),
+        "ray_traced: view must be a record, Orthographic or Pinhole or ThinLens, got None",
+    ),
+    "a camera before the scene": (
+        lambda: jv.capture(None, read_camera("ideal"), SCENE),
+        "capture: scene must be a record, Scene, got a Camera",
+    ),
+    "a view for its camera": (
+        lambda: jv.capture(None, SCENE, VIEW),
+        "capture: camera must be a record, Camera, got a Pinhole",
+    ),
+    "paths of a camera": (
+        lambda: jv.path_traced(jax.random.key(0), SCENE, read_camera("ideal"), method=PATHS),
+        "path_traced: view must be a record, .*, got a Camera",
     ),
     "a scene for a ray": (
         lambda: jv.intersect(jv.Sphere(UP, 1.0), jv.Sphere(UP, 1.0)),

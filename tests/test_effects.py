@@ -441,10 +441,11 @@ def test_a_certificate_explains_itself():
     lights = [jv.PointLight([0, 0, 2], [1.0]), jv.PointLight([0, 0, 300], [1e-3])]
     certificate = effects.prune(jv.Scene(FLOOR, lights), VIEW, "1%", level=1.0).certificate
     text, table = effects.explain(certificate), certificate._repr_html_()
-    for word in ("lights[1]", "dropped", "kept", "Dropped 3 of 4"):
+    for word in ("lights[1]", "dropped", "kept", "bound (of level)", "Dropped 3 of 4"):
         assert word in text
         assert word in table
     json.dumps([effect.__dict__ for effect in certificate.dropped])
+    assert "bound (DN)" in effects.explain(replace(certificate, unit="DN"))
 
 
 def test_paths_are_cut_where_light_no_longer_matters():

@@ -363,7 +363,7 @@ def test_groups_of_sensor_counts_with_a_pixel_of_no_light():
 
 
 def test_what_is_no_problem_and_no_start_is_refused():
-    with pytest.raises(InputError, match="fit: give a Problem, got 3"):
+    with pytest.raises(InputError, match="fit: problem must be a Problem, got int"):
         fit(3)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="start: give natural values by name, got 3"):
         fit(Problem({"a": FREE}, constant, NOISY, ONES, inputs=ONES), start=3)  # type: ignore[arg-type]

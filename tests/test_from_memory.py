@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
+from fitting.joint import calibrate as calibrate_joint
 from fitting.noise import calibrate as calibrate_noise
-from fitting.noise import from_frames, read_photon_transfer
+from fitting.noise import darks_from_frames, from_frames, read_photon_transfer
 from fitting.reflectance import from_photographs
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
 from fitting.reflectance.from_images.read import read_reflectance_observation
@@ -69,7 +70,7 @@ def test_what_does_not_fit_together_is_said_in_one_sentence():
     times = [0.01] * len(flats)
     with pytest.raises(InputError, match=r"5 exposures for 6 levels of flats; give one for each\."):
         from_frames(flats, flats, times[1:], None, camera=CAMERA)
-    with pytest.raises(InputError, match="1 sets of darks for 6 levels of flats; give dark_exp"):
+    with pytest.raises(InputError, match=r"len\(darks\) is 1 and len\(flats\) 6.*; give dark_exp"):
         from_frames(flats, flats[:1], times, None, camera=CAMERA)
     with pytest.raises(InputError, match="vary the exposure"):
         from_frames(flats, flats, times, None, camera=CAMERA)
@@ -78,10 +79,42 @@ def test_what_does_not_fit_together_is_said_in_one_sentence():
         from_frames([f + 300 for f in flats], flats, times, PHOTONS, camera=small)
     with pytest.raises(InputError, match=r"arrays/images\[1\]: holds fractions"):
         from_stack([np.ones((9, 9)), np.full((9, 9), 1.5)], [1, 2], camera=CAMERA)
-    with pytest.raises(InputError, match=r"flat\[1\].exposure = -1.0: must be greater than 0"):
+    with pytest.raises(InputError, match=r"exposures\[0\] = -1.0: must be greater than 0"):
         from_frames(flats, flats, [-1.0] * 6, PHOTONS, camera=CAMERA)
+    with pytest.raises(InputError, match=r"exposures, but 1 different photons; .* rate per second"):
+        from_frames(flats, flats, [0.01 * p for p in range(1, 7)], [1e5] * 6, camera=CAMERA)
     with pytest.raises(InputError, match="give either sphere or normals"):
         from_photographs([np.ones((9, 9))], np.array([[0.0, 0.0, 1.0]]), camera=CAMERA)
+
+
+def test_one_image_in_place_of_a_list_is_said():
+    flats = [levels(0.5 * p, i) for i, p in enumerate(PHOTONS)]
+    times, singles = [0.01] * len(flats), [frames[0] for frames in flats]
+    one = r"flats\[0\] is one frame, \(20, 30\), .* give of each level a list of two or more"
+    with pytest.raises(InputError, match=one):
+        from_frames(singles, flats, times, PHOTONS, camera=CAMERA)
+    with pytest.raises(InputError, match=r"darks\[0\] is one frame, \(20, 30, 1\)"):
+        from_frames(flats, [f[..., None] for f in singles], times, PHOTONS, camera=CAMERA)
+    with pytest.raises(InputError, match=r"darks\[0\] has 1 frame, .* two or more"):
+        darks_from_frames([[f] for f in singles], times, camera=CAMERA)
+    with pytest.raises(InputError, match="flats is empty; give a list of levels"):
+        from_frames([], [], [], [], camera=CAMERA)
+    with pytest.raises(InputError, match=r"images is one image, \(20, 30\); give a list"):
+        from_stack(singles[0], [1.0], camera=CAMERA)
+    with pytest.raises(InputError, match=r"images is one image, \(20, 30\); give a list"):
+        from_photographs(singles[0], LIGHTS, camera=CAMERA, sphere=SPHERE)
+
+
+def test_what_is_no_measurement_is_no_calibration():
+    for calibrate, named in (
+        (calibrate_noise, "noise.calibrate: measurement must be a PhotonTransfer, got dict; from_"),
+        (calibrate_response, "response.calibrate: stack must be an ExposureStack, got dict"),
+        (calibrate_joint, "joint.calibrate: measurement must be a JointMeasurement, got dict"),
+    ):
+        with pytest.raises(InputError, match=named):
+            calibrate({"a": 1})
+    with pytest.raises(InputError, match="observation must be a ReflectanceObservation, got dict"):
+        calibrate_reflectance({"a": 1}, model="phong")
 
 
 @pytest.mark.parametrize("colours", [(), (3,)])

@@ -11,7 +11,7 @@ import scipy.optimize
 from scipy import stats
 
 from fitting import Gaussian, Normal, Parameter, Problem, SamplingOptions, Tied, fit
-from fitting.inference.problem import log_density, prediction, values_at
+from fitting.inference.problem import give, log_density, prediction, values_at
 from fitting.inference.search import spread_starts
 from jaxvision import Lambert, Phong, PointLight, Scene, Sphere, Surface
 from jaxvision.errors import InputError
@@ -238,6 +238,8 @@ def test_a_wrong_path_is_told_what_is_there(name, expected):
         ({"parameters": {"values": Parameter()}}, "'values' is taken"),
         ({"data": np.array([0.0, np.inf, 1.0])}, "1 of the data are infinite"),
         ({"predict": lambda *a: a[0]}, r"predict takes \*a"),
+        ({"predict": lambda a: np.sin(a)}, "predict gives .* to NumPy.*; use jax.numpy in place"),
+        ({"predict": lambda a: math.sin(a)}, r"predict asks for the value .* use jax.numpy, and"),
         ({"likelihood": object()}, "object is no likelihood: it lacks least_squares, surrogate"),
         (
             {"parameters": {"a": Parameter(), "b": Tied(lambda values: values["aa"])}},
@@ -269,6 +271,19 @@ def test_a_problem_that_cannot_be_is_refused(change, expected):
         Problem(**(whole | change))
 
 
+def test_a_function_may_take_all_by_name():
+    problem = Problem(
+        {"b": Parameter(start=1.0), "r['a']": Parameter(), "c": 2.0},
+        lambda b, r: b + r["a"],
+        Gaussian(sd=1.0),
+        np.zeros(3),
+        records={"r": RECORD},
+    )
+    values = values_at(problem, jnp.zeros(len(problem.space)))
+    assert give(problem, lambda **given: sorted(given), values, None) == ["b", "c", "r", "r['a']"]
+    assert give(problem, lambda b, **given: sorted(given), values, None)[0] == "c"
+
+
 def test_a_fit_that_cannot_begin_says_why():
     problem = Problem({"a": Parameter()}, lambda a: a * jnp.ones(3), Gaussian(sd=1.0), np.zeros(3))
     with pytest.raises(InputError, match="Nothing says where to search for a"):
@@ -295,6 +310,8 @@ def test_a_seed_that_is_none_is_refused(seed):
         (lambda height: {"h": height}, 9, "returns a dict that is no array; return one array"),
         (lambda height: (height, jnp.ones(2)), 9, "returns a tuple that is no array"),
         ("height", 9, "'height' is no function"),
+        (lambda height: np.sin(height), 9, "The function gives .* to NumPy"),
+        (lambda *v: v[0], 9, r"takes \*v: .* take all by name"),
     ],
 )
 def test_what_cannot_be_derived_is_refused(fitted, function, draws, expected):

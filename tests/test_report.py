@@ -425,6 +425,11 @@ def test_a_section_finds_estimates_and_draws_pictures_by_name(section):
         section.figure("pct")
 
 
+def test_pictures_print_as_their_names(section):
+    """Not as the table that they draw."""
+    assert repr(section.pictures[0]) == "Picture('ptc', 'Photon transfer')"
+
+
 def test_draws_of_a_posterior_by_name(section):
     found = section.posteriors[""]
     assert [*found.by_name] == ["gain", "read_noise"]

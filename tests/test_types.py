@@ -176,6 +176,22 @@ def test_records_print_their_numbers():
     assert repr(jv.Sensor(gain=2.0)) == "Sensor(gain=2)"  # what is absent is not printed
     wide = jv.PointLight([0, 0, 1], np.linspace(2, 5, 31).astype(np.float32))
     assert repr(wide) == "PointLight(position=[0, 0, 1], intensity=float32[31] from 2 to 5)"
+    assert (
+        str(wide) == "PointLight(position=[0, 0, 1] m, intensity=float32[31] from 2 to 5 W sr^-1)"
+    )
+    assert str(jv.PhotonConversion([550e-9], 1e-12)) == (
+        "PhotonConversion(wavelength=[5.5e-07] m, pixel_area=1e-12 m^2)"
+    )
+    assert str(
+        jv.Sensor(dark_current=3.0, gain=2.0, prnu=0.1, shot_noise=jv.PoissonShotNoise())
+    ) == (
+        "Sensor(\n"
+        "  prnu=0.1,\n"
+        "  dark_current=3 e- s^-1 per pixel,\n"
+        "  shot_noise=PoissonShotNoise(),\n"
+        "  gain=2 DN per e-,\n"
+        ")"
+    )
     assert "Dielectric(eta=[1.5])" in repr(
         jv.TorranceSparrow([0.1], [0.2], 0.3, interface=jv.Dielectric([1.5]))
     )

@@ -19,6 +19,7 @@ from jaxvision.effects import Tolerance, prune
 from jaxvision.errors import InputError
 from jaxvision.rendering import PixelSamples
 
+from ..inference.given import require_kind
 from ..inference.parameters import Parameter, scalars
 from ..inference.problem import Problem, likelihood_at, prediction, values_at
 from ..inference.records import head, is_path, reach, read, replaced
@@ -74,6 +75,7 @@ def called_for(
         >>> len(called_for(problem).records["scene"].lights)
         1
     """
+    require_kind("called_for: problem", problem, Problem)
     seen, camera = _named(problem, Scene), _named(problem, Camera)
     fixed = {name: value for name, value in problem.fixed.items() if is_path(name)}
     records = replaced(problem.records, fixed)

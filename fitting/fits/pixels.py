@@ -12,7 +12,7 @@ from jaxvision.errors import InputError
 from jaxvision.progress import progress_bar
 
 from ..inference.estimates import QUANTILES
-from ..inference.given import require_seed, require_whole
+from ..inference.given import require_kind, require_seed, require_whole
 from ..inference.misfit import CHANCE
 from ..inference.on_host import require_here
 from ..inference.parameters import to_natural
@@ -89,6 +89,7 @@ def fit_map(
     require_whole("chunk", chunk, of="pixels to be fitted at a time")
     for name, values in (("data", data), ("inputs", inputs), ("labels", labels)):
         require_here(name, values)
+    require_kind("fit_map: problem", problem, Problem)
     data = data if hasattr(data, "shape") else np.asarray(data)
     own_shape = problem.data.shape
     shape = tuple(data.shape[len(own_shape) :])

@@ -137,7 +137,8 @@ class Fit:
         """Something that follows from the parameters, with intervals: the draws pushed through it.
 
         Args:
-            function: any JAX function to one array; its arguments are named as those of `predict`.
+            function: any JAX function to one array; its arguments are named as those of `predict`,
+                and `**given` are all parameters (paths too) and records by name.
             draws: how many.
 
         Returns:

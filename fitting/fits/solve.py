@@ -15,7 +15,7 @@ from jaxvision.progress import progress_bar
 from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.emcee_run import SamplingOptions
-from ..inference.given import require_seed
+from ..inference.given import require_kind, require_seed
 from ..inference.importance import laplace_where_it_holds
 from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import judge_sums, sums
@@ -108,8 +108,7 @@ def fit(
         True
     """
     require_seed(seed)
-    if not isinstance(problem, Problem):
-        raise InputError(f"fit: give a Problem, got {problem!r:.60}.")
+    require_kind("fit: problem", problem, Problem)
     if start is not None and not isinstance(start, Mapping):
         raise InputError(f"start: give natural values by name, got {start!r:.60}.")
     options = _options(posterior, sampling)

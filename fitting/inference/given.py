@@ -52,6 +52,25 @@ def require_whole(
     raise InputError(f"{what} = {value!r}: give a whole number {ends}.")
 
 
+def require_kind(what: str, value: Any, kind: type, *, source: str = "") -> None:
+    """Refuses what is not of the kind that a function takes.
+
+    Args:
+        what: is judged: the function and its argument.
+        value: to judge.
+        kind: that it must be.
+        source: where one comes from, in words.
+
+    Raises:
+        InputError: names both kinds.
+    """
+    if not isinstance(value, kind):
+        named = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+        hint = f"; {source} gives one" if source else ""
+        article = "an" if kind.__name__[0] in "AEIO" else "a"
+        raise InputError(f"{what} must be {article} {kind.__name__}, got {named}{hint}.")
+
+
 def require_progress(value: Any) -> None:
     """Refuses what cannot be told how far a chain is.
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -22,11 +23,12 @@ from .on_host import on_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
 from .records import is_path, reach, replaced
 from .statement import (
+    GIVEN,
     argument_names,
-    arguments,
     as_arrays,
     check_names,
     finite_data,
+    named_and_rest,
     placed,
     placed_like,
 )
@@ -289,13 +291,30 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
 
     Returns:
         Its result.
+
+    Raises:
+        InputError: for a function that asks for something unknown, or that JAX cannot trace.
     """
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
-    asked = arguments(function).values()
+    asked, rest = named_and_rest(function)
     for unknown in {argument.name for argument in asked} - known.keys():
         raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
     named = {a.name: known[a.name] for a in asked if a.kind is a.KEYWORD_ONLY}
-    return function(*(known[a.name] for a in asked if a.kind is not a.KEYWORD_ONLY), **named)
+    if rest:
+        named |= {name: known[name] for name in known.keys() - {*GIVEN, *(a.name for a in asked)}}
+    who = "predict" if function is problem.predict else "The function"
+    try:
+        return function(*(known[a.name] for a in asked if a.kind is not a.KEYWORD_ONLY), **named)
+    except jax.errors.TracerArrayConversionError as error:
+        raise InputError(
+            f"{who} gives a number that is to be found to NumPy, which JAX cannot trace; use "
+            "jax.numpy in place of numpy."
+        ) from error
+    except jax.errors.ConcretizationTypeError as error:
+        raise InputError(
+            f"{who} asks for the value of a number that is to be found (by float, math or if), "
+            "which JAX cannot trace; use jax.numpy, and jax.numpy.where for a choice."
+        ) from error
 
 
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:

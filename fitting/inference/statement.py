@@ -101,6 +101,31 @@ def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(function).parameters
 
 
+def named_and_rest(
+    function: Callable[..., Any],
+) -> tuple[tuple[inspect.Parameter, ...], bool]:
+    """Arguments of a function that derives something.
+
+    Args:
+        function: a user's own.
+
+    Returns:
+        Those with a name of their own, and whether it takes all others by name (`**`) as well.
+
+    Raises:
+        InputError: for one that takes any number by their place, and for what is no function.
+    """
+    found = arguments(function).values()
+    for argument in found:
+        if argument.kind is argument.VAR_POSITIONAL:
+            raise InputError(
+                f"A function takes *{argument.name}: name each argument after what it is given, or "
+                "take all by name, as **given."
+            )
+    several = any(argument.kind is argument.VAR_KEYWORD for argument in found)
+    return tuple(a for a in found if a.kind is not a.VAR_KEYWORD), several
+
+
 def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
     """What a function asks for.
 

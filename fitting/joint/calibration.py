@@ -7,6 +7,7 @@ import numpy as np
 
 from ..inference.clustering import Robustness
 from ..inference.emcee_run import SamplingOptions, for_group
+from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
 from ..inference.precision import in_double
@@ -69,6 +70,8 @@ def calibrate(
     Raises:
         InputError: where too little is left to fit, and for numbers outside their range.
     """
+    kind, source = JointMeasurement, "from_photographs"
+    require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
     form = Form(model, index)
     channels = len(measurement.observation.channels)

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
 
-from ..observation import in_memory, require_as_many
-from ..photographs import rig_entries
+from ..observation import in_memory, require_as_many, require_frames
+from ..photographs import CALLED, rig_entries
 from ..reflectance.from_images.read import OF_LIGHTS
 from ..rig import Camera, SphereGeometry
 from .read import JointMeasurement, read_joint_measurement
@@ -73,11 +73,13 @@ def from_photographs(
         uncertain={name: _each(name, sd, images) for name, sd in given.items() if sd is not None},
     )
     for kind, sets in (("flat", flats), ("dark", darks)):
+        if len(sets):
+            require_frames(f"{kind}s", sets)
         files = [[f"{kind}s[{i}][{j}]" for j in range(len(set_))] for i, set_ in enumerate(sets)]
         for of_level, frames in zip(files, sets, strict=True):
             named |= dict(zip(of_level, frames, strict=True))
         entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
-    rig, load = in_memory(named, camera=camera, **entries)
+    rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
     return read_joint_measurement(rig, load=load)
 
 

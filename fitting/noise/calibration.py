@@ -19,6 +19,7 @@ from jaxvision import as_dtype
 from ..inference.compiled import compiled_briefly
 from ..inference.emcee_run import SamplingOptions
 from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
+from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.left_out import LeftOut
 from ..inference.newton import minimise
@@ -101,6 +102,7 @@ def calibrate(
     Raises:
         InputError: where a fit has no maximum.
     """
+    require_kind("noise.calibrate: measurement", measurement, PhotonTransfer, source="from_frames")
     measurement = as_dtype(measurement, np.float64)  # of a caller in float32
     within = ranges(measurement)
     usable = linear_levels(measurement)

@@ -58,7 +58,7 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
         f"The quantum efficiency comes out at {100 * (calibration.efficiency or 0):.3g} %, which "
         "no sensor has: either photons are stated too low (give photons per pixel and exposure, "
         "not per area or second), or the images were smoothed or interpolated, which lowers the "
-        "variance and the gain read off it. No sensor.toml is written."
+        "variance and the gain read off it. No sensor is made from it."
     ]
 
 

@@ -6,7 +6,7 @@ from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import in_double
-from ..observation import MEMORY, in_memory, require_as_many
+from ..observation import MEMORY, in_memory, require_as_many, require_frames
 from ..rig import Camera
 from .levels import Levels, PhotonTransfer
 from .read import check, reduce_darks, reduce_rig
@@ -51,12 +51,15 @@ def from_frames(
         >>> print(gain.round(1))  # DN an electron
         [1.  1.  1.1 1.1]
     """
+    require_frames("flats", flats)
+    require_frames("darks", darks)
     require_as_many("exposures", exposures, "levels of flats", flats)
     if photons is not None:
         require_as_many("photon counts", photons, "levels of flats", flats)
     if dark_exposures is None and len(darks) != len(flats):
         raise InputError(
-            f"{len(darks)} sets of darks for {len(flats)} levels of flats; give dark_exposures."
+            f"len(darks) is {len(darks)} and len(flats) {len(flats)}, so darks need exposures of "
+            "their own; give dark_exposures."
         )
     times = exposures if dark_exposures is None else dark_exposures
     require_as_many("dark_exposures", times, "sets of darks", darks)
@@ -75,7 +78,12 @@ def from_frames(
         {"files": _names("darks", i, level), "exposure": float(times[i])}
         for i, level in enumerate(darks)
     ]
-    rig, load = in_memory(images, camera=camera, flat=flat, dark=dark)
+    called = {
+        "flat.exposure": "exposures",
+        "flat.photons": "photons",
+        "dark.exposure": "exposures" if dark_exposures is None else "dark_exposures",
+    }
+    rig, load = in_memory(images, called=called, camera=camera, flat=flat, dark=dark)
     measurement = reduce_rig(rig, channel=channel, load=load)
     check(MEMORY, measurement)
     return measurement
@@ -110,13 +118,15 @@ def darks_from_frames(
         >>> print(darks.mean.round(), np.sqrt(darks.variance).round())
         [64. 64.] [5. 5.]
     """
+    require_frames("darks", darks)
     require_as_many("exposures", exposures, "sets of darks", darks)
     images = {f"darks[{i}][{j}]": frame for i, s in enumerate(darks) for j, frame in enumerate(s)}
     dark = [
         {"files": _names("darks", i, level), "exposure": float(exposures[i])}
         for i, level in enumerate(darks)
     ]
-    rig, load = in_memory(images, camera=camera, dark=dark)
+    called = {"dark.exposure": "exposures"}
+    rig, load = in_memory(images, called=called, camera=camera, dark=dark)
     return reduce_darks(rig, channel=channel, load=load)
 
 

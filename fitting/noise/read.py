@@ -280,7 +280,13 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
             f"{file}: a flat has {float(bright.light.max()):.3g} photons per pixel, more than any "
             f"pixel can hold; correct the unit (at most {MOST_PHOTONS:g})."
         )
-    if len(np.unique(np.asarray(bright.light))) < FEWEST_LEVELS:
+    lights, times = (np.unique(np.asarray(x)).size for x in (bright.light, bright.exposure))
+    if lights < FEWEST_LEVELS:
+        if measurement.photons_known and times >= FEWEST_LEVELS:
+            raise InputError(
+                f"{file}: the flats have {times} exposures, but {lights} different photons; these "
+                "are photons per pixel and exposure, so multiply a rate per second by the exposure."
+            )
         raise InputError(
             f"{file}: the flats have too few different levels of light; at least {FEWEST_LEVELS} "
             "are needed, so vary the exposure or the light."

@@ -54,6 +54,9 @@ class Picture:
     draw: "Callable[[], Figure]"
     is_whole: bool = False
 
+    def __repr__(self) -> str:
+        return f"Picture({self.name!r}, {self.title!r})"  # what it draws from may be long
+
 
 @dataclass(frozen=True)
 class Input:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Integer
 from jaxvision.errors import InputError
 
 from ..inference.emcee_run import SamplingOptions, for_group
+from ..inference.given import require_kind
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .curve import ResponseCurve, fit_response_curve
@@ -77,6 +78,7 @@ def calibrate(
     Raises:
         InputError: when no plane can be calibrated.
     """
+    require_kind("response.calibrate: stack", stack, ExposureStack, source="from_stack")
     channels, skipped = [], []
     for plane in stack.planes:
         try:

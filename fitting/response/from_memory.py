@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from jaxvision import ArrayLike
 
-from ..observation import in_memory, require_as_many
+from ..observation import in_memory, require_as_many, require_several_images
 from ..rig import Camera
 from .read import ExposureStack, read_exposure_stack
 
@@ -45,11 +45,13 @@ def from_stack(
         >>> print([(plane.channel, plane.codes.shape) for plane in stack.planes])
         [('grey', (3, 20, 20))]
     """
+    require_several_images("images", images)
     require_as_many("exposures", exposures, "images", images)
     entries = [
         {"file": f"images[{i}]", "exposure": float(exposure), "exposure_sd": exposure_sd}
         for i, exposure in enumerate(exposures)
     ]
     named = {f"images[{i}]": image for i, image in enumerate(images)}
-    rig, load = in_memory(named, camera=camera, exposure=entries)
+    called = {"exposure.exposure": "exposures"}
+    rig, load = in_memory(named, called=called, camera=camera, exposure=entries)
     return read_exposure_stack(rig, mask=mask, load=load)

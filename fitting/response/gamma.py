@@ -49,7 +49,7 @@ EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compar
 FEWEST_CODES = 10
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
-    "shutter_error", symbol="τ", unit="", transform="log", prior=SHUTTER_PRIOR
+    "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
 )
 SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 

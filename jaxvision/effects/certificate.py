@@ -176,7 +176,7 @@ class Certificate:
         """The table that a notebook shows."""
         rows = [(word, *cells) for word, cells in _rows(self)]
         last = summary(self)
-        return record_html(("", *_HEADINGS), rows, summary=last, notes=self.assumptions)
+        return record_html(("", *_headings(self)), rows, summary=last, notes=self.assumptions)
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,9 @@ class Pruned:
     depth: int | None = None
 
 
-_HEADINGS = ("effect", "bound", "pixels", "saves", "rank", "why")
+def _headings(certificate: Certificate) -> tuple[str, ...]:
+    unit = "of level" if certificate.unit == "relative" else certificate.unit
+    return "effect", f"bound ({unit})", "pixels", "saves", "rank", "why"
 
 
 def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
@@ -250,7 +252,7 @@ def explain(certificate: Certificate) -> str:
         pixels.
     """
     table = [(word, *cells) for word, cells in _rows(certificate)]
-    table = [("", *_HEADINGS), *table]
+    table = [("", *_headings(certificate)), *table]
     widths = [max(len(row[i]) for row in table) for i in range(6)]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row[:6], widths, strict=True))

@@ -14,7 +14,7 @@ from .._groups import group_by_structure, take
 from .._numerics import dot
 from .._random import Stream
 from .._staging import together
-from .._types import Colour, Image
+from .._types import Colour, Image, check_given
 from .._vector import Vec, where
 from ..geometry import Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
 from ..lights import Rule, can_be_seen, nearest_seen, rules_of
@@ -185,4 +185,6 @@ def render(
         >>> print(jv.render(scene, view).round(4).ravel())
         [0.4775 0.4775]
     """
+    check_given("render: scene", scene, Scene)
+    check_given("render: view", view, View)
     return photograph(direct_along(scene, rule), view, samples, keep=(TRACED,)).radiance

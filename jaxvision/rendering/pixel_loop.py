@@ -21,7 +21,7 @@ from .._numerics import safe_sqrt
 from .._random import Stream, Word, lattice_point, seed_of
 from .._shown import Shown
 from .._staging import LANES, at_a_time
-from .._types import Key, Scalar, Spectrum, check_count, check_key, is_known
+from .._types import Key, Scalar, Spectrum, check_count, check_given, check_key, is_known
 from ..geometry import Ray
 from ..in_notebooks import preview_png, with_picture
 from ..optics import view_ray
@@ -140,6 +140,7 @@ def photograph(
     Raises:
         ValueError: for a thin lens without samples, unless its f_number is inf or traced.
     """
+    check_given("photograph: view", view, View)
     if samples is None:
         _check_lens(view)
     height, width = view.resolution

@@ -218,7 +218,8 @@ class Sensor(Shown):
     `shot_noise`), and out of it (from `charge_transfer`).
 
     Attributes:
-        photon_conversion: None takes the input as photons per pixel and second.
+        photon_conversion: None takes the input as photons per pixel and second, or per pixel and
+            exposure without an `exposure_time`.
         infrared_cut: (bands,) transmission of a filter before the sensor, in [0, 1], no unit.
         quantum_efficiency: () or (bands,) electrons per photon, in [0, 1].
         colour_filter: None measures every band at every pixel.

@@ -18,7 +18,7 @@ from .._arguments import takes_numbers
 from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
 from .._staging import TILE, at_a_time, together
-from .._types import Key, Scalar, check_count
+from .._types import Key, Scalar, check_count, check_given
 from .._vector import Vec, as_vec
 from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
 from ..lights import nearest_seen
@@ -86,6 +86,8 @@ def light_traced(
         >>> round(float(found(jax.random.key(0)).radiance[0, 0, 0]), 1)  # 2 pi x 0.5 / pi
         1.0
     """
+    check_given("light_traced: scene", scene, Scene)
+    check_given("light_traced: view", view, View)
     for name, value in (("paths", paths), ("depth", depth), ("samples", samples)):
         check_count(name, value, 1)
     seen = path_traced(key, scene, view, method=Paths(samples, 1))

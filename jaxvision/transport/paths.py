@@ -33,7 +33,7 @@ from .._numerics import divide, dot
 from .._random import Stream, Word, seed_of, uniforms
 from .._shown import Shown
 from .._staging import at_a_time, stored
-from .._types import Colour, Key, Scalar, Scalars, check_choice, check_count
+from .._types import Colour, Key, Scalar, Scalars, check_choice, check_count, check_given
 from ..brdf import is_delta
 from ..geometry import Ray
 from ..rendering import Along, PixelSamples, Traced, photograph
@@ -359,6 +359,8 @@ def path_traced_pixels(
         >>> print(jv.path_traced_pixels(key, scene, view, first, first, method=method).radiance)
         [[2.]]
     """
+    check_given("path_traced_pixels: scene", scene, Scene)
+    check_given("path_traced_pixels: view", view, View)
     samples = PixelSamples(key, method.samples)
     along, pixels = path_along(scene, method), (jnp.asarray(rows), jnp.asarray(columns))
     return photograph(along, view, samples, pixels=pixels, first_sample=first_sample)
@@ -389,4 +391,6 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
         >>> print(picture.radiance.round(3).ravel())
         [1. 1. 1. 1.]
     """
+    check_given("path_traced: scene", scene, Scene)
+    check_given("path_traced: view", view, View)
     return photograph(path_along(scene, method), view, PixelSamples(key, method.samples))

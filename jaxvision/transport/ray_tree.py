@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import dot
 from .._staging import TILE, at_a_time
-from .._types import Colour, Image, check_count
+from .._types import Colour, Image, check_count, check_given
 from .._vector import Vec, as_array
 from ..brdf import is_delta
 from ..geometry import Ray
@@ -292,6 +292,8 @@ def ray_traced(
         >>> round(float(picture(jv.Scene([lamp, mirror], []))[0, 0, 0]), 4)
         1.8
     """
+    check_given("ray_traced: scene", scene, Scene)
+    check_given("ray_traced: view", view, View)
     along = ray_tree_along(scene, rays=rays, rule=rule)
     # `vmap` would follow the blocks that have no ray left
     return photograph(along, view, samples, several=False).radiance

@@ -12,6 +12,7 @@ from jaxvision.side_by_side import side_by_side
 
 from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import Progress, SamplingOptions
+from ...inference.given import require_kind
 from ...inference.posterior import Posterior
 from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
@@ -96,6 +97,8 @@ def calibrate(
     Raises:
         InputError: where too few samples are left, and for numbers outside their range.
     """
+    kind, source = ReflectanceObservation, "from_photographs"
+    require_kind("reflectance.calibrate: observation", observation, kind, source=source)
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
     check_index(index)

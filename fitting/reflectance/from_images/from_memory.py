@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from jaxvision import ArrayLike
 
 from ...observation import in_memory
-from ...photographs import rig_entries
+from ...photographs import CALLED, rig_entries
 from ...rig import Camera, SphereGeometry
 from .read import ReflectanceObservation, read_reflectance_observation
 
@@ -67,5 +67,5 @@ def from_photographs(
         held_out=held_out,
         place="position" if point_lights else "direction",
     )
-    rig, load = in_memory(named, camera=camera, **entries)
+    rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
     return read_reflectance_observation(rig, load=load)

@@ -19,7 +19,7 @@ from ..._groups import group_by_structure, take
 from ..._numerics import dot
 from ..._random import Stream
 from ..._staging import stored
-from ..._types import Colour, Image, Scalar
+from ..._types import Colour, Image, Scalar, check_given
 from ..._vector import Vec, where
 from ...geometry import (
     Encounter,
@@ -137,6 +137,8 @@ def radiosity_image(
     Raises:
         ValueError: for a thin lens without samples, unless its f_number is inf or traced.
     """
+    check_given("radiosity_image: scene", scene, Scene)
+    check_given("radiosity_image: view", view, View)
     along = radiosity_rays(scene, plan, solution, rule=rule, gather=gather)
     return photograph(along, view, samples).radiance
 
