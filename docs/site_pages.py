@@ -315,6 +315,7 @@ def read_doctree(app, doctree):
         around, at = image.parent, image.parent.index(image)
         row = nodes.container(classes=["curves"])
         while at < len(around) and is_curve(around[at]):
+            around[at]["classes"].append("dark-light")  # their colours follow the page's
             row += around.pop(at)
         around.insert(at, row)
 
