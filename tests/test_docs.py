@@ -2,6 +2,7 @@
 them, its commands exist, and its reference has an entry for every public name."""
 
 import ast
+import importlib
 import importlib.util
 import json
 import re
@@ -35,12 +36,9 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 def module(name):
     """A module of `docs/`, which no package holds."""
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(DOCS)
+        return importlib.import_module(name)
 
 
 @pytest.mark.slow
@@ -183,7 +181,7 @@ def test_every_public_name_has_one_entry():
     """What makes the pages, against the names that the tests of the public API discover."""
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("the `docs` extra is not installed")
-    pages = module("site_pages")
+    pages = module("reference_pages")
     for package in (jaxvision, fitting):
         entries = pages.entries(package)
         named = {id(value) for value in entries.values() if pages.home(value)}
@@ -197,7 +195,7 @@ def test_every_public_name_has_one_entry():
 def test_the_pages_of_the_roots_name_all_that_they_offer(tmp_path):
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("the `docs` extra is not installed")
-    module("site_pages").reference_pages(tmp_path)
+    module("reference_pages").reference_pages(tmp_path)
     for package in (jaxvision, fitting):
         page = (tmp_path / f"{package.__name__}.rst").read_text()
         named = re.findall(r"^\* .*?`(\w+) <", page, re.MULTILINE)
@@ -211,14 +209,14 @@ def test_the_pages_of_the_roots_name_all_that_they_offer(tmp_path):
         ("As J. Kajiya has it, e.g. here.\n\nMore.", "As J. Kajiya has it, e.g. here."),
         ("Of Astier et al. (2019)\nin two lines. `x` is.", "Of Astier et al. (2019) in two lines."),
         ("Of the room, by definition:", "Of the room, by definition"),
-        ("X = <class 'jaxtyping.Float[jaxlib._jax.Array, 'a']'>", "`Float[Array, 'a']`"),
+        ("X = <class 'jaxtyping.Float[jaxlib._jax.Array, 'a']'>", '`Float[Array, "a"]`'),
     ],
 )
 def test_summaries_are_whole_sentences(text, first):
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("the `docs` extra is not installed")
     thing = type("Thing", (), {"__doc__": text})
-    assert module("site_pages").summary(thing) == first
+    assert module("reference_pages").summary(thing) == first
 
 
 def test_hooks_before_a_commit_run_what_ci_runs():
