@@ -136,7 +136,7 @@ def reference_pages(folder):
         inner = defaultdict(dict)
         for name, value in found.items():
             if name not in offered:
-                inner[".".join(name.split(".")[:3])][name] = value
+                inner[name.rpartition(".")[0]][name] = value
         if inner:
             text += headed("Submodules", "-")
             text += [line_of(submodule) for submodule in sorted(inner)]

@@ -1,10 +1,11 @@
 """Text of the site: types as readers write them, docstrings as reStructuredText."""
 
 import re
+import sys
 
 # What stands around names of types as they print themselves.
 OF_TYPES = re.compile(r"<class '|'>|\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\._vector)\.")
-NAMED = re.compile(r"(?<![\w.])(?:jaxvision|fitting)\.([A-Z]\w*)(?![\w.])")
+NAMED = re.compile(r"(?<![\w.])((?:jaxvision|fitting)(?:\.\w+)*)\.([A-Z]\w*)(?![\w.])")
 
 
 def write(file, text):
@@ -23,8 +24,8 @@ def escaped(text):
 
 
 def plain_type(text, names=None, entry_of=lambda value: None):
-    """A type as code writes it, `Float[Array, "levels"]` or `float`. A union with a name stands by
-    its entry or, where it has none, by what it stands for.
+    """A type as code writes it, `Float[Array, "levels"]` or `float`. What has an entry goes by its
+    name, other aliases by what they stand for.
 
     Args:
         text: as the type prints itself.
@@ -33,7 +34,9 @@ def plain_type(text, names=None, entry_of=lambda value: None):
     """
 
     def meant(found):
-        value = (names or {}).get(found[1])
+        module, name = found.groups()
+        value = (names or {}).get(name) if module in ("jaxvision", "fitting") else None
+        value = value or getattr(sys.modules.get(module), name, None)
         alias = re.fullmatch(r"\w+ = (.*)", getattr(value, "__doc__", None) or "")
         if value is None or entry_of(value) or not alias:
             return entry_of(value) or found[0]

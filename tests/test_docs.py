@@ -7,6 +7,7 @@ import importlib.util
 import json
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import jax
@@ -217,6 +218,19 @@ def test_summaries_are_whole_sentences(text, first):
         pytest.skip("the `docs` extra is not installed")
     thing = type("Thing", (), {"__doc__": text})
     assert module("reference_pages").summary(thing) == first
+
+
+def test_the_page_on_installing_agrees_with_the_project():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    page = (DOCS / "install.md").read_text()
+    extras = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    assert sorted(extras) == sorted(project["optional-dependencies"])
+    versions = [c.rpartition(" ")[2] for c in project["classifiers"] if "Python :: 3." in c]
+    assert set(versions) == set(re.findall(r"3\.\d+", page))
+    readme = (ROOT / "README.md").read_text()
+    for command in ("-m venv .venv && .venv/bin/pip install .", "pip install 'jax[cuda13]'"):
+        assert command in page
+        assert command in readme
 
 
 def test_hooks_before_a_commit_run_what_ci_runs():
