@@ -91,8 +91,8 @@ def skip_member(app, what, name, thing, skip, options):
 def escape_docstring(app, what, name, thing, options, lines):
     if lines == prepare_docstring(type(thing).__doc__ or ""):
         lines.clear()  # a constant has only the words of its type
-    if what == "data":  # aliases say what they stand for
-        lines[:] = [plain_type(line) if re.match(r"\w+ = ", line) else line for line in lines]
+    if lines and lines[0].startswith(f"{name.rpartition('.')[2]} = "):  # what an alias stands for
+        lines[0] = plain_type(lines[0])
     inside = False  # an example, whose text is code
     for i, line in enumerate(lines):
         inside = line.strip().startswith((">>>", "...")) or (inside and bool(line.strip()))

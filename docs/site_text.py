@@ -4,8 +4,8 @@ import re
 import sys
 
 # What stands around names of types as they print themselves.
-OF_TYPES = re.compile(r"<class '|'>|\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\._vector)\.")
-NAMED = re.compile(r"(?<![\w.])((?:jaxvision|fitting)(?:\.\w+)*)\.([A-Z]\w*)(?![\w.])")
+OF_TYPES = re.compile(r"<class '|'>|~?\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\._vector)\.")
+NAMED = re.compile(r"(?<![\w.])(~?)((?:jaxvision|fitting)(?:\.\w+)*)\.([A-Z]\w*)(?![\w.])")
 
 
 def write(file, text):
@@ -34,13 +34,15 @@ def plain_type(text, names=None, entry_of=lambda value: None):
     """
 
     def meant(found):
-        module, name = found.groups()
+        short, module, name = found.groups()
         value = (names or {}).get(name) if module in ("jaxvision", "fitting") else None
-        value = value or getattr(sys.modules.get(module), name, None)
-        alias = re.fullmatch(r"\w+ = (.*)", getattr(value, "__doc__", None) or "")
-        if value is None or entry_of(value) or not alias:
-            return entry_of(value) or found[0]
-        return plain_type(alias[1], names, entry_of)
+        value = getattr(sys.modules.get(module), name, None) if value is None else value
+        if value is None:
+            return found[0]
+        if entry := entry_of(value):
+            return short + entry
+        alias = re.fullmatch(r"\w+ = (.*)", value.__doc__ or "")
+        return plain_type(alias[1], names, entry_of) if alias else found[0]
 
     text = NAMED.sub(meant, OF_TYPES.sub("", without_checks(text)))
     return re.sub(r"'([^']*)'", r'"\1"', text)

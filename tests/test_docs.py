@@ -233,6 +233,25 @@ def test_the_page_on_installing_agrees_with_the_project():
         assert command in readme
 
 
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("dict[str, ~jaxtyping.Float[jaxlib._jax.Array, 'a b']]", 'dict[str, Float[Array, "a b"]]'),
+        ("tuple[jaxvision.Filtered, ...]", 'tuple[Float[Array, "*filtered"], ...]'),
+        ("jaxvision.View | None", "jaxvision.scene.View | None"),
+        ("~jaxvision.scene.surfaces.Scene", "~jaxvision.Scene"),
+        ("typing.Annotated[float, Gt(gt=0)]", "float"),
+    ],
+)
+def test_types_are_written_as_code_does(text, plain):
+    from jaxvision import padding, scene
+
+    names = vars(padding) | {"View": scene.View}
+    entries = {id(scene.View): "jaxvision.scene.View", id(scene.Scene): "jaxvision.Scene"}
+    found = module("site_text").plain_type(text, names, lambda value: entries.get(id(value)))
+    assert found == plain
+
+
 def test_hooks_before_a_commit_run_what_ci_runs():
     hooks = re.findall(r"entry: (.*)", (ROOT / ".pre-commit-config.yaml").read_text())
     run = (ROOT / ".ci" / "run").read_text()
