@@ -1,4 +1,4 @@
-"""Axes that can be read: names of points, and numbers, that keep apart; colours for light and dark."""
+"""Axes that can be read: names of points and numbers that keep apart, colours on any background."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
