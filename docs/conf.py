@@ -79,8 +79,8 @@ html_theme_options = {
     "navigation_with_keys": False,
     "show_toc_level": 2,
     "secondary_sidebar_items": {"**": ["page-toc"], **dict.fromkeys(TABLES, ())},
-    "header_links_before_dropdown": 7,
+    "header_links_before_dropdown": 8,
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"index": [], "tutorial": []}  # pages without pages below them
+html_sidebars = {"index": [], "install": [], "tutorial": []}  # pages without pages below them

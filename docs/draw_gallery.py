@@ -12,7 +12,13 @@ import matplotlib.pyplot as plt
 
 GALLERY = Path(__file__).parent / "gallery"
 FINE = 200  # dots per inch of figures without pixels of their own
+INK = "#767b83"  # legible on white and on near black, on which a transparent figure may lie
 STYLE = {
+    **dict.fromkeys(
+        ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK
+    ),
+    "savefig.transparent": True,
+    "legend.frameon": False,
     "figure.figsize": (4.4, 3.3),
     "figure.dpi": 100,
     "figure.constrained_layout.use": True,

@@ -1,4 +1,4 @@
-"""Two logarithmic axes that can be read: names of points, and numbers, that keep apart."""
+"""Axes that can be read: names of points and numbers that keep apart, colours on any background."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -9,6 +9,9 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+# Legible on white and on near black, 4 to 1 on either.
+BLUE, RED, PURPLE = "#2d7dd2", "#d2530f", "#a05ce0"
+GREEN, OCHRE, PINK, TEAL, GREY = "#1f8a4c", "#a87400", "#d6408a", "#0f8b8d", "#767b83"
 TOGETHER = 0.08, 0.06  # of the axes' width and height, within which points share a name
 WIDE, HIGH = 0.62, 1.2  # of a letter and a line, in font sizes
 APART = 5.0  # pt, of a name from its point, and of a number from the next
@@ -78,25 +81,30 @@ def name_points(
 
 def few_ticks(axes: "Axes") -> None:
     """At most `MOST` numbers on either axis, which do not touch: powers of ten, or 1, 2 and 5 of
-    each, or equal steps, whichever are more.
+    each, or equal steps, whichever are more. Times below a second are written in ms.
 
     Args:
-        axes: logarithmic, of final limits.
+        axes: logarithmic, of final limits; along x lie times in s.
     """
     from matplotlib import rcParams
     from matplotlib.font_manager import FontProperties
-    from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
+    from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
 
     words = rcParams["xtick.labelsize"], rcParams["ytick.labelsize"]
-    for axis, length, word in zip((axes.xaxis, axes.yaxis), _size(axes), words, strict=True):
+    in_ms = max(axes.get_xlim()) < 1
+    axes.set_xlabel("time [ms]" if in_ms else "time [s]")
+    units = 1e-3 if in_ms else 1.0, 1.0
+    for axis, unit, length, word in zip(
+        (axes.xaxis, axes.yaxis), units, _size(axes), words, strict=True
+    ):
         letters = FontProperties(size=word).get_size_in_points()
-        low, high = sorted(axis.get_view_interval())
+        low, high = (end / unit for end in sorted(axis.get_view_interval()))
         best = max(
             (ticks for ticks in _candidates(low, high) if len(ticks) <= MOST),
             key=lambda ticks: len(ticks) * _fits(ticks, low, high, length, letters, axis.axis_name),
         )
-        axis.set_major_locator(FixedLocator(best))
-        axis.set_major_formatter("{x:g}")
+        axis.set_major_locator(FixedLocator([unit * tick for tick in best]))
+        axis.set_major_formatter(FixedFormatter([f"{tick:g}" for tick in best]))
         axis.set_minor_formatter(NullFormatter())
         if high < 3 * low:
             axis.set_minor_locator(NullLocator())

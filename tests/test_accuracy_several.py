@@ -309,6 +309,22 @@ def test_an_axis_of_one_point_has_labels_that_differ():
         assert len(set(shown)) == len(shown)
 
 
+@pytest.mark.parametrize(("seconds", "unit"), [(0.02, "ms"), (20.0, "s")])
+def test_times_below_a_second_are_written_in_ms(seconds, unit):
+    from matplotlib.figure import Figure
+
+    from jaxvision._legible_axes import few_ticks
+
+    axes = Figure().add_subplot()
+    axes.loglog([seconds / 10, seconds], [1.0, 100.0])
+    few_ticks(axes)
+    axes.figure.draw_without_rendering()
+    assert axes.get_xlabel() == f"time [{unit}]"
+    shown = [float(label.get_text()) for label in axes.get_xticklabels()]
+    np.testing.assert_allclose(shown, axes.get_xticks() * (1e3 if unit == "ms" else 1), rtol=1e-6)
+    assert len(shown) > 1
+
+
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -2,10 +2,12 @@
 them, its commands exist, and its reference has an entry for every public name."""
 
 import ast
+import importlib
 import importlib.util
 import json
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import jax
@@ -35,12 +37,9 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 def module(name):
     """A module of `docs/`, which no package holds."""
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(DOCS)
+        return importlib.import_module(name)
 
 
 @pytest.mark.slow
@@ -183,7 +182,7 @@ def test_every_public_name_has_one_entry():
     """What makes the pages, against the names that the tests of the public API discover."""
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("the `docs` extra is not installed")
-    pages = module("site_pages")
+    pages = module("reference_pages")
     for package in (jaxvision, fitting):
         entries = pages.entries(package)
         named = {id(value) for value in entries.values() if pages.home(value)}
@@ -197,7 +196,7 @@ def test_every_public_name_has_one_entry():
 def test_the_pages_of_the_roots_name_all_that_they_offer(tmp_path):
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("the `docs` extra is not installed")
-    module("site_pages").reference_pages(tmp_path)
+    module("reference_pages").reference_pages(tmp_path)
     for package in (jaxvision, fitting):
         page = (tmp_path / f"{package.__name__}.rst").read_text()
         named = re.findall(r"^\* .*?`(\w+) <", page, re.MULTILINE)
@@ -211,14 +210,46 @@ def test_the_pages_of_the_roots_name_all_that_they_offer(tmp_path):
         ("As J. Kajiya has it, e.g. here.\n\nMore.", "As J. Kajiya has it, e.g. here."),
         ("Of Astier et al. (2019)\nin two lines. `x` is.", "Of Astier et al. (2019) in two lines."),
         ("Of the room, by definition:", "Of the room, by definition"),
-        ("X = <class 'jaxtyping.Float[jaxlib._jax.Array, 'a']'>", "`Float[Array, 'a']`"),
+        ("X = <class 'jaxtyping.Float[jaxlib._jax.Array, 'a']'>", '`Float[Array, "a"]`'),
     ],
 )
 def test_summaries_are_whole_sentences(text, first):
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("the `docs` extra is not installed")
     thing = type("Thing", (), {"__doc__": text})
-    assert module("site_pages").summary(thing) == first
+    assert module("reference_pages").summary(thing) == first
+
+
+def test_the_page_on_installing_agrees_with_the_project():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    page = (DOCS / "install.md").read_text()
+    extras = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    assert sorted(extras) == sorted(project["optional-dependencies"])
+    versions = [c.rpartition(" ")[2] for c in project["classifiers"] if "Python :: 3." in c]
+    assert set(versions) == set(re.findall(r"3\.\d+", page))
+    readme = (ROOT / "README.md").read_text()
+    for command in ("-m venv .venv && .venv/bin/pip install .", "pip install 'jax[cuda13]'"):
+        assert command in page
+        assert command in readme
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("dict[str, ~jaxtyping.Float[jaxlib._jax.Array, 'a b']]", 'dict[str, Float[Array, "a b"]]'),
+        ("tuple[jaxvision.Filtered, ...]", 'tuple[Float[Array, "*filtered"], ...]'),
+        ("jaxvision.View | None", "jaxvision.scene.View | None"),
+        ("~jaxvision.scene.surfaces.Scene", "~jaxvision.Scene"),
+        ("typing.Annotated[float, Gt(gt=0)]", "float"),
+    ],
+)
+def test_types_are_written_as_code_does(text, plain):
+    from jaxvision import padding, scene
+
+    names = vars(padding) | {"View": scene.View}
+    entries = {id(scene.View): "jaxvision.scene.View", id(scene.Scene): "jaxvision.Scene"}
+    found = module("site_text").plain_type(text, names, lambda value: entries.get(id(value)))
+    assert found == plain
 
 
 def test_hooks_before_a_commit_run_what_ci_runs():

@@ -29,7 +29,7 @@ plt.annotate(
     (mean[-1], variance[-1]),
     (450, 9),
     ha="center",
-    arrowprops={"arrowstyle": "->", "relpos": (1, 0)},
+    arrowprops={"arrowstyle": "->", "color": "grey", "relpos": (1, 0)},
 )
 plt.ylim(0.5, 3000)
 plt.xlabel("mean above black [DN]")

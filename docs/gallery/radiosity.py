@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
 import jaxvision as jv
+from jaxvision.colour_spaces import luminance
 from jaxvision.render_command import with_resolution
 from jaxvision.scene_files import read_scene
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_image
@@ -24,6 +25,8 @@ def picture(scene, view):
     return radiosity_image(scene, plan, radiosity(scene, plan), view, samples=samples)
 
 
-clipped = picture(scene, view).clip(0, 1)  # before the mean, so that the lamp's edge is smooth
+radiance = picture(scene, view)
+white = jnp.quantile(luminance(radiance), 0.95) / 0.8
+clipped = (radiance / white).clip(0, 1)  # before the mean, so that the lamp's edge is smooth
 plt.imshow(jv.srgb_encode(clipped.reshape(192, 2, 192, 2, 3).mean((1, 3))))
 plt.axis("off")

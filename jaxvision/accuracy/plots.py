@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._legible_axes import few_ticks, name_points
+from .._legible_axes import BLUE, PURPLE, RED, few_ticks, name_points
 from .records import Curve, Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MARK, FLOOR, OTHER = "#0b72c4", "#c2410c", "#8250df"  # legible on white and on near black
 LEAST_RANGE = 2.0  # of an axis, of which less has labels that all read the same
 ROOM = 0.15  # of the height, for points without an error
 BESIDE = 0.15  # of the width, for names of other programs
@@ -55,19 +54,19 @@ def plot(
             xerr=[[trial.seconds - trial.seconds_low], [trial.seconds_high - trial.seconds]],
             yerr=[[max(error - low, 0)], [max(high - error, 0)]],
             fmt="o",
-            color=MARK,
-            markerfacecolor="none" if trial.hollow else MARK,
+            color=BLUE,
+            markerfacecolor="none" if trial.hollow else BLUE,
             markersize=6,
             elinewidth=1,
         )
     front = [curve.trials[i] for i in curve.pareto if curve.trials[i] in shown]
-    axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=MARK, lw=1)
+    axes.plot([t.seconds for t in front], [100 * t.error for t in front], color=BLUE, lw=1)
     if shown and np.isfinite(floor) and floor > bottom:
-        axes.axhline(100 * floor, color=FLOOR, ls="--", lw=1)
+        axes.axhline(100 * floor, color=RED, ls="--", lw=1)
     exact = [t for t in curve.trials if t.error == 0 and np.isfinite(floor)]
     rivals = [(name, seconds, 100 * error) for name, seconds, error in others]
     for _, seconds, error in rivals:
-        axes.plot(seconds, error, "^", color=OTHER, ms=5)
+        axes.plot(seconds, error, "^", color=PURPLE, ms=5)
     if rivals:
         axes.margins(x=BESIDE)
     none = "no error was found" if exact else _UNKNOWN
@@ -78,7 +77,7 @@ def plot(
         low, high = axes.get_ylim()
         axes.set_ylim(low * (low / high) ** (ROOM if exact else 0), high)
         name_points(axes, [(str(t.setting), t.seconds, 100 * t.error) for t in shown])
-        name_points(axes, rivals, below=True, color=OTHER)
+        name_points(axes, rivals, below=True, color=PURPLE)
         _without_error(axes, exact)
         few_ticks(axes)  # the names took their room above
     unit = f" [{curve.knob.unit}]" if curve.knob.unit else ""
@@ -97,7 +96,7 @@ def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
     """Trials that equal the reference, which a logarithm cannot show: on the lower axis."""
     low, _ = axes.get_ylim()
     for trial in trials:
-        axes.plot(trial.seconds, low, "o", color=MARK, mfc="none", ms=6, clip_on=False)
+        axes.plot(trial.seconds, low, "o", color=BLUE, mfc="none", ms=6, clip_on=False)
     name_points(axes, [(f"{t.setting}: 0", t.seconds, low) for t in trials])
 
 

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BLUE, RED = "#0b72c4", "#c2410c"  # legible on white and on near black: what is found, what is true
-
 
 def new_axes(axes: "Axes | None", *, polar: bool = False) -> "Axes":
     """The given axes, or the only one of a new figure."""

@@ -5,9 +5,20 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from .._legible_axes import few_ticks, name_points
+from .._legible_axes import (
+    BLUE,
+    GREEN,
+    GREY,
+    OCHRE,
+    PINK,
+    PURPLE,
+    RED,
+    TEAL,
+    few_ticks,
+    name_points,
+)
 from ..errors import InputError
-from ._axes import BLUE, RED, new_axes, tidy
+from ._axes import new_axes, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,7 +26,7 @@ if TYPE_CHECKING:
 
 INCH = 1.7  # of a corner plot, a parameter
 MARGIN = 0.9  # inch, for its numbers and names
-SEVERAL = (BLUE, RED, "#15803d", "#7e22ce", "#ca8a04", "#000000", "#be185d", "#8b95a1")
+SEVERAL = (BLUE, RED, GREEN, PURPLE, OCHRE, GREY, PINK, TEAL)
 MARKS = "osD^vX*P"
 MOST_PATHS = 8  # of chains in a row
 MOST_VECTORS = 8_000  # points of a row, beyond which its pixels take less room in a file
@@ -185,7 +196,7 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
         named.append(([(str(t.setting), t.seconds, t.error) for t in shown], None))
     for i, (points, colour) in enumerate(named):  # the limits are known now
         name_points(axes, points, below=i % 2 == 0 and by_method, color=colour, size=8)
-    axes.set(xlabel="time [s]", ylabel="relative error")
+    axes.set_ylabel("relative error")
     few_ticks(axes)
     tidy(axes)
     return axes

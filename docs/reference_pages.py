@@ -1,0 +1,232 @@
+"""The reference, made from the packages: a page a module, and a page each for its submodules.
+
+Every public name has one entry, under the shortest name by which it is imported. Other names of the
+same thing, and names without their package, lead to that entry.
+"""
+
+import importlib
+import inspect
+import pkgutil
+import re
+from collections import defaultdict
+
+from site_text import escaped, plain_type, write
+
+import fitting
+import jaxvision
+
+ROOTS = jaxvision, fitting
+BASICS = "arrays"  # the page of what is defined at the root of `jaxvision`: types, vectors, norms
+GROUPS = {  # of the reference's front page; what no group names is machinery
+    "Scenes and surfaces": "scene geometry brdf lifted_scene rendering transport shading shadows "
+    "hemisphere hemisphere_integral effects scene_checks",
+    "Light": "lights spectra colour_data",
+    "Cameras and sensors": "shot cameras optics sensor colour_filters development",
+    "Pictures": "filters padding point_ops colour_spaces histogram compositing matting plots",
+    "Files and commands": "io image_settings raw_files scene_files scenes camera_files "
+    "material_files mesh_files gltf_files measured_files render_command",
+    "Accuracy": "accuracy",
+    "Fitting": "fitting",
+    "Machinery": "",
+}
+TOPICS = {  # of what `jaxvision` itself offers, by the module that defines it
+    "Scenes": "scene.shapes scene.surfaces geometry hemisphere lifted_scene",
+    "Materials": "brdf",
+    "Lights": "lights scene.light",
+    "Rendering": "rendering transport shading shadows hemisphere_integral",
+    "Views and lenses": "scene.views scene.lenses optics",
+    "Cameras and sensors": "scene.camera scene.sensors scene.noises sensor shot colour_filters",
+    "Development and pictures": "scene.developments development point_ops",
+    "Files": "io camera_files material_files measured_files",
+    "Arrays, vectors and machinery": "",
+    "Problems and fits": "",
+    "Modules": "",
+}
+
+# A dot, blanks and a capital; not the dot of an initial or of a word that is cut short.
+SENTENCE_END = re.compile(
+    r"(?<=\.)(?<!\b[A-Z]\.)(?<!\bal\.)(?<!\be\.g\.)(?<!\bi\.e\.)(?<!\b[Ff]ig\.)(?<!\b[Ee]q\.)"
+    r"(?<!\bcf\.)(?<!\bvs\.)(?<!\bDr\.)\s+(?=[A-Z`])"
+)
+
+
+def public_modules(package):
+    """The package and its public modules, command lines apart."""
+    yield package
+    for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        if not re.search(r"\._|\.cli$", name):
+            yield importlib.import_module(name)
+
+
+def home(value):
+    """The module that defines a function or a class; None for anything else."""
+    inner = inspect.unwrap(value) if callable(value) else value
+    return inner.__module__ if inspect.isfunction(inner) or inspect.isclass(inner) else None
+
+
+def entries(package):
+    """{name of the entry: the function or class}, one for each public thing of a package."""
+    names = defaultdict(list)
+    for module in public_modules(package):
+        exported = getattr(module, "__all__", ())
+        for name in {*exported, *(n for n in vars(module) if not n.startswith("_"))}:
+            value = getattr(module, name)
+            here = home(value) or (module.__name__ if is_data(name, value, exported) else "")
+            if here == module.__name__ or (
+                name in exported and here.partition(".")[0] == package.__name__
+            ):
+                names[id(value)].append((f"{module.__name__}.{name}", value))
+    shortest = (min(same, key=lambda e: (e[0].count("."), e[0])) for same in names.values())
+    return dict(sorted(shortest))
+
+
+def is_data(name, value, exported):
+    """Whether a package exports a value that is neither function, class nor module."""
+    return name in exported and not inspect.ismodule(value) and not name.startswith("_")
+
+
+def page_of(name, value):
+    """The page of a thing: the package or module, just below the root, that defines it."""
+    parts = (home(value) or name).split(".")
+    below = parts[1] if len(parts) > 1 else BASICS
+    return f"{parts[0]}.{BASICS if below.startswith('_') else below}"
+
+
+def summary(thing):
+    """The first sentence of a docstring, or what an alias of types stands for."""
+    text = inspect.getdoc(thing) or ""
+    if alias := re.fullmatch(r"\w+ = (.*)", text):  # by the name that types print themselves by
+        return f"`{plain_type(alias[1])}`"
+    first = SENTENCE_END.split(text.partition("\n\n")[0], maxsplit=1)[0]
+    return " ".join(first.split()).removesuffix(":")
+
+
+def exported(names):
+    """Those of the names that a package lists in `__all__`, or that lie in a module just below the
+    root, which lists nothing: what users import."""
+    found = set()
+    for name in names:
+        module = importlib.import_module(name.rpartition(".")[0])
+        if name.rpartition(".")[2] in getattr(module, "__all__", ()) or name.count(".") < 3:
+            found.add(name)
+    return found
+
+
+def directive(name, value):
+    kind = "data" if home(value) is None else "class" if inspect.isclass(value) else "function"
+    options = {"class": "   :members:\n", "data": "   :no-value:\n"}.get(kind, "")
+    return f".. auto{kind}:: {name}\n{options}"
+
+
+def reference_pages(folder):
+    """One page a module, of what it exports; one each for what its submodules define."""
+    folder.mkdir(exist_ok=True)
+    pages = defaultdict(dict)
+    for package in ROOTS:
+        for name, value in entries(package).items():
+            pages[page_of(name, value)][name] = value
+    offered = exported([name for page in pages.values() for name in page])
+    made = {package.__name__: root_page(package, pages) for package in ROOTS}
+    for page, found in pages.items():
+        is_basics = page.endswith(f".{BASICS}")
+        text = headed("Arrays and vectors" if is_basics else page, "=")
+        if not is_basics:
+            text += [escaped(summary(importlib.import_module(page))), ""]
+        text += [directive(name, value) for name, value in found.items() if name in offered]
+        inner = defaultdict(dict)
+        for name, value in found.items():
+            if name not in offered:
+                inner[name.rpartition(".")[0]][name] = value
+        if inner:
+            text += headed("Submodules", "-")
+            text += [line_of(submodule) for submodule in sorted(inner)]
+        made[page] = "\n".join([*text, ""])
+        for submodule, own in inner.items():
+            made[submodule] = submodule_page(page, submodule, own)
+    for page, text in made.items():
+        write(folder / f"{page}.rst", text)
+    for page in folder.glob("*.rst"):
+        if page.stem not in made:
+            page.unlink()  # of a module that is no more
+    write(folder / "modules.txt", grouped(pages))
+    return pages
+
+
+def headed(title, rule):
+    return [title, rule * len(title), ""]
+
+
+def line_of(module):
+    """The link to the page of a module, with the first sentence of its docstring."""
+    said = escaped(summary(importlib.import_module(module)))
+    return f"* :doc:`{module} </reference/{module}>`{': ' if said else ''}{said}"
+
+
+def submodule_page(page, submodule, own):
+    """A page beside the contents, which would be too long with it."""
+    text = [":orphan:", "", *headed(submodule, "=")]
+    text += [escaped(summary(importlib.import_module(submodule))), ""]
+    text += [f"What the files of :doc:`{page} </reference/{page}>` share with each other.", ""]
+    return "\n".join([*text, *(directive(name, value) for name, value in own.items())])
+
+
+def root_page(package, pages):
+    """What a package offers by itself, such as `jaxvision.Sphere`, by topic: a line for each name,
+    which leads to the entry on the page of its module."""
+    places = {id(value): name for found in pages.values() for name, value in found.items()}
+    names = {topic: [] for topic in TOPICS}
+    for name in sorted(package.__all__, key=str.lower):
+        value = getattr(package, name)
+        if inspect.ismodule(value):
+            topic, place = "Modules", f":doc:`{name} </reference/{value.__name__}>`"
+        else:
+            entry = places[id(value)]
+            topic = "Problems and fits" if package is fitting else topic_of(value)
+            place = f":py:obj:`{name} <{entry}>`"
+        names[topic].append(f"* {place}: {escaped(summary(value))}")
+    text = [*headed(package.__name__, "="), escaped(summary(package)), ""]
+    for topic, lines in names.items():
+        text += [*headed(topic, "-"), *lines, ""] if lines else []
+    return "\n".join(text)
+
+
+def topic_of(value):
+    """The topic of `TOPICS` that names the innermost module around what a value is defined in."""
+    topics = {
+        f"jaxvision.{name}": topic for topic, names in TOPICS.items() for name in names.split()
+    }
+    module = home(value) or ""
+    while module and module not in topics:
+        module = module.rpartition(".")[0]
+    return topics.get(module, "Arrays, vectors and machinery")
+
+
+def group_of(page):
+    """The group of `GROUPS` that a page of the reference is listed in."""
+    package, _, name = page.partition(".")
+    groups = (group for group, names in GROUPS.items() if name in names.split())
+    return "Fitting" if package == "fitting" else next(groups, "Machinery")
+
+
+def grouped(pages):
+    """Lists of modules by `GROUPS`, each with the first sentence of its docstring."""
+    lists = {group: [] for group in GROUPS}
+    for page in sorted(pages, key=lambda page: page.endswith(f".{BASICS}")):
+        if page.endswith(f".{BASICS}"):
+            lists["Machinery"].append((page, "Arrays and vectors: types, norms and conversions."))
+            continue
+        lists[group_of(page)].append((page, summary(importlib.import_module(page))))
+    for name in GROUPS["Pictures"].split(), GROUPS["Light"].split():
+        assert all(f"jaxvision.{module}" in pages for module in name)
+    text = []
+    for group, found in lists.items():
+        order = {f"jaxvision.{name}": i for i, name in enumerate(GROUPS[group].split())}
+        found.sort(key=lambda one: order.get(one[0], len(order)))
+        text += headed(group, "-")
+        text += [
+            f"* :doc:`{page} </reference/{page}>`{': ' if line else ''}{escaped(line)}"
+            for page, line in found
+        ]
+        text += ["", ".. toctree::", "   :hidden:", ""]
+        text += [*(f"   /reference/{page}" for page, _ in found), ""]
+    return "\n".join(text)

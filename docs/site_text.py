@@ -1,0 +1,63 @@
+"""Text of the site: types as readers write them, docstrings as reStructuredText."""
+
+import re
+import sys
+
+# What stands around names of types as they print themselves.
+OF_TYPES = re.compile(r"<class '|'>|~?\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\._vector)\.")
+NAMED = re.compile(r"(?<![\w.])(~?)((?:jaxvision|fitting)(?:\.\w+)*)\.([A-Z]\w*)(?![\w.])")
+
+
+def write(file, text):
+    """Only what changed, so that a second build reads nothing again."""
+    if not file.exists() or file.read_text() != text:
+        file.write_text(text)
+
+
+def escaped(text):
+    """Plain text with code in backticks, as docstrings have it, as reStructuredText."""
+    bullet, text = re.match(r"(\s*(?:\* )?)(.*)", text, flags=re.DOTALL).groups()
+    parts = re.split(r"(`[^`]*`)", text)
+    plain = [re.sub(r"([*|\\]|_(?!\w))", r"\\\1", part) for part in parts[::2]]
+    plain[1:] = [re.sub(r"^(?=[\w^(])", r"\\", part) for part in plain[1:]]  # ends the code before
+    return bullet + "".join(p + q for p, q in zip(plain, [*parts[1::2], ""], strict=True))
+
+
+def plain_type(text, names=None, entry_of=lambda value: None):
+    """A type as code writes it, `Float[Array, "levels"]` or `float`. What has an entry goes by its
+    name, other aliases by what they stand for.
+
+    Args:
+        text: as the type prints itself.
+        names: what the module that uses the type knows, by name.
+        entry_of: the name of a thing's entry, or None.
+    """
+
+    def meant(found):
+        short, module, name = found.groups()
+        value = (names or {}).get(name) if module in ("jaxvision", "fitting") else None
+        value = getattr(sys.modules.get(module), name, None) if value is None else value
+        if value is None:
+            return found[0]
+        if entry := entry_of(value):
+            return short + entry
+        alias = re.fullmatch(r"\w+ = (.*)", value.__doc__ or "")
+        return plain_type(alias[1], names, entry_of) if alias else found[0]
+
+    text = NAMED.sub(meant, OF_TYPES.sub("", without_checks(text)))
+    return re.sub(r"'([^']*)'", r'"\1"', text)
+
+
+def without_checks(text):
+    """`Annotated[X, ...]` as X, wherever it stands in a type."""
+    while found := re.search(r"(?:~?typing\.|~)?\bAnnotated\[", text):
+        depth, parts = 0, [found.end()]
+        for at, letter in enumerate(text[found.end() :], found.end()):
+            depth += (letter in "[(") - (letter in "])")
+            if depth < 0:
+                break
+            if letter == "," and not depth:
+                parts.append(at)
+        first = text[parts[0] : parts[1] if len(parts) > 1 else at]
+        text = text[: found.start()] + first + text[at + 1 :]
+    return text
