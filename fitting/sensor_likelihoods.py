@@ -49,7 +49,11 @@ class SensorNoise(eqx.Module):
 
     sensor: Sensor | str
     least_squares = False  # the variance depends on the light
-    surrogate = None
+
+    @property
+    def surrogate(self) -> "_VarianceOfData | None":
+        """Least squares by the variance at each datum, where the sensor is known."""
+        return None if isinstance(self.sensor, str) else _VarianceOfData(self.sensor)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
         """The Gaussian's; at an end of the range, ln of the probability beyond.
@@ -104,6 +108,34 @@ class SensorNoise(eqx.Module):
         if bits is None:
             return Censored(deviation)
         return Censored(deviation, ROUNDING, largest_number(bits) - ROUNDING)
+
+
+class _VarianceOfData(eqx.Module):
+    """Least squares with the variance at the light that would give each datum, as far as the signal
+    is proportional to light. A search from afar needs few steps: the variance at the prediction
+    grows with it, and makes any bright prediction likely."""
+
+    sensor: Sensor
+    least_squares = True
+    surrogate = None
+
+    def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Array:
+        """(data - prediction) / sd; of clipped data what the prediction lacks to the end."""
+        del chance
+        light = _light("SensorNoise", prediction)
+        dark, slope = jax.jvp(
+            lambda light: expected_signal(self.sensor, light),
+            (jnp.zeros_like(light),),
+            (jnp.ones_like(light),),
+        )
+        of_data = jnp.maximum(data - dark, 0) / jnp.where(slope > 0, slope, jnp.inf)
+        variance = signal_variance(self.sensor, jnp.broadcast_to(of_data, light.shape))
+        missed = data - expected_signal(self.sensor, light)
+        if self.sensor.bits is not None:
+            top = largest_number(self.sensor.bits)
+            missed = jnp.where(data >= top, jnp.maximum(missed, 0), missed)
+            missed = jnp.where(data <= 0, jnp.minimum(missed, 0), missed)
+        return missed / jnp.sqrt(variance)
 
 
 _HALVINGS = 40  # of the range of counts, to less than one of 1e12

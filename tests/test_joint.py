@@ -248,7 +248,7 @@ def test_what_cannot_be_used_is_said_in_one_sentence():
     bright = [np.full((4, 4), 4095), np.full((4, 4), 4000)]
     with pytest.raises(InputError, match="saturated pixels; leave this level"):
         from_photographs(images, lights, camera=ENCODED, **BALL, flats=[bright])
-    with pytest.raises(InputError, match=r"light\[1\].intensity_sd = -1.0: must be greater"):
+    with pytest.raises(InputError, match=r"intensity_sd\[0\] = -1.0: must be greater"):
         from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=-1.0)
     with pytest.raises(InputError, match="index = 0"):
         calibrate(from_photographs(images, lights, camera=ENCODED, **BALL), index=0.0)

@@ -257,6 +257,27 @@ def test_sensor_noise_has_the_sensors_mean_and_variance():
     np.testing.assert_allclose(ours, expected, rtol=1e-9)
 
 
+def test_a_search_with_a_sensor_begins_with_the_variance_of_the_data():
+    """Light 4 a datum and e-; the variance is K (d - o) + (K read noise)^2 + 1/12."""
+    known = Sensor(
+        shot_noise=PoissonShotNoise(),
+        quantum_efficiency=0.25,
+        read_noise=3.0,
+        gain=0.5,
+        offset=10.0,
+        bits=8,
+    )
+    data = jnp.array([[60.0], [110.0], [255.0], [255.0], [0.0]])
+    light = jnp.array([[500.0], [200.0], [900.0], [3000.0], [0.0]])
+    mean = 10 + 0.5 * 0.25 * light
+    variance = 0.5 * jnp.maximum(data - 10, 0) + 1.5**2 + 1 / 12
+    expected = (data - mean) / jnp.sqrt(variance)
+    expected = expected.at[3].set(0)  # clipped, and predicted beyond
+    found = SensorNoise(known).surrogate.residuals(light, data, np.zeros(()))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert SensorNoise("camera.sensor").surrogate is None
+
+
 def test_noise_sources_of_a_sensor_are_those_of_the_standard():
     """EMVA 1288, DN^2: K^2 eta p of the photons, K^2 sigma^2 of the read-out, 1/12 of rounding."""
     light = np.array([[200.0], [2000.0]])

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+FEWEST_UNITS = 8  # of rounding, which tolerances are at least: fewer are never reached
+
 Residuals = Callable[[Float[Array, " parameters"], Any], Float[Array, " observations"]]
 
 
@@ -57,8 +59,8 @@ def minimise_residuals(
         start: (parameters,).
         args: all data of the residuals.
         max_steps: most iterations.
-        rtol: relative tolerance on the moves of vector and cost.
-        atol: absolute tolerance on the same.
+        rtol: relative tolerance on the moves of vector and cost, at least 8 units of rounding.
+        atol: absolute tolerance on the same, likewise.
         shared_out: whether the observations lie on several devices. Steps are then those of the
             normal equations, sums that each device takes of its own; a QR decomposition would be
             made of the whole Jacobian by every device. They have half of the digits.
@@ -69,6 +71,8 @@ def minimise_residuals(
     import lineax as lx  # here, for most fits need none of it
     import optimistix as optx
 
+    least = FEWEST_UNITS * jnp.finfo(start.dtype).eps
+    rtol, atol = max(rtol, least), max(atol, least)
     linear = lx.Normal(lx.Cholesky()) if shared_out else lx.QR()
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, linear_solver=linear)
     found = optx.least_squares(residuals, solver, start, args, max_steps=max_steps, throw=False)

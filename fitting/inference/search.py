@@ -225,10 +225,12 @@ def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> 
     """
     begin = jnp.asarray(starts, jnp.result_type(float))
     mean, sd = (jnp.asarray(part, begin.dtype) for part in prior_gaussian(problem.space))
-    if problem.likelihood.least_squares:
+    squares = problem.likelihood.least_squares
+    if squares:
         vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd)
     else:
-        vectors, costs = _newton(_by_surrogate(begin, problem, mean, 1 / sd), problem)
+        modes, priors = _newton(_by_surrogate(begin, problem, mean, 1 / sd), problem)
+        vectors, costs = modes.vector, modes.cost
     vectors, costs = on_host(vectors, dtype=np.float64), on_host(costs, dtype=np.float64)
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
@@ -237,7 +239,10 @@ def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> 
             f"The log density is finite at none of the {len(costs)} starts: check predict, bounds "
             "and start."
         )
-    found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
+    if squares or not on_host(modes.converged)[best]:
+        found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
+    else:
+        found, prior_information = jax.tree.map(lambda x: x[best], (modes, priors))
     return Optimum(
         vector=on_host(found.vector, dtype=np.float64),
         cost=float(found.cost),
@@ -336,11 +341,20 @@ def _searched(
     return jax.lax.map(one, starts, batch_size=min(BATCH, len(starts)))
 
 
+def _enough(start: Array) -> float:
+    """The fall in cost that is left to a search that ends; in single precision the cost of many
+    data does not tell less."""
+    return 1e-7 if start.dtype == jnp.float64 else 1e-3
+
+
 @eqx.filter_jit
-def _newton(starts: Array, problem: Problem) -> tuple[Array, Array]:
-    def one(start: Array) -> tuple[Array, Array]:
-        found = minimise(negative_log_density, start, problem, max_steps=STEPS)
-        return found.vector, found.cost
+def _newton(starts: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
+    """Ends of Newton's method, and the prior's information at each."""
+
+    def one(start: Array) -> tuple[NewtonSolution, Array]:
+        enough = _enough(start)
+        found = minimise(negative_log_density, start, problem, max_steps=STEPS, tolerance=enough)
+        return found, _prior_information(found.vector, problem)
 
     return jax.lax.map(one, starts, batch_size=min(BATCH, len(starts)))
 
@@ -348,13 +362,15 @@ def _newton(starts: Array, problem: Problem) -> tuple[Array, Array]:
 @eqx.filter_jit
 def _to_mode(start: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
     squares = problem.likelihood.least_squares
-    precise = start.dtype == jnp.float64
     found = minimise(
         negative_log_density,
         start,
         problem,
         derivatives=gauss_newton if squares else None,
-        tolerance=1e-7 if precise else 1e-3,
+        tolerance=_enough(start),
     )
-    prior = jax.hessian(lambda vector: -log_prior(problem.space, vector))(found.vector)
-    return found, prior
+    return found, _prior_information(found.vector, problem)
+
+
+def _prior_information(vector: Vector, problem: Problem) -> Array:
+    return jax.hessian(lambda vector: -log_prior(problem.space, vector))(vector)
