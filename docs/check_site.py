@@ -1,4 +1,4 @@
-"""Open each page of the built site in Chromium, narrow to wide, light and dark.
+"""Open each page of the built site in Chromium, narrow to wide and, on a laptop, dark.
 
 `python docs/check_site.py [SITE]` (by default docs/_build) prints what is wrong and exits with 1:
 errors in the console, bodies wider than the window, what is wider than the column of an article and
@@ -20,7 +20,8 @@ from urllib.parse import unquote, urldefrag, urljoin
 from playwright.sync_api import sync_playwright
 
 WIDTHS = (360, 1366, 1920)  # CSS pixels: a phone, a laptop, a desk
-SCHEMES = ("light", "dark")
+VIEWS = (*((width, "light") for width in WIDTHS), (WIDTHS[1], "dark"))
+VIEWS_OF_REFERENCE = VIEWS[:2]  # hundreds of pages of one make
 WIDER = """() => [document.documentElement.scrollWidth, window.innerWidth]"""
 # Of what lies in the article, the theme's scroller: what reaches beyond it, or is cut by its own
 # box, and does not lie in a box that scrolls; on a laptop code and tables need not scroll either.
@@ -86,15 +87,14 @@ def opened(browser, site, root):
         window.set_viewport_size({"width": WIDTHS[1], "height": 900})
         window.goto(f"{root}/{name}")
         window.add_style_tag(content="* { transition: none !important }")  # sizes hold at once
-        for scheme in SCHEMES:
+        for width, scheme in VIEWS_OF_REFERENCE if name.startswith("reference/") else VIEWS:
             window.emulate_media(color_scheme=scheme)
-            for width in WIDTHS:
-                window.set_viewport_size({"width": width, "height": 900})
-                whole, seen = window.evaluate(WIDER)
-                if whole > seen:
-                    yield f"{name}: {whole} wide at {width}, {scheme}"
-                for which in window.evaluate(CUT, width >= WIDTHS[1]):
-                    yield f"{name}: cut at {width}, {scheme}: {which}"
+            window.set_viewport_size({"width": width, "height": 900})
+            whole, seen = window.evaluate(WIDER)
+            if whole > seen:
+                yield f"{name}: {whole} wide at {width}, {scheme}"
+            for which in window.evaluate(CUT, width >= WIDTHS[1]):
+                yield f"{name}: cut at {width}, {scheme}: {which}"
         yield from (f"{name}: {error}" for error in errors if not foreign.search(error))
     window.goto(f"{root}/search.html?q=PhongBRDF")
     window.wait_for_selector("#search-results li a", timeout=20_000)

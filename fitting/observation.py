@@ -24,13 +24,14 @@ MEMORY = Path("arrays")  # where messages say that images in memory lie
 
 
 def in_memory(
-    images: Mapping[str, ArrayLike], *, called: Mapping[str, str], **entries: Any
+    images: Mapping[str, ArrayLike], *, called: Mapping[str, str] | None = None, **entries: Any
 ) -> tuple[Rig, Load]:
     """A rig of images that are in memory, and how they are had by their paths.
 
     Args:
         images: arrays as an image file would hold them, by name.
-        called: what the caller calls a list that stands in the entries, by entry and key.
+        called: what the caller calls a list that stands in the entries, by entry and key; None:
+            as the file does.
         **entries: of the rig, as in its file; they name the images.
 
     Returns:

@@ -27,6 +27,7 @@ from ._types import (
     in_short,
     is_any_axes,
     is_known,
+    require_metres,
 )
 from .errors import nearest
 
@@ -34,7 +35,6 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 UNIT_WITHIN = 1e-3  # of a length of 1: components written with three digits
-LONGEST_WAVE = 1e-2  # m; what is longer was meant in nm or um
 PLAIN = (bool, int, float, list, tuple, str)
 
 
@@ -257,13 +257,6 @@ def _check(
         check_unit(_place(function, name), value)
     if want.is_wavelength and is_known(value):
         require_metres(_place(function, name), np.asarray(value))
-
-
-def require_metres(name: str, wavelengths: np.ndarray) -> None:
-    """`ValueError` for wavelengths that were meant in another unit."""
-    longest = np.max(wavelengths, initial=0)
-    if longest > LONGEST_WAVE:
-        raise ValueError(f"{name} is in metres, got {longest:.6g}; 550 nm are 550e-9.")
 
 
 def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueError:

@@ -49,6 +49,8 @@ def members_of(hint: Any) -> tuple[Any, ...]:
     return tuple(one for part in parts for one in members_of(part)) if parts else (hint,)
 
 
+LONGEST_WAVE = 1e-2  # m; what is longer was meant in nm or um
+
 Scalar = Float[Array, ""]
 Scalars = Float[Array, "..."]
 Colour = Float[Array, " bands"]
@@ -279,6 +281,13 @@ def check_tile(
 def is_known(x: Any) -> bool:
     """Whether the numbers of `x` are known: while it is traced they are not."""
     return not isinstance(x, Tracer)
+
+
+def require_metres(name: str, wavelengths: np.ndarray) -> None:
+    """`ValueError` for wavelengths that were meant in another unit."""
+    longest = np.max(wavelengths, initial=0)
+    if longest > LONGEST_WAVE:
+        raise ValueError(f"{name} is in metres, got {longest:.6g}; 550 nm are 550e-9.")
 
 
 def check_range(

@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import require_metres
 from ._shipped import existing_file, shipped_files
+from ._types import require_metres
 from .colour_data import camera_sensitivities, wavelength_grid
 from .errors import InputError
 from .record_files import check_keys, record_of, table_of, with_draws, write_record

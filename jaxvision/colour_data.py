@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import require_metres
-from ._types import as_float
+from ._types import as_float, require_metres
 from .errors import InputError
 from .spectra import daylight
 

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import in_range, require_metres, takes_numbers
+from ._arguments import in_range, takes_numbers
 from ._exponential import decay
 from ._numerics import difference_of_products, or_one
 from ._powers import exact
-from ._types import AMOUNT, Scalar, Spectrum, check_choice, is_known, print_by_name
+from ._types import AMOUNT, Scalar, Spectrum, check_choice, is_known, print_by_name, require_metres
 
 Wavelengths = Float[Array, " bands"]
 Responses = Float[Array, "bands channels"]

@@ -71,7 +71,7 @@ def minimise_residuals(
     import lineax as lx  # here, for most fits need none of it
     import optimistix as optx
 
-    least = FEWEST_UNITS * jnp.finfo(start.dtype).eps
+    least = FEWEST_UNITS * float(jnp.finfo(start.dtype).eps)
     rtol, atol = max(rtol, least), max(atol, least)
     linear = lx.Normal(lx.Cholesky()) if shared_out else lx.QR()
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, linear_solver=linear)

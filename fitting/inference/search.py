@@ -225,12 +225,12 @@ def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> 
     """
     begin = jnp.asarray(starts, jnp.result_type(float))
     mean, sd = (jnp.asarray(part, begin.dtype) for part in prior_gaussian(problem.space))
-    squares = problem.likelihood.least_squares
-    if squares:
+    modes = None
+    if problem.likelihood.least_squares:
         vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd)
     else:
-        modes, priors = _newton(_by_surrogate(begin, problem, mean, 1 / sd), problem)
-        vectors, costs = modes.vector, modes.cost
+        modes = _newton(_by_surrogate(begin, problem, mean, 1 / sd), problem)
+        vectors, costs = modes[0].vector, modes[0].cost
     vectors, costs = on_host(vectors, dtype=np.float64), on_host(costs, dtype=np.float64)
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
@@ -239,10 +239,10 @@ def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> 
             f"The log density is finite at none of the {len(costs)} starts: check predict, bounds "
             "and start."
         )
-    if squares or not on_host(modes.converged)[best]:
-        found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
+    if modes is not None and on_host(modes[0].converged)[best]:
+        found, prior_information = jax.tree.map(lambda x: x[best], modes)
     else:
-        found, prior_information = jax.tree.map(lambda x: x[best], (modes, priors))
+        found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
     return Optimum(
         vector=on_host(found.vector, dtype=np.float64),
         cost=float(found.cost),
@@ -342,8 +342,8 @@ def _searched(
 
 
 def _enough(start: Array) -> float:
-    """The fall in cost that is left to a search that ends; in single precision the cost of many
-    data does not tell less."""
+    """The promised fall in cost at which a search ends. In single precision, a sum over many data
+    resolves no less."""
     return 1e-7 if start.dtype == jnp.float64 else 1e-3
 
 

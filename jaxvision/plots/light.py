@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._arguments import require_metres
+from .._types import require_metres
 from ..brdf import evaluate, is_delta
 from ..errors import InputError
 from ..scene import Material

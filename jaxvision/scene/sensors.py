@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import require_metres
 from .._shown import Shown
 from .._types import (
     FINITE,
@@ -28,6 +27,7 @@ from .._types import (
     check_range,
     check_tile,
     is_known,
+    require_metres,
 )
 from .noises import (
     Banding,

@@ -323,6 +323,13 @@ ELSEWHERE = (
     ),
     Elsewhere(
         CHOICES,
+        "test_programs",
+        """
+            fitting.inference.compiled: compiled_briefly
+        """,
+    ),
+    Elsewhere(
+        CHOICES,
         "test_from_memory",
         """
             fitting.inference.precision: in_double
@@ -554,6 +561,7 @@ ELSEWHERE = (
             fitting.inference.problem: values_at values_from
             fitting.inference.records: head is_path reach read replaced
             fitting.inference.statement: argument_names arguments as_arrays check_names finite_data
+            fitting.inference.statement: named_and_rest
             fitting.inference.statement: placed placed_like
             fitting.inference.tails: log_student student_log_density
         """,
