@@ -6,8 +6,8 @@ its own: `point_ops`, `colour_spaces`, `compositing`, `matting`, `histogram`, `f
 is loaded when it is first used; `__init__.pyi` lists them.
 """
 
-import lazy_loader
+from .lazy_names import names_of
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -1,5 +1,5 @@
 """Whether intervals hold the truth as often as they say: simulated data, fitted again and again."""
 
-import lazy_loader
+from jaxvision.lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

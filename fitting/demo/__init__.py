@@ -1,6 +1,6 @@
 """A simulated lab afternoon: its image files, their calibrations, and every estimate beside the
 truth."""
 
-import lazy_loader
+from jaxvision.lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -5,6 +5,6 @@ distance inf, a zero normal, and gradients of zero. Each shape has a file; `near
 first of many and what lies in between.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -6,6 +6,6 @@ sum over the samples is the light. For ONE point; the caller vmaps. A new kind t
 which ends in `register` or `register_extended`; a user's own file may do the same.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

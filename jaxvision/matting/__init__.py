@@ -7,6 +7,6 @@ relative. An alpha is (..., 1) in [0, 1]; a foreground comes as a layer of `comp
 premultiplied light, then alpha.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

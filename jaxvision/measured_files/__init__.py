@@ -4,6 +4,6 @@ The module of each format describes its layout. Every failure is an `InputError`
 that names the file.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -7,6 +7,6 @@ This is the edge of the library: eager, NumPy in, with matplotlib loaded on firs
 sentence. Each plot of one axes takes `axes=`, of `matplotlib.pyplot.subplots` or any figure.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -5,6 +5,6 @@ direct       what a ray sees by direct light, and the picture of it
 light_field  the same along all lines through two windows
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

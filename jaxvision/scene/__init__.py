@@ -8,6 +8,6 @@ docstrings are those of one record: a batch is a record whose leaves are stacked
 axis, for `vmap`. A wrong shape raises `ValueError`.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -15,6 +15,6 @@ level where the noise exceeds a DN. Each stage says what its gradient leaves out
 "Gradients of noise" has the figures.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -9,6 +9,6 @@
 Each has its own reach and cost, which its file states.
 """
 
-import lazy_loader
+from ..lazy_names import names_of
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

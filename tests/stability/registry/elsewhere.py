@@ -236,6 +236,13 @@ ELSEWHERE = (
     ),
     Elsewhere(
         WORDS,
+        "test_lazy_names",
+        """
+            lazy_names.*
+        """,
+    ),
+    Elsewhere(
+        WORDS,
         "test_in_notebooks",
         """
             in_notebooks.*

@@ -1,0 +1,33 @@
+"""A name that a package lacks is answered by where it is, or by the nearest."""
+
+import pytest
+
+import fitting
+import jaxvision
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "said"),
+    [
+        (jaxvision, "equalise", "jaxvision has no 'equalise'; it is jaxvision.histogram.equalise."),
+        (jaxvision, "over", "jaxvision has no 'over'; it is jaxvision.compositing.over."),
+        (jaxvision, "Sensr", "jaxvision has no 'Sensr'; the nearest is 'Sensor'."),
+        (
+            jaxvision.filters,
+            "gausian",
+            "jaxvision.filters has no 'gausian'; the nearest is 'gaussian'.",
+        ),
+        (fitting, "from_frames", "fitting has no 'from_frames'; it is fitting.noise.from_frames."),
+        (fitting, "zzz", "fitting has no 'zzz'; dir(fitting) lists what it has."),
+    ],
+)
+def test_a_name_that_is_not_there(package, name, said):
+    with pytest.raises(AttributeError) as caught:
+        getattr(package, name)
+    assert str(caught.value) == said
+    assert not hasattr(package, f"_{name}")
+
+
+def test_an_import_of_it_says_so():
+    with pytest.raises(ImportError, match="cannot import name 'Sensr'"):
+        from jaxvision import Sensr  # pyright: ignore # noqa: F401
