@@ -10,7 +10,7 @@ import pkgutil
 import re
 from collections import defaultdict
 
-from site_text import escaped, plain_type, write
+from site_text import escaped, explained, plain_type, write
 
 import fitting
 import jaxvision
@@ -131,7 +131,7 @@ def reference_pages(folder):
         is_basics = page.endswith(f".{BASICS}")
         text = headed("Arrays and vectors" if is_basics else page, "=")
         if not is_basics:
-            text += [escaped(summary(importlib.import_module(page))), ""]
+            text += explained(inspect.getdoc(importlib.import_module(page)) or "")
         text += [directive(name, value) for name, value in found.items() if name in offered]
         inner = defaultdict(dict)
         for name, value in found.items():
@@ -165,8 +165,8 @@ def line_of(module):
 def submodule_page(page, submodule, own):
     """A page beside the contents, which would be too long with it."""
     text = [":orphan:", "", *headed(submodule, "=")]
-    text += [escaped(summary(importlib.import_module(submodule))), ""]
-    text += [f"What the files of :doc:`{page} </reference/{page}>` share with each other.", ""]
+    text += explained(inspect.getdoc(importlib.import_module(submodule)) or "")
+    text += [f"A part of :doc:`{page} </reference/{page}>`, whose page has what users import.", ""]
     return "\n".join([*text, *(directive(name, value) for name, value in own.items())])
 
 
@@ -184,7 +184,7 @@ def root_page(package, pages):
             topic = "Problems and fits" if package is fitting else topic_of(value)
             place = f":py:obj:`{name} <{entry}>`"
         names[topic].append(f"* {place}: {escaped(summary(value))}")
-    text = [*headed(package.__name__, "="), escaped(summary(package)), ""]
+    text = [*headed(package.__name__, "="), *explained(inspect.getdoc(package) or "")]
     for topic, lines in names.items():
         text += [*headed(topic, "-"), *lines, ""] if lines else []
     return "\n".join(text)

@@ -23,6 +23,27 @@ def escaped(text):
     return bullet + "".join(p + q for p, q in zip(plain, [*parts[1::2], ""], strict=True))
 
 
+def explained(docstring):
+    """A module's docstring: formulas and tables, which are indented, as they stand, and a head such
+    as "Source:" before its text."""
+    text = []
+    for block in re.split(r"\n\s*\n", docstring):
+        lines = block.splitlines()
+        if all(line.startswith("    ") for line in lines):
+            text += [".. code-block:: text", "", *(line.rstrip() for line in lines), ""]
+        elif len(lines) > 1 and all(line.startswith("    ") for line in lines[1:]):
+            if not lines[0].endswith(":"):
+                text += [escaped(lines[0]), ""]
+                text += [".. code-block:: text", "", *lines[1:], ""]
+            else:
+                text += [escaped(" ".join(line.strip() for line in lines)), ""]
+        elif any(re.match(r"[*-] ", line) for line in lines):
+            text += [*map(escaped, lines), ""]
+        else:
+            text += [escaped(" ".join(lines)), ""]
+    return text
+
+
 def plain_type(text, names=None, entry_of=lambda value: None):
     """A type as code writes it, `Float[Array, "levels"]` or `float`. What has an entry goes by its
     name, other aliases by what they stand for.

@@ -8,14 +8,16 @@ spanned by the body's colour c_b and the illuminant's c_i; m_b and m_i >= 0 are 
                                  and `illuminant_from_planes`
 
 It fails, and `Separation` says so in numbers, where
-  * body and illuminant are alike (a neutral or metallic body, `angle` near 0): the noise of both
-    factors grows as 1 / sin(angle), `noise_gain`, and along one line nothing can be told apart;
-  * the illuminant's colour is wrong, there are several materials, light of another colour or
-    bounces between surfaces: pixels leave the plane, `residual` above the noise. A wrong
-    illuminant INSIDE the plane mixes the terms and leaves no trace, unless pixels then lie
-    outside the wedge of the two colours;
-  * no pixel is free of the interface term: then `body_colour` is tinted and m_i too low
-    by a multiple of m_b.
+
+* body and illuminant are alike (a neutral or metallic body, `angle` near 0): the noise of both
+  factors grows as 1 / sin(angle), `noise_gain`, and along one line nothing can be told apart;
+* the illuminant's colour is wrong, there are several materials, light of another colour or bounces
+  between surfaces: pixels leave the plane, `residual` above the noise. A wrong illuminant INSIDE
+  the plane mixes the terms and leaves no trace, unless pixels then lie outside the wedge of the two
+  colours;
+* no pixel is free of the interface term: then `body_colour` is tinted and m_i too low by a multiple
+  of m_b.
+
 Dark and saturated pixels belong masked, in `valid`. Colours are linear, relative; (..., bands),
 bands >= 2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinker, Shafer & Kanade,
 "The Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
