@@ -1,6 +1,7 @@
-"""Open each page of the built site in Chromium, narrow to wide and, on a laptop, dark.
+"""Open each page of the built site in Chromium, narrow to wide and, on a laptop, dark; pages of the
+reference, hundreds of one make, on a phone and a laptop; with --whole, each in all six ways.
 
-`python docs/check_site.py [SITE]` (by default docs/_build) prints what is wrong and exits with 1:
+`python docs/check_site.py [--whole] [SITE]` (by default docs/_build) prints what is wrong and exits with 1:
 errors in the console, bodies wider than the window, what is wider than the column of an article and
 does not scroll by itself (on a laptop, code and tables that must scroll, too; what notebooks print
 may), links to pages or places that do not exist, a search that does not find PhongBRDF. It needs
@@ -21,7 +22,8 @@ from playwright.sync_api import sync_playwright
 
 WIDTHS = (360, 1366, 1920)  # CSS pixels: a phone, a laptop, a desk
 VIEWS = (*((width, "light") for width in WIDTHS), (WIDTHS[1], "dark"))
-VIEWS_OF_REFERENCE = VIEWS[:2]  # hundreds of pages of one make
+VIEWS_OF_REFERENCE = VIEWS[:2]
+WHOLE = [(width, scheme) for scheme in ("light", "dark") for width in WIDTHS]
 WIDER = """() => [document.documentElement.scrollWidth, window.innerWidth]"""
 # Of what lies in the article, the theme's scroller: what reaches beyond it, or is cut by its own
 # box, and does not lie in a box that scrolls; on a laptop code and tables need not scroll either.
@@ -73,7 +75,7 @@ def dead_links(site):
                 yield page, link
 
 
-def opened(browser, site, root):
+def opened(browser, site, root, *, whole):
     """What is wrong with each page, one sentence a time."""
     window = browser.new_page()
     window.route("**/*", lambda r: r.continue_() if r.request.url.startswith(root) else r.abort())
@@ -87,12 +89,13 @@ def opened(browser, site, root):
         window.set_viewport_size({"width": WIDTHS[1], "height": 900})
         window.goto(f"{root}/{name}")
         window.add_style_tag(content="* { transition: none !important }")  # sizes hold at once
-        for width, scheme in VIEWS_OF_REFERENCE if name.startswith("reference/") else VIEWS:
+        usual = VIEWS_OF_REFERENCE if name.startswith("reference/") else VIEWS
+        for width, scheme in WHOLE if whole else usual:
             window.emulate_media(color_scheme=scheme)
             window.set_viewport_size({"width": width, "height": 900})
-            whole, seen = window.evaluate(WIDER)
-            if whole > seen:
-                yield f"{name}: {whole} wide at {width}, {scheme}"
+            wide, seen = window.evaluate(WIDER)
+            if wide > seen:
+                yield f"{name}: {wide} wide at {width}, {scheme}"
             for which in window.evaluate(CUT, width >= WIDTHS[1]):
                 yield f"{name}: cut at {width}, {scheme}: {which}"
         yield from (f"{name}: {error}" for error in errors if not foreign.search(error))
@@ -103,7 +106,8 @@ def opened(browser, site, root):
 
 
 def main():
-    site = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent / "_build").resolve()
+    given = [argument for argument in sys.argv[1:] if argument != "--whole"]
+    site = Path(given[0] if given else Path(__file__).parent / "_build").resolve()
     handler = functools.partial(Quiet, directory=str(site))
     server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -112,7 +116,8 @@ def main():
         browser = play.chromium.launch(
             executable_path=os.environ.get("CHROMIUM"), args=["--no-sandbox"]
         )
-        wrong += opened(browser, site, f"http://127.0.0.1:{server.server_port}")
+        root = f"http://127.0.0.1:{server.server_port}"
+        wrong += opened(browser, site, root, whole="--whole" in sys.argv)
         browser.close()
     print(*wrong, f"{len(pages(site))} pages, {len(wrong)} faults", sep="\n")
     sys.exit(bool(wrong))
