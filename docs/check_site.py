@@ -1,12 +1,12 @@
 """Open each page of the built site in Chromium, narrow to wide and, on a laptop, dark; pages of the
 reference, hundreds of one make, on a phone and a laptop; with --whole, each in all six ways.
 
-`python docs/check_site.py [--whole] [SITE]` (by default docs/_build) prints what is wrong and exits with 1:
-errors in the console, bodies wider than the window, what is wider than the column of an article and
-does not scroll by itself (on a laptop, code and tables that must scroll, too; what notebooks print
-may), links to pages or places that do not exist, a search that does not find PhongBRDF. It needs
-the extra `pages` and Chromium, whose program the variable CHROMIUM names. Other hosts are not asked
-for anything.
+`python docs/check_site.py [--whole] [SITE]` (by default docs/_build) prints what is wrong and exits
+with 1: errors in the console, bodies wider than the window, what is wider than the column of an
+article and does not scroll by itself (on a laptop, code and tables that must scroll, too; what
+notebooks print may), links to pages or places that do not exist, a search that does not find
+PhongBRDF. It needs the extra `pages` and Chromium, whose program the variable CHROMIUM names. Other
+hosts are not asked for anything.
 """
 
 import functools
