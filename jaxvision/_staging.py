@@ -19,6 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .programs import on_processor
+
 
 def _found() -> Any:
     """The module `_primitives`, or None."""
@@ -45,19 +47,14 @@ _OF_KERNEL = 2**20
 LANES = 64
 
 
-def _on_processor() -> bool:
-    """Whether programs are made for a processor."""
-    return jax.default_backend() == "cpu"
-
-
 def _helps() -> bool:
     """Whether `_primitives` make this program faster."""
-    return not PLAIN and _on_processor()
+    return not PLAIN and on_processor()
 
 
 def at_a_time(of_core: int) -> int:
     """How many rays or entries a loop takes: `of_core` on a processor, many more elsewhere."""
-    return of_core if _on_processor() else max(of_core, _OF_KERNEL)
+    return of_core if on_processor() else max(of_core, _OF_KERNEL)
 
 
 def stored(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -83,7 +80,7 @@ def together(values: Any) -> Any:
     reduction of several arrays is one loop with several results: here over an axis of two equal
     entries, of which the last one stays.
     """
-    if _together is None or not _on_processor():
+    if _together is None or not on_processor():
         return values
     leaves, tree = jax.tree.flatten(values)
     return jax.tree.unflatten(tree, _together(*leaves))

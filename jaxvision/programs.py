@@ -1,6 +1,6 @@
-"""How programs are compiled: by the commands not again what an earlier run has compiled, and
-quickly where most programs run once. JAX and XLA read this from the environment, before their first
-use.
+"""How programs are compiled: for a processor or an accelerator; by the commands not again what an
+earlier run has compiled, and quickly where most programs run once. JAX and XLA read the latter two
+from the environment, before their first use.
 """
 
 import hashlib
@@ -23,6 +23,16 @@ _HAVE_OLDER_EMITTERS = ("0.10.", "0.11.0", "0.11.1")  # versions of jaxlib
 # XLA ends the process at a flag that it does not know, so it gets none in versions not tried yet.
 _TRIED = ("0.10.", "0.11.", "0.12.")
 _MOST_BYTES = 2**29
+
+
+def on_processor() -> bool:
+    """Whether programs are now traced for a processor, and not for an accelerator: by
+    `jax.default_device`, or else by the devices that JAX found. Where arguments lie is not known
+    while a program is traced."""
+    import jax  # here: what else this module does comes before JAX's first use
+
+    device = jax.config.jax_default_device
+    return (getattr(device, "platform", device) or jax.default_backend()) == "cpu"
 
 
 def quick_options() -> Options:

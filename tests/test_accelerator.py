@@ -1,5 +1,5 @@
 """What an accelerator is given: public JAX, many rays and several samples at once. Here a processor
-computes it, and finds what it finds in its own way."""
+computes it, where there is no other, and finds what it finds in its own way."""
 
 import jax
 import jax.numpy as jnp
@@ -71,16 +71,16 @@ LONG = [
 
 @pytest.mark.parametrize("compute", [paths, filtered, *LONG])
 def test_an_accelerator_finds_the_same(compute, monkeypatch):
-    jax.clear_caches()
-    given = scene(), view()
-    ours = compute(*given)
-    program = str(jax.make_jaxpr(compute)(*given))
-    assert _staging.PLAIN or any(name in program for name in SPECIAL)
+    apart = 1e-12 if jax.default_backend() == "cpu" else 1e-9
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     jax.clear_caches()
-    other = compute(*given)
-    program = str(jax.make_jaxpr(compute)(*given))
+    with jax.default_device(jax.devices("cpu")[0]):  # which stands above what JAX found
+        ours = compute(scene(), view())
+        program = str(jax.make_jaxpr(compute)(scene(), view()))
+    assert _staging.PLAIN or any(name in program for name in SPECIAL)
+    other = compute(scene(), view())
+    program = str(jax.make_jaxpr(compute)(scene(), view()))
     jax.clear_caches()
     assert not any(name in program for name in SPECIAL)
     for one, two in zip(jax.tree.leaves(ours), jax.tree.leaves(other), strict=True):
-        np.testing.assert_allclose(one, two, 1e-12, 1e-12 * np.abs(one).max())
+        np.testing.assert_allclose(one, two, apart, apart * np.abs(one).max())

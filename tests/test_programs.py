@@ -117,3 +117,13 @@ def test_half_written_programs_are_compiled_anew(untouched):
     again = run()
     assert (first.stdout, first.stderr) == ("3.5\n", "")
     assert (again.stdout, again.stderr) == ("3.5\n", "")
+
+
+def test_the_default_device_says_for_what_a_program_is_made(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert not programs.on_processor()
+    for named in ("cpu", jax.devices("cpu")[0]):
+        with jax.default_device(named):
+            assert programs.on_processor()
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    assert programs.on_processor()

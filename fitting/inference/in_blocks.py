@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from jaxvision.programs import on_processor
+
 BLOCK = 8192  # samples; some twenty arrays of them fit into a cache of 2 MB
 _OF_KERNEL = 128  # times as many on an accelerator
 
@@ -23,7 +25,7 @@ Counts = Bool[Array, " samples"] | None  # which samples count; None where all d
 
 def at_a_time(of_core: int) -> int:
     """How many entries a loop takes: `of_core` on a processor, many more elsewhere."""
-    return of_core if jax.default_backend() == "cpu" else of_core * _OF_KERNEL
+    return of_core if on_processor() else of_core * _OF_KERNEL
 
 
 def summed(

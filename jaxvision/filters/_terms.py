@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Shaped
 from .._numerics import divide, smallest_divisor
 from .._types import print_by_name
 from ..padding import Filtered, Picture, as_planes, ghosts
+from ..programs import on_processor
 from ._bilinear import correlate_stack
 from ._methods import Anchor, Kernel, Stack
 
@@ -54,7 +55,7 @@ def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> 
     passes = tuple(_passes(term, image.dtype) for term in terms)
     kernels = tuple(reduce(mul, kernels) for kernels in passes)
     if method == "separable":
-        method = "direct" if jax.default_backend() == "cpu" else "conv"
+        method = "direct" if on_processor() else "conv"
     else:
         passes = tuple((kernel,) for kernel in kernels)
     outer = Settings(

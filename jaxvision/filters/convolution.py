@@ -33,7 +33,6 @@ from collections.abc import Sequence
 from operator import index
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -41,6 +40,7 @@ from jax.core import Tracer
 from .._arguments import takes_numbers
 from .._types import check_choice
 from ..padding import Filtered, Picture, check_border, check_picture
+from ..programs import on_processor
 from ._methods import METHODS, Anchor
 from ._terms import AnyKernel, AnyTaps, Fill, Separable, Settings, Terms, filtered
 
@@ -224,7 +224,7 @@ def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
     if method != "auto":
         return method
     kh, kw = kernel.shape[:2]
-    if jax.default_backend() != "cpu":
+    if not on_processor():
         return "conv" if kh * kw <= _LONGEST_SUM else "fft"
     whole = min(kh * kw, _TRANSFORM)
     if not traced and finite and min(kh, kw) > 1 and kh * kw >= _FEWEST_TAPS:

@@ -8,6 +8,7 @@ import jax
 from jaxtyping import Array, Bool, Int
 
 from .._types import Scalar
+from ..programs import on_processor
 from ..scene import TriangleMesh
 from . import _embree
 from ._triangle import any_triangle, nearest_triangle, triangle_hit
@@ -47,7 +48,7 @@ def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
 
 
 def _searched(mesh: TriangleMesh) -> bool:
-    tried = _TRIED if jax.default_backend() == "cpu" else _TRIED_ELSEWHERE
+    tried = _TRIED if on_processor() else _TRIED_ELSEWHERE
     if len(mesh.faces) <= tried:
         return False
     if not _embree.available():
