@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
+os.environ.setdefault("JAX_PLATFORMS", "cpu")  # by which tolerances were set, beside a GPU too
 
 import jax
 import jaxlib.version

@@ -53,6 +53,7 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
 
 
 def test_a_program_compiled_briefly_may_be_part_of_another(monkeypatch):
+    monkeypatch.setattr(programs, "find_spec", lambda name: None)  # no accelerator
     monkeypatch.setattr(compiled, "briefly", programs.quick_options)
     assert programs.quick_options()
     cubed = compiled.compiled_briefly(lambda x, power: x**power)

@@ -44,6 +44,32 @@ def test_least_squares_batches():
     np.testing.assert_allclose(np.ptp(many.vector, axis=0), 0, atol=1e-5)
 
 
+def bounded_line(vector, args):
+    """Both numbers within their bounds, with a weak prior."""
+    x, y = args
+    gain, bias = jax.nn.sigmoid(vector)
+    return jnp.concatenate([(9 * gain * x + 18 * bias - 9 - y) / 0.1, vector / 1.8])
+
+
+def test_a_search_with_7_digits_ends_although_its_sum_rounds():
+    """Where a fall was the difference of two sums, no step was small enough to be taken."""
+    noise = 0.1 * np.random.default_rng(2).standard_normal(10_000)
+    for count in (1_000, 10_000):
+        x = np.linspace(-1, 1, count)
+        y = 2 * x + 0.3 + noise[:count]
+        exact, _, _, _ = np.linalg.lstsq(np.stack([x, np.ones_like(x)], -1), y, rcond=None)
+        sd = 0.1 / np.sqrt(count) * np.array([np.sqrt(3), 1])
+        for start in ([0.0, 0.0], [1.0, -3.0], [-2.0, 2.0]):
+            with jax.enable_x64(False):
+                given = jnp.asarray(x), jnp.asarray(y)
+                found = minimise_residuals(bounded_line, jnp.array(start), given)
+            assert found.vector.dtype == jnp.float32
+            assert found.converged
+            assert found.steps < 30
+            natural = [9, 18] / (1 + np.exp(-np.asarray(found.vector, np.float64))) - [0, 9]
+            np.testing.assert_allclose((natural - exact) / sd, 0, atol=0.03)
+
+
 def hopeless(vector, args):
     return jnp.exp(-vector) * args
 

@@ -1,4 +1,4 @@
-"""Non-linear least squares by optimistix' Levenberg-Marquardt.
+"""Non-linear least squares by Levenberg and Marquardt's method.
 
 Residuals are expected in units of their standard deviation, so that `cost` is half a chi-square,
 `gram` the Fisher information of the vector, and a step of 1e-3 standard deviations is where more
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 FEWEST_UNITS = 8  # of rounding, which tolerances are at least: fewer are never reached
+NOTHING = {"float32": 1e-3, "float64": 1e-9}  # fall in cost at which a search ends
 
 Residuals = Callable[[Float[Array, " parameters"], Any], Float[Array, " observations"]]
 
@@ -71,10 +72,13 @@ def minimise_residuals(
     import lineax as lx  # here, for most fits need none of it
     import optimistix as optx
 
+    from .levenberg_marquardt import LevenbergMarquardt
+
     least = FEWEST_UNITS * float(jnp.finfo(start.dtype).eps)
     rtol, atol = max(rtol, least), max(atol, least)
     linear = lx.Normal(lx.Cholesky()) if shared_out else lx.QR()
-    solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, linear_solver=linear)
+    nothing = NOTHING[start.dtype.name]
+    solver = LevenbergMarquardt(rtol, atol, nothing=nothing, linear_solver=linear)
     found = optx.least_squares(residuals, solver, start, args, max_steps=max_steps, throw=False)
     end, along = jax.linearize(lambda vector: residuals(vector, args), found.value)
     jacobian = jax.vmap(along)(jnp.eye(start.size, dtype=start.dtype))

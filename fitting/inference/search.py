@@ -35,6 +35,7 @@ from jaxtyping import Array, Float
 from scipy.special import ndtri
 
 from jaxvision.errors import InputError
+from jaxvision.programs import on_processor
 
 from .curvature import gauss_newton
 from .diagnostics import UNDETERMINED, listed
@@ -53,7 +54,7 @@ from .parameters import (
 )
 from .problem import Problem, Vector, least_squares_residuals, log_density
 
-BATCH = 8  # starts searched at a time
+_OF_CORE = 2  # starts searched at a time: the cache holds their residuals, and both end sooner
 STEPS = 100  # of a search; a straggler ends there
 EDGE = 1e-3  # of a range, the nearest to an end that a search begins
 SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
@@ -304,6 +305,19 @@ def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
     return jnp.concatenate([residuals, weight * (vector - mean)])
 
 
+def at_a_time(vectors: Float[Array, "searches parameters"]) -> int:
+    """How many are searched at once. On a processor it is few: their residuals stay in its cache,
+    and none waits for more than one other to end. An accelerator takes all.
+
+    Args:
+        vectors: where the searches are.
+
+    Returns:
+        From 1 to all.
+    """
+    return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
+
+
 @eqx.filter_jit
 def _costs(vectors: Array, problem: Problem) -> Array:
     """Of each vector, infinite where it is not a number."""
@@ -312,7 +326,7 @@ def _costs(vectors: Array, problem: Problem) -> Array:
         cost = negative_log_density(vector, problem)
         return jnp.where(jnp.isnan(cost), jnp.inf, cost)
 
-    return jax.lax.map(one, vectors, batch_size=min(BATCH, len(vectors)))
+    return jax.lax.map(one, vectors, batch_size=at_a_time(vectors))
 
 
 def _levenberg_marquardt(
@@ -338,7 +352,7 @@ def _searched(
         )
         return found.vector, found.cost
 
-    return jax.lax.map(one, starts, batch_size=min(BATCH, len(starts)))
+    return jax.lax.map(one, starts, batch_size=at_a_time(starts))
 
 
 def _enough(start: Array) -> float:
@@ -356,7 +370,7 @@ def _newton(starts: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
         found = minimise(negative_log_density, start, problem, max_steps=STEPS, tolerance=enough)
         return found, _prior_information(found.vector, problem)
 
-    return jax.lax.map(one, starts, batch_size=min(BATCH, len(starts)))
+    return jax.lax.map(one, starts, batch_size=at_a_time(starts))
 
 
 @eqx.filter_jit

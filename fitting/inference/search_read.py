@@ -20,7 +20,7 @@ from .newton import minimise_read, twice
 from .on_host import on_host
 from .parameters import log_prior
 from .problem import Problem, Vector, log_likelihood
-from .search import BATCH, Optimum
+from .search import Optimum, at_a_time
 from .streams import Advance, chunks
 
 # Squared standard errors of the sample within which its searches ended at one place: all data tell
@@ -126,7 +126,7 @@ def _costs(vectors: Array, problem: Problem) -> Array:
     return jax.lax.map(
         lambda vector: _negative_log_likelihood(vector, problem),
         vectors,
-        batch_size=min(BATCH, len(vectors)),
+        batch_size=at_a_time(vectors),
     )
 
 
