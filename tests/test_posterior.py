@@ -244,6 +244,25 @@ def test_walkers_and_moves_suit_the_dimension(parameters):
     assert 0.1 < chain.acceptance < 0.8
 
 
+def test_many_walkers_take_time_in_proportion(monkeypatch):
+    """The density that proposes their moves is estimated from some of them, not from all; what
+    they find is the same."""
+    seen = []
+
+    def recorded(points, **kinds):
+        seen.append(points.shape[1])
+        return stats.gaussian_kde(points, **kinds)
+
+    monkeypatch.setattr("emcee.moves.kde.gaussian_kde", recorded)
+    options = SamplingOptions(walkers=1200, steps=100, block=100, gives_up=False)
+    chain = sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options, seed=SEED)
+    assert set(seen) == {256}
+    vectors = np.array(chain.draws[:, 50:])
+    vectors[..., 1] = np.log(vectors[..., 1])
+    found = np.cov(vectors.reshape(-1, 3).T)
+    np.testing.assert_allclose(found, COVARIANCE, atol=0.15)
+
+
 @pytest.mark.slow
 def test_emcee_follows_a_skewed_posterior_where_laplace_cannot():
     space = (Parameter("x", symbol="x", unit="1", transform="log"),)

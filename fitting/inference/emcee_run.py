@@ -28,6 +28,7 @@ PATIENCE = 1.25  # growth of the chain from one judgement to the next
 # A density estimated from half of 64 walkers fails in many dimensions. tau of a banana, KDE + DE:
 # 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
 MOST_FOR_KDE = 10
+FROM = 256  # walkers of which a density is estimated, at most: all of thousands take their square
 BEYOND = 1e9  # standard deviations from the mode: no walker of a posterior that ends gets there
 
 
@@ -217,7 +218,16 @@ def _moves(dimension: int) -> list[tuple[Any, float]]:
     """Moves and their shares; not emcee 3.1.6's snooker, which is biased."""
     from emcee.moves import DEMove, KDEMove
 
-    return [(KDEMove(), 0.6), (DEMove(), 0.4)] if dimension <= MOST_FOR_KDE else [(DEMove(), 1.0)]
+    class KDEOfSome(KDEMove):
+        """Of the walkers that stand still, a random part says where the others may go."""
+
+        def get_proposal(self, s: Any, c: Any, random: Any) -> Any:
+            still = np.concatenate(c, axis=0)
+            if len(still) > FROM:
+                still = still[random.choice(len(still), FROM, replace=False)]
+            return super().get_proposal(s, [still], random)
+
+    return [(KDEOfSome(), 0.6), (DEMove(), 0.4)] if dimension <= MOST_FOR_KDE else [(DEMove(), 1.0)]
 
 
 def _block(sampler: Any, state: Any, fingerprint: str) -> Block:

@@ -124,6 +124,9 @@ def observations(count):
 
 def measured(subject, count):
     """[seconds, MB] of one size; runs in a process of its own."""
+    import jaxvision
+
+    jaxvision.keep_memory()  # as the commands do
     call = globals()[subject.partition(" ")[0].rstrip(":")](count)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     call()
