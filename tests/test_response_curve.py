@@ -10,7 +10,7 @@ from fitting.response.code_pairs import pair_statistics
 from fitting.response.curve import fit_response_curve, ripple
 from fitting.response.pixel_noise import NoiseModel
 from fitting.response.places import clear_of_clipping
-from fitting.response.solve import Hyperparameters, roughness, shutter_basis, solve
+from fitting.response.solve import Hyperparameters, at_centres, roughness, shutter_basis, solve
 from fitting.response.weights import hat_rule, noise_rule, observe, undithered
 from jaxvision.errors import InputError
 
@@ -178,12 +178,39 @@ def test_clipped_and_black_codes_weigh_nothing():
     np.testing.assert_array_equal(seen.weights[:, 0] > 0, [False, True, False, True])
 
 
+@pytest.mark.parametrize("bits", [8, 10, 12])
+def test_g_at_a_centre_follows_from_its_means_over_codes_of_any_width(bits):
+    """Of a power law, whose mean over log-uniform light is that of its ends."""
+    bins = code_bins(bits, 0.0, 2.0**bits - 1)
+    means = 1.8 * (np.log(bins.edges[1:]) + np.log(bins.edges[:-1])) / 2
+    exact = 1.8 * np.log(bins.centres / bins.centres[bins.middle])
+    np.testing.assert_allclose(at_centres(means, bins), exact, atol=1e-12)
+    bent = np.log(bins.edges / bins.edges[-1]) ** 2
+    found = at_centres((bent[1:] + bent[:-1]) / 2, bins)
+    exact = np.log(bins.centres / bins.edges[-1]) ** 2
+    far = bins.centres > 20
+    np.testing.assert_allclose(found[far], (exact - exact[bins.middle])[far], atol=1e-3)
+
+
+@pytest.mark.parametrize("well", [40e3, 100e3])
+def test_bands_hold_where_rounding_is_coarser_than_noise(well):
+    """A linear 8-bit camera whose codes noise does not dither, at one stop."""
+    times = 2.0 ** np.arange(-4, 4)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        _, codes = exposure_stack(gamma(1.0), times, rng, full_well=well)
+        curve = fit_response_curve(codes, times, bits=8)
+        gap = curve.log_exposure - np.log(curve.codes / curve.codes[curve.bins.middle])
+        held = np.abs(gap) <= curve.half_width + 1e-9
+        assert np.mean(held[curve.seen]) > 0.9
+
+
 def test_pure_gamma_costs_nothing_in_the_prior():
     bins = code_bins(8, 0.0, 255.0)
-    pure = 2.2 * np.log(bins.centres)
+    pure = 2.2 * bins.log_codes
     scale = np.abs(roughness(bins)).max() * np.abs(pure).max() ** 2
     assert abs(pure @ roughness(bins) @ pure) < 1e-12 * scale
-    bent = pure + 0.1 * np.log(bins.centres) ** 2
+    bent = pure + 0.1 * bins.log_codes**2
     assert bent @ roughness(bins) @ bent > 1e-3
 
 

@@ -31,6 +31,12 @@ class CodeBins:
         return (self.edges[1:] + self.edges[:-1]) / 2
 
     @property
+    def log_codes(self) -> Float[np.ndarray, " bins"]:
+        """Mean of ln (code - black) over each bin, of light that is log-uniform across it."""
+        above = np.maximum(self.edges[:-1] - self.black, (self.centres - self.black) / 4)
+        return (np.log(above) + np.log(self.edges[1:] - self.black)) / 2
+
+    @property
     def middle(self) -> int:
         """The bin at mid-scale, where g = 0."""
         return int(np.searchsorted(self.centres, (self.black + self.edges[-1]) / 2))

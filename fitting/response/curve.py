@@ -43,7 +43,7 @@ from .places import Layout, steepness_classes, tiles_of
 from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
 from .shutter import Shutter, over_tau
 from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
-from .weights import WeightRule, cells_of, hat_rule, noise_rule
+from .weights import APART, WeightRule, cells_of, coarsest, hat_rule, noise_rule
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
 PILOT_BINS = 140
@@ -51,7 +51,7 @@ FEWEST_PIXELS, FEWEST_SHARE = 100, 0.005  # well exposed twice: fewer may all be
 SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
 UNCORRECTED = 0.05  # of the variance of ln X, the bias that the score may leave
 SAME = 1e-3  # step of ln t below which two exposures are one
-APART, RIPPLE = 1.4, 0.05  # ln of a step between exposures; ripple of g for each unit beyond it
+RIPPLE = 0.055  # of g, for each unit of ln t by which a step between exposures exceeds `APART`
 BENT = 100.0  # smoothness below which a ripple may hide: a third of the median of measured curves
 FALLS = 0.5  # in ln X, of a curve that has gone astray
 DOUBTFUL = 0.5  # of the relative variance, the error of the slope that its correction may be
@@ -140,7 +140,7 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
     """Standard deviation of a ripple of g that no pixel tells from the curve, in ln X.
 
     The size is what simulated stacks of S-shaped and sRGB responses are off by: .01 at 2 1/4 stops,
-    .035 at three.
+    .038 at three.
 
     Args:
         exposures: (exposures,) s.
@@ -209,7 +209,8 @@ def fit_response_curve(
         few, of_few = codes[:, sample], classes[sample]
         pilot = fit_pilot(few, of_few, log_t, coarse, least_error=least_error)
         means = rising(on_bins(pilot.means, coarse, bins), bins)
-        offset_t, rule = log_t + pilot.solution.delta, noise_rule(pilot.noises, means)
+        offset_t = log_t + pilot.solution.delta
+        rule = noise_rule(pilot.noises, means, coarsest=coarsest(log_t))
         tiles = [
             pair_statistics(codes[:, tile], classes[tile], offset_t, bins, rule, means)
             for tile in _tiles(codes, bins, layout)
@@ -326,10 +327,10 @@ def _curve(
     expected: np.ndarray,
     least_error: float,
 ) -> ResponseCurve:
-    middle, size = bins.middle, len(found.means)
-    g = at_centres(found.means, middle)
-    covariance = at_centres(found.covariance[:size, :size], middle)
-    covariance = at_centres(covariance.T, middle).T
+    size = len(found.means)
+    g = at_centres(found.means, bins)
+    covariance = at_centres(found.covariance[:size, :size], bins)
+    covariance = at_centres(covariance.T, bins).T
     hidden = ripple(exposures, found.used.smoothness)
     covariance += np.diag(((UNCORRECTED * noise_variance(noise, g)) ** 2 + hidden**2) * (g != 0))
     covariance += np.outer(g, g) * slope_error(noise) ** 2

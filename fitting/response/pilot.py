@@ -13,7 +13,7 @@ from .code_bins import CodeBins, interval_variance
 from .code_pairs import PairStatistics, pair_statistics
 from .pixel_noise import NoiseModel
 from .solve import MOST_ROUNDS, STEADIEST, Hyperparameters, Solution, solve
-from .weights import Observations, WeightRule, hat_rule, noise_rule, observe
+from .weights import Observations, WeightRule, coarsest, hat_rule, noise_rule, observe
 
 PASSES = 4
 KEPT = 0.3  # share of a class's pixels that its noise model must leave
@@ -71,7 +71,7 @@ def fit_pilot(
     Raises:
         InputError: where no class is left, or no pixel that two exposures show above the noise.
     """
-    x = np.log(bins.centres - bins.black)
+    x = bins.log_codes
     means, binned = x - x[bins.middle], bins.lookup[codes]
     count = int(classes.max()) + 1
     full = np.bincount(classes, minlength=count)
@@ -96,7 +96,7 @@ def fit_pilot(
             fit_noise(seen, seen.classes == kind, offset_t, means) if alive[kind] else None
             for kind in range(count)
         ]
-        rule = noise_rule(noises, means)
+        rule = noise_rule(noises, means, coarsest=coarsest(log_t))
     assert found is not None
     return Pilot(means, tuple(noises), rule, found)
 
@@ -129,7 +129,7 @@ def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarra
     Returns:
         (bins,).
     """
-    floor = np.log(bins.centres - bins.black) / 3
+    floor = bins.log_codes / 3
     return np.maximum.accumulate(means - floor) + floor
 
 
@@ -146,8 +146,8 @@ def on_bins(
     Returns:
         (others,).
     """
-    spline = CubicSpline(np.log(bins.centres - bins.black), means)
-    return spline(np.log(other.centres - other.black))
+    spline = CubicSpline(bins.log_codes, means)
+    return spline(other.log_codes)
 
 
 def fit_noise(

@@ -101,7 +101,7 @@ def over_tiles(found: Solution, bins: CodeBins) -> Repeats | None:
     fits = []
     for tile in tiles:
         covariance = inverse((matrix - tile.matrix) / phi + found.prior, bins)
-        fits.append(at_centres((covariance @ (right - tile.right))[:size] / phi, bins.middle))
+        fits.append(at_centres((covariance @ (right - tile.right))[:size] / phi, bins))
     return Repeats(_jackknife(fits), _pixel_variance(found, matrix / phi, bins))
 
 
@@ -147,7 +147,7 @@ def over_exposures(
     if len(log_t) < FEWEST_EXPOSURES:
         return None, held_out
     whole = without(None)
-    departures = _jackknife([at_centres(fit.means, coarse.middle) for fit in fits])
+    departures = _jackknife([at_centres(fit.means, coarse) for fit in fits])
     matrix = whole.equations[0].matrix / hyper.design_effect**2 / fraction
     explained = 2 * _pixel_variance(whole, matrix, coarse)  # a pair goes with either exposure
     fine, x = np.log(bins.centres - bins.black), np.log(coarse.centres - coarse.black)
@@ -203,7 +203,7 @@ def _jackknife(fits: Sequence[np.ndarray]) -> np.ndarray:
 def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.ndarray:
     """Variance of g at centres from a covariance of the right-hand side."""
     size = len(found.means)
-    rows = at_centres(found.covariance[:size], bins.middle)
+    rows = at_centres(found.covariance[:size], bins)
     return np.maximum(np.einsum("ij,jk,ik->i", rows, noise, rows), 0)
 
 

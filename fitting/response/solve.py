@@ -108,7 +108,7 @@ def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
     """
     z = bins.centres - bins.black
     full = bins.edges[-1] - bins.black + 0.5
-    step = 1 / np.diff(np.log(z))
+    step = 1 / np.diff(bins.log_codes)
     clock = (z[2:] - z[:-2]) / 2 * (1 / z[1:-1] + np.sqrt(full) / (full - z[1:-1]) ** 1.5)
     increments = np.stack([step[:-1], -step[:-1] - step[1:], step[1:]]) / np.sqrt(clock)
     energy = np.zeros((len(z), len(z)))
@@ -249,23 +249,35 @@ def _design_effect(
 
 
 def at_centres(
-    means: Float[np.ndarray, " bins *more"], middle: int
+    means: Float[np.ndarray, " bins *more"], bins: CodeBins
 ) -> Float[np.ndarray, " bins *more"]:
     """g at the centres of bins, 0 at mid-scale, from its means over them.
 
-    Light being log-uniform across a bin, the mean is that of the two ends, an eighth of the second
-    difference above the centre.
+    Light being log-uniform across a bin, the mean is that of g at the two ends. In u = ln (code -
+    black), those lie a half apart about the mean of u, from which the centre departs a little:
+
+        g(centre) = mean + g' (u(centre) - mean of u) - g'' half^2 / 2.
 
     Args:
         means: (bins, ...).
-        middle: bin at mid-scale.
+        bins: of codes.
 
     Returns:
         Of the same shape.
     """
-    g = means.copy()
-    g[1:-1] -= np.diff(means, n=2, axis=0) / 8
-    return g - g[middle]
+    u = bins.log_codes
+    half = np.log(bins.edges[1:] - bins.black) - u
+    off = np.log(bins.centres - bins.black) - u
+    slope = np.gradient(means, u, axis=0)
+    bend = np.zeros_like(means)
+    steps = np.diff(means, axis=0) / _column(np.diff(u), means)
+    bend[1:-1] = 2 * np.diff(steps, axis=0) / _column(u[2:] - u[:-2], means)
+    g = means + _column(off, means) * slope - _column(half**2 / 2, means) * bend
+    return g - g[bins.middle]
+
+
+def _column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
+    return values.reshape(-1, *[1] * (like.ndim - 1))
 
 
 def spread_of_times(exposures: Float[np.ndarray, " exposures"]) -> float:

@@ -18,6 +18,8 @@ from .code_bins import CodeBins, interval_variance
 from .pixel_noise import NoiseModel, noise_variance
 
 LOOSEST = 0.2  # log standard deviation up to which terms of second order are a few percent
+COARSEST = 0.015  # the same of rounding that no noise dithers, whose error all pixels share
+APART = 1.4  # step of ln t from which on coarse codes are the only partners of fine ones
 HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
 HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
 OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
@@ -89,35 +91,57 @@ def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:
 
 
 def noise_rule(
-    noises: Sequence[NoiseModel | None], means: Float[np.ndarray, " bins"]
+    noises: Sequence[NoiseModel | None],
+    means: Float[np.ndarray, " bins"],
+    *,
+    coarsest: float = np.inf,
 ) -> WeightRule:
     """Weights by the predicted exposure under a curve and a noise model for each class.
 
     Args:
         noises: of the classes; None for one whose pixels are left out.
         means: (bins,) of the curve, rising.
+        coarsest: rounding that no noise dithers, in ln X, up to which codes are used.
 
     Returns:
         The rule.
     """
     grid = np.linspace(means[0], means[-1], 4 * len(means))
     absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(3))
-    rows = [absent if noise is None else _of_class(noise, means, grid) for noise in noises]
+    rows = [absent if n is None else _of_class(n, means, grid, coarsest) for n in noises]
     by_bin, weight, share, bias = (np.stack(column) for column in zip(*rows, strict=True))
     return WeightRule(by_bin, grid[0], grid[1] - grid[0], weight, share, bias)
 
 
+def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
+    """Rounding beyond which codes are left out of a fit, in ln X, where no noise dithers it.
+
+    What it does to a code is the same in all pixels, and a curve that obeys it takes on a ripple,
+    of the period of the exposures, which they do not contradict: linear 8-bit cameras of little
+    noise had half of their codes outside the band. Exposures far apart need all codes.
+
+    Args:
+        log_t: (exposures,) log exposure times.
+
+    Returns:
+        ln X.
+    """
+    return COARSEST if np.diff(np.sort(log_t)).max() < APART else np.inf
+
+
 def _of_class(
-    noise: NoiseModel, means: np.ndarray, grid: np.ndarray
+    noise: NoiseModel, means: np.ndarray, grid: np.ndarray, coarsest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     interval = np.interp(grid, means, interval_variance(means))
     variance = np.minimum(noise_variance(noise, grid) + interval, 1e6)  # it grows as X^-2
     reach = MARGIN * np.sqrt(variance)
-    sharp = variance < LOOSEST**2
+    independent = noise_variance(noise, grid)
+    rounded = interval * undithered(independent / (12 * interval))
+    fine = rounded < coarsest**2
+    sharp = (variance < LOOSEST**2) & (fine if fine.any() else True)
     lowest = grid[np.argmax(sharp)]
     inside = sharp & (grid - reach >= lowest) & (grid + reach <= grid[-1])
-    independent = noise_variance(noise, grid)
-    share = 1 - interval * undithered(independent / (12 * interval)) / variance
+    share = 1 - rounded / variance
     bias = interval * np.gradient(variance, grid) / variance**2 - independent / variance / 2
     weight, share, bias = (
         np.pad(np.where(inside, column, 0), 1) for column in (1 / variance, share, bias)

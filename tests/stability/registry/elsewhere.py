@@ -493,8 +493,8 @@ ELSEWHERE = (
             fitting.inference.bounded: minimise_in_box
             fitting.inference.least_squares: minimise_residuals
             fitting.inference.newton: minimise
-            fitting.inference.search: given_start joined negative_log_density search spread_starts
-            fitting.inference.search: start_at
+            fitting.inference.search: at_a_time given_start joined negative_log_density search
+            fitting.inference.search: spread_starts start_at
             fitting.inference.separable: first_knots fit_amplitudes fit_separable
             fitting.inference.separable: non_negative_amplitudes
         """,
@@ -630,7 +630,8 @@ ELSEWHERE = (
             fitting.response.radiance_map: merge
             fitting.response.repeats: over_exposures over_tiles widened
             fitting.response.solve: at_centres inverse roughness shutter_basis solve spread_of_times
-            fitting.response.weights: cells_of hat_rule noise_rule observe undithered weighted_mean
+            fitting.response.weights: cells_of coarsest hat_rule noise_rule observe undithered
+            fitting.response.weights: weighted_mean
         """,
     ),
     Elsewhere(
