@@ -31,7 +31,7 @@ def on_processor() -> bool:
     while a program is traced."""
     import jax  # here: what else this module does comes before JAX's first use
 
-    device = jax.config.jax_default_device
+    device = getattr(jax.config, "jax_default_device", None)
     return (getattr(device, "platform", device) or jax.default_backend()) == "cpu"
 
 

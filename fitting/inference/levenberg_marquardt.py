@@ -6,7 +6,6 @@ by it refuses every step near the optimum, makes ever smaller ones and never end
 10,000 points took all of 100 steps that way, and takes 5.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -14,9 +13,6 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
-
-GOOD, FAIR = 0.99, 0.01  # of the promised fall: the step grows, or is taken
-GROWS, SHRINKS = 3.5, 0.25  # then or otherwise (Gould et al. 2005, as optimistix has them)
 
 
 class Reached(eqx.Module):
@@ -26,8 +22,8 @@ class Reached(eqx.Module):
     ended: Bool[Array, ""]
 
 
-class Falls(optx.AbstractSearch):
-    """Takes a step or refuses it, as optimistix' classical trust region does.
+class Falls(optx.ClassicalTrustRegion):
+    """Takes a step or refuses it by how much of the promised fall came, with optimistix' constants.
 
     Attributes:
         nothing: fall in cost that means nothing. A step that promises no more is taken even if the
@@ -35,9 +31,9 @@ class Falls(optx.AbstractSearch):
             it small.
     """
 
-    nothing: float
+    nothing: float = 0.0
 
-    def init(self, y: Array, f_info_struct: Any) -> Reached:
+    def init(self, y: Array, f_info_struct: Any) -> Any:
         return Reached(jnp.ones((), y.dtype), jnp.array(False))
 
     def step(
@@ -47,40 +43,33 @@ class Falls(optx.AbstractSearch):
         y_eval: Array,
         f_info: Any,
         f_eval_info: Any,
-        state: Reached,
-    ) -> tuple[Array, Array, optx.RESULTS, Reached]:
+        state: Any,
+    ) -> tuple[Array, Array, optx.RESULTS, Any]:
         before, after = f_info.residual, f_eval_info.residual
         linear = f_info.jac.mv(y_eval - y)
         promised = jnp.sum(linear * (before + linear / 2))
         change = jnp.sum((after - before) * (after + before)) / 2
         small = jnp.abs(promised) <= self.nothing
-        accept = first_step | (change <= FAIR * promised + jnp.where(small, self.nothing, 0))
-        good = (change < GOOD * promised) & (promised < 0) & ~first_step
+        allowed = self.low_cutoff * promised + jnp.where(small, self.nothing, 0)
+        accept = first_step | (change <= allowed)
+        good = (change < self.high_cutoff * promised) & (promised < 0) & ~first_step
         damped = state.step_size < 1  # so much that a small promise may be the damping's
-        grows = jnp.where(small & damped, GROWS**2, jnp.where(good, GROWS, 1))
-        factor = jnp.where(accept, grows, SHRINKS)
+        grows = jnp.where(good, self.high_constant, 1)
+        grows = jnp.where(small & damped, self.high_constant**2, grows)
+        factor = jnp.where(accept, grows, self.low_constant)
         ended = small & accept & ~first_step & ~damped
         size = (factor * state.step_size).astype(y.dtype)
         return size, accept, optx.RESULTS.successful, Reached(size, ended)
 
 
-class LevenbergMarquardt(optx.AbstractGaussNewton):
-    """Optimistix' method of that name, whose steps `Falls` takes or refuses."""
-
-    rtol: float
-    atol: float
-    norm: Callable
-    descent: optx.DampedNewtonDescent
-    search: Falls
-    verbose: Callable
+class LevenbergMarquardt(optx.LevenbergMarquardt):
+    """Optimistix' solver of that name, whose steps `Falls` takes or refuses."""
 
     def __init__(
         self, rtol: float, atol: float, *, nothing: float, linear_solver: lx.AbstractLinearSolver
     ) -> None:
-        self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
-        self.descent = optx.DampedNewtonDescent(linear_solver)
-        self.search = Falls(nothing)
-        self.verbose = lambda **_: None
+        super().__init__(rtol, atol, linear_solver=linear_solver)
+        self.search = Falls(nothing=nothing)
 
     def terminate(
         self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
