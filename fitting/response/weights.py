@@ -141,6 +141,10 @@ def _of_class(
     sharp = (variance < LOOSEST**2) & (fine if fine.any() else True)
     lowest = grid[np.argmax(sharp)]
     inside = sharp & (grid - reach >= lowest) & (grid + reach <= grid[-1])
+    if np.isfinite(coarsest) and inside.any():
+        # A limit within a code would leave that code with light of one side alone.
+        edges = (means[:-1] + means[1:]) / 2
+        inside &= grid >= edges[np.searchsorted(edges[:-1], grid[np.argmax(inside)])]
     share = 1 - rounded / variance
     bias = interval * np.gradient(variance, grid) / variance**2 - independent / variance / 2
     weight, share, bias = (
