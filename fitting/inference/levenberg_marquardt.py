@@ -26,9 +26,9 @@ class Falls(optx.ClassicalTrustRegion):
     """Takes a step or refuses it by how much of the promised fall came, with optimistix' constants.
 
     Attributes:
-        nothing: fall in cost that means nothing. A step that promises no more is taken even if the
-            cost rises by as much, and is the last one, or the last but few where the damping made
-            it small.
+        nothing: fall in cost that means nothing; 0 for one of the last digit of the cost. A step
+            that promises no more is taken even if the cost rises by as much, and is the last one,
+            or the last but few where the damping made it small.
     """
 
     nothing: float = 0.0
@@ -46,14 +46,18 @@ class Falls(optx.ClassicalTrustRegion):
         state: Any,
     ) -> tuple[Array, Array, optx.RESULTS, Any]:
         before, after = f_info.residual, f_eval_info.residual
-        linear = f_info.jac.mv(y_eval - y)
+        step = y_eval - y
+        linear = f_info.jac.mv(step)
         promised = jnp.sum(linear * (before + linear / 2))
         change = jnp.sum((after - before) * (after + before)) / 2
-        small = jnp.abs(promised) <= self.nothing
-        allowed = self.low_cutoff * promised + jnp.where(small, self.nothing, 0)
+        digit = jnp.finfo(y.dtype).eps * (before @ before) / 2
+        nothing = self.nothing if self.nothing else digit
+        small = jnp.abs(promised) <= nothing
+        allowed = self.low_cutoff * promised + jnp.where(small, nothing, 0)
         accept = first_step | (change <= allowed)
         good = (change < self.high_cutoff * promised) & (promised < 0) & ~first_step
-        damped = state.step_size < 1  # so much that a small promise may be the damping's
+        # So much that a small promise may be the damping's:
+        damped = (state.step_size < 1) | (step @ step > state.step_size * (linear @ linear))
         grows = jnp.where(good, self.high_constant, 1)
         grows = jnp.where(small & damped, self.high_constant**2, grows)
         factor = jnp.where(accept, grows, self.low_constant)
