@@ -3,7 +3,7 @@
 A fall in cost is summed over the changes of the residuals. The difference of two sums of a million
 squares is no better than the last digit of the sums: in single precision, a search that is judged
 by it refuses every step near the optimum, makes ever smaller ones and never ends. A line through
-10,000 points took all of 100 steps that way, and takes 5.
+10,000 points, its numbers bounded, took all of 100 steps that way, and takes 5 to 23.
 """
 
 from typing import Any
