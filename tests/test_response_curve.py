@@ -6,7 +6,7 @@ from oracles.splits import apart, fitted, split_tests
 from oracles.stacks import exposure_stack, gamma, jpeg_stack, log_exposures, s_shaped, srgb
 
 from fitting.response.code_bins import code_bins
-from fitting.response.code_pairs import pair_statistics
+from fitting.response.code_pairs import pair_statistics, statistics_of_parts, total
 from fitting.response.curve import fit_response_curve, ripple
 from fitting.response.pixel_noise import NoiseModel
 from fitting.response.places import clear_of_clipping
@@ -165,6 +165,21 @@ def test_statistics_do_not_depend_on_chunks(monkeypatch):
     np.testing.assert_allclose(parts.matrix, whole.matrix, atol=1e-9 * np.abs(whole.matrix).max())
     np.testing.assert_allclose(parts.score, whole.score, atol=1e-9 * np.abs(whole.score).max())
     assert parts.pixels == whole.pixels
+
+
+def test_sets_of_pixels_add_up_to_all_of_them():
+    """What a few pixels cannot tell alone, which codes lie next to one another, all of them do."""
+    _, codes = exposure_stack(srgb, TIMES, np.random.default_rng(7), pixels=3000)
+    bins, means = code_bins(8, 0.0, 255.0), np.linspace(-5, 2, 254)
+    rule = noise_rule([NoiseModel(1e-2, 1e-3, 1e-4)], means)
+    one = np.zeros(codes.shape[1], int)
+    whole = pair_statistics(codes, one, np.log(TIMES), bins, rule, means)
+    parts = np.array_split(np.arange(codes.shape[1]), 30)
+    of_parts = statistics_of_parts(codes, one, parts, np.log(TIMES), bins, rule, means)
+    together = total(of_parts)
+    np.testing.assert_allclose(together.matrix, whole.matrix, atol=1e-9 * whole.matrix.max())
+    np.testing.assert_allclose(together.score, whole.score, atol=1e-9 * np.abs(whole.score).max())
+    assert together.pixels == whole.pixels
 
 
 def test_clipped_and_black_codes_weigh_nothing():

@@ -71,20 +71,62 @@ def pair_statistics(
     Returns:
         The statistics.
     """
-    sums = _Sums(len(rule.by_bin), len(means), len(log_t))
-    for start in range(0, codes.shape[1], CHUNK):
-        part = slice(start, start + CHUNK)
-        seen = observe(bins.lookup[codes[:, part]], classes[part], log_t, means, rule)
-        _count_pairs(sums, seen)
-        if rule.weight is not None:
-            _count_score(sums, seen, rule)
-    curve = (sums.curve + sums.curve.T) / 2
+    (every,) = statistics_of_parts(codes, classes, [slice(None)], log_t, bins, rule, means)
+    return every
+
+
+def statistics_of_parts(
+    codes: Integer[np.ndarray, "exposures pixels"],
+    classes: Int[np.ndarray, " pixels"],
+    parts: Sequence[Int[np.ndarray, " part"] | slice],
+    log_t: Float[np.ndarray, " exposures"],
+    bins: CodeBins,
+    rule: WeightRule,
+    means: Float[np.ndarray, " bins"],
+) -> list[PairStatistics]:
+    """A and b of several sets of pixels, whose sum is that of all of them together.
+
+    The score of a set takes the scale of the noise, and which codes lie next to one another, from
+    all sets: a few pixels would not know.
+
+    Args:
+        codes: (exposures, pixels) DN.
+        classes: (pixels,) rows of the rule's tables.
+        parts: places of each set's pixels.
+        log_t: (exposures,) log exposure times.
+        bins: of codes.
+        rule: of the weights.
+        means: (bins,) of the curve at which the rule weighs.
+
+    Returns:
+        The statistics of each.
+    """
+    every = []
+    for part in parts:
+        sums = _Sums(len(rule.by_bin), len(means), len(log_t))
+        own, of_own = codes[:, part], classes[part]
+        for start in range(0, own.shape[1], CHUNK):
+            chunk = slice(start, start + CHUNK)
+            seen = observe(bins.lookup[own[:, chunk]], of_own[chunk], log_t, means, rule)
+            _count_pairs(sums, seen)
+            if rule.weight is not None:
+                _count_score(sums, seen, rule)
+        every.append(sums)
     # A noise model may be off in scale; the score is measured in the variance that is there.
-    scale = sums.chi_square / np.maximum(sums.free, 1)
-    score = [_pull_of_noise(scale @ sums.noisy, means) + scale @ sums.bias, scale @ sums.time_bias]
+    chi_square = np.sum([sums.chi_square for sums in every], axis=0)
+    scale = chi_square / np.maximum(np.sum([sums.free for sums in every], axis=0), 1)
+    noisy = scale @ np.sum([sums.noisy for sums in every], axis=0)
+    return [_statistics(sums, scale, noisy, means) for sums in every]
+
+
+def _statistics(
+    sums: "_Sums", scale: np.ndarray, noisy: np.ndarray, means: np.ndarray
+) -> PairStatistics:
+    curve = (sums.curve + sums.curve.T) / 2
+    pull = _pull_of_noise(scale @ sums.noisy, noisy, means)
     return PairStatistics(
         matrix=np.block([[curve, sums.mixed], [sums.mixed.T, sums.times]]),
-        score=np.concatenate(score),
+        score=np.concatenate([pull + scale @ sums.bias, scale @ sums.time_bias]),
         pixels=sums.pixels,
         observations=sums.observations,
         chi_square=float(sums.chi_square.sum()),
@@ -170,10 +212,11 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
     sums.bias += np.bincount(places, bias.ravel(), classes * bins).reshape(classes, bins)
 
 
-def _pull_of_noise(noisy: np.ndarray, means: np.ndarray) -> np.ndarray:
+def _pull_of_noise(noisy: np.ndarray, of_all: np.ndarray, means: np.ndarray) -> np.ndarray:
     """sum (noise share) h' / g' as a vector over h, h' being taken between neighbouring bins that
-    both hold observations."""
-    below, above = noisy[:-1], noisy[1:]
-    both = below + above
-    between = 2 * below * above / np.where(both > 0, both, 1) / np.diff(means)
+    both hold observations: their harmonic mean, which is shared out among sets of pixels."""
+    both = of_all[:-1] + of_all[1:]
+    both = np.where(both > 0, both, 1)
+    below, above = of_all[:-1] / both, of_all[1:] / both
+    between = 2 * (above**2 * noisy[:-1] + below**2 * noisy[1:]) / np.diff(means)
     return -np.diff(between, prepend=0, append=0)

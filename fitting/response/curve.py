@@ -36,7 +36,7 @@ from jaxvision.errors import InputError
 
 from ..inference.formatting import format_percent
 from .code_bins import MAX_BINS, CodeBins, code_bins
-from .code_pairs import PairStatistics, pair_statistics, total
+from .code_pairs import PairStatistics, statistics_of_parts, total
 from .pilot import degrees_of_freedom, fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import Layout, steepness_classes, tiles_of
@@ -211,10 +211,8 @@ def fit_response_curve(
         means = rising(on_bins(pilot.means, coarse, bins), bins)
         offset_t = log_t + pilot.solution.delta
         rule = noise_rule(pilot.noises, means, coarsest=coarsest(log_t))
-        tiles = [
-            pair_statistics(codes[:, tile], classes[tile], offset_t, bins, rule, means)
-            for tile in _tiles(codes, bins, layout)
-        ]
+        places = _tiles(codes, bins, layout)
+        tiles = statistics_of_parts(codes, classes, places, offset_t, bins, rule, means)
         degrees_of_freedom(total(tiles))
         start = pilot.solution.suggested
         found = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)

@@ -620,7 +620,7 @@ ELSEWHERE = (
             fitting.response.shutter: mixed over_tau prior_of
             fitting.response.calibration: calibrate radiance_images
             fitting.response.code_bins: code_bins interval_variance
-            fitting.response.code_pairs: pair_statistics total
+            fitting.response.code_pairs: pair_statistics statistics_of_parts total
             fitting.response.curve: fit_response_curve ripple slope_error
             fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
             fitting.response.left_out: without_effect
