@@ -3,18 +3,28 @@
 import numpy as np
 import pytest
 from oracles.splits import apart, fitted, split_tests
-from oracles.stacks import exposure_stack, gamma, jpeg_stack, log_exposures, s_shaped, srgb
+from oracles.stacks import (
+    exposure_stack,
+    gamma,
+    jpeg_stack,
+    log_exposures,
+    processed_stack,
+    s_shaped,
+    srgb,
+)
 
+from fitting.response.clipping import clear_of_clipping
 from fitting.response.code_bins import code_bins
 from fitting.response.code_pairs import pair_statistics, statistics_of_parts, total
 from fitting.response.curve import fit_response_curve, ripple
 from fitting.response.pixel_noise import NoiseModel
-from fitting.response.places import clear_of_clipping
+from fitting.response.places import layout_of
 from fitting.response.solve import Hyperparameters, at_centres, roughness, shutter_basis, solve
 from fitting.response.weights import hat_rule, noise_rule, observe, undithered
 from jaxvision.errors import InputError
 
 TIMES = 2.0 ** np.arange(-4, 5)
+STOPS = TIMES[:-1]
 CURVES = {"gamma 2.2": gamma(2.2), "srgb": srgb, "s-shaped": s_shaped, "linear": gamma(1.0)}
 
 
@@ -286,6 +296,35 @@ def test_neighbours_of_clipped_codes_count_as_clipped():
         near = codes[frame, max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5]
         assert found[frame, row, column] == (254 if (near == 254).any() else code)
     assert found.dtype == codes.dtype
+
+
+def in_band(codes: np.ndarray, response, *, lowest: float = 0) -> float:
+    """Share of the codes seen, from the lowest, whose band holds the truth."""
+    everywhere = np.ones(codes.shape[1:], bool)
+    layout = layout_of(codes, everywhere, black=0.0, clip=255.0)
+    flat = codes.reshape(len(codes), -1)
+    curve = fit_response_curve(flat, STOPS, bits=8, layout=layout)
+    truth = log_exposures(response, curve.codes)
+    gap = curve.log_exposure - truth + truth[curve.bins.middle]
+    judged = curve.seen & (curve.codes >= lowest)
+    return float(np.mean(np.abs(gap) <= curve.half_width + 1e-9, where=judged))
+
+
+def test_peaks_that_clip_and_hide_are_left_out():
+    """A blur after clipping darkens bright codes, which no code at full scale shows."""
+    codes = processed_stack(gamma(2.2), STOPS, np.random.default_rng(1001), blurred=0.6)
+    visible = clear_of_clipping(codes, 254.5, hidden=False)
+    strict = clear_of_clipping(codes, 254.5)
+    assert in_band(visible, gamma(2.2), lowest=204) < 0.5
+    assert in_band(strict, gamma(2.2), lowest=204) > 0.9
+    assert in_band(strict, gamma(2.2)) > 0.9
+
+
+def test_no_peaks_hide_in_sharp_pictures():
+    for seed in range(6):
+        codes = processed_stack(s_shaped, STOPS, np.random.default_rng(seed))
+        visible = clear_of_clipping(codes, 254.5, hidden=False)
+        np.testing.assert_array_equal(clear_of_clipping(codes, 254.5), visible)
 
 
 def test_smoothness_settles_from_either_side():

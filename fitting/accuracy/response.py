@@ -10,8 +10,9 @@ from jaxvision.accuracy.records import Compute
 
 from ..observation import Load
 from ..response.calibration import calibrate
+from ..response.clipping import clear_of_clipping
 from ..response.curve import ResponseCurve, fit_response_curve
-from ..response.places import Layout, clear_of_clipping, layout_of
+from ..response.places import Layout, layout_of
 from ..response.read import read_exposure_stack
 from ..response.solve import STEADIEST
 from ..rig import Rig
@@ -38,10 +39,12 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     channel = calibrate(stack).channels[0]
     plane, whole = channel.plane, channel.curve
     seen = whole.codes[whole.seen]
-    codes = np.linspace(seen[0], seen[-1], PLACES + 2)[1:-1]
-    errors = np.interp(codes, whole.codes, whole.standard_error)
-    clear = clear_of_clipping(plane.codes, plane.clip) if channel.clear else plane.codes
-    every = clear[:, plane.mask]
+    judged = np.linspace(seen[0], seen[-1], PLACES + 2)[1:-1]
+    errors = np.interp(judged, whole.codes, whole.standard_error)
+    codes = plane.codes
+    if channel.clear:
+        codes = clear_of_clipping(codes, plane.clip, hidden=channel.hidden_peaks)
+    every = codes[:, plane.mask]
     layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
 
     def fitted(chosen: np.ndarray | slice, **more: Any) -> np.ndarray:
@@ -55,7 +58,7 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
             least_error=max(STEADIEST, plane.exposure_sd),
             **more,
         )
-        return _at(curve, codes) / errors
+        return _at(curve, judged) / errors
 
     def pixels(share: float) -> Compute:
         wanted = max(int(share * every.shape[1]), 1)

@@ -1,6 +1,8 @@
 """The camera response from an exposure stack: the whole curve, gamma, and the merged radiance map,
 per colour channel (or Bayer site) and group of images."""
 
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +14,10 @@ from ..inference.emcee_run import SamplingOptions, for_group
 from ..inference.given import require_kind
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
+from .clipping import clear_of_clipping
 from .curve import ResponseCurve, fit_response_curve
 from .gamma import GammaFit, fit_gamma
-from .places import clear_of_clipping, layout_of
+from .places import layout_of
 from .radiance_map import RadianceMap, merge
 from .read import ExposureStack, Plane
 from .solve import STEADIEST
@@ -31,6 +34,7 @@ class ChannelResponse:
         radiance: the merged map.
         clear: whether pixels near clipped ones were left out of the curve; where too few would
             remain, they are not.
+        hidden_peaks: whether those near peaks that clipped and hide were left out too.
     """
 
     plane: Plane
@@ -38,6 +42,7 @@ class ChannelResponse:
     gamma: GammaFit
     radiance: RadianceMap
     clear: bool
+    hidden_peaks: bool = False
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,11 +112,11 @@ def _calibrate(
             least_error=max(STEADIEST, plane.exposure_sd),
         )
 
-    clear = True
-    try:
-        curve = curve_of(clear_of_clipping(plane.codes, plane.clip))
-    except InputError:
-        clear, curve = False, curve_of(plane.codes)
+    visible = clear_of_clipping(plane.codes, plane.clip, hidden=False)
+    strict = clear_of_clipping(plane.codes, plane.clip)
+    hidden = not np.array_equal(strict, visible)
+    attempts = [strict, visible, plane.codes] if hidden else [visible, plane.codes]
+    curve, used = _first_that_fits(curve_of, attempts)
     own = for_group(sampling, plane.label)
     gamma = fit_gamma(
         curve,
@@ -122,7 +127,19 @@ def _calibrate(
         seed=seed,
     )
     radiance = merge(plane.codes, plane.exposures, curve)
-    return ChannelResponse(plane, curve, gamma, radiance, clear)
+    return ChannelResponse(
+        plane, curve, gamma, radiance, used is not plane.codes, hidden and used is strict
+    )
+
+
+def _first_that_fits(
+    curve_of: Callable[[np.ndarray], ResponseCurve], attempts: Sequence[np.ndarray]
+) -> tuple[ResponseCurve, np.ndarray]:
+    """The curve of the first codes that have one, and these; the last ones' error is raised."""
+    for codes in attempts[:-1]:
+        with contextlib.suppress(InputError):
+            return curve_of(codes), codes
+    return curve_of(attempts[-1]), attempts[-1]
 
 
 def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndarray, "h w *rgb"]]:

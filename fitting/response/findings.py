@@ -67,7 +67,8 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     channels = calibration.channels
     found = [_shape_in_words(channels), _beyond_in_words(channels), *_shutter_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
-    found += [_near_clipped_in_words(channels), _ripple_in_words(channels)]
+    found += [_near_clipped_in_words(channels), _hidden_in_words(channels)]
+    found += [_ripple_in_words(channels)]
     found += [
         f"{channel.plane.label or 'The grey channel'}: the measured curve is not monotone, so some "
         "codes share an exposure; look for misaligned images or a moving scene."
@@ -183,6 +184,18 @@ def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
         f"({worst.plane.label or 'the grey channel'}): misregistration, motion, compression, or a "
         "response that depends on colour. The bands rest on how far parts of the picture, and "
         "exposures, agree."
+    )
+
+
+def _hidden_in_words(channels: Sequence[ChannelResponse]) -> str:
+    blurred = [c for c in channels if c.hidden_peaks]
+    if not blurred:
+        return ""
+    names = ", ".join(c.plane.label or "grey" for c in blurred)
+    return (
+        "Pixels around peaks that clip come out darker than others of the same light "
+        f"({names}): the camera blurs, or resamples, after clipping. Pixels within four of such "
+        "peaks were left out, which may leave few near full scale."
     )
 
 

@@ -4,21 +4,15 @@ A picture that is registered to half a pixel is off by half the local slope of l
 that JPEG smears, and leaves that move. Such errors are no noise of the pixel, and steep places have
 far more of them than flat ones: pixels are put into classes of steepness, each with a noise model
 of its own. And they are shared by neighbours: tiles of the picture, not pixels, are independent.
-
-A pixel near a clipped one holds some of the light that was lost there: demosaicking, resampling,
-sharpening and the blocks of a JPEG mix neighbours. That bias is the same in every tile and
-exposure, so nothing would show it; such pixels count as clipped.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
-from scipy.ndimage import maximum_filter
 
 CLASSES = 6  # of steepness, equally full
 TILES = 16  # a power of two
-MIXED = 4  # pixels over which neighbours are mixed: half a block of a JPEG
 
 
 @dataclass(frozen=True)
@@ -34,30 +28,6 @@ class Layout:
     steepness: Float[np.ndarray, " pixels"]
     rows: Int[np.ndarray, " pixels"]
     columns: Int[np.ndarray, " pixels"]
-
-
-def clear_of_clipping(
-    codes: Integer[np.ndarray, "exposures h w"], clip: float
-) -> Integer[np.ndarray, "exposures h w"]:
-    """Codes of which those near a clipped one count as clipped.
-
-    Args:
-        codes: (exposures, h, w) DN.
-        clip: DN from which a code is saturated.
-
-    Returns:
-        Of the same shape: `clip`, rounded up, within `MIXED` pixels of a code that has it.
-
-    Example:
-        >>> from fitting.response import clear_of_clipping
-        >>> codes = np.full((1, 1, 7), 100)
-        >>> codes[0, 0, 0] = 255  # one clipped pixel
-        >>> print(clear_of_clipping(codes, 255.0).ravel())
-        [255 255 255 255 255 100 100]
-    """
-    size = 1, 2 * MIXED + 1, 2 * MIXED + 1
-    near = maximum_filter((codes >= clip).astype(np.uint8), size) > 0
-    return np.where(near, np.maximum(codes, int(np.ceil(clip))), codes).astype(codes.dtype)
 
 
 def layout_of(

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from fitting.response.clipping import clear_of_clipping
 from fitting.response.curve import ResponseCurve, fit_response_curve
-from fitting.response.places import clear_of_clipping, layout_of
+from fitting.response.places import layout_of
 
 Parts = tuple[np.ndarray, np.ndarray]
 

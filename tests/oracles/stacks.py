@@ -92,6 +92,31 @@ def jpeg_stack(
     return np.stack(frames).astype(np.uint16)
 
 
+def processed_stack(
+    response: Response,
+    times: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    shape: tuple[int, int] = (120, 160),
+    blurred: float = 0.0,
+    sharpened: float = 0.0,
+    full_well: float = 20_000.0,
+    read_noise: float = 4.0,
+) -> np.ndarray:
+    """Codes uint16 (exposures, h, w) of one scene by a camera that blurs its picture after it has
+    clipped, by a Gaussian of so many pixels, and sharpens what it writes, by so much of the
+    difference to a Gaussian of one pixel."""
+    scene, frames = _scene(rng, *shape), []
+    for t in times:
+        electrons = rng.poisson(np.clip(scene * t, 0, 50) * full_well)
+        electrons = electrons + rng.normal(0, read_noise, shape)
+        exposed = ndimage.gaussian_filter(np.clip(electrons / full_well, 0, 1), blurred)
+        written = response(exposed)
+        written += sharpened * (written - ndimage.gaussian_filter(written, 1.0))
+        frames.append(np.round(255 * np.clip(written, 0, 1)))
+    return np.stack(frames).astype(np.uint16)
+
+
 def _scene(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
     """Light of a scene over some three decades: texture whose spectrum falls as 1 / f, and 20
     rectangles, as a lens blurs them."""

@@ -626,7 +626,8 @@ ELSEWHERE = (
             fitting.response.left_out: without_effect
             fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot on_bins rising
             fitting.response.pixel_noise: noise_variance
-            fitting.response.places: clear_of_clipping layout_of steepness_classes tiles_of
+            fitting.response.clipping: clear_of_clipping
+            fitting.response.places: layout_of steepness_classes tiles_of
             fitting.response.radiance_map: merge
             fitting.response.repeats: over_exposures over_tiles widened
             fitting.response.solve: at_centres inverse roughness shutter_basis solve spread_of_times

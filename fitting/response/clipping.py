@@ -1,0 +1,117 @@
+"""Pixels that lack light which neighbours lost when they clipped.
+
+Demosaicking, resampling, denoising and the blocks of a JPEG mix neighbours after the sensor has
+clipped, so that a pixel near a clipped one is too dark. It is so in every tile and exposure:
+nothing else would show it. Such pixels count as clipped.
+
+A camera that blurs its picture also hides the peaks that clipped: none of their codes says so. The
+next shorter exposure does. Among pixels of one code there, those around a peak that clips in the
+longer exposure come out darker in it than the others, if peaks hide; if not, alike. Where they do,
+by more than tiles of the picture differ, pixels around such peaks count as clipped too.
+"""
+
+import numpy as np
+from jaxtyping import Float, Integer
+from scipy.ndimage import maximum_filter, uniform_filter
+
+MIXED = 4  # pixels over which neighbours are mixed: half a block of a JPEG
+CONTRASTS = 4.0, 6.0, 9.0, 13.0  # of a peak to what a blur has left, the mildest first
+FEWEST_CLIPPED = 50  # pixels, to tell the code of the shorter exposure that clips in the longer
+BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
+INTERVALS = 256  # of codes of the shorter exposure, within which they count as one
+SIDE = 4  # tiles along either side of a picture
+DARKER = -2.0  # standard errors, Student's t of 15 degrees of freedom: one stack in 30 by chance
+
+
+def clear_of_clipping(
+    codes: Integer[np.ndarray, "exposures h w"], clip: float, *, hidden: bool = True
+) -> Integer[np.ndarray, "exposures h w"]:
+    """Codes of which those near a clipped one count as clipped.
+
+    Args:
+        codes: (exposures, h, w) DN, by exposure time.
+        clip: DN from which a code is saturated.
+        hidden: whether peaks that clipped and hide are looked for.
+
+    Returns:
+        Of the same shape: `clip`, rounded up, within `MIXED` pixels of a code that has it, or of a
+        peak that had.
+
+    Example:
+        >>> from fitting.response import clear_of_clipping
+        >>> codes = np.full((1, 1, 7), 100)
+        >>> codes[0, 0, 0] = 255  # one clipped pixel
+        >>> print(clear_of_clipping(codes, 255.0).ravel())
+        [255 255 255 255 255 100 100]
+    """
+    near = _around(codes >= clip)
+    for contrast in CONTRASTS if hidden else ():
+        lost = _lost_peaks(codes, clip, contrast)
+        if not _darker(codes, clip, lost, near) < DARKER:
+            break
+        near |= _around(lost)
+    return np.where(near, np.maximum(codes, int(np.ceil(clip))), codes).astype(codes.dtype)
+
+
+def _around(mask: np.ndarray) -> np.ndarray:
+    size = 1, 2 * MIXED + 1, 2 * MIXED + 1
+    return maximum_filter(mask.astype(np.uint8), size) > 0
+
+
+def _lost_peaks(codes: np.ndarray, clip: float, contrast: float) -> np.ndarray:
+    """Where the shorter exposure, its contrast to the mean of 3 x 3 raised, reaches the codes that
+    clip in the longer."""
+    lost = np.zeros(codes.shape, bool)
+    for shorter, longer, where in zip(codes, codes[1:], lost[1:], strict=False):
+        clipped = longer >= clip
+        if np.count_nonzero(clipped) >= FEWEST_CLIPPED:
+            code = shorter.astype(np.float32)
+            peak = code + np.float32(contrast) * (code - uniform_filter(code, 3))
+            where[:] = peak >= np.quantile(shorter[clipped], 0.1)
+    return lost
+
+
+def _darker(codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray) -> float:
+    """How much darker pixels around lost peaks are than others of their code in the shorter
+    exposure, in standard errors; 0 where nothing can be compared.
+
+    A pixel's own noise stays out of it: peaks are two to four pixels away.
+    """
+    rows, columns = np.indices(codes.shape[1:])
+    tile = rows * SIDE // codes.shape[1] * SIDE + columns * SIDE // codes.shape[2]
+    width = max(1, round(clip / INTERVALS))
+    product, square = np.zeros((2, SIDE**2))
+    for shorter, longer, peaks, out in zip(codes, codes[1:], lost[1:], left_out[1:], strict=False):
+        used = ~out & (longer > BRIGHT * clip)
+        if not (peaks.any() and used.any()):
+            continue
+        code = shorter[used].astype(int)
+        group, place = code // width, code % width - (width - 1) / 2
+        around, value = _ring(peaks)[used].astype(float), longer[used].astype(float)
+        for turn in (np.ones_like(place), place):  # a mean and, in wide intervals, a slope
+            around, value = _without(around, turn, group), _without(value, turn, group)
+        product += np.bincount(tile[used], around * value, SIDE**2)
+        square += np.bincount(tile[used], around**2, SIDE**2)
+    if not square.sum() > 0:
+        return 0.0
+    difference = product.sum() / square.sum()
+    tiles = max(np.count_nonzero(square), 2)
+    spread = np.sum((product - difference * square) ** 2) * tiles / (tiles - 1)
+    return float(difference * square.sum() / np.sqrt(spread)) if spread > 0 else 0.0
+
+
+def _ring(mask: np.ndarray) -> np.ndarray:
+    """Pixels that have one of a mask within `MIXED`, neighbours aside."""
+    one, reach = mask.astype(np.float32), 2 * MIXED + 1
+    return reach**2 * uniform_filter(one, reach) - 9 * uniform_filter(one, 3) > 0.5
+
+
+def _without(
+    value: Float[np.ndarray, " pixels"],
+    regressor: Float[np.ndarray, " pixels"],
+    group: Integer[np.ndarray, " pixels"],
+) -> Float[np.ndarray, " pixels"]:
+    """What a regressor does not explain within each group."""
+    square = np.bincount(group, regressor**2)
+    slope = np.bincount(group, value * regressor) / np.where(square > 0, square, 1)
+    return value - slope[group] * regressor
