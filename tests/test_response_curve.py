@@ -315,7 +315,7 @@ def test_peaks_that_clip_and_hide_are_left_out():
     codes = processed_stack(gamma(2.2), STOPS, np.random.default_rng(1001), blurred=0.6)
     visible = clear_of_clipping(codes, 254.5, hidden=False)
     strict = clear_of_clipping(codes, 254.5)
-    assert in_band(visible, gamma(2.2), lowest=204) < 0.5
+    assert in_band(visible, gamma(2.2), lowest=204) < 0.8
     assert in_band(strict, gamma(2.2), lowest=204) > 0.9
     assert in_band(strict, gamma(2.2)) > 0.9
 
@@ -325,6 +325,34 @@ def test_no_peaks_hide_in_sharp_pictures():
         codes = processed_stack(s_shaped, STOPS, np.random.default_rng(seed))
         visible = clear_of_clipping(codes, 254.5, hidden=False)
         np.testing.assert_array_equal(clear_of_clipping(codes, 254.5), visible)
+
+
+def test_a_camera_that_sharpens_is_measured_in_flat_places():
+    """Sharpening half of the difference to a Gaussian of one pixel, of an S-shaped response: of
+    all places together, the curve departs by 1 % and more, and half of the band missed it."""
+    codes = processed_stack(s_shaped, STOPS, np.random.default_rng(3000), sharpened=0.5)
+    everywhere = np.ones(codes.shape[1:], bool)
+    curve = fitted(codes, everywhere, STOPS, black=0.0, clip=254.5)
+    truth = log_exposures(s_shaped, curve.codes)
+    gap = curve.log_exposure - truth + truth[curve.bins.middle]
+    judged = curve.seen & (curve.codes >= 20) & (curve.codes <= 235)
+    assert np.abs(curve.busy_places[judged]).max() > 0.005
+    assert log_rms(curve.log_exposure[judged], truth[judged]) < 0.004
+    assert log_rms((curve.log_exposure + curve.busy_places)[judged], truth[judged]) > 0.004
+    assert np.mean(np.abs(gap) <= curve.half_width + 1e-9, where=judged) > 0.8
+
+
+def test_places_of_a_plain_camera_tell_one_curve():
+    """Of noise alone, one stack in forty passes the F test; out of register, nothing is judged."""
+    plain = [
+        processed_stack(s_shaped, STOPS, np.random.default_rng(seed), shape=(80, 120))
+        for seed in range(3)
+    ]
+    everywhere = np.ones((80, 120), bool)
+    by_hand = jpeg_stack(s_shaped, STOPS, np.random.default_rng(1), shape=(80, 120))
+    for codes in [*plain, by_hand]:
+        curve = fitted(codes, everywhere, STOPS, black=0.0, clip=254.5)
+        np.testing.assert_array_equal(curve.busy_places, 0)
 
 
 def test_smoothness_settles_from_either_side():

@@ -12,7 +12,7 @@ from ..observation import Load
 from ..response.calibration import calibrate
 from ..response.clipping import clear_of_clipping
 from ..response.curve import ResponseCurve, fit_response_curve
-from ..response.places import Layout, layout_of
+from ..response.places import layout_of
 from ..response.read import read_exposure_stack
 from ..response.solve import STEADIEST
 from ..rig import Rig
@@ -54,7 +54,7 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
             bits=stack.bits,
             black=plane.black,
             clip=plane.clip,
-            layout=Layout(layout.steepness[chosen], layout.rows[chosen], layout.columns[chosen]),
+            layout=layout.at(chosen),
             least_error=max(STEADIEST, plane.exposure_sd),
             **more,
         )

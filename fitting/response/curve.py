@@ -37,9 +37,10 @@ from jaxvision.errors import InputError
 from ..inference.formatting import format_percent
 from .code_bins import MAX_BINS, CodeBins, code_bins
 from .code_pairs import PairStatistics, statistics_of_parts, total
+from .flat_places import in_register, to_flat_places
 from .pilot import degrees_of_freedom, fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
-from .places import Layout, steepness_classes, tiles_of
+from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
 from .shutter import Shutter, over_tau
 from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
@@ -78,6 +79,8 @@ class ResponseCurve:
         noise: of the pixels, in the flattest places.
         statistics: of the pairs of codes, all that the pixels say.
         held_out: how well each exposure is predicted without it; None with fewer than three.
+        busy_places: (bins,) what a curve of all places departs by from `log_exposure`, that of flat
+            ones; 0 where no more than chance.
     """
 
     bins: CodeBins
@@ -95,6 +98,7 @@ class ResponseCurve:
     noise: NoiseModel
     statistics: PairStatistics
     held_out: HeldOut | None
+    busy_places: Float[np.ndarray, " bins"]
 
     @property
     def codes(self) -> Float[np.ndarray, " bins"]:
@@ -201,7 +205,7 @@ def fit_response_curve(
         )
     classes = np.zeros(codes.shape[1], np.int32)
     if layout is not None:
-        classes = steepness_classes(layout.steepness, linked)
+        classes = equal_classes(layout.steepness, linked)
     sample = _sample(classes, linked)
     in_use = _exposures_in_use(codes[:, sample], bins)
     codes, log_t = codes[in_use], np.log(exposures[in_use])
@@ -211,11 +215,16 @@ def fit_response_curve(
         means = rising(on_bins(pilot.means, coarse, bins), bins)
         offset_t = log_t + pilot.solution.delta
         rule = noise_rule(pilot.noises, means, coarsest=coarsest(log_t))
-        places = _tiles(codes, bins, layout)
-        tiles = statistics_of_parts(codes, classes, places, offset_t, bins, rule, means)
+        parts, activity = _parts(codes, bins, layout, linked)
+        of_parts = statistics_of_parts(codes, classes, parts, offset_t, bins, rule, means)
+        cells = [of_parts[i : i + CLASSES] for i in range(0, len(of_parts), CLASSES)]
+        tiles = [total(tile) for tile in cells]
         degrees_of_freedom(total(tiles))
         start = pilot.solution.suggested
         found = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
+        of_all = found.means
+        if in_register(pilot.noises):
+            found = to_flat_places(found, cells, activity, log_t, bins)
         fraction = min(1.0, len(sample) / max(int(linked.sum()), 1))
         left_out = over_exposures(few, of_few, log_t, coarse, pilot, found.used, bins, fraction)
         tau = _shutter_error(found, log_t, least_error)
@@ -227,7 +236,7 @@ def fit_response_curve(
         noise = next(noise for noise in pilot.noises if noise is not None)
         seen = _expected(rule, found.means)
         times, pairs = exposures[in_use], total(tiles)
-        curve = _curve(found, pairs, bins, noise, times, tau, left_out, seen, least_error)
+        curve = _curve(found, of_all, pairs, bins, noise, times, tau, left_out, seen, least_error)
     _require_rising(curve)
     return curve
 
@@ -255,12 +264,18 @@ def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
     return np.concatenate(picked)
 
 
-def _tiles(codes: np.ndarray, bins: CodeBins, layout: Layout | None) -> list[np.ndarray]:
-    """Places of each tile's pixels, those usable in two images; one tile where none has a place."""
+def _parts(
+    codes: np.ndarray, bins: CodeBins, layout: Layout | None, linked: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Places of the pixels usable in two images, of each tile those of each class of activity, and
+    the classes' medians; a single part where no pixel has a place."""
     usable = np.flatnonzero(np.count_nonzero(bins.lookup[codes] >= 0, axis=0) >= 2)
     if layout is None:
-        return [usable]
-    return [usable[tile] for tile in tiles_of(layout.rows[usable], layout.columns[usable])]
+        return [usable], np.zeros(1)
+    kinds = equal_classes(layout.activity, linked)
+    tiles = [usable[tile] for tile in tiles_of(layout.rows[usable], layout.columns[usable])]
+    medians = np.array([np.median(layout.activity[kinds == kind]) for kind in range(CLASSES)])
+    return [tile[kinds[tile] == kind] for tile in tiles for kind in range(CLASSES)], medians
 
 
 def _well_exposed(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
@@ -316,6 +331,7 @@ def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
 
 def _curve(
     found: Solution,
+    of_all: np.ndarray,
     statistics: PairStatistics,
     bins: CodeBins,
     noise: NoiseModel,
@@ -354,4 +370,5 @@ def _curve(
         noise=noise,
         statistics=statistics,
         held_out=held_out,
+        busy_places=at_centres(of_all - found.means, bins),
     )

@@ -68,7 +68,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     found = [_shape_in_words(channels), _beyond_in_words(channels), *_shutter_in_words(channels)]
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
     found += [_near_clipped_in_words(channels), _hidden_in_words(channels)]
-    found += [_ripple_in_words(channels)]
+    found += [_busy_in_words(channels), _ripple_in_words(channels)]
     found += [
         f"{channel.plane.label or 'The grey channel'}: the measured curve is not monotone, so some "
         "codes share an exposure; look for misaligned images or a moving scene."
@@ -222,6 +222,23 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
         f"that period from a response that bends ({names}): the bands allow for "
         f"{format_percent(max(sizes), decimals=1)}. "
         "One more exposure, a stop from another, would tell."
+    )
+
+
+def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
+    departures = [
+        _largest(c.curve, c.curve.busy_places, judged_codes(c.curve))
+        for c in channels
+        if np.any(c.curve.busy_places)
+    ]
+    if not departures:
+        return ""
+    names = ", ".join(c.plane.label or "grey" for c in channels if np.any(c.curve.busy_places))
+    size, code = max(departures)
+    return (
+        f"Busy places of the picture tell another curve than flat ones ({names}), by up to "
+        f"{format_percent(np.expm1(size), decimals=1)} in exposure at code {code:g}: the camera "
+        "sharpens what it writes. The curve is that of flat places."
     )
 
 

@@ -1,17 +1,21 @@
-"""Where pixels lie: how steep the scene is around them, and which of them err together.
+"""Where pixels lie: how steep and how busy the scene is around them, and which err together.
 
 A picture that is registered to half a pixel is off by half the local slope of ln E; so are edges
 that JPEG smears, and leaves that move. Such errors are no noise of the pixel, and steep places have
 far more of them than flat ones: pixels are put into classes of steepness, each with a noise model
-of its own. And they are shared by neighbours: tiles of the picture, not pixels, are independent.
+of its own. Sharpening errs where the picture is busy, at peaks as at slopes (`flat_places.py`). And
+neighbours err alike: tiles of the picture, not pixels, are independent.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
+from scipy.ndimage import uniform_filter
 
-CLASSES = 6  # of steepness, equally full
+CLASSES = 6  # of steepness and of activity, equally full
+REACH = 5  # pixels along a side of what is around one
 TILES = 16  # a power of two
 
 
@@ -21,13 +25,20 @@ class Layout:
 
     Attributes:
         steepness: (pixels,) squared slope of ln(code - black), per pixel squared.
+        activity: (pixels,) variance of ln(code - black) over the 24 pixels around.
         rows: (pixels,).
         columns: (pixels,).
     """
 
     steepness: Float[np.ndarray, " pixels"]
+    activity: Float[np.ndarray, " pixels"]
     rows: Int[np.ndarray, " pixels"]
     columns: Int[np.ndarray, " pixels"]
+
+    def at(self, chosen: Integer[np.ndarray, " some"] | slice) -> "Layout":
+        """Of some of the pixels."""
+        every = self.steepness, self.activity, self.rows, self.columns
+        return Layout(*(column[chosen] for column in every))
 
 
 def layout_of(
@@ -37,10 +48,12 @@ def layout_of(
     black: float,
     clip: float,
 ) -> Layout:
-    """Steepness and place of a plane's pixels.
+    """Steepness, activity and place of a plane's pixels.
 
     The slope is a mean over exposures, weighted by Debevec & Malik's hat, squared; it is taken
-    between the neighbours of a pixel, so that its own noise does not choose its class.
+    between the neighbours of a pixel, so that its own noise does not choose its class. The activity
+    is the covariance of two successive exposures, so that their noise is none of it, over the 24
+    pixels around, and a mean as well.
 
     Args:
         codes: (exposures, h, w) DN.
@@ -54,32 +67,44 @@ def layout_of(
     z = np.arange(int(codes.max()) + 1, dtype=np.float32)
     logarithm = np.log(np.maximum(z - np.float32(black), 0.5))
     height = np.maximum(np.minimum(z - np.float32(black), np.float32(clip) - z), 0)
-    hat = (height / max(float(height.max()), 1.0)) ** 2
-    square, total = np.zeros((2, *codes.shape[1:]), np.float32)
+    hat = height / max(float(height.max()), 1.0)
+    square, activity, total, twice = np.zeros((4, *codes.shape[1:]), np.float32)
     for frame in codes:
         padded = np.pad(logarithm[frame], 1, mode="edge")
         down, across = padded[2:, 1:-1] - padded[:-2, 1:-1], padded[1:-1, 2:] - padded[1:-1, :-2]
-        weight = hat[frame]
+        weight = hat[frame] ** 2
         square += weight * (down**2 + across**2) / 4
         total += weight
+    for shorter, longer in pairwise(codes):
+        one, other = logarithm[shorter], logarithm[longer]
+        weight = hat[shorter] * hat[longer]
+        activity += weight * (_around(one * other) - _around(one) * _around(other))
+        twice += weight
+    square /= np.where(total > 0, total, 1)
+    activity = np.maximum(activity, 0) / np.where(twice > 0, twice, 1)
     rows, columns = np.nonzero(mask)
-    return Layout((square / np.where(total > 0, total, 1))[mask], rows, columns)
+    return Layout(square[mask], activity[mask], rows, columns)
 
 
-def steepness_classes(
-    steepness: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
+def _around(image: np.ndarray) -> np.ndarray:
+    """Mean of the pixels around each."""
+    return (REACH**2 * uniform_filter(image, REACH) - image) / (REACH**2 - 1)
+
+
+def equal_classes(
+    values: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
 ) -> Int[np.ndarray, " pixels"]:
-    """Classes of steepness, equally full of the pixels that count.
+    """Classes of steepness or activity, equally full of the pixels that count.
 
     Args:
-        steepness: (pixels,).
+        values: (pixels,).
         counted: (pixels,).
 
     Returns:
         (pixels,) 0 (flattest) to `CLASSES` - 1.
     """
-    edges = np.quantile(steepness[counted], np.arange(1, CLASSES) / CLASSES)
-    return np.digitize(steepness, edges).astype(np.int32)
+    edges = np.quantile(values[counted], np.arange(1, CLASSES) / CLASSES)
+    return np.digitize(values, edges).astype(np.int32)
 
 
 def tiles_of(

@@ -156,7 +156,7 @@ def solve(
         The last round's solution.
     """
     basis = shutter_basis(log_t)
-    equations = tuple(_equations(tile, log_t, basis) for tile in tiles)
+    equations = tuple(equations_of(tile, log_t, basis) for tile in tiles)
     matrix = np.sum([tile.matrix for tile in equations], axis=0)
     right = np.sum([tile.right for tile in equations], axis=0)
     rough, size = roughness(bins), len(bins.centres)
@@ -217,7 +217,21 @@ def inverse(
         ) from error
 
 
-def _equations(statistics: PairStatistics, log_t: np.ndarray, basis: np.ndarray) -> Equations:
+def equations_of(
+    statistics: PairStatistics,
+    log_t: Float[np.ndarray, " exposures"],
+    basis: Float[np.ndarray, "exposures free"],
+) -> Equations:
+    """Normal equations of (bin means of g, free shutter errors).
+
+    Args:
+        statistics: of any pixels.
+        log_t: (exposures,) log exposure times.
+        basis: of the free shutter errors.
+
+    Returns:
+        The equations.
+    """
     size = len(statistics.score) - len(log_t)
     curve, errors = slice(0, size), slice(size, None)
     mixed, times = statistics.matrix[curve, errors], statistics.matrix[errors, errors]

@@ -627,10 +627,12 @@ ELSEWHERE = (
             fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot on_bins rising
             fitting.response.pixel_noise: noise_variance
             fitting.response.clipping: clear_of_clipping
-            fitting.response.places: layout_of steepness_classes tiles_of
+            fitting.response.flat_places: in_register to_flat_places
+            fitting.response.places: equal_classes layout_of tiles_of
             fitting.response.radiance_map: merge
             fitting.response.repeats: over_exposures over_tiles widened
-            fitting.response.solve: at_centres inverse roughness shutter_basis solve spread_of_times
+            fitting.response.solve: at_centres equations_of inverse roughness shutter_basis solve
+            fitting.response.solve: spread_of_times
             fitting.response.weights: cells_of coarsest hat_rule noise_rule observe undithered
             fitting.response.weights: weighted_mean
         """,

@@ -1,0 +1,126 @@
+"""The curve that flat places tell.
+
+A camera that sharpens adds to a code a share of its difference to the codes around, so that pixels
+of one light are written as other codes where the picture is busy. That is no noise, and unless the
+response is a pure gamma it biases a curve, in proportion to the local variance a of the logarithm.
+Classes of pixels differ in a, so that the curves g_(k) of all classes but one tell the slope, and
+with it what a curve of all places departs by:
+
+    d = mean a  sum_k (a_(k) - mean) g_(k) / sum_k (a_(k) - mean)^2.
+
+Its covariance V comes from the pulls of tiles. Where d exceeds chance, by an F test of the mean m
+of d^2 / V over the codes, lambda d = (1 - 1 / m) d is taken off (James & Stein 1961). Whether d is
+a bias at all stays in doubt, with those weights: the covariance grows by lambda^2 V + lambda (1 -
+lambda) d d^T. Nothing is taken off where activity goes with the codes, as on a ramp, or is alike
+everywhere; nor from images out of register, whose errors grow with the steepness of the scene, and
+not by such a law.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import fdtri
+
+from .code_bins import CodeBins
+from .code_pairs import PairStatistics
+from .pixel_noise import NoiseModel, noise_variance
+from .solve import Solution, equations_of, inverse
+
+FEWEST_CLASSES = 3
+CHANCE = 0.975  # of the F test
+QUIET = 2.0  # times the noise of the flattest places, up to which steep ones are in register
+APART = 0.5  # of the mean activity, its deviation at a code, from which it shows its effect
+
+
+def in_register(noises: Sequence[NoiseModel | None]) -> bool:
+    """Whether steep places are as quiet as flat ones: twice the noise is misregistration.
+
+    Args:
+        noises: of the classes of steepness; None for one that was given up.
+
+    Returns:
+        Whether they are.
+    """
+    if any(noise is None for noise in noises):
+        return False
+    middle = [float(noise_variance(noise, np.zeros(1))[0]) for noise in noises if noise is not None]
+    return max(middle) <= QUIET**2 * min(middle)
+
+
+def to_flat_places(
+    found: Solution,
+    cells: Sequence[Sequence[PairStatistics]],
+    activity: Float[np.ndarray, " classes"],
+    log_t: Float[np.ndarray, " exposures"],
+    bins: CodeBins,
+) -> Solution:
+    """A solution less what it owes to busy places.
+
+    Args:
+        found: of all pixels.
+        cells: statistics of each tile, of each class of places in it.
+        activity: (classes,) local variance of ln code.
+        log_t: (exposures,) log exposure times.
+        bins: of codes.
+
+    Returns:
+        The solution, its means and their covariance changed where busy places tell another curve.
+    """
+    size, phi = len(found.means), found.used.design_effect
+    each = [[equations_of(cell, log_t, found.basis) for cell in tile] for tile in cells]
+    matrices = [np.sum([cell.matrix for cell in kind], axis=0) for kind in zip(*each, strict=True)]
+    rights = [np.sum([cell.right for cell in kind], axis=0) for kind in zip(*each, strict=True)]
+    matrix, right = np.sum(matrices, axis=0), np.sum(rights, axis=0)
+    share = np.array([np.trace(kind[:size, :size]) for kind in matrices])
+    used = np.flatnonzero(share > 0)
+    if len(used) < FEWEST_CLASSES or len(cells) < 2:
+        return found
+    if _told_apart(np.array([np.diagonal(kind)[:size] for kind in matrices]), activity) < APART:
+        return found
+    share = share[used] / share.sum()
+    mean = share @ activity[used]
+    without = (mean - share * activity[used]) / (1 - share)
+    slope = without - without.mean()
+    slope *= mean / (slope @ slope)
+
+    at = np.concatenate([found.means, found.free])
+    pulls = np.array([[cell.right - cell.matrix @ at for cell in tile] for tile in each])
+    departure, by_tile = np.zeros(size), np.zeros((len(cells), size))
+    for k, factor in zip(used, slope, strict=True):
+        rest = inverse((matrix - matrices[k]) / phi + found.prior, bins)[:size] / phi
+        departure += factor * rest @ (right - rights[k])
+        by_tile += factor * (pulls.sum(axis=1) - pulls[:, k]) @ rest.T
+    by_tile = (by_tile - by_tile.mean(axis=0)) * np.sqrt(len(cells) / (len(cells) - 1))
+    seen = (np.diagonal(matrix)[:size] > 0) & (np.arange(size) != bins.middle)
+    return _less(found, departure, by_tile, seen)
+
+
+def _told_apart(weights: np.ndarray, activity: np.ndarray) -> float:
+    """Standard deviation of the activity among observations of one code, by its mean: small where
+    codes go with places, as on a ramp, and where all places are alike. The median over codes, under
+    weights (classes, bins)."""
+    seen = weights[:, weights.sum(axis=0) > 0]
+    mean = activity @ seen / seen.sum(axis=0)
+    variance = activity**2 @ seen / seen.sum(axis=0) - mean**2
+    return float(np.sqrt(np.median(variance)) / (activity @ seen.sum(axis=1) / seen.sum()))
+
+
+def _less(
+    found: Solution, departure: np.ndarray, by_tile: np.ndarray, seen: np.ndarray
+) -> Solution:
+    """The solution less a departure, as far as its scatter over tiles, (tiles, bins), allows."""
+    deviation = np.sqrt(np.sum(by_tile**2, axis=0))
+    if not (deviation[seen] > 0).all():
+        return found
+    beyond = np.mean((departure[seen] / deviation[seen]) ** 2)
+    alike = by_tile[:, seen] / deviation[seen]
+    freedom = np.count_nonzero(seen) ** 2 / np.sum((alike @ alike.T) ** 2)
+    if beyond < fdtri(freedom, len(by_tile) - 1, CHANCE):
+        return found
+    weight = 1 - 1 / beyond
+    covariance = found.covariance.copy()
+    doubt = weight * (1 - weight) * np.outer(departure, departure)
+    covariance[: len(departure), : len(departure)] += weight**2 * by_tile.T @ by_tile + doubt
+    return replace(found, means=found.means - weight * departure, covariance=covariance)
