@@ -38,7 +38,7 @@ from ..inference.formatting import format_percent
 from .code_bins import MAX_BINS, CodeBins, code_bins
 from .code_pairs import PairStatistics, statistics_of_parts, total
 from .flat_places import in_register, to_flat_places
-from .pilot import degrees_of_freedom, fit_pilot, on_bins, rising
+from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
@@ -219,7 +219,10 @@ def fit_response_curve(
         of_parts = statistics_of_parts(codes, classes, parts, offset_t, bins, rule, means)
         cells = [of_parts[i : i + CLASSES] for i in range(0, len(of_parts), CLASSES)]
         tiles = [total(tile) for tile in cells]
-        degrees_of_freedom(total(tiles))
+        pairs = total(tiles)
+        degrees_of_freedom(pairs)
+        if pairs.pixels < max(FEWEST_PIXELS, FEWEST_SHARE * linked.sum()):
+            raise InputError(NO_CURVE)  # the pilot took what the images show for noise
         start = pilot.solution.suggested
         found = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
         of_all = found.means
@@ -235,7 +238,7 @@ def fit_response_curve(
             )
         noise = next(noise for noise in pilot.noises if noise is not None)
         seen = _expected(rule, found.means)
-        times, pairs = exposures[in_use], total(tiles)
+        times = exposures[in_use]
         curve = _curve(found, of_all, pairs, bins, noise, times, tau, left_out, seen, least_error)
     _require_rising(curve)
     return curve
@@ -310,7 +313,7 @@ def _shutter_error(found: Solution, log_t: np.ndarray, least_error: float) -> fl
     if free == 0:
         return None
     pull, information = _by_the_images(found)
-    explained = pull @ np.linalg.solve(information, pull)
+    explained = pull @ np.linalg.pinv(information, hermitian=True) @ pull
     shaky = explained > chdtri(free, 1 - SIGNIFICANCE)
     return found.suggested.shutter_error if shaky else None
 
