@@ -43,7 +43,9 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     errors = np.interp(judged, whole.codes, whole.standard_error)
     codes = plane.codes
     if channel.clear:
-        codes = clear_of_clipping(codes, plane.clip, hidden=channel.hidden_peaks)
+        codes = clear_of_clipping(
+            codes, plane.clip, mask=plane.mask, hidden=channel.clear_of_hidden
+        )
     every = codes[:, plane.mask]
     layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
 

@@ -34,7 +34,8 @@ class ChannelResponse:
         radiance: the merged map.
         clear: whether pixels near clipped ones were left out of the curve; where too few would
             remain, they are not.
-        hidden_peaks: whether those near peaks that clipped and hide were left out too.
+        hidden_peaks: whether peaks that clipped hide.
+        clear_of_hidden: whether pixels near those were left out too.
     """
 
     plane: Plane
@@ -43,6 +44,7 @@ class ChannelResponse:
     radiance: RadianceMap
     clear: bool
     hidden_peaks: bool = False
+    clear_of_hidden: bool = False
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,7 +115,7 @@ def _calibrate(
         )
 
     visible = clear_of_clipping(plane.codes, plane.clip, hidden=False)
-    strict = clear_of_clipping(plane.codes, plane.clip)
+    strict = clear_of_clipping(plane.codes, plane.clip, mask=plane.mask)
     hidden = not np.array_equal(strict, visible)
     attempts = [strict, visible, plane.codes] if hidden else [visible, plane.codes]
     curve, used = _first_that_fits(curve_of, attempts)
@@ -128,7 +130,13 @@ def _calibrate(
     )
     radiance = merge(plane.codes, plane.exposures, curve)
     return ChannelResponse(
-        plane, curve, gamma, radiance, used is not plane.codes, hidden and used is strict
+        plane,
+        curve,
+        gamma,
+        radiance,
+        clear=used is not plane.codes,
+        hidden_peaks=hidden,
+        clear_of_hidden=hidden and used is strict,
     )
 
 

@@ -11,26 +11,32 @@ by more than tiles of the picture differ, pixels around such peaks count as clip
 """
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 from scipy.ndimage import maximum_filter, uniform_filter
+from scipy.special import stdtr
 
 MIXED = 4  # pixels over which neighbours are mixed: half a block of a JPEG
 CONTRASTS = 4.0, 6.0, 9.0, 13.0  # of a peak to what a blur has left, the mildest first
 FEWEST_CLIPPED = 50  # pixels, to tell the code of the shorter exposure that clips in the longer
 BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
 INTERVALS = 256  # of codes of the shorter exposure, within which they count as one
-SIDE = 4  # tiles along either side of a picture
-DARKER = -2.0  # standard errors, Student's t of 15 degrees of freedom: one stack in 30 by chance
+SIDE, FEWEST_TILES = 4, 4  # tiles along either side of a picture; that must hold such pixels
+CHANCE = 0.03  # of a plane whose peaks do not hide
 
 
 def clear_of_clipping(
-    codes: Integer[np.ndarray, "exposures h w"], clip: float, *, hidden: bool = True
+    codes: Integer[np.ndarray, "exposures h w"],
+    clip: float,
+    *,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    hidden: bool = True,
 ) -> Integer[np.ndarray, "exposures h w"]:
     """Codes of which those near a clipped one count as clipped.
 
     Args:
         codes: (exposures, h, w) DN, by exposure time.
         clip: DN from which a code is saturated.
+        mask: (h, w), true where the scene may be used; None for everywhere.
         hidden: whether peaks that clipped and hide are looked for.
 
     Returns:
@@ -45,9 +51,10 @@ def clear_of_clipping(
         [255 255 255 255 255 100 100]
     """
     near = _around(codes >= clip)
+    scene = np.ones(codes.shape[1:], bool) if mask is None else mask
     for contrast in CONTRASTS if hidden else ():
-        lost = _lost_peaks(codes, clip, contrast)
-        if not _darker(codes, clip, lost, near) < DARKER:
+        lost = _lost_peaks(codes, clip, contrast, scene)
+        if not _by_chance(codes, clip, lost, near | ~scene) < CHANCE:
             break
         near |= _around(lost)
     return np.where(near, np.maximum(codes, int(np.ceil(clip))), codes).astype(codes.dtype)
@@ -58,12 +65,12 @@ def _around(mask: np.ndarray) -> np.ndarray:
     return maximum_filter(mask.astype(np.uint8), size) > 0
 
 
-def _lost_peaks(codes: np.ndarray, clip: float, contrast: float) -> np.ndarray:
+def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarray) -> np.ndarray:
     """Where the shorter exposure, its contrast to the mean of 3 x 3 raised, reaches the codes that
     clip in the longer."""
     lost = np.zeros(codes.shape, bool)
     for shorter, longer, where in zip(codes, codes[1:], lost[1:], strict=False):
-        clipped = longer >= clip
+        clipped = (longer >= clip) & scene
         if np.count_nonzero(clipped) >= FEWEST_CLIPPED:
             code = shorter.astype(np.float32)
             peak = code + np.float32(contrast) * (code - uniform_filter(code, 3))
@@ -71,9 +78,9 @@ def _lost_peaks(codes: np.ndarray, clip: float, contrast: float) -> np.ndarray:
     return lost
 
 
-def _darker(codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray) -> float:
-    """How much darker pixels around lost peaks are than others of their code in the shorter
-    exposure, in standard errors; 0 where nothing can be compared.
+def _by_chance(codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray) -> float:
+    """Probability that pixels around lost peaks are as much darker than others of their code in the
+    shorter exposure by chance, as tiles differ; 1 where nothing can be compared.
 
     A pixel's own noise stays out of it: peaks are two to four pixels away.
     """
@@ -88,22 +95,27 @@ def _darker(codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarr
         code = shorter[used].astype(int)
         group, place = code // width, code % width - (width - 1) / 2
         around, value = _ring(peaks)[used].astype(float), longer[used].astype(float)
-        for turn in (np.ones_like(place), place):  # a mean and, in wide intervals, a slope
+        level = np.ones(len(code))
+        slope = _without(place, level, group)  # in intervals of several codes
+        for turn in (level, slope):
             around, value = _without(around, turn, group), _without(value, turn, group)
         product += np.bincount(tile[used], around * value, SIDE**2)
         square += np.bincount(tile[used], around**2, SIDE**2)
-    if not square.sum() > 0:
-        return 0.0
+    if not square.any():
+        return 1.0
+    tiles = square.sum() ** 2 / np.sum(square**2)  # that count
+    if tiles < FEWEST_TILES:
+        return 1.0
     difference = product.sum() / square.sum()
-    tiles = max(np.count_nonzero(square), 2)
     spread = np.sum((product - difference * square) ** 2) * tiles / (tiles - 1)
-    return float(difference * square.sum() / np.sqrt(spread)) if spread > 0 else 0.0
+    return float(stdtr(tiles - 1, product.sum() / np.sqrt(spread))) if spread > 0 else 1.0
 
 
 def _ring(mask: np.ndarray) -> np.ndarray:
     """Pixels that have one of a mask within `MIXED`, neighbours aside."""
     one, reach = mask.astype(np.float32), 2 * MIXED + 1
-    return reach**2 * uniform_filter(one, reach) - 9 * uniform_filter(one, 3) > 0.5
+    wide, narrow = (uniform_filter(one, size, mode="constant") for size in (reach, 3))
+    return reach**2 * wide - 9 * narrow > 0.5
 
 
 def _without(

@@ -17,8 +17,10 @@ of the slope, half of that variance which does not fall with the light. It comes
 misregistration and compression, which are not noise of single codes, so that the right share of it
 in the score is open.
 
-Of a photograph, no more is believed than repeats: where tiles of the picture or exposures of the
-stack differ by more than this posterior allows, their jackknife (`repeats.py`) sets the error.
+Where busy places tell another curve than flat ones, the difference is subtracted
+(`flat_places.py`). Of a photograph, no more is believed than repeats: where tiles of the picture or
+exposures of the stack differ by more than this posterior allows, their jackknife (`repeats.py`)
+sets the error.
 
 NumPy throughout: counting code pairs is 3 to 5 times faster in `np.bincount` than in XLA's scatter
 on a CPU, and nothing here is differentiated. Codes are DN; exposures are relative, g = 0 at
@@ -35,7 +37,7 @@ from threadpoolctl import threadpool_limits
 from jaxvision.errors import InputError
 
 from ..inference.formatting import format_percent
-from .code_bins import MAX_BINS, CodeBins, code_bins
+from .code_bins import MAX_BINS, CodeBins, code_bins, interval_variance
 from .code_pairs import PairStatistics, statistics_of_parts, total
 from .flat_places import in_register, to_flat_places
 from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, on_bins, rising
@@ -79,8 +81,8 @@ class ResponseCurve:
         noise: of the pixels, in the flattest places.
         statistics: of the pairs of codes, all that the pixels say.
         held_out: how well each exposure is predicted without it; None with fewer than three.
-        busy_places: (bins,) what a curve of all places departs by from `log_exposure`, that of flat
-            ones; 0 where no more than chance.
+        busy_places: (bins,) what `bin_means` of all places, busy ones too, depart by; 0 where that
+            may be chance.
     """
 
     bins: CodeBins
@@ -224,10 +226,10 @@ def fit_response_curve(
         if pairs.pixels < max(FEWEST_PIXELS, FEWEST_SHARE * linked.sum()):
             raise InputError(NO_CURVE)  # the pilot took what the images show for noise
         start = pilot.solution.suggested
-        found = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
-        of_all = found.means
-        if in_register(pilot.noises):
-            found = to_flat_places(found, cells, activity, log_t, bins)
+        whole = solve(tiles, log_t, bins, start, least_error=least_error, rounds=rounds)
+        rounding = float(interval_variance(whole.means)[bins.middle])
+        flat = in_register(pilot.noises, rounding)
+        found = to_flat_places(whole, cells, activity, log_t, bins) if flat else whole
         fraction = min(1.0, len(sample) / max(int(linked.sum()), 1))
         left_out = over_exposures(few, of_few, log_t, coarse, pilot, found.used, bins, fraction)
         tau = _shutter_error(found, log_t, least_error)
@@ -239,7 +241,7 @@ def fit_response_curve(
         noise = next(noise for noise in pilot.noises if noise is not None)
         seen = _expected(rule, found.means)
         times = exposures[in_use]
-        curve = _curve(found, of_all, pairs, bins, noise, times, tau, left_out, seen, least_error)
+        curve = _curve(found, whole, pairs, bins, noise, times, tau, left_out, seen, least_error)
     _require_rising(curve)
     return curve
 
@@ -277,7 +279,8 @@ def _parts(
         return [usable], np.zeros(1)
     kinds = equal_classes(layout.activity, linked)
     tiles = [usable[tile] for tile in tiles_of(layout.rows[usable], layout.columns[usable])]
-    medians = np.array([np.median(layout.activity[kinds == kind]) for kind in range(CLASSES)])
+    of_kinds = [layout.activity[linked & (kinds == kind)] for kind in range(CLASSES)]
+    medians = np.array([np.median(own) if len(own) else 0.0 for own in of_kinds])
     return [tile[kinds[tile] == kind] for tile in tiles for kind in range(CLASSES)], medians
 
 
@@ -334,7 +337,7 @@ def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
 
 def _curve(
     found: Solution,
-    of_all: np.ndarray,
+    whole: Solution,
     statistics: PairStatistics,
     bins: CodeBins,
     noise: NoiseModel,
@@ -355,7 +358,7 @@ def _curve(
     tau_k, weights = over_tau(*_by_the_images(found), least_error)
     shutter = Shutter(g**2 / spread_of_times(exposures), likely, tau_k, weights)
     by_exposures, held_out = left_out
-    covariance, freedom = widened(covariance, shutter, over_tiles(found, bins), by_exposures)
+    covariance, freedom = widened(covariance, shutter, over_tiles(whole, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T
     return ResponseCurve(
         bins=bins,
@@ -373,5 +376,5 @@ def _curve(
         noise=noise,
         statistics=statistics,
         held_out=held_out,
-        busy_places=at_centres(of_all - found.means, bins),
+        busy_places=whole.means - found.means,
     )

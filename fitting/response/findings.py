@@ -192,10 +192,12 @@ def _hidden_in_words(channels: Sequence[ChannelResponse]) -> str:
     if not blurred:
         return ""
     names = ", ".join(c.plane.label or "grey" for c in blurred)
+    kept = ", ".join(c.plane.label or "grey" for c in blurred if not c.clear_of_hidden)
+    unless = f"; but for {kept}, where too few would remain: bright codes may be too low"
     return (
-        "Pixels around peaks that clip come out darker than others of the same light "
-        f"({names}): the camera blurs, or resamples, after clipping. Pixels within four of such "
-        "peaks were left out, which may leave few near full scale."
+        f"Pixels around peaks that clip come out darker than others of equal code ({names}), as "
+        "from a camera that blurs, or resamples, after clipping. Pixels within four of such peaks "
+        f"were left out, which may leave few near full scale{unless if kept else ''}."
     )
 
 
@@ -226,19 +228,19 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
-    departures = [
-        _largest(c.curve, c.curve.busy_places, judged_codes(c.curve))
+    largest = {
+        c.plane.label or "grey": _largest(c.curve, c.curve.busy_places, judged_codes(c.curve))
         for c in channels
         if np.any(c.curve.busy_places)
-    ]
-    if not departures:
+    }
+    told = {name: (size, code) for name, (size, code) in largest.items() if np.isfinite(size)}
+    if not told:
         return ""
-    names = ", ".join(c.plane.label or "grey" for c in channels if np.any(c.curve.busy_places))
-    size, code = max(departures)
+    size, code = max(told.values())
     return (
-        f"Busy places of the picture tell another curve than flat ones ({names}), by up to "
-        f"{format_percent(np.expm1(size), decimals=1)} in exposure at code {code:g}: the camera "
-        "sharpens what it writes. The curve is that of flat places."
+        f"Busy places of the picture tell another curve than flat ones ({', '.join(told)}), by up "
+        f"to {format_percent(np.expm1(size), decimals=1)} in exposure at code {code:g}, as from a "
+        "camera that sharpens. The curve is that of flat places, gamma that of all."
     )
 
 

@@ -6,14 +6,13 @@ response is a pure gamma it biases a curve, in proportion to the local variance 
 Classes of pixels differ in a, so that the curves g_(k) of all classes but one tell the slope, and
 with it what a curve of all places departs by:
 
-    d = mean a  sum_k (a_(k) - mean) g_(k) / sum_k (a_(k) - mean)^2.
+    d = a_all  sum_k (a_(k) - m) g_(k) / sum_k (a_(k) - m)^2,    m the mean of the a_(k).
 
-Its covariance V comes from the pulls of tiles. Where d exceeds chance, by an F test of the mean m
-of d^2 / V over the codes, lambda d = (1 - 1 / m) d is taken off (James & Stein 1961). Whether d is
+Its covariance V comes from the pulls of tiles. Where d exceeds chance, by an F test of the mean q
+of d^2 / V over the codes, lambda d = (1 - 1 / q) d is taken off (James & Stein 1961). Whether d is
 a bias at all stays in doubt, with those weights: the covariance grows by lambda^2 V + lambda (1 -
 lambda) d d^T. Nothing is taken off where activity goes with the codes, as on a ramp, or is alike
-everywhere; nor from images out of register, whose errors grow with the steepness of the scene, and
-not by such a law.
+everywhere; nor from images out of register, whose errors are not proportional to a.
 """
 
 from collections.abc import Sequence
@@ -30,23 +29,25 @@ from .solve import Solution, equations_of, inverse
 
 FEWEST_CLASSES = 3
 CHANCE = 0.975  # of the F test
-QUIET = 2.0  # times the noise of the flattest places, up to which steep ones are in register
+QUIET = 2.0  # times the noise of the quietest places, up to which all are in register
 APART = 0.5  # of the mean activity, its deviation at a code, from which it shows its effect
 
 
-def in_register(noises: Sequence[NoiseModel | None]) -> bool:
-    """Whether steep places are as quiet as flat ones: twice the noise is misregistration.
+def in_register(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
+    """Whether the classes of steepness are about as quiet: twice the noise is misregistration.
 
     Args:
         noises: of the classes of steepness; None for one that was given up.
+        rounding: variance of ln X at mid-scale that the interval of a code adds.
 
     Returns:
         Whether they are.
     """
     if any(noise is None for noise in noises):
         return False
-    middle = [float(noise_variance(noise, np.zeros(1))[0]) for noise in noises if noise is not None]
-    return max(middle) <= QUIET**2 * min(middle)
+    at = np.zeros(1)  # mid-scale
+    variances = [float(noise_variance(n, at)[0]) + rounding for n in noises if n is not None]
+    return max(variances) <= QUIET**2 * min(variances)
 
 
 def to_flat_places(
@@ -77,13 +78,14 @@ def to_flat_places(
     used = np.flatnonzero(share > 0)
     if len(used) < FEWEST_CLASSES or len(cells) < 2:
         return found
-    if _told_apart(np.array([np.diagonal(kind)[:size] for kind in matrices]), activity) < APART:
+    weights = np.array([np.diagonal(matrices[k])[:size] for k in used])
+    share, activity = share[used] / share.sum(), activity[used]
+    average = share @ activity
+    if not _told_apart(weights, activity) >= APART * average > 0:
         return found
-    share = share[used] / share.sum()
-    mean = share @ activity[used]
-    without = (mean - share * activity[used]) / (1 - share)
+    without = (average - share * activity) / (1 - share)
     slope = without - without.mean()
-    slope *= mean / (slope @ slope)
+    slope *= average / (slope @ slope)
 
     at = np.concatenate([found.means, found.free])
     pulls = np.array([[cell.right - cell.matrix @ at for cell in tile] for tile in each])
@@ -98,13 +100,13 @@ def to_flat_places(
 
 
 def _told_apart(weights: np.ndarray, activity: np.ndarray) -> float:
-    """Standard deviation of the activity among observations of one code, by its mean: small where
-    codes go with places, as on a ramp, and where all places are alike. The median over codes, under
-    weights (classes, bins)."""
+    """Standard deviation of the activity among observations of one code: small where codes go with
+    places, as on a ramp, and where all places are alike. The median over codes, under weights
+    (classes, bins)."""
     seen = weights[:, weights.sum(axis=0) > 0]
     mean = activity @ seen / seen.sum(axis=0)
     variance = activity**2 @ seen / seen.sum(axis=0) - mean**2
-    return float(np.sqrt(np.median(variance)) / (activity @ seen.sum(axis=1) / seen.sum()))
+    return float(np.sqrt(np.median(np.maximum(variance, 0))))
 
 
 def _less(
@@ -117,7 +119,7 @@ def _less(
     beyond = np.mean((departure[seen] / deviation[seen]) ** 2)
     alike = by_tile[:, seen] / deviation[seen]
     freedom = np.count_nonzero(seen) ** 2 / np.sum((alike @ alike.T) ** 2)
-    if beyond < fdtri(freedom, len(by_tile) - 1, CHANCE):
+    if not beyond >= fdtri(freedom, len(by_tile) - 1, CHANCE):
         return found
     weight = 1 - 1 / beyond
     covariance = found.covariance.copy()

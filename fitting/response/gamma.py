@@ -280,7 +280,7 @@ def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
     matrix = curve.statistics.matrix
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     of_gamma = np.concatenate([_least_squares(curve, column) * column, log_t])
-    of_curve = np.concatenate([curve.bin_means, log_t])
+    of_curve = np.concatenate([curve.bin_means + curve.busy_places, log_t])
     return max(1.0, float((of_gamma @ matrix @ of_gamma) / (of_curve @ matrix @ of_curve)))
 
 

@@ -25,7 +25,8 @@ class Layout:
 
     Attributes:
         steepness: (pixels,) squared slope of ln(code - black), per pixel squared.
-        activity: (pixels,) variance of ln(code - black) over the 24 pixels around.
+        activity: (pixels,) variance of ln(code - black) over the 24 pixels around, noise aside;
+            below 0 where that is more.
         rows: (pixels,).
         columns: (pixels,).
     """
@@ -66,6 +67,7 @@ def layout_of(
     """
     z = np.arange(int(codes.max()) + 1, dtype=np.float32)
     logarithm = np.log(np.maximum(z - np.float32(black), 0.5))
+    logarithm -= logarithm[-1] / 2  # squares lose fewer digits
     height = np.maximum(np.minimum(z - np.float32(black), np.float32(clip) - z), 0)
     hat = height / max(float(height.max()), 1.0)
     square, activity, total, twice = np.zeros((4, *codes.shape[1:]), np.float32)
@@ -81,7 +83,7 @@ def layout_of(
         activity += weight * (_around(one * other) - _around(one) * _around(other))
         twice += weight
     square /= np.where(total > 0, total, 1)
-    activity = np.maximum(activity, 0) / np.where(twice > 0, twice, 1)
+    activity /= np.where(twice > 0, twice, 1)
     rows, columns = np.nonzero(mask)
     return Layout(square[mask], activity[mask], rows, columns)
 

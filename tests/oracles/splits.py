@@ -27,7 +27,7 @@ def fitted(
 ) -> ResponseCurve:
     """The curve of 8-bit codes (exposures, h, w) under a mask."""
     layout = layout_of(codes, mask, black=black, clip=clip)
-    codes = clear_of_clipping(codes, clip)
+    codes = clear_of_clipping(codes, clip, mask=mask)
     return fit_response_curve(codes[:, mask], times, bits=8, black=black, clip=clip, layout=layout)
 
 
