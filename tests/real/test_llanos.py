@@ -32,7 +32,7 @@ def test_linear_camera_has_gamma_one(data_folder, tmp_path):
     for channel in bright:
         gamma = channel.gamma.gamma
         assert abs(gamma.value - 1) < 2.5 * gamma.standard_error
-        assert gamma.standard_error < 0.006  # the dark codes that nothing dithers are not counted
+        assert gamma.standard_error < 0.008  # .005 while dark codes counted that nothing dithers
         assert largest_departure(channel.curve, channel.gamma.departure)[0] < 0.04
     # The truth has an error of its own: 1 % between two codes is so much of an exponent.
     of_truth = LINEARITY / np.log(255 / DARKEST)
