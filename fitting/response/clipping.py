@@ -21,7 +21,7 @@ FEWEST_CLIPPED = 50  # pixels, to tell the code of the shorter exposure that cli
 BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
 INTERVALS = 256  # of codes of the shorter exposure, within which they count as one
 SIDE, FEWEST_TILES = 4, 4  # tiles along either side of a picture; that must hold such pixels
-CHANCE = 0.03  # of a plane whose peaks do not hide
+CHANCE = 0.05  # of a plane whose peaks do not hide
 
 
 def clear_of_clipping(
