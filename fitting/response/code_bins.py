@@ -36,6 +36,20 @@ class CodeBins:
         above = np.maximum(self.edges[:-1] - self.black, (self.centres - self.black) / 4)
         return (np.log(above) + np.log(self.edges[1:] - self.black)) / 2
 
+    def pace(self, codes: Float[np.ndarray, " codes"]) -> Float[np.ndarray, " codes"]:
+        """Ticks for each DN of a clock in which measured curves are about equally rough all along:
+        1 / z + sqrt(F) / (F - z)^1.5, F being full scale (z counted from black).
+
+        Args:
+            codes: DN, above black.
+
+        Returns:
+            Of the same shape.
+        """
+        z = codes - self.black
+        full = self.edges[-1] - self.black + 0.5
+        return 1 / z + np.sqrt(full) / (full - z) ** 1.5
+
     @property
     def middle(self) -> int:
         """The bin at mid-scale, where g = 0."""

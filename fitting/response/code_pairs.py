@@ -29,6 +29,8 @@ from .code_bins import CodeBins
 from .weights import Observations, WeightRule, observe
 
 CHUNK = 1 << 16  # pixels held in floating point at a time
+FLAT = 1e-3  # logarithm of a ratio of densities below which they are equal
+SMOOTHED = 0.3  # over what share of a code its exponent is smoothed; of the rest, near white
 
 
 @dataclass(frozen=True)
@@ -116,14 +118,14 @@ def statistics_of_parts(
     chi_square = np.sum([sums.chi_square for sums in every], axis=0)
     scale = chi_square / np.maximum(np.sum([sums.free for sums in every], axis=0), 1)
     noisy = scale @ np.sum([sums.noisy for sums in every], axis=0)
-    return [_statistics(sums, scale, noisy, means) for sums in every]
+    return [_statistics(sums, scale, noisy, bins, means) for sums in every]
 
 
 def _statistics(
-    sums: "_Sums", scale: np.ndarray, noisy: np.ndarray, means: np.ndarray
+    sums: "_Sums", scale: np.ndarray, noisy: np.ndarray, bins: CodeBins, means: np.ndarray
 ) -> PairStatistics:
     curve = (sums.curve + sums.curve.T) / 2
-    pull = _pull_of_noise(scale @ sums.noisy, noisy, means)
+    pull = _pull_of_noise(scale @ sums.noisy, noisy, bins, means)
     return PairStatistics(
         matrix=np.block([[curve, sums.mixed], [sums.mixed.T, sums.times]]),
         score=np.concatenate([pull + scale @ sums.bias, scale @ sums.time_bias]),
@@ -212,11 +214,35 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
     sums.bias += np.bincount(places, bias.ravel(), classes * bins).reshape(classes, bins)
 
 
-def _pull_of_noise(noisy: np.ndarray, of_all: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """sum (noise share) h' / g' as a vector over h, h' being taken between neighbouring bins that
-    both hold observations: their harmonic mean, which is shared out among sets of pixels."""
-    both = of_all[:-1] + of_all[1:]
-    both = np.where(both > 0, both, 1)
-    below, above = of_all[:-1] / both, of_all[1:] / both
-    between = 2 * (above**2 * noisy[:-1] + below**2 * noisy[1:]) / np.diff(means)
-    return -np.diff(between, prepend=0, append=0)
+def _pull_of_noise(
+    noisy: np.ndarray, of_all: np.ndarray, bins: CodeBins, means: np.ndarray
+) -> np.ndarray:
+    """sum (noise share) h' / g' as a vector over h, which steps where a bin ends: by the density of
+    observations there, exact where it grows or falls exponentially across both bins. Sets of
+    pixels share it out."""
+    width = np.diff(bins.edges)
+    below, above = of_all[:-1] / width[:-1], of_all[1:] / width[1:]
+    both = (below > 0) & (above > 0)
+    below, above = np.where(both, below, 1), np.where(both, above, 1)
+    density = np.where(both, np.sqrt(below * above) / _mean_over_centre(below, above), 0)
+    shared = (noisy[:-1] / width[:-1] / below + noisy[1:] / width[1:] / above) / 2
+    at_ends = shared * density / _slope_at_ends(means, bins)
+    return -np.diff(at_ends, prepend=0, append=0)
+
+
+def _mean_over_centre(below: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """Mean of an exponential over an interval at whose ends it has two values, over its value in
+    the middle."""
+    half = np.log(above / below) / 2
+    far = np.abs(half) > FLAT
+    return np.where(far, np.sinh(half) / np.where(far, half, 1), 1)
+
+
+def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:
+    """dg / dcode where bins end, its exponent smoothed: a curve rough from noise has slopes that
+    err together with the noise they are to correct."""
+    apart, step = np.diff(bins.centres), np.diff(bins.log_codes)
+    clock = np.cumsum(apart * bins.pace(bins.edges[1:-1]))
+    near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHED) ** 2) / 2)
+    exponent = near @ (np.diff(means) / step) / near.sum(axis=1)
+    return exponent * step / apart

@@ -45,7 +45,16 @@ from .pixel_noise import NoiseModel, noise_variance
 from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
 from .shutter import Shutter, over_tau
-from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
+from .solve import (
+    COUNTED,
+    MOST_ROUNDS,
+    SHAKIEST,
+    STEADIEST,
+    Solution,
+    at_centres,
+    solve,
+    spread_of_times,
+)
 from .weights import APART, WeightRule, cells_of, coarsest, hat_rule, noise_rule
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
@@ -109,6 +118,13 @@ class ResponseCurve:
     @property
     def standard_error(self) -> Float[np.ndarray, " bins"]:
         return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def clustering(self) -> float:
+        """How many neighbouring pixels count as one because they err together; 1 where no more of
+        them than `COUNTED` would count anyway."""
+        limited = self.design_effect <= self.statistics.pixels / COUNTED
+        return 1.0 if limited else self.design_effect
 
     @property
     def half_width(self) -> Float[np.ndarray, " bins"]:

@@ -175,12 +175,12 @@ def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
-    shared = [c for c in channels if c.curve.design_effect > CLUSTERED]
+    shared = [c for c in channels if c.curve.clustering > CLUSTERED]
     if not shared:
         return ""
-    worst = max(shared, key=lambda c: c.curve.design_effect)
+    worst = max(shared, key=lambda c: c.curve.clustering)
     return (
-        f"Neighbouring pixels err together, up to {worst.curve.design_effect:.0f} counting as one "
+        f"Neighbouring pixels err together, up to {worst.curve.clustering:.0f} counting as one "
         f"({worst.plane.label or 'the grey channel'}): misregistration, motion, compression, or a "
         "response that depends on colour. The bands rest on how far parts of the picture, and "
         "exposures, agree."

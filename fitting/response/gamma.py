@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import chdtri
 
 from jaxvision.point_ops import srgb_decode
 
@@ -47,6 +48,7 @@ from .solve import shutter_basis, spread_of_times
 BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
+CHANCE = 0.05  # of a difference between weightings that is no more than their errors'
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
@@ -304,7 +306,12 @@ def _from_elsewhere(
     shifted = log_code_means(curve, shift=BLACK_STEP)
     moved = float(given_shutter(_gamma_sums(curve, shifted, dispersion, 0.0), tau).mean)
     of_black = ((moved - mean) / BLACK_STEP * black_sd) ** 2
-    excess = [(other - mean) ** 2 - variance for other, variance in _other_weightings(curve)]
+    likely = chdtri(1, CHANCE)
+    excess = [
+        (other - mean) ** 2 - variance
+        for other, variance in _other_weightings(curve)
+        if (other - mean) ** 2 > likely * variance
+    ]
     of_slope = (mean * slope_error(curve.noise)) ** 2
     return jnp.asarray(of_black + of_slope + max([0.0, *excess]), float)
 

@@ -9,7 +9,10 @@ Pixels that err together count as fewer: with u_k the gradient of tile k's energ
 
     phi = tr(C sum u_k u_k^T) / tr(C A) >= 1,    C = (A / phi + prior)^-1,
 
-is the factor (the design effect of survey sampling) by which A overstates what they know.
+is the factor (the design effect of survey sampling) by which A overstates what they know. It is at
+least one for each `COUNTED` pixels: what the corrections of the score leave over is the same in all
+of them. Without that limit, an evidence of ever more pixels takes what is left for roughness of the
+curve, and of 700,000 pixels of simulated cameras the 95 % bands held .2 to .9 of the codes.
 """
 
 from collections.abc import Sequence
@@ -29,6 +32,7 @@ ROUGHEST = 30.0  # a tenth of the median of the 201 measured curves: what is rou
 MOST_ROUNDS = 30  # of the hyperparameters
 SETTLED = 0.05  # step of the logarithm of the smoothness at which it has settled
 STEADIEST, SHAKIEST = 1e-6, 0.2  # shutter errors between no and no usable time
+COUNTED = 1 << 14  # pixels beyond which errors are the method's own, which more do not lessen
 BELIEVED = 0.02  # shutter error beyond which a bow of the offsets is rather a misfit of the curve
 
 
@@ -97,8 +101,8 @@ class Solution:
 def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
     """R of the prior energy smoothness g^T R g.
 
-    It sums squared increments of the local exponent dg / d ln(z - black), per tick of a clock that
-    runs as dz / z + sqrt(F) dz / (F - z)^1.5, F being full scale (z counted from black).
+    It sums squared increments of the local exponent dg / d ln(z - black), per tick of the bins'
+    clock.
 
     Args:
         bins: of codes.
@@ -106,10 +110,8 @@ def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
     Returns:
         (bins, bins).
     """
-    z = bins.centres - bins.black
-    full = bins.edges[-1] - bins.black + 0.5
-    step = 1 / np.diff(bins.log_codes)
-    clock = (z[2:] - z[:-2]) / 2 * (1 / z[1:-1] + np.sqrt(full) / (full - z[1:-1]) ** 1.5)
+    z, step = bins.centres, 1 / np.diff(bins.log_codes)
+    clock = (z[2:] - z[:-2]) / 2 * bins.pace(z[1:-1])
     increments = np.stack([step[:-1], -step[:-1] - step[1:], step[1:]]) / np.sqrt(clock)
     energy = np.zeros((len(z), len(z)))
     rows = np.arange(len(z) - 2)
@@ -161,7 +163,8 @@ def solve(
     right = np.sum([tile.right for tile in equations], axis=0)
     rough, size = roughness(bins), len(bins.centres)
     curve, errors = slice(0, size), slice(size, None)
-    hyper, free = start, basis.shape[1]
+    free, least_effect = basis.shape[1], sum(tile.pixels for tile in tiles) / COUNTED
+    hyper = replace(start, design_effect=max(start.design_effect, least_effect))
     while True:
         believed = min(hyper.shutter_error, max(BELIEVED, least_error))
         prior = np.zeros_like(matrix)
@@ -178,7 +181,10 @@ def solve(
         suggested = Hyperparameters(
             smoothness,
             tau,
-            _design_effect(equations, matrix, mean, covariance, hyper.design_effect),
+            max(
+                _design_effect(equations, matrix, mean, covariance, hyper.design_effect),
+                least_effect,
+            ),
         )
         rounds -= 1
         pace = smoothness / hyper.smoothness

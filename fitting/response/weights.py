@@ -17,7 +17,8 @@ from jaxtyping import Float, Int
 from .code_bins import CodeBins, interval_variance
 from .pixel_noise import NoiseModel, noise_variance
 
-LOOSEST = 0.2  # log standard deviation up to which terms of second order are a few percent
+LOOSEST = 0.15  # log standard deviation up to which terms of second order are a percent or two
+WIDEST = 0.2  # the same of a code that is looked at: far enough beyond, so that none is missed
 COARSEST = 0.015  # the same of rounding that no noise dithers, whose error all pixels share
 APART = 1.4  # step of ln t from which on coarse codes are the only partners of fine ones
 HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
@@ -36,7 +37,8 @@ class WeightRule:
         by_bin: (classes, bins) weight to start from, by observed code.
         start: log exposure of the first cell.
         step: between cells.
-        weight: (classes, cells); None where `by_bin` is the only weight.
+        precision: (classes, cells) 1 / variance; None where `by_bin` is the only weight.
+        weight: (classes, cells) of it what is used.
         share: (classes, cells) share of the variance that is independent of the light: noise, and
             rounding as far as noise dithers it.
         bias: (classes, cells) mean of weight times residual.
@@ -45,6 +47,7 @@ class WeightRule:
     by_bin: Float[np.ndarray, "classes bins"]
     start: float = 0.0
     step: float = 1.0
+    precision: Float[np.ndarray, "classes cells"] | None = None
     weight: Float[np.ndarray, "classes cells"] | None = None
     share: Float[np.ndarray, "classes cells"] | None = None
     bias: Float[np.ndarray, "classes cells"] | None = None
@@ -107,10 +110,10 @@ def noise_rule(
         The rule.
     """
     grid = np.linspace(means[0], means[-1], 4 * len(means))
-    absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(3))
+    absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(4))
     rows = [absent if n is None else _of_class(n, means, grid, coarsest) for n in noises]
-    by_bin, weight, share, bias = (np.stack(column) for column in zip(*rows, strict=True))
-    return WeightRule(by_bin, grid[0], grid[1] - grid[0], weight, share, bias)
+    by_bin, *tables = (np.stack(column) for column in zip(*rows, strict=True))
+    return WeightRule(by_bin, grid[0], grid[1] - grid[0], *tables)
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
@@ -131,27 +134,29 @@ def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
 
 def _of_class(
     noise: NoiseModel, means: np.ndarray, grid: np.ndarray, coarsest: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, ...]:
     interval = np.interp(grid, means, interval_variance(means))
     variance = np.minimum(noise_variance(noise, grid) + interval, 1e6)  # it grows as X^-2
     reach = MARGIN * np.sqrt(variance)
     independent = noise_variance(noise, grid)
     rounded = interval * undithered(independent / (12 * interval))
     fine = rounded < coarsest**2
-    sharp = (variance < LOOSEST**2) & (fine if fine.any() else True)
-    lowest = grid[np.argmax(sharp)]
-    inside = sharp & (grid - reach >= lowest) & (grid + reach <= grid[-1])
+    sharp = (variance - noise.relative < LOOSEST**2) & (variance < WIDEST**2)
+    sharp &= fine if fine.any() else True
+    clear = grid + reach <= grid[-1]
+    inside = sharp & clear
     if np.isfinite(coarsest) and inside.any():
         # A limit within a code would leave that code with light of one side alone.
         edges = (means[:-1] + means[1:]) / 2
         inside &= grid >= edges[np.searchsorted(edges[:-1], grid[np.argmax(inside)])]
     share = 1 - rounded / variance
     bias = interval * np.gradient(variance, grid) / variance**2 - independent / variance / 2
+    precision = np.pad(np.where(clear & (variance < WIDEST**2), 1 / variance, 0), 1)
     weight, share, bias = (
         np.pad(np.where(inside, column, 0), 1) for column in (1 / variance, share, bias)
     )
     of_bins = noise_variance(noise, means) + interval_variance(means)
-    return np.where(of_bins < LOOSEST**2, 1 / of_bins, 0), weight, share, bias
+    return np.where(of_bins < WIDEST**2, 1 / of_bins, 0), precision, weight, share, bias
 
 
 def undithered(
@@ -206,9 +211,11 @@ def observe(
     weights = np.where(binned >= 0, rough, 0)
     cells = np.zeros_like(binned)
     if rule.weight is not None:
-        predicted = weighted_mean(weights, by_each) + log_t[:, None]
-        cells = cells_of(rule, predicted, classes)
-        weights = np.where(weights > 0, rule.weight.ravel()[cells], 0)
+        assert rule.precision is not None
+        for table in (rule.precision, rule.weight):
+            predicted = weighted_mean(weights, by_each) + log_t[:, None]
+            cells = cells_of(rule, predicted, classes)
+            weights = np.where(weights > 0, table.ravel()[cells], 0)
     linked = np.count_nonzero(weights, axis=0) >= 2
     weights, by_each = weights[:, linked], by_each[:, linked]
     log_irradiance = weighted_mean(weights, by_each)
