@@ -43,12 +43,14 @@ from .curve import ResponseCurve, slope_error
 from .left_out import without_effect
 from .mixture import Mixture
 from .shutter import SHUTTER_PRIOR, TABULATED, prior_of
-from .solve import shutter_basis, spread_of_times
+from .solve import BELIEVED, shutter_basis, spread_of_times
 
 BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
 CHANCE = 0.05  # of a difference between weightings that is no more than their errors'
+FEWEST_SHOWN = 3  # shutter errors that show, from which those of the free curve bound a gamma's
+BEYOND = 1.5  # times the shutter error of the free curve, the largest of its gamma
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
@@ -76,6 +78,7 @@ class GammaSums(eqx.Module):
         spread: sum of squares of the log exposure times about their mean.
         known: tau that is known beforehand, in quadrature beneath the fitted one; None for 0.
         added: variance of gamma from elsewhere: of black, of what is no noise, between weightings.
+        most: tau up to which it is believed.
     """
 
     cc: Float[Array, ""]
@@ -88,6 +91,7 @@ class GammaSums(eqx.Module):
     spread: Float[Array, ""]
     known: Float[Array, ""] | None
     added: Float[Array, ""]
+    most: Float[Array, ""]
 
 
 class GivenShutter(eqx.Module):
@@ -256,13 +260,14 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
     gamma, tau = to_natural(SPACE, vector)
     given = given_shutter(sums, tau)
     miss = (gamma - given.mean) ** 2 / given.variance
-    return (
+    density = (
         -miss / 2
         - jnp.log(given.variance) / 2
         + given.log_evidence
         + vector[0]
         + log_prior(space_of(sums.td.size), vector)
     )
+    return jnp.where(tau <= sums.most, density, -jnp.inf)
 
 
 def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -352,7 +357,16 @@ def _gamma_sums(
         spread=jnp.asarray(spread_of_times(curve.exposures), float),
         known=jnp.asarray(known, float) if known else None,
         added=jnp.zeros(()),
+        most=jnp.asarray(_most_of_shutter(curve, basis.shape[1]), float),
     )
+
+
+def _most_of_shutter(curve: ResponseCurve, free: int) -> float:
+    """tau up to which it is believed: where a response is no gamma, shutters that are off by half
+    would make it one. Few errors that show do not bound those that do not."""
+    if free < FEWEST_SHOWN:
+        return TABULATED[1]
+    return max(BELIEVED, BEYOND * (curve.shutter_error or 0.0))
 
 
 @jax.jit
@@ -362,8 +376,7 @@ def _tabulate(sums: GammaSums, log_tau: Float[Array, " grid"]) -> GivenShutter:
 
 def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter]:
     """(grid of ln tau, its posterior weights, gamma at each)."""
-    low, high = TABULATED
-    log_tau = np.linspace(np.log(low), np.log(high), 1001)
+    log_tau = np.linspace(np.log(TABULATED[0]), np.log(float(sums.most)), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))
     known = space_of(sums.td.size)[1].prior
     prior = -(((log_tau - np.log(known.median)) / known.log_sd) ** 2) / 2
