@@ -13,14 +13,18 @@ from oracles.stacks import (
     srgb,
 )
 
+from fitting.response.calibration import calibrate
 from fitting.response.clipping import clear_of_clipping
 from fitting.response.code_bins import code_bins
 from fitting.response.code_pairs import pair_statistics, statistics_of_parts, total
 from fitting.response.curve import fit_response_curve, ripple
+from fitting.response.from_memory import from_stack
 from fitting.response.pixel_noise import NoiseModel
 from fitting.response.places import layout_of
+from fitting.response.section import section
 from fitting.response.solve import Hyperparameters, at_centres, roughness, shutter_basis, solve
 from fitting.response.weights import hat_rule, noise_rule, observe, undithered
+from fitting.rig import Camera
 from jaxvision.errors import InputError
 
 TIMES = 2.0 ** np.arange(-4, 5)
@@ -397,6 +401,26 @@ def test_codes_three_stops_apart_keep_a_pure_gamma():
         assert np.abs(gap[judged]).max() < 0.003
 
 
+def test_what_visible_peaks_leave_is_fitted_where_hidden_ones_leave_too_little(monkeypatch):
+    """And the report says that bright codes may be too low."""
+    codes = processed_stack(gamma(2.2), STOPS, np.random.default_rng(1002), blurred=0.6)
+    calls = []
+
+    def refuses_once(*args, **keywords):
+        calls.append(args)
+        if len(calls) == 1:
+            raise InputError("too few")
+        return fit_response_curve(*args, **keywords)
+
+    monkeypatch.setattr("fitting.response.calibration.fit_response_curve", refuses_once)
+    calibration = calibrate(from_stack(list(codes), STOPS, camera=Camera(bits=8)))
+    (channel,) = calibration.channels
+    assert channel.hidden_peaks
+    assert not channel.clear_of_hidden
+    assert np.count_nonzero(calls[1][0] != calls[0][0]) > 0
+    assert any("bright codes may be too low" in s for s in section(calibration).findings)
+
+
 @pytest.mark.parametrize("shape", ["s", "linear"])
 def test_bands_hold_the_curve_of_a_large_picture(shape):
     """Of 700,000 pixels as of 20,000: what corrections leave over took over with ever more pixels,
@@ -407,9 +431,9 @@ def test_bands_hold_the_curve_of_a_large_picture(shape):
 
 
 def test_a_curve_that_falls_is_refused():
-    """A linear camera at three stops and much noise: the fit ends e^2 off, and knows it."""
-    times, rng = 8.0 ** np.arange(-2, 2), np.random.default_rng(0)
-    _, codes = exposure_stack(gamma(1.0), times, rng, full_well=8000.0, read_noise=8.0)
+    """A linear camera at 2.6 stops and much noise: the fit ends far off, and knows it."""
+    times = 6.0 ** np.arange(-2, 2)
+    _, codes = exposure_stack(gamma(1.0), times, np.random.default_rng(8), full_well=2000.0)
     with pytest.raises(InputError, match=r"falling exposure, by .* exposures a stop from these"):
         fit_response_curve(codes, times, bits=8)
 

@@ -29,7 +29,7 @@ from .code_bins import CodeBins
 from .weights import Observations, WeightRule, observe
 
 CHUNK = 1 << 16  # pixels held in floating point at a time
-FLAT = 1e-3  # logarithm of a ratio of densities below which they are equal
+FLAT = 1e-3  # x below which sinh(x) / x is 1
 SMOOTHED = 0.3  # over what share of a code its exponent is smoothed; of the rest, near white
 
 
@@ -118,17 +118,20 @@ def statistics_of_parts(
     chi_square = np.sum([sums.chi_square for sums in every], axis=0)
     scale = chi_square / np.maximum(np.sum([sums.free for sums in every], axis=0), 1)
     noisy = scale @ np.sum([sums.noisy for sums in every], axis=0)
-    return [_statistics(sums, scale, noisy, bins, means) for sums in every]
+    pull = _pull_of_noise(noisy, bins, means)
+    return [_statistics(sums, scale, pull) for sums in every]
 
 
 def _statistics(
-    sums: "_Sums", scale: np.ndarray, noisy: np.ndarray, bins: CodeBins, means: np.ndarray
+    sums: "_Sums", scale: np.ndarray, pull: tuple[np.ndarray, np.ndarray]
 ) -> PairStatistics:
     curve = (sums.curve + sums.curve.T) / 2
-    pull = _pull_of_noise(scale @ sums.noisy, noisy, bins, means)
+    noisy, (below, above) = scale @ sums.noisy, pull
+    at_ends = below * noisy[:-1] + above * noisy[1:]
+    of_noise = -np.diff(at_ends, prepend=0, append=0)
     return PairStatistics(
         matrix=np.block([[curve, sums.mixed], [sums.mixed.T, sums.times]]),
-        score=np.concatenate([pull + scale @ sums.bias, scale @ sums.time_bias]),
+        score=np.concatenate([of_noise + scale @ sums.bias, scale @ sums.time_bias]),
         pixels=sums.pixels,
         observations=sums.observations,
         chi_square=float(sums.chi_square.sum()),
@@ -215,27 +218,28 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
 
 
 def _pull_of_noise(
-    noisy: np.ndarray, of_all: np.ndarray, bins: CodeBins, means: np.ndarray
-) -> np.ndarray:
-    """sum (noise share) h' / g' as a vector over h, which steps where a bin ends: by the density of
-    observations there, exact where it grows or falls exponentially across both bins. Sets of
-    pixels share it out."""
+    of_all: np.ndarray, bins: CodeBins, means: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What noise below and above each end of a bin adds to sum (noise share) h' / g', h stepping
+    there: by the density of observations at the end, exact where it grows or falls exponentially
+    across both bins. Half of it is laid to either bin, so that sets of pixels share it out."""
     width = np.diff(bins.edges)
-    below, above = of_all[:-1] / width[:-1], of_all[1:] / width[1:]
+    near, far = width[:-1], width[1:]
+    below, above = of_all[:-1] / near, of_all[1:] / far
     both = (below > 0) & (above > 0)
     below, above = np.where(both, below, 1), np.where(both, above, 1)
-    density = np.where(both, np.sqrt(below * above) / _mean_over_centre(below, above), 0)
-    shared = (noisy[:-1] / width[:-1] / below + noisy[1:] / width[1:] / above) / 2
-    at_ends = shared * density / _slope_at_ends(means, bins)
-    return -np.diff(at_ends, prepend=0, append=0)
+    rate = 2 * np.log(above / below) / (near + far)
+    left = np.log(below / _mean_over_centre(rate * near / 2))
+    right = np.log(above / _mean_over_centre(rate * far / 2))
+    density = np.exp((far * left + near * right) / (near + far))
+    at_ends = np.where(both, density / _slope_at_ends(means, bins) / 2, 0)
+    return at_ends / (below * near), at_ends / (above * far)
 
 
-def _mean_over_centre(below: np.ndarray, above: np.ndarray) -> np.ndarray:
-    """Mean of an exponential over an interval at whose ends it has two values, over its value in
-    the middle."""
-    half = np.log(above / below) / 2
-    far = np.abs(half) > FLAT
-    return np.where(far, np.sinh(half) / np.where(far, half, 1), 1)
+def _mean_over_centre(x: np.ndarray) -> np.ndarray:
+    """sinh(x) / x: the mean of an exponential over an interval, over its value in the middle."""
+    far = np.abs(x) > FLAT
+    return np.where(far, np.sinh(x) / np.where(far, x, 1), 1)
 
 
 def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:

@@ -45,16 +45,7 @@ from .pixel_noise import NoiseModel, noise_variance
 from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
 from .shutter import Shutter, over_tau
-from .solve import (
-    COUNTED,
-    MOST_ROUNDS,
-    SHAKIEST,
-    STEADIEST,
-    Solution,
-    at_centres,
-    solve,
-    spread_of_times,
-)
+from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
 from .weights import APART, WeightRule, cells_of, coarsest, hat_rule, noise_rule
 
 PILOT_PIXELS = 2048  # of a class of steepness: enough for its noise model and a first curve
@@ -85,8 +76,10 @@ class ResponseCurve:
         shutter_offsets: (exposures,) delta_j, beyond what any curve absorbs.
         shutter_offset_errors: (exposures,) their standard errors.
         shutter_error: tau; None where the data show none.
+        shutter_bound: tau that it lies below by 95 %.
         smoothness: precision of the prior.
         design_effect: phi, how many pixels count as one.
+        clustering: the same of neighbours that err together, were there no limit to what counts.
         noise: of the pixels, in the flattest places.
         statistics: of the pairs of codes, all that the pixels say.
         held_out: how well each exposure is predicted without it; None with fewer than three.
@@ -104,8 +97,10 @@ class ResponseCurve:
     shutter_offsets: Float[np.ndarray, " exposures"]
     shutter_offset_errors: Float[np.ndarray, " exposures"]
     shutter_error: float | None
+    shutter_bound: float
     smoothness: float
     design_effect: float
+    clustering: float
     noise: NoiseModel
     statistics: PairStatistics
     held_out: HeldOut | None
@@ -118,13 +113,6 @@ class ResponseCurve:
     @property
     def standard_error(self) -> Float[np.ndarray, " bins"]:
         return np.sqrt(np.diagonal(self.covariance))
-
-    @property
-    def clustering(self) -> float:
-        """How many neighbouring pixels count as one because they err together; 1 where no more of
-        them than `COUNTED` would count anyway."""
-        limited = self.design_effect <= self.statistics.pixels / COUNTED
-        return 1.0 if limited else self.design_effect
 
     @property
     def half_width(self) -> Float[np.ndarray, " bins"]:
@@ -337,6 +325,11 @@ def _shutter_error(found: Solution, log_t: np.ndarray, least_error: float) -> fl
     return found.suggested.shutter_error if shaky else None
 
 
+def _bound(shutter_error: float, free: int) -> float:
+    """tau below which it lies by 95 %, of the rms of so many errors."""
+    return shutter_error * float(np.sqrt(free / chdtri(free, SIGNIFICANCE))) if free else np.inf
+
+
 def _by_the_images(found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Score and information of the images on free shutter errors, without their prior."""
     precision, size = np.linalg.inv(found.free_covariance), len(found.means)
@@ -387,8 +380,10 @@ def _curve(
         shutter_offsets=found.delta,
         shutter_offset_errors=np.sqrt(np.maximum(np.diagonal(spread), 0)),
         shutter_error=tau,
+        shutter_bound=_bound(likely, len(found.free)),
         smoothness=found.used.smoothness,
         design_effect=found.used.design_effect,
+        clustering=whole.clustering,
         noise=noise,
         statistics=statistics,
         held_out=held_out,

@@ -23,7 +23,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.special import chdtri
 
 from jaxvision.point_ops import srgb_decode
 
@@ -48,9 +47,7 @@ from .solve import BELIEVED, shutter_basis, spread_of_times
 BLACK_STEP = 0.1  # DN by which black is moved to see what it does to gamma
 EDGES = 0.05, 0.95  # of the range of codes, between which weightings are compared
 FEWEST_CODES = 10
-CHANCE = 0.05  # of a difference between weightings that is no more than their errors'
 FEWEST_SHOWN = 3  # shutter errors that show, from which those of the free curve bound a gamma's
-BEYOND = 1.5  # times the shutter error of the free curve, the largest of its gamma
 GAMMA = Parameter("gamma", symbol="γ", unit="", transform="log")
 SHUTTER_ERROR = Parameter(
     "shutter_error", symbol="τ", unit="relative", transform="log", prior=SHUTTER_PRIOR
@@ -78,7 +75,7 @@ class GammaSums(eqx.Module):
         spread: sum of squares of the log exposure times about their mean.
         known: tau that is known beforehand, in quadrature beneath the fitted one; None for 0.
         added: variance of gamma from elsewhere: of black, of what is no noise, between weightings.
-        most: tau up to which it is believed.
+        most: fitted tau up to which it is believed.
     """
 
     cc: Float[Array, ""]
@@ -311,12 +308,7 @@ def _from_elsewhere(
     shifted = log_code_means(curve, shift=BLACK_STEP)
     moved = float(given_shutter(_gamma_sums(curve, shifted, dispersion, 0.0), tau).mean)
     of_black = ((moved - mean) / BLACK_STEP * black_sd) ** 2
-    likely = chdtri(1, CHANCE)
-    excess = [
-        (other - mean) ** 2 - variance
-        for other, variance in _other_weightings(curve)
-        if (other - mean) ** 2 > likely * variance
-    ]
+    excess = [(other - mean) ** 2 - variance for other, variance in _other_weightings(curve)]
     of_slope = (mean * slope_error(curve.noise)) ** 2
     return jnp.asarray(of_black + of_slope + max([0.0, *excess]), float)
 
@@ -366,7 +358,7 @@ def _most_of_shutter(curve: ResponseCurve, free: int) -> float:
     would make it one. Few errors that show do not bound those that do not."""
     if free < FEWEST_SHOWN:
         return TABULATED[1]
-    return max(BELIEVED, BEYOND * (curve.shutter_error or 0.0))
+    return max(BELIEVED, curve.shutter_bound)
 
 
 @jax.jit

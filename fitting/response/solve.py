@@ -77,6 +77,7 @@ class Solution:
         suggested: hyperparameters for the next round.
         equations: of each tile.
         prior: (unknowns, unknowns), its precision.
+        clustering: phi by the tiles alone.
     """
 
     means: Float[np.ndarray, " bins"]
@@ -87,6 +88,7 @@ class Solution:
     suggested: Hyperparameters
     equations: tuple[Equations, ...]
     prior: Float[np.ndarray, "unknowns unknowns"]
+    clustering: float
 
     @property
     def delta(self) -> Float[np.ndarray, " exposures"]:
@@ -178,18 +180,12 @@ def solve(
         known = max(free - covariance[errors, errors].trace() / believed**2, 1e-3)
         smoothness = max(determined / (g @ rough @ g + determined / SMOOTHEST), ROUGHEST)
         tau = float(np.clip(np.sqrt(d @ d / known), least_error, max(SHAKIEST, least_error)))
-        suggested = Hyperparameters(
-            smoothness,
-            tau,
-            max(
-                _design_effect(equations, matrix, mean, covariance, hyper.design_effect),
-                least_effect,
-            ),
-        )
+        effect = _design_effect(equations, matrix, mean, covariance, hyper.design_effect)
+        suggested = Hyperparameters(smoothness, tau, max(effect, least_effect))
         rounds -= 1
         pace = smoothness / hyper.smoothness
         if rounds <= 0:
-            return Solution(g, d, covariance, basis, hyper, suggested, equations, prior)
+            return Solution(g, d, covariance, basis, hyper, suggested, equations, prior, effect)
         # The fixed point nears its end from one side, by a share of the way: two steps at once.
         ahead = float(np.clip(smoothness * pace, ROUGHEST, SMOOTHEST))
         hyper = replace(suggested, smoothness=ahead) if rounds > 1 else suggested

@@ -18,14 +18,14 @@ from .code_bins import CodeBins, interval_variance
 from .pixel_noise import NoiseModel, noise_variance
 
 LOOSEST = 0.15  # log standard deviation up to which terms of second order are a percent or two
-WIDEST = 0.2  # the same of a code that is looked at: far enough beyond, so that none is missed
+WIDEST = 0.2  # the same of codes that are looked at: those used stay clear of the others
 COARSEST = 0.015  # the same of rounding that no noise dithers, whose error all pixels share
 APART = 1.4  # step of ln t from which on coarse codes are the only partners of fine ones
 HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything is known
 HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
 OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
 HARMONICS = 16  # of rounding
-MARGIN = 3.0  # standard deviations that a predicted exposure stays clear of clipping
+MARGIN = 3.0  # standard deviations that a predicted exposure stays clear of what is not seen
 
 
 @dataclass(frozen=True)
@@ -141,17 +141,18 @@ def _of_class(
     independent = noise_variance(noise, grid)
     rounded = interval * undithered(independent / (12 * interval))
     fine = rounded < coarsest**2
-    sharp = (variance - noise.relative < LOOSEST**2) & (variance < WIDEST**2)
+    looked_at = variance < WIDEST**2
+    sharp = (variance - noise.relative < LOOSEST**2) & looked_at
     sharp &= fine if fine.any() else True
     clear = grid + reach <= grid[-1]
-    inside = sharp & clear
+    inside = sharp & clear & (grid - reach >= grid[np.argmax(looked_at)])
     if np.isfinite(coarsest) and inside.any():
         # A limit within a code would leave that code with light of one side alone.
         edges = (means[:-1] + means[1:]) / 2
         inside &= grid >= edges[np.searchsorted(edges[:-1], grid[np.argmax(inside)])]
     share = 1 - rounded / variance
     bias = interval * np.gradient(variance, grid) / variance**2 - independent / variance / 2
-    precision = np.pad(np.where(clear & (variance < WIDEST**2), 1 / variance, 0), 1)
+    precision = np.pad(np.where(clear & looked_at, 1 / variance, 0), 1)
     weight, share, bias = (
         np.pad(np.where(inside, column, 0), 1) for column in (1 / variance, share, bias)
     )

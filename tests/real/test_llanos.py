@@ -45,14 +45,12 @@ def test_linear_camera_has_gamma_one(data_folder, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.real
-def test_no_curve_rests_on_a_handful_of_pixels(data_folder, tmp_path, monkeypatch):
-    """Far from clipped peaks, the images of one green site agreed with 57 of 30,000 pixels alone;
-    what the visible peaks leave is fitted then."""
-    monkeypatch.setattr("fitting.response.clipping.CHANCE", 0.1)  # these sites have .06
+def test_no_curve_rests_on_a_handful_of_pixels(data_folder, tmp_path):
+    """The images of one green site once agreed with 57 of 30,000 pixels alone."""
     folder = write_bandpass_rig(data_folder, tmp_path, bands=("650nm",))
     calibration = calibrate_response(read_exposure_stack(load_rig(folder)))
     for channel in calibration.channels:
         assert channel.curve.statistics.pixels > 10_000
         assert channel.curve.held_out is not None
         assert channel.curve.held_out.mean < 5
-    assert any(c.hidden_peaks and not c.clear_of_hidden for c in calibration.channels)
+        assert abs(channel.gamma.gamma.value - 1) < 0.04  # .56 and .62 in dim sites once
