@@ -16,7 +16,12 @@ from oracles.stacks import (
 from fitting.response.calibration import calibrate
 from fitting.response.clipping import clear_of_clipping
 from fitting.response.code_bins import code_bins
-from fitting.response.code_pairs import pair_statistics, statistics_of_parts, total
+from fitting.response.code_pairs import (
+    _pull_of_noise,
+    pair_statistics,
+    statistics_of_parts,
+    total,
+)
 from fitting.response.curve import fit_response_curve, ripple
 from fitting.response.from_memory import from_stack
 from fitting.response.pixel_noise import NoiseModel
@@ -194,6 +199,22 @@ def test_sets_of_pixels_add_up_to_all_of_them():
     np.testing.assert_allclose(together.matrix, whole.matrix, atol=1e-9 * whole.matrix.max())
     np.testing.assert_allclose(together.score, whole.score, atol=1e-9 * np.abs(whole.score).max())
     assert together.pixels == whole.pixels
+
+
+@pytest.mark.parametrize("bits", [8, 12])
+@pytest.mark.parametrize("rate", [-3.0, 0.0, 5.0])
+def test_noise_pulls_by_the_density_at_the_ends_of_bins(bits, rate):
+    """Of a power law whose codes lie exponentially, in bins that at 12 bits are 1 to 16 wide."""
+    full = 2.0**bits - 1
+    bins = code_bins(bits, 0.0, full)
+    falling = np.exp(rate * bins.edges / full)
+    counts = np.diff(falling) * full / rate if rate else np.diff(bins.edges)
+    below, above = _pull_of_noise(counts, bins, 1.8 * bins.log_codes)
+    found = below * counts[:-1] + above * counts[1:]
+    inner = slice(1, -1)
+    far = bins.edges[inner] > 4  # below, the mean of ln code over a code is no mean of its ends
+    exact = falling[inner] * bins.edges[inner] / 1.8
+    np.testing.assert_allclose(found[far], exact[far], rtol=1e-3)
 
 
 def test_clipped_and_black_codes_weigh_nothing():
@@ -375,6 +396,26 @@ def test_smoothness_settles_from_either_side():
     assert low == pytest.approx(high, rel=0.2)
     for end in ends:
         assert end.suggested.smoothness == pytest.approx(end.used.smoothness, rel=0.1)
+
+
+def test_pixels_that_err_together_count_as_one(monkeypatch):
+    """However few of them count at most."""
+    monkeypatch.setattr("fitting.response.solve.COUNTED", 100)
+    _, codes = exposure_stack(CURVES["gamma 2.2"], TIMES, np.random.default_rng(4), pixels=2000)
+    bins = code_bins(8, 0.0, 255.0, count=60)
+    means = 2.2 * (bins.log_codes - bins.log_codes[bins.middle])
+    rule = noise_rule([NoiseModel(1e-4, 1e-4, 1e-6)], means)
+    found = []
+    for copies in (1, 8):
+        repeated, one = np.repeat(codes, copies, axis=1), np.zeros(2000 * copies, int)
+        parts = np.array_split(np.arange(len(one)), 200)
+        tiles = statistics_of_parts(repeated, one, parts, np.log(TIMES), bins, rule, means)
+        counted = sum(tile.pixels for tile in tiles) / 100
+        start = Hyperparameters(1e4, 1e-3, counted)
+        found.append(solve(tiles, np.log(TIMES), bins, start))
+        assert found[-1].used.design_effect == found[-1].suggested.design_effect == counted
+    once, often = found
+    assert often.clustering == pytest.approx(8 * once.clustering, rel=1e-3)
 
 
 def test_rounding_follows_the_light_until_noise_dithers_it():

@@ -249,4 +249,4 @@ def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:
     clock = np.cumsum(apart * bins.pace(bins.edges[1:-1]))
     near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHED) ** 2) / 2)
     exponent = near @ (np.diff(means) / step) / near.sum(axis=1)
-    return exponent * step / apart
+    return exponent / (bins.edges[1:-1] - bins.black)
