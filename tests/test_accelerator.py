@@ -69,6 +69,7 @@ LONG = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("compute", [paths, filtered, *LONG])
 def test_an_accelerator_finds_the_same(compute, monkeypatch):
     apart = 1e-12 if jax.default_backend() == "cpu" else 1e-9

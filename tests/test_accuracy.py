@@ -203,6 +203,7 @@ def test_with_a_wrong_reference_nothing_is_chosen(knob):
         choose(found, tolerance=0.05)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(("size", "whole"), [(1, False), (1, True), (10, False), (LENGTH, True)])
 def test_a_chosen_setting_meets_its_tolerance_with_fresh_seeds(size, whole):
     """In at least 95 of 100 trials, for results of one number too, whose errors scatter by their

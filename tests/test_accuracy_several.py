@@ -58,6 +58,7 @@ def measured(first=0):
     return problem, [curve(problem, knob, clock=clock, metrics=("rms",)) for knob in (DRAWS, DEPTH)]
 
 
+@pytest.mark.long
 def test_a_combination_meets_its_tolerance_with_fresh_seeds():
     """In at least 95 of 100 trials; biases add as they are, random errors in quadrature."""
     met = 0

@@ -181,6 +181,7 @@ def swept(room, *, stride=1):
     return {n: calls[n] for n in sorted(calls)[::stride]}
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("room", ROOMS)
 def test_eager_jit_vmap_loop_and_gradient(room):
     wrong = faults(swept(room, stride=STRIDE))

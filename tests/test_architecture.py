@@ -310,6 +310,7 @@ def loaded_by(program: str) -> tuple[set[str], str]:
 OF_TYPER = {"pydantic"}  # for options that are given
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(
     ("command", "arguments", "allowed"),
     [

@@ -119,6 +119,7 @@ def calibration(noisy_phong):
 # ---------------------------------------------------------------- fits
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("model", MODELS)
 def test_every_model_is_found_again(model):
     """Without noise nothing is left over, whichever incidence was left out."""

@@ -187,6 +187,7 @@ def test_what_cannot_be_is_refused():
         flat_covariances(jnp.zeros((17, 2)), jnp.asarray(1.0))
 
 
+@pytest.mark.long
 def test_slopes_are_those_of_the_series_also_without_an_effect():
     """d C_ij / d a_ij is mu^2 at a = 0, where a fit starts."""
     mu = jnp.asarray(1e4)

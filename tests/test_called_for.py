@@ -46,6 +46,7 @@ def traced(problem):
     return primitives(lambda v: log_likelihood(v, problem), vector)
 
 
+@pytest.mark.long
 def test_what_no_fit_can_see_is_not_traced():
     """The faint lamp and the lobe go, and of the likelihood the noise of rows; the lamp before
     the one that is fitted stays, so that its path leads where it did."""

@@ -339,6 +339,7 @@ def test_a_captured_picture_is_spread_by_diffraction():
     np.testing.assert_allclose(flat, cos4, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_what_bounces_is_what_the_integrator_finds():
     """A box of one floor and a shining wall: the radiance of paths, then the camera as ever."""
     wall = s.Surface(s.Quad([-2, 2, 0], [4.0, 0, 0], [0, 0, 4.0]), Lambert([0.1] * 3), [2.0] * 3)

@@ -211,6 +211,7 @@ NEAR = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
 def test_half_precision_is_kept_and_rounds_as_it_can(dtype):
     colour = jnp.asarray([0.1, 0.2, 0.3], dtype)

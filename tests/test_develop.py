@@ -290,6 +290,7 @@ def test_too_few_patches_are_refused():
 # ---------------------------------------------------------------- all of it
 
 
+@pytest.mark.long
 def test_the_stages_come_in_the_order_that_is_stated():
     """Each by its own function, one after the other; no two of them commute."""
     raw = 64 + 1000 * mosaic(IMAGE, bayer("GRBG"))

@@ -27,6 +27,7 @@ def toward(place):
     return jv.Pinhole(place, axes, 1.0, 0.024, resolution=(32, 32))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tolerance", [0.0, 1e-6, 0.01])
 def test_bands_are_joined_where_only_emission_shows(tolerance):
     """Shading normals of a mesh face away at its rim, where there is no ambient light: emission
@@ -46,6 +47,7 @@ def test_bands_are_joined_where_only_emission_shows(tolerance):
     assert (full.min(-1) == 0).any() == (full[..., 1] == 0).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tolerance", ["0.05DN", "0.2DN", "1DN"])
 def test_bands_never_stand_for_light_that_went_for_the_sensors_sake(tolerance):
     """Ambient light of a band that the sensor hardly sees may go for a tenth of a DN; that band,
@@ -101,6 +103,7 @@ def test_a_motion_of_what_is_free_leaves_nothing_out():
     assert all(np.isfinite(e.bound) for e in still if e.name.startswith("surfaces[1].material"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("gain", "offset", "read", "mean"),
     [(10.0, 16.0, 0.2, 1.0), (1.0, 3.0, 0.5, 2.0), (100.0, 150.0, 0.02, 1.0), (3.0, 0.0, 1.0, 0.3)],

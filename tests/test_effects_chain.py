@@ -109,6 +109,7 @@ def promised_and_actual(seed):
     return certificate.total, actual, len(names), len(names) + len(certificate.kept)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seeds", [range(1), pytest.param(range(140), marks=pytest.mark.slow)])
 def test_no_pixel_of_a_whole_chain_moves_by_more_than_promised(seeds):
     found = []

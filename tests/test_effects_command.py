@@ -44,6 +44,7 @@ def test_effects_are_listed(scene):
     assert found["shadows[0]"]["rank"] == "exact"
 
 
+@pytest.mark.long
 def test_what_each_takes_is_measured(scene):
     """A program for each effect but those that stay: what is absent, what has no lesser one."""
     status, said, _ = run("effects", scene, "--json", "--time")

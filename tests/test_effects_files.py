@@ -56,6 +56,7 @@ def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
     assert summary(certificate) in head
 
 
+@pytest.mark.long
 def test_light_traced_from_a_point_is_kept_where_a_mirror_gathers_it():
     """A lamp that shines at a mirror alone: it lights the floor by paths that start at the lamp."""
     floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))

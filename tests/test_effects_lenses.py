@@ -83,6 +83,7 @@ def test_what_a_lens_does_not_let_in_is_out_of_view():
         assert in_view(eye, Bodies(places, np.zeros((2, 1)))).tolist() == [True, False]
 
 
+@pytest.mark.long
 def test_what_blurs_into_the_picture_is_kept():
     """An emitter and a lamp beside the frame, far beyond the focus, full and pruned."""
     beside = 50 * SHAPE[1] / 2 * PITCH / image_of(1.0) + 0.45

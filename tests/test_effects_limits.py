@@ -97,6 +97,7 @@ def test_the_second_derivative_of_a_small_lamp():
     assert 11.99 < np.abs(second).max() < 12.01
 
 
+@pytest.mark.long
 def test_a_far_rectangle_is_bounded_closely_as_a_place():
     """Over a matt floor, by a fine rule: the bound is within 4 of what changes."""
     lamp = jv.RectangleLight([-0.1, -0.1, 4], [0, 0.2, 0], [0.2, 0, 0], [100.0])
@@ -141,6 +142,7 @@ def test_shadows_that_nobody_searches_save_nothing():
         assert shadows.saves == saves
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(
     "material",
     [

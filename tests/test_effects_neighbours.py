@@ -57,6 +57,7 @@ def test_wells_that_are_filled_on_the_way_pass_all_of_a_change_on():
     assert 8 * 0.004 < change <= bound
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "more",
     [
@@ -83,6 +84,7 @@ def test_rare_pixels_count_those_that_they_change(more, kind):
     assert more or promised == pytest.approx(fraction * 1600)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["rim", "distortion"])
 def test_a_lens_is_bounded_at_all_samples_of_a_pixel(part):
     """Its corners lie farther out than its middle, where the rim still passes all."""
@@ -109,6 +111,7 @@ def test_a_lens_is_bounded_at_all_samples_of_a_pixel(part):
     assert picture(view).max() <= reaching.irradiance[0]
 
 
+@pytest.mark.long
 def test_a_dark_lamp_hides_the_sky_in_a_mirror():
     """As a place it would not, so that it stays a rectangle."""
     mirror = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Mirror([0.9]))
@@ -150,6 +153,7 @@ def test_a_mirror_shows_the_lamps_that_lie_where_it_looks(shape, least):
     assert proved >= least * (40 - shown)
 
 
+@pytest.mark.long
 def test_an_opening_that_may_change_stays_that_of_the_lens():
     """A pinhole's f-number is the working one, which a lens in focus at 10 f exceeds by a ninth."""
     card = jv.Surface(jv.Quad([-0.3, -0.3, 0.5], [0, 0.6, 0], [0.6, 0, 0]), jv.Lambert([0.3]))

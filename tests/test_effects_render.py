@@ -32,6 +32,7 @@ def pruned(scene, tolerance="1%"):
     return effects.prune(scene, VIEW, tolerance, level=1.0)
 
 
+@pytest.mark.long
 def test_what_was_dropped_left_nothing_in_the_program():
     """No search without occluders, no exponential without a lobe, one band where one tells all."""
     ramp = np.linspace(0.1, 1, 31)
@@ -142,6 +143,7 @@ def test_hundreds_of_surfaces_are_inspected_at_once():
     assert len(found) == 2 * 2 + 150 + 1
 
 
+@pytest.mark.long
 def test_a_lobe_goes_unless_its_surface_would_be_a_kind_of_its_own():
     """Lambert beside Phong is one program more than Phong alone."""
     dull, shiny = (jv.Phong([0.2], [specular], 20.0) for specular in (0.0, 0.1))

@@ -83,6 +83,7 @@ def test_a_noise_free_linear_camera_is_recovered():
         np.testing.assert_allclose(found[name], value, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.long
 def test_saturation_gives_capacity_snr_and_dynamic_range():
     camera = CameraTruth()
     measured, bright, _ = noise_free(camera, LIGHT, EXPOSURE)
@@ -149,6 +150,7 @@ def repeated():
     return eqx.filter_jit(eqx.filter_vmap(lambda m: evaluate(m, within)))(stacked)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [

@@ -210,6 +210,7 @@ def test_impulse_response_is_the_kernel():
         np.testing.assert_allclose(seen, expected, atol=1e-14)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("border", ["zero", "clamp", "mirror", "reflect_101", "wrap"])
 @pytest.mark.parametrize(("taps", "anchor"), [(3, None), (4, None), (4, (0,))])
 def test_signals_and_their_matrices(border, taps, anchor):
@@ -310,6 +311,7 @@ def test_derivative_of_large_kernels_one_for_each_band():
         np.testing.assert_allclose(got[i, j], (y * moved).sum((0, 1)), atol=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("border", ["zero", "clamp", "wrap", "mirror", "reflect_101", "extend"])
 def test_adjoint(border):

@@ -51,6 +51,7 @@ def level(data, likelihood=NOISY, parameter=FREE):
     return Problem({"a": parameter}, constant, likelihood, data, inputs=ONES)
 
 
+@pytest.mark.long
 def test_bands_of_inflated_noise_hold_new_data_and_their_middle_is_that_of_the_draws():
     """Noise three times as stated: a new datum scatters by sd sqrt(1 + 1 / n), inflated."""
     found = fit(level(2 + 0.3 * NOISE), misfit="inflate")
@@ -107,6 +108,7 @@ END = "of its range"
 WIDE = 0.1 * np.sqrt(COUNT)  # the mean of all data is known to .1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("parameter", "middle", "expected"),
     [
@@ -123,6 +125,7 @@ def test_an_end_is_near_in_standard_deviations(parameter, middle, expected):
     assert all(f"the {end} end" in s for end, s in zip(expected, told, strict=True))
 
 
+@pytest.mark.long
 def test_a_single_search_says_that_it_was_one():
     words = "no other start looked for a deeper optimum"
     problem = level(NOISE, Gaussian(1.0))
@@ -192,6 +195,7 @@ def test_groups_excuse_a_misfit_where_its_errors_are_theirs():
     assert grouped(offsets + noise, labels, misfit="inflate").converged
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("groups", [1, 3])
 def test_too_few_groups_excuse_nothing(groups):
     x = np.linspace(-1.0, 1.0, 30)
@@ -211,6 +215,7 @@ def mean_of_pairs(data, start):
     return fit(problem)
 
 
+@pytest.mark.long
 def test_groups_that_chance_explains_widen_intervals_and_the_words_say_so():
     """Two pairs, 2 apart: as two independent means, of which the standard error is 1, one half for
     four independent data; with one degree of freedom (scipy's one-sample t-test)."""
@@ -225,6 +230,7 @@ def test_groups_that_chance_explains_widen_intervals_and_the_words_say_so():
     assert "Student's t with 1 degree of freedom" in words
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("x64", [True, False])
 def test_groups_are_judged_alike_where_the_prediction_is_zero(x64):
     """Of a prediction that is zero but for rounding no step is a share: the errors hung on it."""
@@ -235,6 +241,7 @@ def test_groups_are_judged_alike_where_the_prediction_is_zero(x64):
     assert len({one.findings for one in found}) == 1
 
 
+@pytest.mark.long
 def test_errors_shared_by_groups_against_a_sandwich_in_numpy():
     """CR2 with Bell and McCaffrey's degrees of freedom, written out with the hat matrix."""
     labels, place = np.arange(240) % 6, np.linspace(-1.0, 1.0, 240)
@@ -264,6 +271,7 @@ def test_errors_shared_by_groups_against_a_sandwich_in_numpy():
         np.testing.assert_allclose((high - low) / 2, half, rtol=0.05)  # of 4,000 draws
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [0.3, 0.02])
 def test_a_bound_that_makes_a_posterior_no_gaussian_is_seen(size):
     """A parabola and a decay, all linear, the decay's size between 0 and 2: its quantiles beside
@@ -292,6 +300,7 @@ def test_a_bound_that_makes_a_posterior_no_gaussian_is_seen(size):
     np.testing.assert_allclose(reached, levels, atol=0.01)
 
 
+@pytest.mark.long
 def test_a_fitted_width_of_the_noise_needs_searches_that_agree():
     """A sine of which one search finds a wrong frequency, in noise as large as that needs."""
     time = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 120))
@@ -317,6 +326,7 @@ def test_a_fitted_width_of_the_noise_needs_searches_that_agree():
     assert (abs(together.values["cycles"] - 7.3) < 0.1) or not together.converged
 
 
+@pytest.mark.long
 def test_neighbours_are_those_by_input_in_whatever_order_data_came():
     """A parabola fitted by a line, its noise free: only the order of the inputs tells."""
     place = np.random.default_rng(0).permutation(np.linspace(-1.0, 1.0, 200))
@@ -327,6 +337,7 @@ def test_neighbours_are_those_by_input_in_whatever_order_data_came():
     assert "move together" in " ".join(fit(problem, starts=4).failures)
 
 
+@pytest.mark.long
 def test_rounding_of_data_on_the_model_itself_is_no_structure():
     x = np.linspace(-1, 1, 50)
     for sd, offset in ((0.01, 0.0), (1.0, 1e-4)):  # exact, and far below the noise
@@ -342,6 +353,7 @@ def test_rounding_of_data_on_the_model_itself_is_no_structure():
         assert any("scatter less than stated" in sentence for sentence in found.findings)
 
 
+@pytest.mark.long
 def test_groups_of_sensor_counts_with_a_pixel_of_no_light():
     """Whose residual has a slope to one side only."""
     sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=3.0, gain=0.5, offset=50.0)
@@ -450,6 +462,7 @@ def test_a_ball_under_students_t_is_found_from_all_over_its_bounds():
         assert abs(exponent.mean() - 25) < 4 * exponent.std() < 8
 
 
+@pytest.mark.long
 def test_one_of_many_optima_is_no_success():
     """A sine of unknown frequency in noise of its own size: the likelihood has some forty optima.
     A fit finds the truth, or says that it may have missed it."""

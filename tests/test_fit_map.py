@@ -94,6 +94,7 @@ def test_pixels_never_wait_for_each_other_s_threads(images):
     assert beside_each_other(run, jnp.asarray(flat)) == []
 
 
+@pytest.mark.long
 def test_pixels_that_only_bounds_determine_are_counted():
     """One datum of a line with 15 DN at 1 s: the rate lies between 0 and 15 DN/s, evenly."""
     rate = Parameter(lower=0, upper=15)
@@ -109,6 +110,7 @@ def test_pixels_that_only_bounds_determine_are_counted():
     assert found.sd["dark"][2] > 100 * found.sd["dark"][0]
 
 
+@pytest.mark.long
 def test_maps_are_written(maps, tmp_path):
     import xarray
 
@@ -148,6 +150,7 @@ def test_a_pixel_is_fitted_as_if_it_were_alone(likelihood, pixels):
         assert maps.chi_square[i] == pytest.approx(alone.misfit.chi_square, rel=1e-6)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("bounds", [{"start": 1.0}, {"lower": 0.0}, {"lower": 0.0, "upper": 20.0}])
 def test_seven_digits_end_where_sixteen_do(bounds):
     """To a ten-thousandth of the standard error, 0.5."""

@@ -82,6 +82,7 @@ exchanges = jax.jit(
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", RECTANGLES)
 def test_rectangles_anywhere_against_quadrature(case):
     first, second, gap = RECTANGLES[case]

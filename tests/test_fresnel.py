@@ -128,6 +128,7 @@ def test_schlick_is_near_the_truth_and_dispatch_picks_the_right_one():
     np.testing.assert_allclose(fresnel(Schlick([0.04]), c), both[0], atol=0.03)
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @both_precisions
 def test_gradients_are_finite_everywhere(dtype):

@@ -247,6 +247,7 @@ def test_the_reflectance_is_that_of_the_files(lab):
         np.testing.assert_array_equal(a.robustness.covariance, b.robustness.covariance)
 
 
+@pytest.mark.long
 def test_calibrations_find_their_optimum_where_jax_computes_in_single_precision():
     """All digits are there, whatever the script has set: as the commands compute."""
     with jax.enable_x64(False):

@@ -170,6 +170,7 @@ def ended(app, words):
     return "refused" if good else f"status {status}: {error[-WORDS:]!r}"
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*facets hide each other")
 def test_sound_files_are_read(tmp_path):
     """Else the damage is all that is refused."""

@@ -79,6 +79,7 @@ def test_a_ray_to_a_known_point_of_a_flat_shape_meets_it_there(make):
     np.testing.assert_allclose(as_array(hit.normal), expected, atol=1e-14)
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("make", [quad_points, disc_points])
 def test_a_ray_past_the_rim_of_a_flat_shape_misses_it(make):
@@ -160,6 +161,7 @@ def test_no_ray_leaves_a_closed_mesh(scale, searched, monkeypatch):
     assert (meets(ray).shape == 0).all()
 
 
+@pytest.mark.long
 def test_the_tree_and_the_loop_find_the_same_triangles(monkeypatch):
     pytest.importorskip("embreex")
     origins = 3 * unit(RNG.normal(size=(3000, 3)))

@@ -85,6 +85,7 @@ def test_family_is_a_delta():
     assert float((z > 0).mean()) == pytest.approx(reflectance(0.6, 1.5), abs=4 * 0.2 / 4000**0.5)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(("theta", "absorption"), [(0.0, None), (0.6, None), (0.6, 0.8)])
 def test_slab_in_closed_form(theta, absorption):
     """T = (1 - R)^2 a / (1 - R^2 a^2) of a slab that absorbs 1 - a along one crossing; without

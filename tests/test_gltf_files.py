@@ -70,6 +70,7 @@ def test_a_primitive_is_that_of_trimesh(tmp_path):
         read_mesh(tmp_path / "ball.glb", primitive=(1, 0))
 
 
+@pytest.mark.long
 def test_a_matt_floor_under_a_point(tmp_path):
     """c / pi I / d^2, with 683 cd as 1 W sr^-1."""
     np.testing.assert_allclose(
@@ -77,6 +78,7 @@ def test_a_matt_floor_under_a_point(tmp_path):
     )
 
 
+@pytest.mark.long
 def test_a_matt_floor_under_the_sun(tmp_path):
     """A node turned by 60 degrees about x, so that its -z meets the floor at a cosine of 0.5."""
     half = np.radians(60) / 2

@@ -127,6 +127,7 @@ def test_a_direction_near_the_axis_keeps_its_digits():
     np.testing.assert_allclose(w.x, np.sqrt(2e-10), rtol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_gradients_are_finite_at_the_edges(dtype):

@@ -36,6 +36,7 @@ def test_a_gaussian_is_left_to_laplace():
     assert not found.missed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [6, 10])
 def test_few_data_give_students_t(count):
     """A Gaussian's 95 % interval of 6 data is 2.57 / 1.96 times too narrow, and more."""

@@ -110,6 +110,7 @@ def a_map(shape):
     )
 
 
+@pytest.mark.long
 def test_a_map_shows_its_numbers_and_maps():
     shown = a_map((3, 4))
     assert cells(shown)[1] == ["height", "1.5", "[1.05, 1.95]", "0.1", "m²"]

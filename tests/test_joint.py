@@ -424,6 +424,7 @@ def large_ball(rng, **of_surface):
     return from_photographs(images, lights, **given)
 
 
+@pytest.mark.long
 def test_cells_are_wide_but_for_highlights_and_the_ends_of_the_scale():
     """Every pixel has one cell in an image; within a divided image no wide cell sees the lobe vary
     by more than a twentieth of its peak, and the finest are those of the width."""
@@ -599,6 +600,7 @@ def test_halves_that_differ_are_two_random_groups():
     assert widened(robust, close) is robust
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(("prnu", "stated"), [(0.0, None), (0.0, 0.0), (0.01, None)])
 def test_pixels_of_unequal_gains_are_named(prnu, stated):
     """Their size, from a fit that takes pixels for alike. Where none are seen gain and read noise

@@ -112,6 +112,7 @@ def test_what_bytes_cannot_hold_is_cut(compressed):
     )
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("rounding", ["straight_through", "cubic"])
 @pytest.mark.parametrize(("subsampling", "block"), [("4:4:4", 8), ("4:2:0", 16)])
 def test_nan_spreads_as_far_as_a_pixel_reaches(rounding, subsampling, block):

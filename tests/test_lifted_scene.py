@@ -50,6 +50,7 @@ def ball(colour_of, light):
     return jv.Scene(surface, jv.PointLight([1, -1, 0], light))
 
 
+@pytest.mark.long
 def test_a_lifted_scene_looks_as_in_rgb():
     """A ball by white light, in the bands and summed by the observer, against RGB's picture."""
     view = jv.Pinhole([0, 0, 0], np.eye(3), 1.0, 0.1, resolution=(8, 8))

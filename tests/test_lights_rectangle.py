@@ -107,6 +107,7 @@ def test_quadrature_and_random_samples_find_the_exact_irradiance(kind):
     np.testing.assert_allclose(drawn, truth, rtol=2e-3)
 
 
+@pytest.mark.long
 def test_random_samples_are_unbiased():
     point = below(0.3, 0.2)
     rules = jax.vmap(lambda key: irradiance(LAMP, point, UP, rule=MonteCarlo(key, 8))[0])

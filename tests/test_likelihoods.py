@@ -76,6 +76,7 @@ def test_log_of_student_and_its_slope_in_both_tails(dof):
     np.testing.assert_allclose(found[1], np.array(slopes, float), rtol=1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-12), (np.float32, 2e-6)])
 def test_student_of_endless_degrees_of_freedom_is_normal(dtype, tolerance):
     """In float64 to 40 deviations, where probabilities underflow, too."""
@@ -184,6 +185,7 @@ def fitted(likelihood, data):
     )
 
 
+@pytest.mark.long
 def test_outliers_count_for_little_in_student_t():
     data = 3 * LINE + 0.1 * RNG.standard_t(4, 200)
     data[::20] += 5
@@ -192,6 +194,7 @@ def test_outliers_count_for_little_in_student_t():
     assert not plain.converged
 
 
+@pytest.mark.long
 def test_outliers_of_saturated_data():
     """Either alone misses the slope: outliers pull a censored Gaussian, ends a robust line."""
     data = 3 * LINE + 0.3 * np.random.default_rng(0).standard_t(4, 200)
@@ -213,6 +216,7 @@ def test_saturated_data_bias_a_gaussian_and_not_a_censored_fit():
     assert abs(fitted(Gaussian(0.1), data).values["slope"] - 3) > 0.1
 
 
+@pytest.mark.long
 def test_groups_that_share_an_error_widen_the_intervals():
     """Offsets shared by 40 groups: the errors scatter as the clustered fit says, three times more
     than the independent one does."""
@@ -315,6 +319,7 @@ def test_the_probabilities_of_all_codes_are_those_of_a_plain_sum():
         np.testing.assert_allclose(np.exp(ours).sum(), 1, atol=1e-9)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(("light", "code"), [(0.01, 3.0), (0.01, 60.0), (300.0, 0.0), (2.0, 255.0)])
 def test_a_code_far_from_the_mean_has_its_probability(light, code):
     """Against 60 digits: dozens of standard deviations off, where no electron is near the code."""
@@ -368,6 +373,7 @@ def test_codes_are_whole_and_light_is_not_negative(clustered):
             likelihood.residuals(light, np.zeros(3), np.zeros(3))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "likelihood",
     [

@@ -253,6 +253,7 @@ def test_confidence_is_the_paper_s():
     assert np.abs(found - trimap.ravel())[trimap.ravel() != 0.5].max() > 0.01
 
 
+@pytest.mark.long
 def test_closed_form_finds_the_matte():
     """Where the colours of front and back follow lines in every window, the matte is exact."""
     front, behind = np.array([0.9, 0.5, 0.2]), np.array([0.1, 0.2, 0.6])
@@ -346,6 +347,7 @@ def energy(foreground, background, image, alpha, regularisation=1e-5):
     return total
 
 
+@pytest.mark.long
 def test_foreground_in_few_steps():
     """Near the least energy, and hidden colours are close to the true ones."""
     found = jax.jit(matting.estimate_foreground)(*arrays(SEEN, ALPHA))

@@ -23,6 +23,7 @@ def read(folder, *parts, version="3.0.0"):
         return read_scene(folder / "a.xml")
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", ["shapes", "lens", "lamps", "metals"])
 @pytest.mark.filterwarnings("ignore:.*facets hide each other")

@@ -160,6 +160,7 @@ def test_nan_in_gives_nan_out(room):
 STRIDE = 25  # of the functions that are quick to compile the default run sweeps each so many
 
 
+@pytest.mark.long
 def test_nan_in_gives_nan_out_of_some():
     rooms = ("brdf", "colour", "develop", "optics", "point_ops")
     calls = {name: call for room in rooms for name, call in examples_of(room).items()}

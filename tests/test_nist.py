@@ -132,6 +132,7 @@ SETS = {
 # fmt: on
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("name", SETS)
 def test_certified_estimates_and_standard_errors_return(name):
     regression = SETS[name]

@@ -47,6 +47,7 @@ def simulate(camera, *, seed=0, light=LIGHT, exposure=EXPOSURE, pixels=10_000, f
     return measurement_of(light, exposure, *rows, pixels=pixels, frames=frames, **options)
 
 
+@pytest.mark.long
 def test_more_electrons_than_photons_is_a_finding_and_no_sensor():
     """Photons stated ten times too low."""
     measurement = simulate(CameraTruth())
@@ -443,6 +444,7 @@ def test_sampling_agrees_with_laplace():
         assert abs(two.standard_error / one.standard_error - 1) < 0.1
 
 
+@pytest.mark.long
 def test_a_rig_gives_fixed_pattern_by_both_methods(tmp_path):
     camera = replace(CameraTruth(), dsnu=5.0, prnu=0.012)
     rng = np.random.default_rng(9)

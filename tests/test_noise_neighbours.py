@@ -107,6 +107,7 @@ def check(calibration, *, compression=0.0):
         assert "compression" not in chosen.values
 
 
+@pytest.mark.long
 def test_at_the_truth_all_residuals_are_standard():
     """Of means, variances and covariances; without the effect the last two are far off."""
     measurement = measured()

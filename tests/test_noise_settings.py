@@ -146,6 +146,7 @@ def settings_like(**given):
     return np.all([{"gain": ISO, "temperature": WARMTH}[k] == v for k, v in given.items()], axis=0)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(
     ("planted", "found"),
     [
@@ -263,6 +264,7 @@ def test_what_fails_is_said(camera):
     np.testing.assert_allclose(off.value, np.log(1.2), atol=4 * off.error)
 
 
+@pytest.mark.long
 def test_a_sensor_at_any_gain_and_temperature(camera, tmp_path):
     best, draws = sensor_at(camera, gain=400, temperature=293)
     at = camera.figures

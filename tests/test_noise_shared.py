@@ -99,6 +99,7 @@ def test_row_noise_widens_the_pattern():
     assert 0.8 < np.std(z) < 1.2
 
 
+@pytest.mark.long
 def test_a_calibration_names_row_noise():
     """7.5 e- of rows beside 6 e- of pixels: named with their sizes, the fit still linear."""
     rng, gain = np.random.default_rng(4), 0.25

@@ -144,6 +144,7 @@ def random_scene():
     return picture, jnp.asarray(rng.uniform(1.2, 6.0, size=SHAPE))
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("view", [ROUND, TRIANGLE], ids=["round", "triangle"])
 def test_scattering_keeps_the_light_and_the_others_a_flat_picture(view):

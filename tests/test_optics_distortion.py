@@ -152,6 +152,7 @@ GRID = np.meshgrid(np.arange(60.0), np.arange(80.0), indexing="ij")
 VIEW = s.Pinhole([0, 0, 0], EYE, 0.01, 1e-4, resolution=(60, 80), distortion=BARREL)
 
 
+@pytest.mark.long
 def test_pictures_are_bent_as_the_rays_are():
     """The picture of a function of the slope is that function along the distorted rays."""
 

@@ -88,6 +88,7 @@ def test_kernel_is_the_share_of_each_pixel(aperture, radius):
     np.testing.assert_allclose(kernel.sum(), 1, rtol=1e-14)
 
 
+@pytest.mark.sweep(rest="long")
 @each_aperture
 @pytest.mark.parametrize("radius", [0.03, 42.0])
 def test_kernel_keeps_its_digits(aperture, radius):
@@ -102,6 +103,7 @@ def test_kernel_keeps_its_digits(aperture, radius):
     np.testing.assert_allclose(kernel, wide, atol=max(1, 4 * radius) * 2.5e-7 * whole)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("radius", [0.4, 3.3, 12.0])
 def test_slopes_of_a_disc_by_its_radius(radius):
     def share(r):
@@ -169,6 +171,7 @@ def test_overlap_keeps_its_digits(centre, radius, area):
     np.testing.assert_allclose(got, area, rtol=2e-6)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("centre", [(1.2, 2.1), (1.4, 3.6), (0.9, 1.0), (-5.0, 1.0)])
 def test_slopes_of_the_overlap(centre):
     arguments = a(centre[0]), a(centre[1]), a(0.7), *AT

@@ -187,6 +187,7 @@ EXPECTED = {"spot": reflected, "disc": reflected_of_disc}
 # ------------------------------------------------ the integrators
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", KINDS)
 def test_direct_light_and_ray_trees(name):

@@ -60,6 +60,7 @@ def test_standard_deviations_hold():
     np.testing.assert_allclose((tilt**2).mean(), expected, rtol=0.06)
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("lights", [6, 8, 12, 40])
 @pytest.mark.parametrize("highlight", [0.0, 100.0])
 def test_leaving_out_what_contradicts_keeps_intervals_right(lights, highlight):

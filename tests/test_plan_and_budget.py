@@ -43,6 +43,7 @@ def estimator():
     return np.linalg.solve(rows.T @ (weight[:, None] * rows), rows.T * weight)
 
 
+@pytest.mark.long
 def test_the_budget_of_a_line_is_the_propagation_of_each_source(fitted):
     """Var = A Sigma A^T, source by source; a target of one's own with it."""
     weights = estimator()

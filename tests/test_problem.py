@@ -67,6 +67,7 @@ def test_least_squares_against_scipy(fitted):
 ENSEMBLE = {"posterior": "emcee", "sampling": SamplingOptions(walkers=8, block=50)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("options", [{}, ENSEMBLE], ids=["laplace", "emcee"])
 def test_a_second_fit_of_equal_shapes_compiles_nothing(options):
     """Nor where an ensemble ends after another number of steps."""
@@ -119,6 +120,7 @@ def test_the_posterior_of_a_line_with_priors_is_the_closed_form():
     np.testing.assert_allclose(np.diff(bands.interval_95[:, 0])[0] / 3.92, expected, rtol=0.1)
 
 
+@pytest.mark.long
 def test_a_bounded_parameter_against_its_posterior_on_a_grid():
     """A proportion near its end: the mode in u, and probabilities by quadrature over x."""
     problem = Problem(
@@ -162,6 +164,7 @@ def test_data_that_are_all_missing_are_refused():
         fit(decay_problem(np.full(60, np.nan)))
 
 
+@pytest.mark.long
 def test_a_missing_datum_counts_for_nothing(fitted):
     holes = np.where(np.arange(60) % 7 == 3, np.nan, DECAY)
     result = fit(decay_problem(holes), starts=2)
@@ -330,6 +333,7 @@ def test_a_record_s_value_begins_the_search_inside_the_bounds():
     assert seen.with_records(records).free[0].start == (2.0, 2.5, 3.0)
 
 
+@pytest.mark.long
 def test_a_wrong_optimum_is_no_success(fitted):
     """A sine of unknown frequency has many optima: from a start at one, the fit says so."""
     time = np.linspace(0, 10, 80)
@@ -349,6 +353,7 @@ def test_a_wrong_optimum_is_no_success(fitted):
     np.testing.assert_allclose(right.values["frequency"], 1.1, atol=5e-3)
 
 
+@pytest.mark.long
 def test_two_answers_that_fit_as_well_are_told():
     problem = Problem(
         {"a": Parameter(lower=-3, upper=3)},
@@ -361,6 +366,7 @@ def test_two_answers_that_fit_as_well_are_told():
     assert any("fit as well" in sentence for sentence in result.failures)
 
 
+@pytest.mark.long
 def test_what_only_the_prior_tells_is_told():
     problem = Problem(
         {"seen": Parameter(start=0.0), "unseen": Parameter(unit="DN", prior=Normal(5.0, 0.5))},
@@ -398,6 +404,7 @@ def test_arviz_and_the_report(fitted, tmp_path):
     assert "Before and after the data" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.long
 def test_the_file_of_draws_holds_what_arviz_is_given(tmp_path):
     arviz = pytest.importorskip("arviz")
     found = fit(
@@ -436,6 +443,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fitted, count):
             assert low <= found <= high
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("below", [1.0, 3.0])
 def test_intervals_at_a_bound_that_binds_are_not_those_of_a_flat_direction(below):
     """A positive number whose data lie below 0: the exact posterior is a truncated normal."""
@@ -468,6 +476,7 @@ def test_a_likelihood_of_another_shape_and_paths_within_paths_are_refused():
         )
 
 
+@pytest.mark.long
 def test_a_misfit_widens_what_the_data_say_and_not_the_prior():
     """Normal prior 1 +- .001 beside data that scatter three times as stated."""
     noise = np.random.default_rng(4).standard_normal(50)

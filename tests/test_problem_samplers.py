@@ -60,6 +60,7 @@ def test_draws_are_those_of_the_posterior_on_a_grid(posterior, sampling):
     assert 0 < result.draws["height"].min() < result.draws["height"].max() < 4
 
 
+@pytest.mark.long
 def test_a_chain_too_short_is_kept_and_reads_as_not_converged():
     options = SamplingOptions(walkers=8, steps=40, block=40)
     result = fit(problem(), starts=4, posterior="emcee", sampling=options)

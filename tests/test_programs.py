@@ -103,6 +103,7 @@ print(float(jnp.linspace(0, 1, 7).sum()))
 """
 
 
+@pytest.mark.long
 def test_half_written_programs_are_compiled_anew(untouched):
     def run():
         environment = dict(os.environ)

@@ -198,6 +198,7 @@ def test_half_of_an_element_in_the_shadow_is_half_as_bright():
 # ------------------------------------------------ radiosity
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("method", ["direct", "iterative", "progressive"])
 def test_closed_sphere(method):
@@ -325,6 +326,7 @@ def test_solvers_and_their_gradients(method):
 SHELF = Surface(Quad([0.2, 0.3, 0.4], [0.5, 0, 0], [0, 0.4, 0.1]), GREY)
 
 
+@pytest.mark.long
 def test_what_patches_exchange_without_a_table():
     """150 patches are two tiles, of which one is filled up; of any rows the same numbers."""
     scene, some = room([GREY] * 6, furniture=[SHELF]), jnp.array([3, 149, 60])
@@ -503,6 +505,7 @@ def test_picture_of_a_glowing_cube_is_even():
     np.testing.assert_allclose(image, 1, atol=5e-3)
 
 
+@pytest.mark.long
 def test_each_side_of_a_sheet_shows_its_own_light():
     """Irradiance that differs from side to side, on the second of two sheets: k_d E."""
     sheets = [Quad([0, 0, z], [1.0, 0, 0], [0, 1.0, 0]) for z in (0.0, 1.0)]

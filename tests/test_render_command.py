@@ -128,6 +128,7 @@ def stop_after(monkeypatch, tiles, error=KeyboardInterrupt):
     monkeypatch.setattr(PartialImage, "append", append)
 
 
+@pytest.mark.long
 def test_a_render_interrupted_before_its_first_tile_promises_nothing(tmp_path, monkeypatch):
     stop_after(monkeypatch, 0)
     status, _, error = run("cornell_box", "--resolution", "2,2", "--out", tmp_path / "a.exr")

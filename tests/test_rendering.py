@@ -100,6 +100,7 @@ RULES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("rule", RULES)
 def test_a_soft_shadow_is_the_rectangle_that_the_blocker_leaves(rule):

@@ -367,6 +367,7 @@ def test_a_camera_that_sharpens_is_measured_in_flat_places():
     assert np.mean(np.abs(gap) <= curve.half_width + 1e-9, where=judged) > 0.8
 
 
+@pytest.mark.long
 def test_places_of_a_plain_camera_tell_one_curve():
     """Of noise alone, one stack in forty passes the F test; out of register, nothing is judged."""
     plain = [
@@ -442,6 +443,7 @@ def test_codes_three_stops_apart_keep_a_pure_gamma():
         assert np.abs(gap[judged]).max() < 0.003
 
 
+@pytest.mark.long
 def test_what_visible_peaks_leave_is_fitted_where_hidden_ones_leave_too_little(monkeypatch):
     """And the report says that bright codes may be too low."""
     codes = processed_stack(gamma(2.2), STOPS, np.random.default_rng(1002), blurred=0.6)
@@ -462,6 +464,7 @@ def test_what_visible_peaks_leave_is_fitted_where_hidden_ones_leave_too_little(m
     assert any("bright codes may be too low" in s for s in section(calibration).findings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", ["s", "linear"])
 def test_bands_hold_the_curve_of_a_large_picture(shape):
     """Of 700,000 pixels as of 20,000: what corrections leave over took over with ever more pixels,

@@ -330,6 +330,7 @@ def test_the_shipped_cornell_box_is_the_published_one():
     same(found.view, cornell_box.view(512))
 
 
+@pytest.mark.long
 def test_the_spectral_cornell_box_is_the_same_room_in_the_bands_of_a_shipped_camera():
     found, room = read_scene("cornell_box_spectral"), read_scene("cornell_box")
     for one, other in zip(found.scene.surfaces, room.scene.surfaces, strict=True):

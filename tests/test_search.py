@@ -42,6 +42,7 @@ def scipy_best(scale=None):
     return scipy.optimize.minimize(cost, start, method="Nelder-Mead", options=options).x
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "scale",
     [pytest.param(SD, id="known", marks=pytest.mark.slow), pytest.param(None, id="unknown")],

@@ -172,6 +172,7 @@ def test_adc_rounds_and_clips_at_every_depth(dtype):
         np.testing.assert_array_equal(codes, [0, 0, 1, 2**bits - 1])
 
 
+@pytest.mark.long
 def test_full_well_clips_the_electrons():
     sensor = Sensor(shot_noise=POISSON, full_well=100.0, gain=2.0, offset=5.0)
     assert (raw(KEY, sensor, flat(1e4)) == 205).all()

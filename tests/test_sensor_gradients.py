@@ -61,6 +61,7 @@ def test_the_page_has_these_numbers():
         np.testing.assert_allclose(stated, np.ravel(by), rtol=0.06, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_estimators_have_the_bias_and_variance_of_the_page(estimator):
@@ -86,6 +87,7 @@ def test_estimators_have_the_bias_and_variance_of_the_page(estimator):
                 np.testing.assert_allclose(found[:, k].std(), deviation, rtol=0.2)
 
 
+@pytest.mark.long
 def test_score_of_a_whole_picture_and_what_a_function_closes_over():
     """The chance that all pixels of a row are empty, exp(-sum m), and exp(-b) in f = exp(-b N)."""
     m = jnp.asarray([0.3, 0.1, 0.5])
@@ -155,6 +157,7 @@ def of_one_reading(name, mean, rms):
 READINGS = ((0.5, 0.1), (0.3, 0.5), (2.9, 1.0))
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_estimators_of_readings_that_are_rounded_and_clipped(estimator):
     number, draws = ESTIMATORS.index(estimator), 2 if estimator == "score" else 1
@@ -184,6 +187,7 @@ def test_estimators_of_readings_that_are_rounded_and_clipped(estimator):
                     np.testing.assert_allclose(found.std(), deviation, rtol=0.2, atol=1e-9)
 
 
+@pytest.mark.long
 def test_the_page_has_these_numbers_of_readings():
     rows = [
         [cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.read_text().split("\n")
@@ -197,6 +201,7 @@ def test_the_page_has_these_numbers_of_readings():
         np.testing.assert_allclose(stated, np.ravel(by[0]), rtol=0.06, atol=5e-4)
 
 
+@pytest.mark.long
 def test_clipping_alone_has_the_slopes_of_its_closed_form():
     """Of max(X, 0): Phi(m / s) and phi(m / s), by every estimator."""
     mean, rms = 0.3, 0.5
@@ -237,6 +242,7 @@ def test_score_of_a_whole_picture_of_readings_and_of_defects():
         within(alive[:, k], -np.prod(1 - chance) / (1 - chance[k]))
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_defects_by_their_chance(estimator):
     """E[f] = p f(1) + (1 - p) f(0): first and second moments of a pixel of 100 that is dead or not,
@@ -287,6 +293,7 @@ def by_level(sensor, *, key=KEY):
     return (np.asarray(part).reshape(len(LEVELS), -1) for part in shoot(light))
 
 
+@pytest.mark.long
 def test_raw_numbers_have_unbiased_first_and_second_moments():
     """Y = K (N + read) + offset + rounding: slopes K and K^2 + 2 K E[Y]."""
     sensor = Sensor(shot_noise=POISSON, read_noise=3.0, gain=0.5, offset=20.0, bits=12)
@@ -310,6 +317,7 @@ def test_a_full_well_cuts_counts_with_the_bias_that_is_stated():
     assert (slope[number > well - 0.5] < 1).all()
 
 
+@pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(("well", "most"), [(5, 0.037), (10, 0.014), (100, 9e-4)])
 def test_a_full_well_biases_the_slope_of_mean_squares_as_stated(well, most):
     """Of squares of Poisson counts up to the mean that fills the well."""

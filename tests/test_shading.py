@@ -163,6 +163,7 @@ def test_every_way_to_integrate_agrees_on_every_pair(kind, light):
     assert (both.error < 1.5 * sampled.error + 1e-3 * reference).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("light", ["rectangle", "white sky"])
 def test_balanced_samples_find_the_closed_form(light):
     """A Lambert surface under a rectangle and under a sky of radiance 1, which its plane halves:
@@ -264,6 +265,7 @@ def test_a_glossy_highlight_wants_balanced_samples(highlight):
         np.testing.assert_allclose(jax.jit(by)(Quadrature(order)) / truth - 1, off, atol=1e-3)
 
 
+@pytest.mark.long
 def test_a_mirror_shows_the_light_it_reflects():
     up, wo = jnp.asarray([0.0, 0, 1]), jnp.asarray([-0.1, 0, np.sqrt(0.99)])
     lights, mirror = [SHINING["environment"], SHINING["rectangle"]], Mirror([0.5, 0.9])

@@ -5,6 +5,7 @@ import warnings
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import scipy.optimize
 from decompositions import beside_each_other
 
@@ -84,6 +85,7 @@ def rosenbrock(vector, args):
     return (1 - x) ** 2 + args * (y - x**2) ** 2
 
 
+@pytest.mark.long
 def test_box_minimum_on_a_bound_agrees_with_scipy():
     lower, upper = np.array([-2.0, -1.0]), np.array([0.5, 3.0])
     found = minimise_in_box(

@@ -104,6 +104,7 @@ def about(vector, information, space, factor):
     return vector + width * rng.uniform(-1, 1, (STARTS, vector.size))
 
 
+@pytest.mark.long
 def test_a_lobe_beyond_the_range_that_is_searched_is_no_optimum():
     """A start on the plateau of facets so rough that they no longer shine: the gradient vanishes,
     and the fit says that it failed."""

@@ -32,6 +32,7 @@ def fitted():
     return observation, fit
 
 
+@pytest.mark.long
 def test_each_error_pulls_as_a_refit_moves(fitted):
     """Refits with one light 1 % brighter, and with the black level 2 DN higher."""
     observation, fit = fitted

@@ -50,6 +50,7 @@ def line(base, slope, inputs):
     return base + slope * inputs["time"] + 0 * inputs["knots"].sum()
 
 
+@pytest.mark.long
 def test_a_line_in_chunks_is_weighted_least_squares(tmp_path):
     """The closed form of NumPy; a mapped file, an error of each datum, inputs of no row."""
     values = 1.0 - 0.2 * TIME + SD * RNG.standard_normal(COUNT)
@@ -80,6 +81,7 @@ def test_a_line_in_chunks_is_weighted_least_squares(tmp_path):
     assert found.converged
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("likelihood", [CLIPPED, SMALL])
 def test_sums_over_chunks_are_those_of_all_data(likelihood):
     """Cost, gradient and curvature at any place, to rounding."""
@@ -200,6 +202,7 @@ def test_data_that_change_and_chains_are_refused():
         fit(problem(chunk=CHUNK), posterior="emcee")
 
 
+@pytest.mark.long
 def test_ends_that_only_all_data_tell_apart_are_one():
     """Searches of a sample stop within its precision, which is coarser than that of all data."""
     own = problem(chunk=CHUNK)

@@ -300,6 +300,7 @@ def test_a_picture_has_the_same_bytes(client, tmp_path):
     assert counted == [(n, 10) for n in range(11)]
 
 
+@pytest.mark.long
 def test_records_that_tasks_share_are_not_kept_when_they_are_done():
     """Equinox keeps for ever what plain pickle makes of its modules, a scene for each render."""
     light = jv.PointLight([1.0, 2.0, 3.0], [4.0])
@@ -311,6 +312,7 @@ def test_records_that_tasks_share_are_not_kept_when_they_are_done():
     assert known() is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_tasks_like_earlier_ones_compile_nothing(tmp_path, caplog, every):
     """What a worker compiles anew, or JAX remembers, at each task adds up in it for ever: renders

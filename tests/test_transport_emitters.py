@@ -166,6 +166,7 @@ def test_both_ways_find_the_closed_form(name, strategy):
     assert abs(mean[0] - expected) < 4 * error[0]
 
 
+@pytest.mark.long
 def test_chance_and_purpose_share_each_of_several_emitters():
     """Each of three emitters is drawn a third of the time, which the weight of what is found by
     chance must know: .5 / pi times the sum of their irradiances."""

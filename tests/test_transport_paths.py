@@ -289,6 +289,7 @@ def test_samples_in_parts_are_the_samples():
     np.testing.assert_allclose((part(3, 0) + part(3, 3)) / 2, part(6, 0), rtol=1e-13)
 
 
+@pytest.mark.long
 def test_a_traced_depth_is_the_depth():
     """Between a floor and a ceiling that shines, where each piece adds light."""
     floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2]))
@@ -305,6 +306,7 @@ def test_a_traced_depth_is_the_depth():
     assert np.sum(seen(jnp.uint32(2))) < 0.99 * np.sum(fixed)
 
 
+@pytest.mark.long
 def test_mean_and_error_are_numpys_of_the_same_paths():
     """Three paths from a floor to a ceiling that shines, one by one."""
     floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.1, 0.2]))

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 UNCHECKED = {
     "Sensor(shot_noise=3.0)": "Sensor.shot_noise must be a record, PoissonShotNoise or "
     "FastPoissonShotNoise or GaussianShotNoise, got 3.0.",
@@ -69,6 +71,7 @@ for call in CALLS:
 """
 
 
+@pytest.mark.long
 def test_without_type_checks_the_library_says_what_is_wrong():
     program = PROGRAM.replace("CALLS", repr(list(UNCHECKED)))
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -131,6 +131,7 @@ def test_clipped_moments_keep_their_digits(dtype, ends):
                 assert abs(exact.number(value) - truth) <= bound * eps(dtype) * abs(truth), m
 
 
+@pytest.mark.long
 @both_precisions
 def test_clipped_moments_of_noise_wider_than_the_window(dtype):
     """Down to a millionth of a deviation: half of the values at each end, a variance of 1/4."""
