@@ -22,7 +22,6 @@ from jaxvision.programs import keep_programs
 
 from . import folders
 from .commands import (
-    CHECKPOINT,
     INDEX_OPTION,
     Options,
     RigPath,
@@ -310,7 +309,8 @@ def check(
     workers: Workers = 0,
     scheduler: Scheduler = "",
 ) -> None:
-    """Simulate data, fit them, count how often intervals hold the truth (--out: resumable)."""
+    """Simulate data, fit them, count how often intervals hold the truth. With --out, fits are kept:
+    an interrupted check goes on from them, a finished one with more --simulations."""
 
     def run_check(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "the intervals checked are those of Laplace's approximation")
@@ -318,9 +318,9 @@ def check(
 
         from .checks.command import run as simulated
 
-        kept = options.out and options.out / CHECKPOINT
+        kept = options.out and options.out / "fits"
         with workers_of(workers, scheduler=scheduler):
-            return [simulated(kind, simulations, kept, reporter)], {}
+            return [simulated(kind, simulations, kept, reporter, seed=options.seed)], {}
 
     run("Check", Path(kind), options, run_check, repeats=True)
 

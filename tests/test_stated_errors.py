@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -13,8 +14,13 @@ from fitting.checks.simulations import simulated
 from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.model import Form, linear_signal, negative_log_likelihood
-from fitting.reflectance.from_images.samples import gather
+from fitting.reflectance.from_images.model import (
+    Form,
+    linear_signal,
+    negative_log_likelihood,
+    predicted_dn,
+)
+from fitting.reflectance.from_images.samples import gather, make_samples
 from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
 from fitting.report.left_out import left_out_tables
 
@@ -52,38 +58,85 @@ def test_each_error_pulls_as_a_refit_moves(fitted):
     assert np.abs(moved / error).max() > 1
 
 
-@pytest.mark.parametrize("about", [0, 1])
-def test_a_turned_light_pulls_as_a_refit_moves(fitted, about):
-    """The light turned by hand, about either axis across it; about the second it goes around
-    the view, to which a sphere looks alike."""
-    observation, fit = fitted
-    size = 5e-3
-    known = np.zeros(5)
-    known[2] = size
-    plain = fit(uncertain={"direction_sd": known})
-    inverse = np.linalg.inv(plain.information)
-    pulls = plain.stated.of_lights.reshape(2, 5, -1)
-    assert not pulls[:, [0, 1, 3, 4]].any()
+def turned_by_hand(observation, size, about):
+    """The third light turned about either axis across it; about the second it goes around the
+    view, to which a sphere looks alike."""
     light = observation.wi[2, 0]
     axis = np.cross(light, np.eye(3)[np.argmin(np.abs(light))])
     axis = axis if about == 0 else np.cross(light, axis)
     turned = light + size * axis / np.linalg.norm(axis)
     turned /= np.linalg.norm(turned)
-    wi = observation.wi.copy()
-    wi[2] = turned
+    changed = {name: getattr(observation, name).copy() for name in ("wi", "cosine")}
+    changed["log_cos_mirror"] = observation.log_cos_mirror.copy()
     mirrored = 2 * (observation.normals @ turned) * observation.normals[:, 2] - turned[2]
-    cosine, log_cos = observation.cosine.copy(), observation.log_cos_mirror.copy()
-    cosine[2] = observation.normals @ turned
-    log_cos[2] = np.log(np.maximum(mirrored, 1e-300))
-    moved = fit(wi=wi, cosine=cosine, log_cos_mirror=log_cos).vector - plain.vector
-    error = np.sqrt(np.diagonal(inverse))
-    assert (np.abs(moved / error).max() > 1) == (about == 0)
-    np.testing.assert_allclose(-pulls[about, 2] @ inverse / error, moved / error, atol=0.2)
+    changed["wi"][2] = turned
+    changed["cosine"][2] = observation.normals @ turned
+    changed["log_cos_mirror"][2] = np.log(np.maximum(mirrored, 1e-300))
+    return changed
+
+
+@pytest.mark.parametrize("about", [0, 1])
+def test_a_turned_light_is_turned_back(fitted, about):
+    """Its rig believes it within 3 times as much: what is left is what the fit calls uncertain."""
+    observation, fit = fitted
+    size, known = 5e-3, np.zeros(5)
+    known[2] = 3 * size
+    right = fit()
+    error = np.sqrt(np.diagonal(np.linalg.inv(right.information)))
+    wrong = turned_by_hand(observation, size, about)
+    believed = (fit(**wrong).vector - right.vector) / error
+    assert (np.abs(believed).max() > 1) == (about == 0)
+    doubted = fit(**wrong, uncertain={"direction_sd": known})
+    left = np.linalg.inv(doubted.information - doubted.stated.lost)
+    beyond = np.diagonal(left - np.linalg.inv(doubted.information))
+    np.testing.assert_array_less(
+        np.abs(doubted.vector - right.vector) / error, 3 * np.sqrt(beyond) / error + 0.05
+    )
+
+
+def test_turns_take_the_information_that_a_fit_of_them_takes(fitted):
+    """Parameters and two turns by finite differences, their normal equations inverted whole."""
+    observation, fit = fitted
+    known = np.zeros(5)
+    known[2] = 5e-3
+    found = fit(uncertain={"direction_sd": known})
+    samples, vector = found.samples, jnp.asarray(found.vector)
+    deviation = np.asarray(samples.deviation, float)
+
+    def slope(low, high, step):
+        return (np.asarray(high, float) - np.asarray(low, float)) / step / deviation
+
+    columns = []
+    for one in np.eye(3) * 1e-4:
+        columns.append(
+            slope(predicted_dn(vector - one, samples), predicted_dn(vector + one, samples), 2e-4)
+        )
+    for about in (0, 1):
+        ends = []
+        for size in (-1e-4, 1e-4):
+            moved = replace(observation, **turned_by_hand(observation, size, about))
+            ends.append(predicted_dn(vector, make_samples(moved, 0, found.form, found.selection)))
+        columns.append(slope(*ends, 2e-4 / 5e-3))
+    design = np.stack(columns, axis=1)
+    whole = design.T @ design + np.diag([0, 0, 0, 1, 1])
+    gauss = found.information - found.stated.lost
+    np.testing.assert_allclose(np.linalg.inv(gauss), np.linalg.inv(whole)[:3, :3], rtol=0.1, atol=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("degrees", "lights"), [(0.5, 12), (1.0, 4), (1.0, 24)])
+def test_intervals_hold_where_highlights_are_smeared(degrees, lights):
+    """With lights left where the rig put them, 36 and 14 % of the intervals of k_s held, of 12 and
+    of 24 lights off by a degree."""
+    sphere = Sphere(direction_sd=np.radians(degrees), lights=lights)
+    places = np.array([reflectance.places(sphere, seed) for seed in range(60)])
+    for found in coverage(places, reflectance.NAMES):
+        assert not found.faults, found
 
 
 def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     information, known = np.diag([4.0, 1.0]), np.arange(2)
-    stated = StatedErrors(np.array([[4.0, 0.0]]), np.array([[0.0, 2.0]]))
+    stated = StatedErrors(np.array([[4.0, 0.0]]), np.array([[0.0, 2.0]]), np.zeros((2, 2)))
     freedom = np.array([2.0, 3.0])
     narrow = Robustness(np.diag([0.5, 0.5]), freedom, 1.0, 1.0, 1.0)
     found = with_stated_errors(narrow, stated, information, known)
@@ -93,7 +146,7 @@ def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     found = with_stated_errors(wide, stated, information, known)
     np.testing.assert_allclose(found.covariance, np.diag([100, 0.5 + 4]))
     np.testing.assert_allclose(found.freedom, [2, 3 / (0.5 / 4.5) ** 2])
-    none = StatedErrors(np.empty((0, 2)), np.empty((0, 2)))
+    none = StatedErrors(np.empty((0, 2)), np.empty((0, 2)), np.zeros((2, 2)))
     found = with_stated_errors(wide, none, information, known)
     np.testing.assert_array_equal(found.covariance, wide.covariance)
     np.testing.assert_array_equal(found.freedom, wide.freedom)
@@ -119,7 +172,8 @@ def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
     assert gone["black_sd"] == (1e-3, pytest.approx(bounds["black_sd"], rel=1e-5))
     assert gone["exposure_sd"] == (1e-5, pytest.approx(bounds["exposure_sd"], rel=1e-3))
     assert 0 < sum(bounds.values()) <= TOLERANCE
-    assert len(found.stated.of_lights) == 2 * 5
+    assert not len(found.stated.of_lights)
+    assert found.stated.lost.any()
     assert not len(found.stated.common)
     (table,) = left_out_tables([("grey", found.stated.left_out)])
     assert {row[1] for row in table.rows} == bounds.keys()

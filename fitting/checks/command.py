@@ -1,8 +1,11 @@
 """What `jaxvision-fit check` runs."""
 
+from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+
+import numpy as np
 
 from ..report.progress import Reporter
 from ..report.section import Section
@@ -11,10 +14,13 @@ from .coverage import coverage
 from .section import section
 from .simulations import simulated
 
+SEEDS = 1_000_000  # simulations of a seed
 KINDS = {"brdf": reflectance, "joint": joint, "noise": noise, "response": response}
 
 
-def run(kind: str, simulations: int, kept: Path | None, reporter: Reporter) -> Section:
+def run(
+    kind: str, simulations: int, kept: Path | None, reporter: Reporter, *, seed: int = 0
+) -> Section:
     """Checks every case of a kind.
 
     Args:
@@ -22,21 +28,27 @@ def run(kind: str, simulations: int, kept: Path | None, reporter: Reporter) -> S
         simulations: fits of each case.
         kept: folder in which fits are kept, so that another run goes on from them; None for none.
         reporter: told of every fit.
+        seed: of every draw; those of one seed have nothing in common with those of another.
 
     Returns:
         Coverage of every case.
     """
     room, found = KINDS[kind], {}
+    file = f"{kind}, {{}}, seed {seed}, {version('jaxvision')}.npy"
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
     for name, case in room.CASES.items():
         with reporter.step(name) as progress:
             rows = simulated(
-                partial(room.places, case),
+                partial(_places, room.places, case, seed),
                 simulations,
                 parameters=len(room.NAMES),
-                kept=None if kept is None else kept / f"{kind}, {name}, {version('jaxvision')}.npy",
+                kept=None if kept is None else kept / file.format(name),
                 progress=progress,
             )
         found[name] = coverage(rows, room.NAMES)
     return section(kind, found, simulations)
+
+
+def _places(places: Callable[..., np.ndarray], case: object, seed: int, number: int) -> np.ndarray:
+    return places(case, seed * SEEDS + number)

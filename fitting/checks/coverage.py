@@ -4,7 +4,8 @@ A fit puts the truth at the place u of its posterior, its cumulative probability
 simulations u is uniform if posteriors are right. An interval of probability q holds the truth where
 |u - 1/2| < q / 2; z = Phi^-1(u) is standard normal; and the ranks of simulation-based calibration
 (Talts et al. 2018) are u in steps. The band of the ranks is simultaneous: the largest departure of
-their distribution from the diagonal (Kolmogorov).
+their distribution from the diagonal (Kolmogorov). The mean square of z, which has a chi-square
+distribution over the number of fits, tells errors of the wrong size from the fewest fits.
 """
 
 from dataclasses import dataclass
@@ -12,13 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
-from scipy.stats import binom, kstwo
+from scipy.stats import binom, chi2, kstwo
 
 from ..inference.formatting import format_percent
 
 LEVELS = (0.50, 0.68, 0.95)
 CHANCE = 0.01  # of flagging a right fit, over all parameters and tests together
 EDGE = 1e-12  # places this close to 0 and 1 count as there
+FARTHEST = 3.7  # |z| that is judged: some thousand draws of a posterior tell no more
+TESTS = len(LEVELS) + 2
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ def coverage(
         >>> coverage(narrow, ("gain",))[0].faults[0]
         '50 % intervals hold 39 %'
     """
-    chance = CHANCE / (len(names) * (len(LEVELS) + 1))
+    chance = CHANCE / (len(names) * TESTS)
     return tuple(
         _judged(u[np.isfinite(u)], name, chance) for u, name in zip(places.T, names, strict=True)
     )
@@ -89,6 +92,10 @@ def _judged(u: np.ndarray, name: str, chance: float) -> Coverage:
     ]
     if departure > allowed:
         faults.append(f"ranks depart by {departure:.3f}, {allowed:.3f} by chance")
+    scatter = float(np.sqrt(np.mean(np.clip(z, -FARTHEST, FARTHEST) ** 2))) if count else np.nan
+    low, high = np.sqrt(chi2.ppf((chance / 2, 1 - chance / 2), max(count, 1)) / max(count, 1))
+    if count and not low <= scatter <= high:
+        faults.append(f"z scatters by {scatter:.2f}, {low:.2f} to {high:.2f} by chance")
     return Coverage(
         *(name, count, held, band),
         *(float(np.mean(z)) if count else np.nan, float(np.std(z)) if count else np.nan),

@@ -90,15 +90,16 @@ def check(
         truth: natural values by name, the same in every simulation; needed where a parameter has
             neither prior nor bounds.
         posterior: as `fit` takes it.
-        kept: a file in which fits are kept, so that the same call goes on from there; None for
-            none.
+        kept: a file in which fits are kept, so that the same call goes on from there, also with
+            more simulations; None for none.
         seed: of the truths, the data and the fits.
 
     Returns:
         Coverage of 50, 68 and 95 % intervals, mean and standard deviation of z, and ranks.
 
     Raises:
-        InputError: for parameters without priors where no truth is given, and unusable numbers.
+        InputError: for parameters without priors where no truth is given, unusable numbers, and
+            kept fits of another problem or seed.
 
     Example:
         >>> import fitting
@@ -155,6 +156,11 @@ def _given(problem: Problem, truth: dict[str, Any]) -> list[np.ndarray]:
     """The one value of each number that the caller calls true."""
     if absent := [p.name for p in problem.free if p.name not in truth]:
         raise InputError(f"check: truth names no {', '.join(absent)}; give a value of each.")
+    if unknown := set(truth) - {p.name for p in problem.free}:
+        raise InputError(
+            f"check: truth names {', '.join(sorted(unknown))}, which the problem does not fit; "
+            f"it fits {', '.join(p.name for p in problem.free)}."
+        )
     shaped = [
         np.broadcast_to(np.asarray(truth[p.name], float), p.shape or ()) for p in problem.free
     ]

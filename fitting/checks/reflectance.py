@@ -126,6 +126,7 @@ CASES = {
     "4 lights off by 1 %, as stated": Sphere(lights=4, light_sd=0.01, stated=True),
     "lights off by 1 %, as stated": Sphere(light_sd=0.01, stated=True),
     "directions off by 0.3 degrees, as stated": Sphere(direction_sd=np.radians(0.3)),
+    "directions off by 1 degree, as stated": Sphere(direction_sd=np.radians(1.0)),
     "black off by 3 DN, as stated": Sphere(black_sd=3.0),
 }
 

@@ -17,6 +17,7 @@ from ..inference.parameters import names, to_unconstrained
 from ..inference.posterior import Posterior
 
 BLOCK = 20  # fits between two writings
+SAME = 1e-3  # difference up to which a place is that of the same fit
 
 Simulate = Callable[[int], Float[np.ndarray, " parameters"]]
 
@@ -36,16 +37,26 @@ def simulated(
         simulate: a seed to the places, (parameters,); `InputError` from it counts as no interval.
         count: of fits, with seeds from 0.
         parameters: of each.
-        kept: where places are kept between runs; None for nowhere.
+        kept: where places are kept between runs, as many as were ever fitted; None for nowhere.
         progress: called with (done, count).
 
     Returns:
         (simulations, parameters), NaN where a fit gave no interval.
+
+    Raises:
+        InputError: where the fits that are kept are not those of `simulate`.
     """
     rows = np.empty((0, parameters))
-    if kept is not None:
-        rows = _kept(kept, parameters)[:count]
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
+        if kept is not None and (found := _kept(kept)) is not None:
+            own = found.ndim == 2 and found.shape[1] == parameters and found.dtype == rows.dtype
+            first = [_places((simulate, parameters), 0)] if own and len(found) else []
+            if not own or not np.allclose(found[: len(first)], first, atol=SAME, equal_nan=True):
+                raise InputError(
+                    f"{kept}: holds fits of another problem, seed or version; name a file (or "
+                    "folder) that holds none, or remove it."
+                )
+            rows = found
         for row in in_order(
             _places, (simulate, parameters), range(len(rows), count), memory=PROGRAMS
         ):
@@ -54,18 +65,15 @@ def simulated(
             if kept is not None and (len(rows) % BLOCK == 0 or len(rows) == count):
                 with replaced_on_success(kept) as partial, partial.open("wb") as stream:
                     np.save(stream, rows)
-    return rows
+    return rows[:count]
 
 
-def _kept(file: Path, parameters: int) -> Float[np.ndarray, "simulations parameters"]:
-    """What an earlier run has written; nothing where the file is damaged or of another fit."""
-    nothing = np.empty((0, parameters))
+def _kept(file: Path) -> np.ndarray | None:
+    """What an earlier run has written; None where there is nothing or the file is damaged."""
     try:
-        rows = read_image(file)
+        return read_image(file)
     except InputError:
-        return nothing
-    sound = rows.ndim == 2 and rows.dtype == nothing.dtype and rows.shape[1] == parameters
-    return rows if sound else nothing
+        return None
 
 
 def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " parameters"]:

@@ -53,10 +53,13 @@ from .spread import (
     variance,
 )
 from .stated import StatedErrors, stated_errors, with_stated_errors
+from .turns import likeliest_turns, shifts_of_turns, turned
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 REACH = 1.0  # half width of the bounded search, in log parameters
 LONG = 300_000  # samples from which more programs, and optimised ones, save time
+MOST_TURNS = 20  # of the lights
+SETTLED = 0.02  # standard deviations of a light's direction
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
 
 
@@ -136,19 +139,17 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     samples = replace(samples, form=cells.form, geometry=geometry)
     if form.free_gamma:  # the encodings that were tried lie apart
         first = minimise_residuals(residuals, first, cells).vector
-    spread = fit_spread(*_residual_signal_slope(first, samples), sensor=sensor)
-    weights = spread
-    if spread.relative is not None:
-        weights = flat_spread(*_residual_signal_slope(first, samples), sensor=sensor)
-    samples = _weighted(first, samples, weights)
-    near = _nearer(first, samples, grouping)
-    vector, information, converged = optimum(near, samples)
+    found = _weighed_and_fitted(first, samples, grouping, sensor)
+    turns = np.zeros((len(observation.files), 2))
+    if np.any(observation.uncertain.get("direction_sd", 0)):
+        found, turns = _among_turns(found, gathered, channel, grouping, sensor)
+    samples, vector = found.samples, found.vector
 
     space = parameter_space(samples.form)
-    information = np.asarray(information, np.float64)
+    information = np.asarray(found.information, np.float64)
     judged = identifiability(space, information)
     robustness = None
-    stated = stated_errors(observation, channel, vector, samples, selection)
+    stated = stated_errors(observation, channel, vector, samples, selection, turns)
     alike = _lights_alike(observation, vector, samples, selection)
     if judged.determined:
         robustness = robust_covariance(
@@ -169,14 +170,57 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         robustness=robustness,
         stated=stated,
         identifiability=judged,
-        spread=spread,
-        chi_square=chi_square_per_dof(residual, signal, slope, weights, dof),
+        spread=found.spread,
+        chi_square=chi_square_per_dof(residual, signal, slope, found.weights, dof),
         sensor_chi_square=None
         if sensor is None
         else chi_square_per_dof(residual, signal, slope, sensor, dof),
         log_likelihood=-float(_cost(vector, likeliest)),
-        converged=bool(converged),
+        converged=found.converged,
     )
+
+
+@dataclass(frozen=True)
+class _Found:
+    samples: Samples
+    spread: Spread
+    weights: Spread
+    vector: Array
+    information: Array
+    converged: bool
+
+
+def _weighed_and_fitted(
+    first: Array, samples: Samples, grouping: Grouping, sensor: Spread | None
+) -> _Found:
+    """The optimum near a first one, whose residuals give the weights."""
+    seen = _residual_signal_slope(first, samples)
+    weights = spread = fit_spread(*seen, sensor=sensor)
+    if spread.relative is not None:
+        weights = flat_spread(*seen, sensor=sensor)
+    samples = _weighted(first, samples, weights)
+    near = _nearer(first, samples, grouping)
+    return _Found(samples, spread, weights, *optimum(near, samples))
+
+
+def _among_turns(
+    found: _Found, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
+) -> tuple[_Found, np.ndarray]:
+    """Parameters and turns of the lights, one at the other's best, until no light moves."""
+    observation, selection = gathered.observation, gathered.selection
+    turns = np.zeros((len(observation.files), 2))
+    for _ in range(MOST_TURNS):
+        shifts = shifts_of_turns(
+            observation, turns, channel, found.vector, found.samples, selection
+        )
+        before = turns
+        turns = likeliest_turns(shifts, before, found.vector, found.samples, selection)
+        lights = turned(observation, turns)
+        samples = make_samples(lights, channel, found.samples.form, selection)
+        found = _weighed_and_fitted(found.vector, samples, grouping, sensor)
+        if np.abs(turns - before).max() < SETTLED:
+            break
+    return found, turns
 
 
 def robust_covariance(

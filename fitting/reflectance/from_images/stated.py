@@ -6,11 +6,12 @@ order, by
     d theta = I^-1 p e,    p = sum slope * s / deviation,
 
 slope being the gradient of the prediction in standard deviations and I the information. Errors of
-a light (`intensity_sd`, `direction_sd`, `exposure_sd`, `stray_sd`) shift the samples of its image
-alone. The residuals show them too, so the covariance of few lights gives way to what the rig
-states, unless the residuals show more. Errors of all images at once (`black_sd`, `gamma_sd`) are
-like another surface; no residual shows them, and their covariance is added. The gain only weighs
-the samples: its `gain_sd` moves no parameter to first order.
+a light (`intensity_sd`, `exposure_sd`, `stray_sd`, and `direction_sd`, whose turns are found with
+the parameters: `turns`) shift the samples of its image alone. The residuals show them too, so the
+covariance of few lights gives way to what the rig states, unless the residuals show more. Errors
+of all images at once (`black_sd`, `gamma_sd`) are like another surface; no residual shows them,
+and their covariance is added. The gain only weighs the samples: its `gain_sd` moves no parameter
+to first order.
 
 What moves the law of the samples by no more than a tenth of their noise is left out
 (`inference.left_out`).
@@ -32,8 +33,9 @@ from .model import (
     linear_signal,
     predicted_dn,
 )
-from .read import ReflectanceObservation, angles
-from .samples import Selection, make_samples
+from .read import ReflectanceObservation
+from .samples import Selection
+from .turns import information_lost, shifts_of_turns
 
 CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
 
@@ -45,11 +47,13 @@ class StatedErrors:
     Attributes:
         of_lights: (errors, P), each of one image.
         common: (errors, P), each of all images.
+        lost: (P, P), information that the turns of the lights take (`turns`).
         left_out: errors that the rig states and that are too small to matter.
     """
 
     of_lights: Float[np.ndarray, "errors parameters"]
     common: Float[np.ndarray, "more parameters"]
+    lost: Float[np.ndarray, "parameters parameters"]
     left_out: tuple[LeftOut, ...] = ()
 
 
@@ -59,6 +63,7 @@ def stated_errors(
     vector: Float[Array, " parameters"],
     samples: Samples,
     selection: Selection,
+    turns: Float[np.ndarray, "lights 2"],
 ) -> StatedErrors:
     """The pulls of all that a rig calls uncertain.
 
@@ -68,16 +73,17 @@ def stated_errors(
         vector: (P,) of the fit, unconstrained.
         samples: of the fit.
         selection: of the samples.
+        turns: (lights, 2) of the samples' lights, in units of `direction_sd`.
 
     Returns:
         The pulls; without rows where all is exact, or so nearly that no fit can tell.
     """
     sizes, light, count = observation.uncertain, selection.light, len(vector)
     lights = len(next(iter(sizes.values()), ()))
-    own = _shifts_of_lights(observation, channel, vector, samples, selection)
+    own = _shifts_of_lights(observation, channel, vector, samples, selection, turns)
     shared = _shifts_of_all(observation, vector, samples)
     if not own and not shared:
-        return StatedErrors(np.empty((0, count)), np.empty((0, count)))
+        return StatedErrors(np.empty((0, count)), np.empty((0, count)), np.zeros((count, count)))
     deviation = np.asarray(samples.deviation, np.float64)
 
     def by_light(values: np.ndarray) -> np.ndarray:
@@ -93,6 +99,11 @@ def stated_errors(
     ]
     gone = negligible(errors)
     named = {error.name for error in gone}
+    lost = np.zeros((count, count))
+    if "direction_sd" in own:
+        shifts = own.pop("direction_sd")
+        if "direction_sd" not in named:
+            lost = information_lost(shifts, vector, samples, selection, lights)
     slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
     of_lights = [
         np.stack([by_light(row * shift) for row in slopes], axis=1)
@@ -109,6 +120,7 @@ def stated_errors(
     return StatedErrors(
         np.concatenate(of_lights) if of_lights else np.empty((0, count)),
         np.array(of_all).reshape(-1, count),
+        lost,
         gone,
     )
 
@@ -140,6 +152,7 @@ def _shifts_of_lights(
     vector: Array,
     samples: Samples,
     selection: Selection,
+    turns: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """(shifts, samples) DN that each kind of error of the lights moves a prediction by."""
     known = {n: sd[selection.light] for n, sd in observation.uncertain.items() if np.any(sd)}
@@ -156,33 +169,10 @@ def _shifts_of_lights(
         if name in known
     }
     if "direction_sd" in known:
-        here, there = predicted_dn(vector, samples), []
-        for turned in _turned(observation):
-            moved = make_samples(turned, channel, samples.form, selection)
-            there.append(predicted_dn(vector, replace(moved, gamma=samples.gamma)) - here)
-        found["direction_sd"] = np.asarray(np.stack(there), np.float64)
-    return found
-
-
-def _turned(observation: ReflectanceObservation) -> list[ReflectanceObservation]:
-    """The lights turned by one standard deviation about either axis across them."""
-    wi, sd = observation.wi, observation.uncertain["direction_sd"]
-    middle = wi.mean(axis=1)
-    aside = np.eye(3)[np.argmin(np.abs(middle), axis=1)]
-    first = np.cross(middle, aside)
-    axes = [first, np.cross(middle, first)]
-    observations = []
-    for axis in axes:
-        unit = axis / np.linalg.norm(axis, axis=1, keepdims=True)
-        turned = wi + (sd[:, None] * unit)[:, None]
-        turned = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
-        cosine, log_cos, mirror = angles(observation.normals, turned)
-        observations.append(
-            replace(
-                observation, wi=turned, cosine=cosine, log_cos_mirror=log_cos, mirror_angle=mirror
-            )
+        found["direction_sd"] = shifts_of_turns(
+            observation, turns, channel, vector, samples, selection
         )
-    return observations
+    return found
 
 
 def with_stated_errors(
@@ -202,9 +192,9 @@ def with_stated_errors(
     Returns:
         Covariance and degrees of freedom; unchanged where the rig states nothing.
     """
-    inverse = np.linalg.inv(information)
+    inverse = np.linalg.inv(information - stated.lost[np.ix_(known, known)])
     covariance, freedom = robust.covariance, robust.freedom
-    if len(stated.of_lights):
+    if len(stated.of_lights) or stated.lost.any():
         moved = stated.of_lights[:, known] @ inverse
         model = inverse + moved.T @ moved
         least = np.maximum(freedom, 1)

@@ -1,0 +1,153 @@
+"""Where lights stand, as far as their images tell.
+
+A rig's `direction_sd` is a normal prior of the two turns e of each light. With everything in
+standard deviations, an image of residuals r moves by S e to first order, so that
+
+    e = K^-1 S^T r,    K = 1 + S^T S,
+
+are the likeliest turns at given parameters, and eliminating them leaves of the information I on
+the parameters, whose slopes are J,
+
+    I - J^T S K^-1 S^T J.
+
+A highlight does not follow its light linearly: lights off by a degree, left where the rig puts
+them, show the mean of highlights that lie apart, wider and weaker than each of them. All images
+show it alike, so that no spread among them tells. Turns and parameters are therefore found in
+turn, about the last ones (Gauss-Newton).
+"""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .derivatives import scores_and_slopes
+from .model import Samples, predicted_dn, residuals
+from .read import ReflectanceObservation, angles
+from .samples import Selection, make_samples
+
+STEP = 0.5  # standard deviations to either side, of a slope
+
+
+def turned(
+    observation: ReflectanceObservation, turns: Float[np.ndarray, "lights 2"]
+) -> ReflectanceObservation:
+    """The lights by so many standard deviations elsewhere, along two axes across them.
+
+    Args:
+        observation: whose lights stand as the rig says.
+        turns: (lights, 2) in units of `direction_sd`.
+
+    Returns:
+        The observation.
+    """
+    wi, sd = observation.wi, observation.uncertain["direction_sd"]
+    middle = wi.mean(axis=1)
+    first = np.cross(middle, np.eye(3)[np.argmin(np.abs(middle), axis=1)])
+    axes = np.stack([first, np.cross(middle, first)], axis=1)
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    moved = wi + np.einsum("l,la,lac->lc", sd, turns, axes)[:, None]
+    moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+    cosine, log_cos, mirror = angles(observation.normals, moved)
+    return replace(
+        observation, wi=moved, cosine=cosine, log_cos_mirror=log_cos, mirror_angle=mirror
+    )
+
+
+def shifts_of_turns(
+    observation: ReflectanceObservation,
+    turns: Float[np.ndarray, "lights 2"],
+    channel: int,
+    vector: Float[Array, " parameters"],
+    samples: Samples,
+    selection: Selection,
+) -> Float[np.ndarray, "2 samples"]:
+    """What a turn of its light moves each prediction by.
+
+    Args:
+        observation: whose lights stand as the rig says.
+        turns: (lights, 2) about which.
+        channel: index.
+        vector: (parameters,) unconstrained.
+        samples: of the fit.
+        selection: of the samples.
+
+    Returns:
+        (2, samples) DN by one standard deviation along each axis.
+    """
+
+    def predicted(axis: int, step: float) -> np.ndarray:
+        aside = turns + step * np.eye(2)[axis]
+        moved = make_samples(turned(observation, aside), channel, samples.form, selection)
+        moved = replace(moved, gamma=samples.gamma)
+        return np.asarray(predicted_dn(vector, moved), np.float64)
+
+    moves = [predicted(axis, STEP) - predicted(axis, -STEP) for axis in (0, 1)]
+    return np.stack(moves) / (2 * STEP)
+
+
+def likeliest_turns(
+    shifts: Float[np.ndarray, "2 samples"],
+    turns: Float[np.ndarray, "lights 2"],
+    vector: Float[Array, " parameters"],
+    samples: Samples,
+    selection: Selection,
+) -> Float[np.ndarray, "lights 2"]:
+    """The turns that residuals and the rig make most probable, at given parameters.
+
+    Args:
+        shifts: (2, samples) DN, about the turns.
+        turns: (lights, 2) of the samples.
+        vector: (parameters,) unconstrained.
+        samples: with their deviations.
+        selection: of the samples.
+
+    Returns:
+        (lights, 2) in units of `direction_sd`.
+    """
+    moves, precision = _standard(shifts, samples, selection, len(turns))
+    left = -np.asarray(residuals(vector, samples), np.float64)
+    left += np.einsum("as,sa->s", moves, turns[selection.light])
+    pulls = [np.bincount(selection.light, move * left, len(turns)) for move in moves]
+    return np.linalg.solve(precision, np.stack(pulls, axis=1)[..., None])[..., 0]
+
+
+def information_lost(
+    shifts: Float[np.ndarray, "2 samples"],
+    vector: Float[Array, " parameters"],
+    samples: Samples,
+    selection: Selection,
+    lights: int,
+) -> Float[np.ndarray, "parameters parameters"]:
+    """What unknown turns take of the information on the parameters, J^T S K^-1 S^T J.
+
+    Args:
+        shifts: (2, samples) DN, about the turns of the samples.
+        vector: (parameters,) unconstrained.
+        samples: with their deviations.
+        selection: of the samples.
+        lights: of the observation.
+
+    Returns:
+        (parameters, parameters).
+    """
+    moves, precision = _standard(shifts, samples, selection, lights)
+    slopes = np.asarray(scores_and_slopes(jnp.asarray(vector), samples)[1], np.float64)
+    both = np.stack(
+        [[np.bincount(selection.light, slope * move, lights) for move in moves] for slope in slopes]
+    )  # (parameters, 2, lights)
+    return np.einsum("pal,lab,qbl->pq", both, np.linalg.inv(precision), both)
+
+
+def _standard(
+    shifts: np.ndarray, samples: Samples, selection: Selection, lights: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """S in standard deviations, (2, samples), and K, (lights, 2, 2)."""
+    moves = shifts / np.asarray(samples.deviation, np.float64)
+    if samples.saturated is not None:
+        moves = np.where(np.asarray(samples.saturated), 0, moves)
+    squares = [
+        [np.bincount(selection.light, one * other, lights) for other in moves] for one in moves
+    ]
+    return moves, np.eye(2) + np.moveaxis(np.array(squares), -1, 0)
