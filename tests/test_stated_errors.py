@@ -116,7 +116,7 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted):
         for size in (-1e-4, 1e-4):
             moved = replace(observation, **turned_by_hand(observation, size, about))
             ends.append(predicted_dn(vector, make_samples(moved, 0, found.form, found.selection)))
-        columns.append(slope(*ends, 2e-4 / 5e-3))
+        columns.append(slope(ends[0], ends[1], 2e-4 / 5e-3))
     design = np.stack(columns, axis=1)
     whole = design.T @ design + np.diag([0, 0, 0, 1, 1])
     gauss = found.information - found.stated.lost

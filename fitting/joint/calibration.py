@@ -15,12 +15,13 @@ from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
 from ..report.progress import Progress
-from .fit import JointFit, fit_channel
+from .fit import JointFit
 from .freedom import degrees_of_freedom, laplace_miss
 from .halves import Halves, by_halves, widened
 from .misfit import over_images, stretched, stretched_log_density
 from .model import Form, log_posterior
 from .read import JointMeasurement
+from .turns import fit_turned
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,7 +80,7 @@ def calibrate(
     for channel in range(channels):
         if progress is not None:
             progress(channel, channels)
-        fit = fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
+        fit = fit_turned(measurement, channel, form, fit_gamma=fit_gamma)
         fits.append(fit)
         if not is_determined(fit):
             continue

@@ -93,15 +93,22 @@ class JointFit:
 
 
 def fit_channel(
-    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
+    measurement: JointMeasurement,
+    channel: int,
+    form: Form,
+    *,
+    fit_gamma: bool,
+    about: Float[np.ndarray, "2 images"] | None = None,
 ) -> JointFit:
-    """Best fit of one channel.
+    """Best fit of one channel, its lights' errors linear about some directions.
 
     Args:
         measurement: images, flats and darks.
         channel: index.
         form: of the fit; it becomes Lambert's where no highlight is seen.
         fit_gamma: whether the encoding exponent is free.
+        about: (2, images) rad, turns of the lights of this measurement from where the rig puts
+            them; None for none.
 
     Returns:
         The fit.
@@ -110,6 +117,9 @@ def fit_channel(
         InputError: where too little is left to fit.
     """
     grid, data, start = _prepared(measurement, channel, form, fit_gamma=fit_gamma)
+    if about is not None:
+        grid = replace(grid, geometry=replace(grid.geometry, about=jnp.asarray(about)))
+        data = eqx.tree_at(lambda d: d.cells.geometry, data, grid.geometry)
     gone = ()
     if not set(SCATTERS).isdisjoint(names(data.space)):
         gone = small(data, *_predicted(widest(start, data.space), data))

@@ -17,8 +17,9 @@ from jaxvision.side_by_side import side_by_side
 
 from ..inference.clustering import Robustness
 from ..inference.parameters import names, to_natural
-from .fit import MISFIT, JointFit, fit_channel
+from .fit import MISFIT, JointFit
 from .read import JointMeasurement
+from .turns import fit_turned
 
 FEWEST_IMAGES = 12  # of which the halves still tell a surface
 APART = 3.0  # standard deviations between halves from which they do not agree
@@ -104,7 +105,7 @@ def _of_images(
     others = np.ones(len(measurement.observation.held_out), bool)
     others[images] = False
     observation = replace(measurement.observation, held_out=others)
-    return fit_channel(
+    return fit_turned(
         replace(measurement, observation=observation),
         channel,
         fit.data.form,

@@ -17,7 +17,9 @@ What the rig calls uncertain enters as a shared error of a whole image or of a p
 linear in its size and integrated out (`marginal`); only its scale is a parameter:
 
     light_scatter      X (1 + s u)                      strength of the light, exposure
-    direction_scatter  X + s (u_1 dX/dt_1 + u_2 dX/dt_2)  direction of the light, t across it
+    direction_scatter  X + (s u_1 - t_1) dX/dt_1 + (s u_2 - t_2) dX/dt_2
+                                                        direction of the light, about angles t
+                                                        across it, at which X is taken (`turns`)
     stray_scatter      X + s E u                        light that comes another way
     prnu               X (1 + s g)                      gain of a pixel
     misfit             rho sqrt(W_0 D P / n) DN, of each cell in each image, of its own
@@ -62,12 +64,15 @@ class Geometry(eqx.Module):
         irradiance: (images, cells) E on a facing surface.
         turned: derivatives of `wi` to two angles of the light, rad^-1; None where its direction is
             exact.
+        about: (2, images) rad, angles by which the lights are turned from where the rig puts them;
+            None for none.
     """
 
     wi: Vec
     wo: Vec
     irradiance: Table
     turned: tuple[Vec, Vec] | None = None
+    about: Float[Array, "2 images"] | None = None
 
 
 class Cells(eqx.Module):
@@ -257,8 +262,11 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
         add("light_scatter", x)
     if "direction_scatter" in values:
         assert geometry.turned is not None
-        for turn in geometry.turned:
-            add("direction_scatter", jax.jvp(signal_of, (geometry.wi,), (turn,))[1])
+        for i, turn in enumerate(geometry.turned):
+            change = jax.jvp(signal_of, (geometry.wi,), (turn,))[1]
+            add("direction_scatter", change)
+            if geometry.about is not None:
+                mean = mean - jnp.where(seen, slope * geometry.about[i][:, None] * change, 0)
     if "stray_scatter" in values:
         add("stray_scatter", geometry.irradiance)
     misfit = None

@@ -1,0 +1,103 @@
+"""Lights turned to where the images put them.
+
+The error of a light's direction enters linearly, about where the light is thought to stand. A
+highlight does not follow its light linearly: of lights off by a degree the mean over their errors
+is wider and weaker than each highlight, in all images alike. So the fit is done again about the
+turns that it finds (Gauss-Newton), until no light moves.
+"""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision import as_array, as_vec
+from jaxvision.hemisphere import local_frame
+
+from ..reflectance.from_images.read import ReflectanceObservation, angles
+from .fit import JointFit, fit_channel, image_errors
+from .model import Form
+from .read import JointMeasurement
+
+MOST_TURNS = 8
+SETTLED = 0.05  # standard deviations of a light's direction
+
+Turns = Float[np.ndarray, "2 images"]
+
+
+def fit_turned(
+    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
+) -> JointFit:
+    """Best fit of one channel, about the turns that it finds.
+
+    Args:
+        measurement: images, flats and darks.
+        channel: index.
+        form: of the fit; it becomes Lambert's where no highlight is seen.
+        fit_gamma: whether the encoding exponent is free.
+
+    Returns:
+        The fit.
+
+    Raises:
+        InputError: where too little is left to fit.
+    """
+    if not measurement.observation.uncertain["direction_sd"].any():
+        return fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
+    turns = np.zeros((2, np.count_nonzero(~measurement.observation.held_out)))
+    fit = fit_channel(measurement, channel, form, fit_gamma=fit_gamma, about=turns)
+    for _ in range(MOST_TURNS):
+        found = likeliest_turns(fit)
+        if found is None or np.all(np.abs(found[0] - turns) <= SETTLED * found[1]):
+            break
+        turns = found[0]
+        lights = turned(measurement.observation, fit.grid.lights, turns)
+        moved = replace(measurement, observation=lights)
+        fit = fit_channel(moved, channel, form, fit_gamma=fit_gamma, about=turns)
+    return fit
+
+
+def likeliest_turns(fit: JointFit) -> tuple[Turns, Float[np.ndarray, " images"]] | None:
+    """Where the images put the lights.
+
+    Args:
+        fit: of one channel.
+
+    Returns:
+        (2, images) rad from where the rig has them, and their standard deviations (images,)
+        beforehand; None where directions are exact, or the fit is no optimum.
+    """
+    if "direction_scatter" not in fit.data.relative or not fit.converged:
+        return None
+    found = image_errors(fit)
+    assert found is not None
+    first = 1 if "light_scatter" in fit.data.relative else 0
+    size = np.asarray(fit.data.relative["direction_scatter"]) * float(
+        fit.values["direction_scatter"]
+    )
+    return found[0][:, first : first + 2].T * size, size
+
+
+def turned(
+    observation: ReflectanceObservation, lights: np.ndarray, turns: Turns
+) -> ReflectanceObservation:
+    """An observation whose lights stand elsewhere.
+
+    Args:
+        observation: whose lights stand as the rig says.
+        lights: indices of the images in the fit.
+        turns: (2, images) rad across them.
+
+    Returns:
+        The observation.
+    """
+    wi = observation.wi.copy()
+    middle = wi[lights].mean(axis=1)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    frame = local_frame(as_vec(jnp.asarray(middle)))
+    for axis, turn in zip((frame.tangent, frame.bitangent), turns, strict=True):
+        wi[lights] += turn[:, None, None] * np.asarray(as_array(axis))[:, None]
+    wi /= np.linalg.norm(wi, axis=-1, keepdims=True)
+    cosine, log_cos, mirror = angles(observation.normals, wi)
+    return replace(observation, wi=wi, cosine=cosine, log_cos_mirror=log_cos, mirror_angle=mirror)
