@@ -43,6 +43,7 @@ CASES = {
     "6 lights off by 1 %": Lab(Sphere(lights=6, light_sd=0.01)),
     "12 lights off by 1 %": Lab(Sphere(light_sd=0.01)),
     "24 lights off by 1 %": Lab(Sphere(lights=24, light_sd=0.01)),
+    "12 lights off by 1 degree": Lab(Sphere(direction_sd=np.radians(1.0))),
     "12 lights off by 1 %, PRNU 1 %": Lab(Sphere(light_sd=0.01, prnu=0.01)),
 }
 
@@ -74,6 +75,7 @@ def photographed(lab: Lab, seed: int) -> JointMeasurement:
         sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
         intensities=np.full(sphere.lights, WHITE),
         intensity_sd=sphere.light_sd or None,
+        direction_sd=sphere.direction_sd or None,
     )
     every = np.zeros(sphere.lights, bool)
     return replace(measurement, observation=replace(measurement.observation, held_out=every))
