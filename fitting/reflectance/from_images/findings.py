@@ -115,16 +115,16 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
         )
     if fit.robustness is not None and np.isnan(fit.robustness.by_light):
         found.append(
-            f"{name}From so few lights as fitted ({len(np.unique(fit.selection.light))}) it cannot "
+            f"{name}From so few lights as fitted ({_lights(fit)}) it cannot "
             "be judged how far the pixels of one image share an error (of its light, say); the "
             "intervals assume that they do not and may be far too narrow, so use more lights."
         )
     elif fit.robustness is not None and np.min(fit.robustness.freedom) < FEW_FREEDOM:
         found.append(
-            f"{name}Errors are judged by how {len(np.unique(fit.selection.light))} fitted lights "
-            f"agree; that leaves {np.min(fit.robustness.freedom):.1f} degrees of freedom, so 95 % "
-            f"intervals reach {stdtrit(np.min(fit.robustness.freedom), 0.975):.3g} standard errors "
-            "to either side; more lights narrow them."
+            f"{name}Errors are judged by how {_judges(fit)} agree; that leaves "
+            f"{np.min(fit.robustness.freedom):.1f} degrees of freedom, so 95 % intervals reach "
+            f"{stdtrit(np.min(fit.robustness.freedom), 0.975):.3g} standard errors to either side"
+            + ("." if _in_regions(fit) else "; more lights narrow them.")
         )
     if fit.design_effect > 1:
         assert fit.robustness is not None
@@ -135,14 +135,32 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider on "
             "average over the parameters."
         )
-    lights, groups = (len(np.unique(x)) for x in (fit.selection.light, fit.regions))
-    if groups < lights:
+    if _in_regions(fit):
         found.append(
             f"{name}Images of neighbouring lights miss the model alike, so that the intervals take "
-            f"{groups} regions of the {lights} lights for independent, not the lights; parameters "
-            "may differ under lights from elsewhere."
+            f"{_regions(fit)} regions of the {_lights(fit)} lights for independent, not the "
+            "lights; parameters may differ under lights from elsewhere."
         )
     return found
+
+
+def _lights(fit: ChannelFit) -> int:
+    return len(np.unique(fit.selection.light))
+
+
+def _regions(fit: ChannelFit) -> int:
+    """Of lights that err alike; as many as lights where each errs on its own."""
+    return len(np.unique(fit.regions[fit.selection.light]))
+
+
+def _in_regions(fit: ChannelFit) -> bool:
+    return _regions(fit) < _lights(fit)
+
+
+def _judges(fit: ChannelFit) -> str:
+    """What the errors of a fit are told by."""
+    of_regions = f"{_regions(fit)} regions of the " if _in_regions(fit) else ""
+    return f"{of_regions}{_lights(fit)} fitted lights"
 
 
 def _unseen_winner(calibration: ReflectanceCalibration) -> list[str]:
