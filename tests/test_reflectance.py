@@ -23,7 +23,11 @@ from scipy.stats import binom, norm
 
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import find
-from fitting.reflectance.from_images.calibration import ReflectanceCalibration, open_parameters
+from fitting.reflectance.from_images.calibration import (
+    USUAL,
+    ReflectanceCalibration,
+    open_parameters,
+)
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
 from fitting.reflectance.from_images.comparison import compare, relative_error
 from fitting.reflectance.from_images.findings import findings
@@ -399,6 +403,24 @@ def test_what_judges_the_errors_is_named(observation):
     assert "to either side; more lights narrow them." in told["alone"]
     assert f"judged by how 8 regions of the {lights} fitted lights agree" in told["alike"]
     assert told["alike"].endswith("standard errors to either side.")
+
+
+@pytest.mark.parametrize("model", ["torrance-sparrow-beckmann", "blinn", "torrance-sparrow"])
+def test_facets_and_both_axes_are_compared_by_default(model):
+    assert model in USUAL
+
+
+def test_a_better_model_than_the_reported_one_is_said(observation):
+    """With its numbers and the option that reports it; and which models were not compared."""
+    bright, matt = fit(observation), fit(observation, "lambert")
+    told = findings(calibrated(observation, matt, bright))
+    said = next(s for s in told if s.startswith("Lambert, which is reported here in full"))
+    numbers = r"it errs on unseen lights by \d\S* ± \S+ percentage points more than Phong"
+    assert re.search(numbers, said)
+    assert said.endswith("--model phong reports that one (model='phong' in Python).")
+    assert any(s.startswith("Not compared: Oren-Nayar, normalised Phong,") for s in told)
+    told = findings(calibrated(observation, bright, matt))
+    assert not any("reported here in full" in s for s in told)
 
 
 def test_held_out_images_do_not_touch_the_fit(observation):

@@ -5,13 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import stdtrit
 
+from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.parameters import names
 from ...inference.trust import convergence_in_words
 from ...report.section import Table
 from ..models import CLEAR, LABELS, facet_sentence
+from ..names import MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters
-from .comparison import equally_good
+from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
 from .shading_check import contradictions
 
@@ -37,7 +39,8 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
         *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
-        *_unseen_winner(calibration),
+        *(_unseen_winner(calibration) or _better_model(calibration)),
+        *_not_compared(calibration),
         *_sampling_findings(calibration),
         *_colour_finding(calibration),
         *_part_findings(calibration),
@@ -176,6 +179,29 @@ def _unseen_winner(calibration: ReflectanceCalibration) -> list[str]:
     return [
         f"{LABELS[best]} predicts best, but what it adds to Lambert's model is not determined"
         f"{where}: the lead may be chance."
+    ]
+
+
+def _better_model(calibration: ReflectanceCalibration) -> list[str]:
+    """That the model reported in full is not the one that the comparison prefers."""
+    found = surpassed_by(calibration.scores, calibration.model)
+    if found is None:
+        return []
+    better, told = found
+    return [
+        f"{LABELS[calibration.model]}, which is reported here in full, is not the best: it {told} "
+        f"{LABELS[better]}. --model {better} reports that one (model={better!r} in Python)."
+    ]
+
+
+def _not_compared(calibration: ReflectanceCalibration) -> list[str]:
+    """Which models could do better, for all that the comparison says."""
+    left_out = [LABELS[model] for model in MODELS if model not in calibration.fits]
+    if not left_out:
+        return []
+    return [
+        f"Not compared: {listed(left_out)}; --compare-all (compare_all=True in Python) fits these "
+        "too."
     ]
 
 
