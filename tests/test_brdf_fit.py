@@ -362,9 +362,9 @@ def test_facets_are_said_to_gain_by_fresnel_what_they_do(calibration):
 @pytest.mark.parametrize(
     ("winners", "judgement"),
     [
-        (("blinn", None), "This confirms the finding"),
+        (("blinn", None), "This confirms, where it tells, the finding"),
         (("blinn", "phong"), "This confirms only in part the finding"),
-        (("phong", None), "This contradicts the finding"),
+        (("phong", None), "This contradicts, where it tells, the finding"),
         ((None, None), "This neither confirms nor contradicts the finding"),
     ],
 )

@@ -266,6 +266,8 @@ def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
         (False, True): "contradicts",
         (False, False): "neither confirms nor contradicts",
     }[bool(wins["half"]), bool(wins["mirror"])]
+    if wins["neither"] and len(wins["neither"]) < len(calibrations):
+        judgement += ", where it tells,"
     return (
         f"By {METRICS[objective]} at incidences that no fit has seen, {told}. This {judgement} the "
         "finding of Ngan, Durand & Matusik (2005) on 100 materials that lobes about the half "

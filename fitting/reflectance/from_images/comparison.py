@@ -286,9 +286,8 @@ def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str
     if tested and model not in equal:
         more = _more(by_model[model], by_model[equal[0]])
         return equal[0], f"errs on unseen lights by {more} than"
-    costs: dict[Model, float] = {
-        m: _sum(s.bic for s in by_model[m]) for m in (equal if tested else by_model)
-    }
+    judged: tuple[Model, ...] = equal if tested else tuple(by_model)
+    costs: dict[Model, float] = {m: _sum(s.bic for s in by_model[m]) for m in judged}
     cheapest = _least(costs)
     lead = costs[model] - costs[cheapest]
     return (cheapest, f"has a BIC larger by {lead:.0f} than") if lead > DECISIVE else None
