@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from fitting.reflectance.from_files.errors import Errors, distinguished
+from fitting.reflectance.from_files.errors import Errors, distinguished, ratio
 from fitting.reflectance.from_images.comparison import (
     ModelScore,
     difference,
     equally_good,
     relative_rms,
+    surpassed_by,
     verdict,
 )
 
@@ -82,6 +83,42 @@ def test_a_difference_of_few_lights_counts_from_more_standard_errors():
     ) in verdict(scores, 3)
 
 
+def test_what_solvers_leave_open_is_no_difference():
+    """An error that differs by 1e-8 of itself, always to one side: the first fitted is named."""
+    rng = np.random.default_rng(2)
+    best = lights(rng, 6, 0.02)
+    rounded = best * [1 + 2e-8, 1.0] * np.linspace(1, 1 + 1e-9, 6)[:, None]
+    far = lights(rng, 6, 0.3)
+    scores = (score("lambert", rounded), score("phong", best), score("blinn", far))
+    gap = difference(scores[0], scores[1])
+    assert (gap.value, gap.error, gap.freedom) == (0.0, 0.0, 5)
+    assert equally_good(scores) == ("lambert", "phong")
+    told = verdict(scores, 6)
+    assert "Lambert predicts best" in told
+    assert "Phong (the same)." in told
+
+
+def test_the_model_that_surpasses_another_is_found():
+    """By unseen lights where they tell, else by a decisive BIC, else not at all."""
+    rng = np.random.default_rng(1)
+    best, own = lights(rng, 16, 0.07), 1 + 0.1 * rng.standard_normal(16)
+    near, far = best * np.stack([own / own.mean(), np.ones(16)], axis=1), lights(rng, 16, 0.3)
+
+    def surpassed(by_light, bic):
+        scores = (score("phong", by_light, bic=bic), score("blinn", best))
+        return surpassed_by(scores, "phong")
+
+    model, told = surpassed(far, 0.0)
+    assert model == "blinn"
+    assert told.startswith("errs on unseen lights by 2")
+    assert told.endswith(" percentage points more than")
+    assert surpassed(near, 1453.2) == ("blinn", "has a BIC larger by 1453 than")
+    assert surpassed(near, 9.0) is None
+    one = (score("phong", far[:1], bic=1453.2), score("blinn", best[:1]))
+    assert surpassed_by(one, "phong") == ("blinn", "has a BIC larger by 1453 than")
+    assert surpassed_by(one, "blinn") is None
+
+
 def of(parts):
     whole = np.sqrt(np.sum(parts))
     return Errors(whole, whole, whole, np.sqrt(parts), np.stack([parts, parts], axis=1))
@@ -93,3 +130,17 @@ def test_predictions_are_paired_by_incidence():
     assert not distinguished(of(base), of(base * [1.3, 0.8, 1.1, 0.9]), "cosine")
     assert not distinguished(of(base[:2]), of(9 * base[:2]), "cosine")
     assert not distinguished(of(base), of(base), "cube-root")
+    assert not distinguished(of(base), of(base * (1 + 1e-7)), "cosine")
+
+
+def test_the_error_that_is_shown_is_the_one_that_is_judged():
+    """Three times the whole error, whichever incidence is left out, though incidences of hardly any
+    weight favour the worse one; and seven times, which hangs on one incidence."""
+    good = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1.0, 1.2, 0.9, 1.1])
+    bad = np.array([1e-8, 1e-8, 1e-8, 1e-8, 10.0, 10.5, 9.5, 9.0])
+    assert distinguished(of(good), of(bad), "cosine")
+    assert distinguished(of(bad), of(good), "cosine")
+    hangs = ratio(of([1, 2, 1, 2, 1, 2, 1, 400]), of([1, 2, 1, 2, 1, 2, 1, 2]), "cosine")
+    np.testing.assert_allclose(hangs.value, np.sqrt(410 / 12))
+    np.testing.assert_allclose(hangs.without[[0, -1]], [np.sqrt(409 / 11), 1])
+    assert not hangs.told

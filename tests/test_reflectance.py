@@ -23,9 +23,14 @@ from scipy.stats import binom, norm
 
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import find
+from fitting.reflectance.from_images.calibration import (
+    USUAL,
+    ReflectanceCalibration,
+    open_parameters,
+)
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
-from fitting.reflectance.from_images.calibration import open_parameters
-from fitting.reflectance.from_images.comparison import relative_error
+from fitting.reflectance.from_images.comparison import compare, relative_error
+from fitting.reflectance.from_images.findings import findings
 from fitting.reflectance.from_images.fit import fit_channel, predicted_image
 from fitting.reflectance.from_images.geometry_cells import group
 from fitting.reflectance.from_images.model import Form
@@ -81,6 +86,25 @@ def cells(observation, chosen, width=1.0):
         observation.cosine[chosen.light, chosen.pixel],
         observation.mirror_angle[chosen.light, chosen.pixel],
         width=width,
+    )
+
+
+def calibrated(observation, *fits):
+    """A calibration of given fits, the first one reported, without posteriors."""
+    fitted, held_out = (
+        select(observation, held_out=kept, form=fits[0].requested) for kept in (False, True)
+    )
+    by_model = {found.requested.model: (found,) for found in fits}
+    return ReflectanceCalibration(
+        observation=observation,
+        model=fits[0].requested.model,
+        fits=by_model,
+        scores=compare(observation, by_model, fitted, held_out),
+        open_parameters={"grey": {}},
+        posteriors={},
+        fitted=fitted,
+        held_out=held_out,
+        minimum_cosine=0.0,
     )
 
 
@@ -362,6 +386,41 @@ def test_draws_agree_with_laplace(observation):
         (np.log(np.median(drawn.samples, axis=0)) - laplace.unconstrained_mode) / width, 0, atol=0.3
     )
     np.testing.assert_allclose(np.sqrt(np.diagonal(drawn.covariance)), width, rtol=0.15)
+
+
+def test_what_judges_the_errors_is_named(observation):
+    """Few lights, of which more would help, or regions of lights, which stay as many."""
+    found, matt = fit(observation), fit(observation, "lambert")
+    few = dataclasses.replace(found.robustness, freedom=np.full(3, 3.6))
+    lights = len(np.unique(found.selection.light))
+    alone = dataclasses.replace(found, robustness=few)
+    alike = dataclasses.replace(alone, regions=np.arange(LIGHTS) // 2)
+    told = {}
+    for name, one in {"alone": alone, "alike": alike}.items():
+        said = [s for s in findings(calibrated(observation, one, matt)) if "freedom, so" in s]
+        told[name] = said[0]
+    assert f"judged by how {lights} fitted lights agree" in told["alone"]
+    assert "to either side; more lights narrow them." in told["alone"]
+    assert f"judged by how 8 regions of the {lights} fitted lights agree" in told["alike"]
+    assert told["alike"].endswith("standard errors to either side.")
+
+
+@pytest.mark.parametrize("model", ["torrance-sparrow-beckmann", "blinn", "torrance-sparrow"])
+def test_facets_and_both_axes_are_compared_by_default(model):
+    assert model in USUAL
+
+
+def test_a_better_model_than_the_reported_one_is_said(observation):
+    """With its numbers and the option that reports it; and which models were not compared."""
+    bright, matt = fit(observation), fit(observation, "lambert")
+    told = findings(calibrated(observation, matt, bright))
+    said = next(s for s in told if s.startswith("Lambert, which is reported here in full"))
+    numbers = r"it errs on unseen lights by \d\S* ± \S+ percentage points more than Phong"
+    assert re.search(numbers, said)
+    assert said.endswith("--model phong reports that one (model='phong' in Python).")
+    assert any(s.startswith("Not compared: Oren-Nayar, normalised Phong,") for s in told)
+    told = findings(calibrated(observation, bright, matt))
+    assert not any("reported here in full" in s for s in told)
 
 
 def test_held_out_images_do_not_touch_the_fit(observation):

@@ -96,8 +96,9 @@ _EXPONENT = Parameter("exponent", symbol="n", unit="1", transform="log")
 _CONCENTRATION = Parameter("concentration", symbol="c", unit="1/rad", transform="log")
 _FACET_ROUGHNESS = Parameter("roughness", symbol="α", unit="1", transform="log")
 _BODY_ROUGHNESS = Parameter("roughness", symbol="σ", unit="rad", transform="log")
-# Between which values a shape is searched, by its symbol.
-SEARCHED = {"n": (0.5, 20_000.0), "c": (0.5, 100.0), "α": (0.005, 1.5), "σ": (0.01, 1.5)}
+# Between which values a shape is searched, by its symbol. A body of the least roughness differs
+# from the smooth one, Lambert's, by less than a millionth up to 87 degrees from the normal.
+SEARCHED = {"n": (0.5, 20_000.0), "c": (0.5, 100.0), "α": (0.005, 1.5), "σ": (1e-4, 1.5)}
 
 REFLECTANCES: dict[Model, Reflectance] = {
     "lambert": Reflectance("Lambert", "none"),

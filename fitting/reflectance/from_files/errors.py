@@ -12,6 +12,7 @@ from .fit import ModelFit, reflected
 from .read import MeasuredBRDF
 
 FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
+SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 
 
@@ -78,11 +79,65 @@ def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> E
     )
 
 
-def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:
-    """Whether two predictions of the same samples differ by more than chance.
+def metric(errors: Errors, objective: Objective) -> float:
+    """The error that belongs to an objective, in the form a reader compares.
 
-    They are paired by incidence: the mean logarithm of the ratio of their errors must exceed
-    Student's 95 % of its standard error, on the side of the smaller whole error.
+    Args:
+        errors: of one prediction.
+        objective: whose metric counts.
+
+    Returns:
+        Relative RMS, or sr^-1/3.
+    """
+    return errors.relative if objective == "cosine" else errors.cube_root
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """How many times as much one model errs as another.
+
+    Attributes:
+        value: of the whole errors.
+        without: (incidences,) the same with each incidence left out.
+    """
+
+    value: float
+    without: Float[np.ndarray, " incidences"]
+
+    @property
+    def told(self) -> bool:
+        """Whether it differs from 1 by more than chance: its logarithm exceeds Student's 95 % of
+        its standard error, the jackknife's over incidences."""
+        count, log = len(self.without), abs(np.log(self.value))
+        if count < FEWEST_INCIDENCES or log < SAME:
+            return False
+        error = np.sqrt((count - 1) * np.var(np.log(self.without)))
+        return bool(log > stdtrit(count - 1, 0.975) * error)
+
+
+def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
+    """The ratio of two models' errors of the same samples.
+
+    Args:
+        one: of a model.
+        other: of another.
+        objective: whose metric counts.
+
+    Returns:
+        The ratio; 1 with any incidence left out where rounding is all that one of them misses.
+    """
+    value = metric(one, objective) / metric(other, objective)
+    column = 0 if objective == "cosine" else 1
+    ours, theirs = one.parts[:, column], other.parts[:, column]
+    others = 1 - np.eye(len(ours))
+    ours, theirs = others @ ours, others @ theirs
+    exact = (ours <= 0) | (theirs <= 0)
+    without = np.sqrt(np.where(exact, 1, ours) / np.where(exact, 1, theirs))
+    return Ratio(value, without)
+
+
+def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:
+    """Whether two predictions of the same samples differ by more than chance: by `ratio`.
 
     Args:
         one: of a model.
@@ -92,15 +147,7 @@ def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:
     Returns:
         Whether; never with fewer than three incidences.
     """
-    column = 0 if objective == "cosine" else 1
-    ours, theirs = one.parts[:, column], other.parts[:, column]
-    both = (ours > 0) & (theirs > 0)
-    count = int(both.sum())
-    if count < FEWEST_INCIDENCES:
-        return False
-    ratio = np.log(ours[both] / theirs[both])
-    reach = stdtrit(count - 1, 0.975) * np.std(ratio, ddof=1) / np.sqrt(count)
-    return bool(np.sign(ours.sum() - theirs.sum()) * ratio.mean() > reach)
+    return ratio(one, other, objective).told
 
 
 def weight_by_incidence(
@@ -151,7 +198,4 @@ def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
         Its name.
     """
 
-    def metric(model: Model) -> float:
-        return scores[model].rms if objective == "cosine" else scores[model].cube_root
-
-    return min(scores, key=metric)
+    return min(scores, key=lambda model: metric(scores[model], objective))

@@ -15,8 +15,8 @@ from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, unit_brdf
 from ..names import MODELS, Axis, Model
 from .calibration import BRDFCalibration
-from .errors import best
-from .findings import AXES, metric, of_axis
+from .errors import best, metric
+from .findings import AXES, of_axis
 from .fit import LobeFit
 from .read import MeasuredBRDF
 

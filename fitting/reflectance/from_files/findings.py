@@ -7,34 +7,41 @@ import numpy as np
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
-from ..models import CLEAR, LABELS, REFLECTANCES, facet_sentence, shape_of, shape_range
+from ..models import (
+    CLEAR,
+    LABELS,
+    REFLECTANCES,
+    facet_sentence,
+    has_lobe,
+    shape_of,
+    shape_range,
+)
 from ..names import Axis, Model, Objective
 from .calibration import BRDFCalibration
-from .errors import Errors, best, distinguished, weight_by_incidence
+from .errors import (
+    FEWEST_INCIDENCES,
+    Errors,
+    best,
+    distinguished,
+    metric,
+    ratio,
+    weight_by_incidence,
+)
+from .fit import compressed, reflected
 
 RELATIONS = {"half": "beats", "mirror": "loses to", "neither": "is not told apart from"}
 MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which a reader is told
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
+NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
+APART = 1.5  # ratio of two errors from which a reader is told why they are not told apart
 OVERFIT = 1.5  # held-out over fitted error from which a reader is told
 PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other axis
     ("phong", "blinn"),
     ("normalised-phong", "normalised-blinn"),
 )
+FRESNEL: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-metal", "lambert")
 AXES: tuple[Axis, ...] = ("half", "mirror")
 METRICS: dict[Objective, str] = {"cosine": "cosine-weighted RMS", "cube-root": "cube-root error"}
-
-
-def metric(errors: Errors, objective: Objective) -> float:
-    """The error that belongs to an objective, in the form a reader compares.
-
-    Args:
-        errors: of one prediction.
-        objective: whose metric counts.
-
-    Returns:
-        Relative RMS, or sr^-1/3.
-    """
-    return errors.relative if objective == "cosine" else errors.cube_root
 
 
 def in_words(errors: Errors, objective: Objective) -> str:
@@ -97,7 +104,32 @@ def _verdict(calibration: BRDFCalibration) -> str:
     alike = [f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal if m != winner]
     if not alike:
         return told
-    return f"{told} Not told apart from it, incidence by incidence: {listed(alike)}."
+    told = f"{told} Not told apart from it, leaving out incidence by incidence: {listed(alike)}."
+    return " ".join([told, *_apart_and_not_told(calibration, winner, equal)])
+
+
+def _apart_and_not_told(
+    calibration: BRDFCalibration, winner: Model, equal: Sequence[Model]
+) -> list[str]:
+    """Why models of much larger errors are not told apart from the best one."""
+    told = []
+    for model in equal:
+        found = ratio(
+            calibration.held_out[model], calibration.held_out[winner], calibration.objective
+        )
+        if found.value < APART or len(found.without) < FEWEST_INCIDENCES:
+            continue
+        decides = int(np.argmax(np.abs(np.log(found.without / found.value))))
+        told.append(
+            f"{LABELS[model]} ({found.value:.1f} times as much, {found.without[decides]:.1f} times "
+            f"without {np.degrees(calibration.measured.incidences[decides]):.0f}°)"
+        )
+    if not told:
+        return []
+    return [
+        "Of these some err far more here, but how far depends on a single incidence: "
+        f"{listed(told)}."
+    ]
 
 
 def _weight(calibration: BRDFCalibration) -> list[str]:
@@ -153,28 +185,36 @@ def _generalisation(calibration: BRDFCalibration) -> list[str]:
 
 def _ends(calibration: BRDFCalibration) -> list[str]:
     """Other models with a shape at an end of its range."""
-    stuck = []
+    stuck, smooth = [], []
     for model, fit in calibration.fits.items():
         if fit.whole.shape is None or model == calibration.model:
             continue
         shape = shape_of(model)
         low, high = shape_range(model)
-        if not 1.001 * low < fit.whole.shape < high / 1.001:
+        if not has_lobe(model) and fit.whole.shape <= 1.001 * low:
+            smooth.append(f"{LABELS[model]} fits best without {shape.name}, as Lambert's model.")
+        elif not 1.001 * low < fit.whole.shape < high / 1.001:
             stuck.append(f"{LABELS[model]} ({shape.name} {fit.whole.shape:.3g})")
     if not stuck:
-        return []
+        return smooth
     return [
-        f"At an end of the range of their shape, hence no good description: {', '.join(stuck)}."
+        *smooth,
+        f"At an end of the range of their shape, hence no good description: {', '.join(stuck)}.",
     ]
 
 
 def _failures(calibration: BRDFCalibration) -> list[str]:
     """Searches that did not settle, or ended above Lambert's model, which all others contain."""
-    told = []
+    told, measured = [], calibration.measured
+    in_metric = reflected if calibration.objective == "cosine" else compressed
+    squares = measured.weights[:, None] * in_metric(measured, measured.values) ** 2
+    nothing = NOTHING**2 * float(squares.sum())
     lambert = calibration.fits["lambert"]
     for model, fit in calibration.fits.items():
         pairs = zip((fit.whole, *fit.without), (lambert.whole, *lambert.without), strict=True)
-        settled = [own.settled and own.cost <= (1 + NESTED) * matt.cost for own, matt in pairs]
+        settled = [
+            own.settled and own.cost <= (1 + NESTED) * matt.cost + nothing for own, matt in pairs
+        ]
         if not all(settled):
             told.append(
                 f"{LABELS[model]}: {settled.count(False)} of {len(settled)} fits did not reach a "
@@ -220,10 +260,14 @@ def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
         for side, words in sides.items()
         if wins[side]
     )
-    if len(wins["half"]) == len(calibrations):
-        judgement = "confirms"
-    else:
-        judgement = "confirms only in part" if wins["half"] else "does not confirm"
+    judgement = {
+        (True, False): "confirms",
+        (True, True): "confirms only in part",
+        (False, True): "contradicts",
+        (False, False): "neither confirms nor contradicts",
+    }[bool(wins["half"]), bool(wins["mirror"])]
+    if wins["neither"] and len(wins["neither"]) < len(calibrations):
+        judgement += ", where it tells,"
     return (
         f"By {METRICS[objective]} at incidences that no fit has seen, {told}. This {judgement} the "
         "finding of Ngan, Durand & Matusik (2005) on 100 materials that lobes about the half "
@@ -247,21 +291,26 @@ def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
 
 
 def _what_fresnel_does(calibrations: Sequence[BRDFCalibration]) -> list[str]:
-    """Where clear facets win, what is left of it without their Fresnel reflectance."""
+    """Where clear facets win, how much of its lead GGX loses without Fresnel reflectance."""
     objective = calibrations[0].objective
     told = []
     for calibration in calibrations:
         held_out = calibration.held_out
-        if (winner := best(held_out, objective)) in CLEAR:
-            with_it, without = (
-                in_words(held_out[m], objective) for m in (winner, "torrance-sparrow-metal")
-            )
-            told.append(f"{readable(calibration.measured.name)} {without} instead of {with_it}")
+        clear, metal, matt = (held_out[model] for model in FRESNEL)
+        lead = metric(matt, objective) - metric(clear, objective)
+        if best(held_out, objective) not in CLEAR or lead <= 0:
+            continue
+        rise = max(metric(metal, objective) - metric(clear, objective), 0.0)
+        told.append(
+            f"{readable(calibration.measured.name)} {in_words(metal, objective)} instead of "
+            f"{in_words(clear, objective)}, which is {format_percent(rise / lead)} of their lead "
+            f"over Lambert's {in_words(matt, objective)}"
+        )
     if not told:
         return []
     return [
-        "Where Torrance-Sparrow with clear facets wins, the rise of Fresnel reflectance toward "
-        f"grazing angles does most of it: without (metal) it errs on {'; '.join(told)}."
+        "Where Torrance-Sparrow with clear facets wins, GGX facets without the rise of Fresnel "
+        f"reflectance toward grazing angles (metal) err on {'; '.join(told)}."
     ]
 
 

@@ -14,8 +14,8 @@ from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from ..names import MODELS, OBJECTIVES, Model, Objective
 from . import figures
 from .calibration import BRDFCalibration
-from .errors import best
-from .findings import METRICS, findings, metric, readable, which_axis_wins
+from .errors import best, metric
+from .findings import METRICS, findings, readable, which_axis_wins
 
 AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
 

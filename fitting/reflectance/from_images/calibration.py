@@ -27,7 +27,14 @@ from .read import ReflectanceObservation
 from .samples import Selection, gather, select
 
 FEWEST_SAMPLES = 50
-USUAL: tuple[Model, ...] = ("lambert", "phong", "gaussian-lobe", "torrance-sparrow")
+USUAL: tuple[Model, ...] = (
+    "lambert",
+    "phong",
+    "gaussian-lobe",
+    "blinn",
+    "torrance-sparrow-beckmann",
+    "torrance-sparrow",
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,7 +88,7 @@ def calibrate(
         observation: of a known shape under known lights.
         model: the one reported in full; "torrance-sparrow" has GGX facets, as
             `jaxvision.TorranceSparrow` by default.
-        compare_all: fit every model instead of the usual rivals.
+        compare_all: fit every model instead of the usual rivals, `USUAL`, in about twice the time.
         index: of refraction, of the clear facets of Torrance-Sparrow.
         sampling: how to draw the posterior of `model` by emcee; None for Laplace.
         seed: of every draw.

@@ -3,8 +3,9 @@
 Held-out lights decide: the relative error of images that no fit has seen. Two models see the same
 lights, so their difference is judged light by light: its standard error is the jackknife's over
 lights, and models count as equal where the difference is within Student's 95 % of it in every
-channel. AIC and BIC judge the fit itself; pixels of one image share their errors, so the log
-likelihood and the sample size are divided by the design effect of the best model before they enter
+channel. Differences that the solvers leave open are none. AIC and BIC judge the fit itself; pixels
+of one image share their errors, so the log likelihood and the sample size are divided by the design
+effect of the best model before they enter
 
     AIC = -2 log L / d + 2 P,      BIC = -2 log L / d + P log(N / d).
 """
@@ -27,6 +28,7 @@ from .read import ReflectanceObservation
 from .samples import Selection, make_samples
 
 LEVEL = 0.975  # quantile of Student's t within which a difference counts as none
+SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
 DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very strong evidence
 
 
@@ -79,6 +81,11 @@ class Difference:
             float("inf") if self.freedom < 1 else self.error * float(stdtrit(self.freedom, LEVEL))
         )
 
+    @property
+    def none(self) -> bool:
+        """Whether both predict the same."""
+        return self.value == 0 and self.error == 0
+
 
 def difference(one: ModelScore, other: ModelScore) -> Difference:
     """Relative RMS of one model less that of another, paired by light.
@@ -88,7 +95,8 @@ def difference(one: ModelScore, other: ModelScore) -> Difference:
         other: of the same channel.
 
     Returns:
-        The difference; 0 without held-out lights, its error infinite.
+        The difference; 0 without held-out lights, its error infinite; 0 with an error of 0 where
+        it is less than a millionth of the errors.
     """
     if one.by_light is None or other.by_light is None or len(one.by_light) < 2:
         value = (one.predicted_error or 0.0) - (other.predicted_error or 0.0)
@@ -103,6 +111,8 @@ def difference(one: ModelScore, other: ModelScore) -> Difference:
         total = by_light.sum(axis=0)
         whole.append(of(total))
         without.append(of(total - by_light))
+    if abs(whole[0] - whole[1]) <= SAME * min(whole):
+        return Difference(0.0, 0.0, count - 1)
     gaps = without[0] - without[1]
     error = float(np.sqrt((count - 1) * np.var(gaps)))
     return Difference(float(whole[0] - whole[1]), error, count - 1)
@@ -234,7 +244,8 @@ def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
 
 def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
     """Models whose prediction of unseen lights differs from the best one's by no more than chance,
-    in every channel; the best first. The one of smallest BIC without such lights.
+    in every channel; the best first, of those that predict the same the first fitted. The one of
+    smallest BIC without such lights.
 
     Args:
         scores: of every model in every channel.
@@ -249,13 +260,37 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
     errors: dict[Model, float] = {
         m: _sum(s.predicted_error or 0.0 for s in own) for m, own in by_model.items()
     }
-    best = _least(errors)
+    least = _least(errors)
+    best = next(m for m in by_model if m == least or _same(by_model[m], by_model[least]))
     equal: list[Model] = [best]
     for model, own in by_model.items():
-        gaps = [difference(a, b) for a, b in zip(own, by_model[best], strict=True)]
+        gaps = _differences(own, by_model[best])
         if model != best and all(g.freedom and g.value <= g.half_width for g in gaps):
             equal.append(model)
     return tuple(equal)
+
+
+def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str] | None:
+    """The model that the comparison finds better than another: by its prediction of unseen lights,
+    or, where those do not tell, by a decisive difference of BIC.
+
+    Args:
+        scores: of every model in every channel.
+        model: to compare with the best.
+
+    Returns:
+        The better one, and in words by how much `model` is worse; None where none is.
+    """
+    by_model, equal = _by_model(scores), equally_good(scores)
+    tested = all(gap.freedom for gap in _differences(by_model[model], by_model[equal[0]]))
+    if tested and model not in equal:
+        more = _more(by_model[model], by_model[equal[0]])
+        return equal[0], f"errs on unseen lights by {more} than"
+    judged: tuple[Model, ...] = equal if tested else tuple(by_model)
+    costs: dict[Model, float] = {m: _sum(s.bic for s in by_model[m]) for m in judged}
+    cheapest = _least(costs)
+    lead = costs[model] - costs[cheapest]
+    return (cheapest, f"has a BIC larger by {lead:.0f} than") if lead > DECISIVE else None
 
 
 def _by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
@@ -300,10 +335,7 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
         )
     sentence += "."
     if len(equal) > 1:
-        others = ", ".join(
-            f"{LABELS[m]} ({_gaps(by_model[m], by_model[best])} percentage points more)"
-            for m in equal[1:]
-        )
+        others = ", ".join(f"{LABELS[m]} ({_more(by_model[m], by_model[best])})" for m in equal[1:])
         sentence += f" Not distinguishable from it by these lights: {others}."
         sentence += _criterion(by_model[equal[1]], by_model[best])
         lead = min(costs[m] - costs[cheapest] for m in costs if m != cheapest)
@@ -318,8 +350,7 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
         rest: dict[Model, float] = {m: float(e.sum()) for m, e in errors.items() if m != best}
         runner = _least(rest)
         sentence += (
-            f" The next, {LABELS[runner]}, errs by {_gaps(by_model[runner], by_model[best])} "
-            "percentage points more."
+            f" The next, {LABELS[runner]}, errs by {_more(by_model[runner], by_model[best])}."
         )
     return sentence
 
@@ -330,7 +361,7 @@ def _lights(count: int, kind: str = "") -> str:
 
 def _criterion(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
     """From how many standard errors on a difference counts: few lights tell their scatter badly."""
-    freedom = min(difference(a, b).freedom for a, b in zip(own, best, strict=True))
+    freedom = min(gap.freedom for gap in _differences(own, best))
     return (
         f" With {_lights(freedom + 1)} a difference counts from {stdtrit(freedom, LEVEL):.1f} "
         f"standard errors on, by Student's t with {freedom} degree{'' if freedom == 1 else 's'} of "
@@ -338,10 +369,21 @@ def _criterion(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
     )
 
 
-def _gaps(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
+def _differences(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> list[Difference]:
+    return [difference(a, b) for a, b in zip(own, other, strict=True)]
+
+
+def _same(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> bool:
+    return all(gap.none for gap in _differences(own, other))
+
+
+def _more(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
     """Differences in percentage points with their standard errors, by channel."""
-    gaps = [difference(a, b) for a, b in zip(own, best, strict=True)]
-    return " / ".join(format_with_error(100 * gap.value, 100 * gap.error) for gap in gaps)
+    gaps = _differences(own, best)
+    if all(gap.none for gap in gaps):
+        return "the same"
+    told = ("0" if g.none else format_with_error(100 * g.value, 100 * g.error) for g in gaps)
+    return f"{' / '.join(told)} percentage points more"
 
 
 def _sum(values: Iterable[float]) -> float:

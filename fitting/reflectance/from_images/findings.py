@@ -5,13 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import stdtrit
 
+from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.parameters import names
 from ...inference.trust import convergence_in_words
 from ...report.section import Table
 from ..models import CLEAR, LABELS, facet_sentence
+from ..names import MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters
-from .comparison import equally_good
+from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
 from .shading_check import contradictions
 
@@ -37,7 +39,8 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
         *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
-        *_unseen_winner(calibration),
+        *(_unseen_winner(calibration) or _better_model(calibration)),
+        *_not_compared(calibration),
         *_sampling_findings(calibration),
         *_colour_finding(calibration),
         *_part_findings(calibration),
@@ -115,16 +118,16 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
         )
     if fit.robustness is not None and np.isnan(fit.robustness.by_light):
         found.append(
-            f"{name}From so few lights as fitted ({len(np.unique(fit.selection.light))}) it cannot "
+            f"{name}From so few lights as fitted ({_lights(fit)}) it cannot "
             "be judged how far the pixels of one image share an error (of its light, say); the "
             "intervals assume that they do not and may be far too narrow, so use more lights."
         )
     elif fit.robustness is not None and np.min(fit.robustness.freedom) < FEW_FREEDOM:
         found.append(
-            f"{name}Errors are judged by how {len(np.unique(fit.selection.light))} fitted lights "
-            f"agree; that leaves {np.min(fit.robustness.freedom):.1f} degrees of freedom, so 95 % "
-            f"intervals reach {stdtrit(np.min(fit.robustness.freedom), 0.975):.3g} standard errors "
-            "to either side; more lights narrow them."
+            f"{name}Errors are judged by how {_judges(fit)} agree; that leaves "
+            f"{np.min(fit.robustness.freedom):.1f} degrees of freedom, so 95 % intervals reach "
+            f"{stdtrit(np.min(fit.robustness.freedom), 0.975):.3g} standard errors to either side"
+            + ("." if _in_regions(fit) else "; more lights narrow them.")
         )
     if fit.design_effect > 1:
         assert fit.robustness is not None
@@ -135,14 +138,32 @@ def _channel_findings(calibration: ReflectanceCalibration, fit: ChannelFit) -> l
             f"ones; the intervals allow for it, {np.sqrt(fit.design_effect):.1f} times wider on "
             "average over the parameters."
         )
-    lights, groups = (len(np.unique(x)) for x in (fit.selection.light, fit.regions))
-    if groups < lights:
+    if _in_regions(fit):
         found.append(
             f"{name}Images of neighbouring lights miss the model alike, so that the intervals take "
-            f"{groups} regions of the {lights} lights for independent, not the lights; parameters "
-            "may differ under lights from elsewhere."
+            f"{_regions(fit)} regions of the {_lights(fit)} lights for independent, not the "
+            "lights; parameters may differ under lights from elsewhere."
         )
     return found
+
+
+def _lights(fit: ChannelFit) -> int:
+    return len(np.unique(fit.selection.light))
+
+
+def _regions(fit: ChannelFit) -> int:
+    """Of lights that err alike; as many as lights where each errs on its own."""
+    return len(np.unique(fit.regions[fit.selection.light]))
+
+
+def _in_regions(fit: ChannelFit) -> bool:
+    return _regions(fit) < _lights(fit)
+
+
+def _judges(fit: ChannelFit) -> str:
+    """What the errors of a fit are told by."""
+    of_regions = f"{_regions(fit)} regions of the " if _in_regions(fit) else ""
+    return f"{of_regions}{_lights(fit)} fitted lights"
 
 
 def _unseen_winner(calibration: ReflectanceCalibration) -> list[str]:
@@ -158,6 +179,29 @@ def _unseen_winner(calibration: ReflectanceCalibration) -> list[str]:
     return [
         f"{LABELS[best]} predicts best, but what it adds to Lambert's model is not determined"
         f"{where}: the lead may be chance."
+    ]
+
+
+def _better_model(calibration: ReflectanceCalibration) -> list[str]:
+    """That the model reported in full is not the one that the comparison prefers."""
+    found = surpassed_by(calibration.scores, calibration.model)
+    if found is None:
+        return []
+    better, told = found
+    return [
+        f"{LABELS[calibration.model]}, which is reported here in full, is not the best: it {told} "
+        f"{LABELS[better]}. --model {better} reports that one (model={better!r} in Python)."
+    ]
+
+
+def _not_compared(calibration: ReflectanceCalibration) -> list[str]:
+    """Which models could do better, for all that the comparison says."""
+    left_out = [LABELS[model] for model in MODELS if model not in calibration.fits]
+    if not left_out:
+        return []
+    return [
+        f"Not compared: {listed(left_out)}; --compare-all (compare_all=True in Python) fits these "
+        "too."
     ]
 
 

@@ -663,7 +663,7 @@ ELSEWHERE = (
             fitting.reflectance.from_files.calibration: amplitudes calibrate log_density
             fitting.reflectance.from_files.calibration: parameter_space
             fitting.reflectance.from_files.errors: best distinguished errors prediction_of_held_out
-            fitting.reflectance.from_files.errors: weight_by_incidence
+            fitting.reflectance.from_files.errors: metric ratio weight_by_incidence
             fitting.reflectance.from_files.fit: compressed darkness fit_model fit_models reflected
             fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
             fitting.reflectance.models: is_searched
@@ -678,7 +678,7 @@ ELSEWHERE = (
             fitting.reflectance.from_images.calibration: calibrate mean_residual open_parameters
             fitting.reflectance.from_images.comparison: compare comparison_table difference
             fitting.reflectance.from_images.comparison: equally_good relative_error relative_rms
-            fitting.reflectance.from_images.comparison: squares_by_light verdict
+            fitting.reflectance.from_images.comparison: squares_by_light surpassed_by verdict
             fitting.reflectance.from_images.fit: fit_channel optimum predicted_image project
             fitting.reflectance.from_images.fit: robust_covariance
             fitting.reflectance.from_images.geometry_cells: average group saturated_only
