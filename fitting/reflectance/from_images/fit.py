@@ -59,7 +59,8 @@ GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 REACH = 1.0  # half width of the bounded search, in log parameters
 LONG = 300_000  # samples from which more programs, and optimised ones, save time
 MOST_TURNS = 20  # of the lights
-SETTLED = 0.02  # standard deviations of a light's direction
+SETTLED = 0.05  # standard deviations of a light's direction
+ENOUGH = 20_000  # samples that put lights nearly where all samples do
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
 
 
@@ -206,21 +207,39 @@ def _weighed_and_fitted(
 def _among_turns(
     found: _Found, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
 ) -> tuple[_Found, np.ndarray]:
-    """Parameters and turns of the lights, one at the other's best, until no light moves."""
-    observation, selection = gathered.observation, gathered.selection
+    """Parameters and turns of the lights, one at the other's best, until no light moves: of a part
+    of many samples first, which is near enough to begin with."""
+    observation, every = gathered.observation, gathered.selection
     turns = np.zeros((len(observation.files), 2))
-    for _ in range(MOST_TURNS):
-        shifts = shifts_of_turns(
-            observation, turns, channel, found.vector, found.samples, selection
-        )
-        before = turns
-        turns = likeliest_turns(shifts, before, found.vector, found.samples, selection)
-        lights = turned(observation, turns)
-        samples = make_samples(lights, channel, found.samples.form, selection)
-        found = _weighed_and_fitted(found.vector, samples, grouping, sensor)
-        if np.abs(turns - before).max() < SETTLED:
-            break
+    step = max(1, len(every.light) // ENOUGH)
+    parts = [Selection(every.light[::step], every.pixel[::step])] if step > 1 else []
+    for selection in (*parts, every):
+        fitted = partial(_fitted_about, observation, selection, channel, grouping, sensor)
+        if parts:
+            found = fitted(turns, found)
+        for _ in range(MOST_TURNS):
+            vector, samples = found.vector, found.samples
+            shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
+            before = turns
+            turns = likeliest_turns(shifts, before, vector, samples, selection)
+            found = fitted(turns, found)
+            if np.abs(turns - before).max() < SETTLED:
+                break
     return found, turns
+
+
+def _fitted_about(
+    observation: ReflectanceObservation,
+    selection: Selection,
+    channel: int,
+    grouping: Grouping,
+    sensor: Spread | None,
+    turns: np.ndarray,
+    near: _Found,
+) -> _Found:
+    lights = turned(observation, turns)
+    samples = make_samples(lights, channel, near.samples.form, selection)
+    return _weighed_and_fitted(near.vector, samples, grouping, sensor)
 
 
 def robust_covariance(
