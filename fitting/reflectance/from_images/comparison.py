@@ -261,7 +261,8 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
         m: _sum(s.predicted_error or 0.0 for s in own) for m, own in by_model.items()
     }
     least = _least(errors)
-    best = next(m for m in by_model if m == least or _same(by_model[m], by_model[least]))
+    alike: list[Model] = [m for m in by_model if _same(by_model[m], by_model[least])]
+    best: Model = alike[0] if alike else least
     equal: list[Model] = [best]
     for model, own in by_model.items():
         gaps = _differences(own, by_model[best])
