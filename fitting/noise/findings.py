@@ -284,7 +284,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
                 "frame: it is part of the temporal noise "
                 f"({read / gain:.3g} e⁻), of which the pixels' own is {rest / gain:.3g} e⁻."
             )
-        stays = fixed_lines(dark.shared, spatial, axis)
+        stays = fixed_lines(dark.shared, spatial, variance, frames, axis)
         if stays.believed:
             error = stays.error / (2 * stays.deviation)
             told.append(

@@ -167,13 +167,26 @@ def believed_lines(
     return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
 
 
-def fixed_lines(shared: SharedVariance, spatial: Float[np.ndarray, " levels"], axis: int) -> Found:
-    """The unevenness of rows or columns that stays, of all levels together: one pattern, seen
-    again at each, so that levels do not make it better known.
+def fixed_lines(
+    shared: SharedVariance,
+    spatial: Float[np.ndarray, " levels"],
+    variance: Float[np.ndarray, " levels"],
+    frames: np.ndarray,
+    axis: int,
+) -> Found:
+    """The unevenness of rows or columns that stays, of all levels together.
+
+    What the pixels' own pattern, a, adds to a line is the same at all levels, so that levels do not
+    make it better known; temporal noise, b of a line of L frames, is new at each, and is subtracted
+    as it was measured from those frames. Of lines weighted by w the error is
+
+        sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
 
     Args:
         shared: of the levels.
         spatial: (levels,) variance of the average frames, DN^2.
+        variance: (levels,) temporal, of pixels, DN^2.
+        frames: (levels,) how many.
         axis: which.
 
     Returns:
@@ -181,10 +194,19 @@ def fixed_lines(shared: SharedVariance, spatial: Float[np.ndarray, " levels"], a
     """
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.fixed_rows if axis == 0 else shared.fixed_columns)
-    found = _pooled(values, spatial / across, np.full(len(values), lines - 1.0))
-    alone = float(np.sqrt(2 / (lines - 1)) * np.median(spatial) / across)
-    error = float(np.hypot(alone, np.sqrt(2 / (lines - 1)) * found.variance))
-    return Found(found.variance, error, found.variance / alone)
+    of_lines = max(temporal_lines(shared, variance, frames, axis).variance, 0.0)
+    passing = (of_lines + variance / across) / frames
+    own = float(np.median(np.maximum(spatial - variance / frames, 0))) / across
+    weight = (own + passing) ** -2
+    weight = weight / weight.sum()
+    found = float(weight @ values)
+
+    def error(pattern: float) -> float:
+        mixed = 2 * pattern * np.sum(weight**2 * passing)
+        noise = np.sum(weight**2 * passing**2 * frames / (frames - 1))
+        return float(np.sqrt(2 / (lines - 1) * (pattern**2 + mixed + noise)))
+
+    return Found(found, error(own + max(found, 0.0)), found / error(own))
 
 
 def drift(
