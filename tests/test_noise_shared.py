@@ -6,13 +6,17 @@ import pytest
 
 from fitting import noise
 from fitting.noise.calibration import calibrate
+from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.findings import findings
-from fitting.noise.levels import Levels
+from fitting.noise.fit import base_space, fitted, noise_data
+from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.pattern import pattern_variance
+from fitting.noise.sampling import sampling_errors
 from fitting.noise.shared import (
     Moments,
     drift,
     fixed_lines,
+    shared_noise,
     shared_variance,
     temporal_lines,
 )
@@ -144,3 +148,60 @@ def test_a_calibration_names_row_noise():
     assert abs(size - 7.5) < 4 * error
     assert calibration.linear.p_value > 1e-3
     assert not [name for name in calibration.chosen.values if name.endswith("scatter")]
+
+
+def camera_frames(rng, photons, size, *, rows=0.0, wander=0.0, gain=0.25):
+    """Four frames of 64 DN black, 6 e- of pixel noise, rows of noise, and a drift of frames."""
+    shape = (4, *size)
+    electrons = rng.poisson(0.5 * photons, shape) + 6 * rng.standard_normal(shape)
+    electrons += rows * rng.standard_normal((4, size[0], 1))
+    electrons += wander * rng.standard_normal((4, 1, 1))
+    return list(np.round(64 + gain * electrons))
+
+
+def test_errors_of_a_level_know_of_shared_noise():
+    """Means and variances of levels scatter as their errors say, under rows and drift."""
+    rng, kept = np.random.default_rng(6), []
+    stacks = rng.standard_normal((400, FRAMES, H, W)) + 2 * rng.standard_normal((400, FRAMES, H, 1))
+    stacks += rng.standard_normal((400, FRAMES, 1, 1))
+    for stack in stacks:
+        moments = Moments(stack[0])
+        for frame in stack[1:]:
+            moments.add(frame - stack[0])
+        wander = stack.mean(axis=(1, 2)).var(ddof=1)
+        variance = stack.var(axis=0, ddof=1).mean() - wander
+        average = stack.mean(axis=0)
+        kept.append((variance, average.mean(), *moments.shared(average, variance, wander)))
+    variance, mean, *lines = np.array(kept).T
+    one, shared = np.ones(400), shared_variance(np.array(lines), (H, W))
+    levels = Levels(0 * one, one, mean, variance, FRAMES * one, jnp.asarray(float(H * W)))
+    noise_of_all = shared_noise(shared, variance, FRAMES * one)
+    errors = sampling_errors(levels, 0 * one, jnp.asarray(1.0), shared=noise_of_all)
+    # The scatter of 400 has a relative error of 3.5 %: four of them.
+    for found, claimed in ((mean, errors.mean), (variance, errors.variance)):
+        assert abs(np.sqrt(np.mean(claimed)) / found.std(ddof=1) - 1) < 0.14
+
+
+def test_black_is_within_its_errors_where_it_drifts():
+    """6 e- of drift from frame to frame, darks of one exposure: the camera stays linear."""
+    rng, photons, size = np.random.default_rng(7), np.linspace(200, 8000, 6), (40, 60)
+    z = []
+    for _ in range(24):
+        measured = noise.from_frames(
+            [camera_frames(rng, p, size, wander=6.0) for p in photons],
+            [camera_frames(rng, 0.0, size, wander=6.0) for _ in photons],
+            [0.01] * 6,
+            list(photons),
+            camera=Camera(bits=12),
+        )
+        space = base_space(measured, ranges(measured))
+        data = noise_data(measured, linear_levels(measured))
+        start = sheet(statistics(measured, None), measured, ranges(measured))
+        fit = fitted(space, data, start)
+        black, rate = (float(fit.values[name]) for name in ("black_level", "responsivity"))
+        off = (black - 64) / fit.errors["black_level"]
+        z.append((off, np.log(rate / 0.125) / fit.errors["responsivity"]))
+        assert fit.p_value > 1e-3
+    # The scatter of 24 has a relative error of 15 %: three of them.
+    assert np.all(np.abs(np.std(z, axis=0) - 1) < 0.45)
+    assert np.all(np.mean(np.abs(np.array(z)) < 1.96, axis=0) > 0.8)

@@ -35,6 +35,7 @@ from .model import log_density, negative_log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
 from .quantities import QUANTITIES, SCATTERS, Quantity
 from .regressions import through_origin
+from .shared import shared_noise
 from .window import needed_window
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
@@ -106,7 +107,9 @@ def calibrate(
     measurement = as_dtype(measurement, np.float64)  # of a caller in float32
     within = ranges(measurement)
     usable = linear_levels(measurement)
-    standard = _evaluated(measurement, within)
+    dark = measurement.dark
+    shared = shared_noise(dark.shared, dark.variance, dark.frames)
+    standard = _evaluated(measurement, within, shared=shared)
     window, gone = needed_window(measurement, usable)
     data = noise_data(measurement, usable, window=window)
     linear, chosen = choose_model(measurement, within, data, standard.values)

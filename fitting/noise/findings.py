@@ -65,13 +65,18 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
 def _linearity(calibration: NoiseCalibration) -> list[str]:
     linear, chosen = calibration.linear, calibration.chosen
     ratio = linear.chi_square / linear.degrees
+    noise = (
+        "pixel noise only"
+        if linear.data.shared is None
+        else "pixel noise, and noise that rows, columns or frames of the darks share,"
+    )
     if linear.p_value >= MISFIT:
         return [
-            "A linear camera with pixel noise only explains every mean and variance: chi-square "
+            f"A linear camera with {noise} explains every mean and variance: chi-square "
             f"per degree of freedom {ratio:.2f} ({format_p(linear.p_value)})."
         ]
     told = [
-        "A linear camera with pixel noise only does not explain the measurement: chi-square per "
+        f"A linear camera with {noise} does not explain the measurement: chi-square per "
         f"degree of freedom {ratio:.3g} over {linear.degrees}; its K of "
         f"{float(linear.values['system_gain']):.5g} DN/e⁻ and the small error it would claim are "
         "not to be used."
@@ -296,7 +301,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
     if wander.believed:
         told.append(
             f"From frame to frame the black level drifts by {wander.deviation:.3g} DN rms; it is "
-            "left out of the temporal noise."
+            "left out of the temporal noise, and the errors of the levels' means know of it."
         )
     return told
 

@@ -152,7 +152,8 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
 
 def _models_table(calibration: NoiseCalibration) -> Table:
     linear, chosen = calibration.linear, calibration.chosen
-    fits = {"linear camera, pixel noise only": linear}
+    noise = "pixel noise only" if linear.data.shared is None else "pixel and shared noise"
+    fits = {f"linear camera, {noise}": linear}
     if chosen is not linear:
         added = [name for name in names(chosen.space) if name not in names(linear.space)]
         fits[f"+ {', '.join(added).replace('_', ' ')}"] = chosen

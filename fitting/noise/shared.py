@@ -60,6 +60,20 @@ def shared_variance(
     return SharedVariance(rows, columns, fixed_rows, fixed_columns, frames, size)
 
 
+class SharedNoise(eqx.Module):
+    """What noise that rows, columns or whole frames share adds to the errors of a level of L
+    frames: `of_mean` / L to the variance of its mean, `of_variance` / (L - 1) to that of its
+    temporal variance, in which whole frames have no part.
+
+    Attributes:
+        of_mean: DN^2.
+        of_variance: DN^4.
+    """
+
+    of_mean: Float[Array, ""]
+    of_variance: Float[Array, ""]
+
+
 @dataclass(frozen=True)
 class Found:
     """A variance and its standard error, DN^2; believed from four standard errors.
@@ -165,6 +179,33 @@ def believed_lines(
     found = [temporal_lines(shared, *of, axis) for axis in (0, 1)]
     counts = (float(count) for count in shared.shape)
     return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
+
+
+def shared_noise(
+    shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
+) -> SharedNoise | None:
+    """The noise that rows, columns or frames share, as far as it is believed.
+
+    Args:
+        shared: of the darks; None where only sums over the pixels are known.
+        variance: (levels,) of pixels, DN^2.
+        frames: (levels,) how many.
+
+    Returns:
+        What it adds to errors; None where nothing is believed.
+    """
+    if shared is None:
+        return None
+    lines = believed_lines(shared, variance, frames)
+    wander = drift(shared, np.asarray(variance), np.asarray(frames))
+    if not lines and not wander.believed:
+        return None
+    of_mean = sum(one / count for one, count in lines)
+    if wander.believed:
+        degrees = float(np.sum(np.asarray(frames) - 1))
+        of_mean += wander.variance * degrees / max(degrees - 2, 1)  # that of Student's t
+    of_variance = sum(2 * one**2 / count for one, count in lines)
+    return SharedNoise(jnp.asarray(of_mean, float), jnp.asarray(of_variance, float))
 
 
 def fixed_lines(

@@ -596,7 +596,8 @@ ELSEWHERE = (
             fitting.noise.sampling: sampling_errors
             fitting.noise.misfit.*
             fitting.noise.window.*
-            fitting.noise.shared: believed_lines drift fixed_lines shared_variance temporal_lines
+            fitting.noise.shared: believed_lines drift fixed_lines shared_noise shared_variance
+            fitting.noise.shared: temporal_lines
         """,
     ),
     Elsewhere(
