@@ -10,7 +10,7 @@ from fitting.noise.emva1288 import ranges, sheet, statistics
 from fitting.noise.findings import findings
 from fitting.noise.fit import base_space, fitted, noise_data
 from fitting.noise.levels import Levels, linear_levels
-from fitting.noise.pattern import pattern_variance
+from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
 from fitting.noise.sampling import sampling_errors
 from fitting.noise.shared import (
     Moments,
@@ -205,3 +205,27 @@ def test_black_is_within_its_errors_where_it_drifts():
     # The scatter of 24 has a relative error of 15 %: three of them.
     assert np.all(np.abs(np.std(z, axis=0) - 1) < 0.45)
     assert np.all(np.mean(np.abs(np.array(z)) < 1.96, axis=0) > 0.8)
+
+
+def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
+    """1 % of random column gains: PRNU within its errors, and columns named, rows not."""
+    rng, photons, size = np.random.default_rng(8), np.linspace(2000, 20_000, 4), (40, 60)
+    z, found = [], []
+    for _ in range(40):
+        gains = 1 + 0.01 * rng.standard_normal((1, size[1]))
+        measured = noise.from_frames(
+            [camera_frames(rng, p * gains, size) for p in photons],
+            [camera_frames(rng, 0.0, size) for _ in photons],
+            [0.01] * 4,
+            list(photons),
+            camera=Camera(bits=12),
+        )
+        usable = np.arange(4)
+        pattern = fitted_pattern(measured, usable)
+        z.append((pattern.response - 1e-4) / pattern.response_error)
+        found.append([unequal_gains(measured, usable, axis) for axis in (0, 1)])
+    assert np.mean(np.abs(z) < 1.96) > 0.85
+    assert 0.7 < np.std(z) < 1.4
+    assert not any(rows.believed for rows, _ in found)
+    assert all(columns.believed for _, columns in found)
+    assert np.mean([columns.variance for _, columns in found]) == pytest.approx(1e-4, rel=0.1)

@@ -11,6 +11,7 @@ from .emva1288 import LEAST_DARK_VARIANCE
 from .fit import gain_drop
 from .misfit import MISFIT
 from .neighbours import are_known
+from .pattern import unequal_gains
 from .shared import drift, fixed_lines, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
@@ -316,6 +317,14 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
         f"{float(measurement.bright.mean[level]):.0f} DN; by the fit from all levels; uneven light "
         "counts as PRNU in both."
     ]
+    for axis, name in enumerate(("rows", "columns") if measurement.bright.shared else ()):
+        found = unequal_gains(measurement, calibration.usable, axis)
+        if found.believed:
+            size, error = 100 * found.deviation, 50 * found.error / found.deviation
+            told.append(
+                f"The {name} of the flats are unequal by {format_with_error(size, error)} % rms, "
+                "the same in every frame: part of PRNU, of gains or of uneven light."
+            )
     ratio = fitted.chi_square_per_dof or 0.0
     if ratio > 2:
         told.append(

@@ -217,12 +217,6 @@ def fixed_lines(
 ) -> Found:
     """The unevenness of rows or columns that stays, of all levels together.
 
-    What the pixels' own pattern, a, adds to a line is the same at all levels, so that levels do not
-    make it better known; temporal noise, b of a line of L frames, is new at each, and is subtracted
-    as it was measured from those frames. Of lines weighted by w the error is
-
-        sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
-
     Args:
         shared: of the levels.
         spatial: (levels,) variance of the average frames, DN^2.
@@ -238,6 +232,34 @@ def fixed_lines(
     of_lines = max(temporal_lines(shared, variance, frames, axis).variance, 0.0)
     passing = (of_lines + variance / across) / frames
     own = float(np.median(np.maximum(spatial - variance / frames, 0))) / across
+    return one_pattern(values, own, passing, frames, lines)
+
+
+def one_pattern(
+    values: Float[np.ndarray, " levels"],
+    own: float,
+    passing: Float[np.ndarray, " levels"],
+    frames: np.ndarray,
+    lines: float,
+) -> Found:
+    """The variance of lines that is the same at all levels.
+
+    What the pixels' own pattern, a, adds to a line is the same at all levels, so that levels do not
+    make it better known; temporal noise, b of a line of L frames, is new at each, and is subtracted
+    as it was measured from those frames. Of levels weighted by w the error is
+
+        sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
+
+    Args:
+        values: (levels,) estimates of it.
+        own: a.
+        passing: (levels,) b.
+        frames: (levels,) L.
+        lines: how many.
+
+    Returns:
+        The variance.
+    """
     weight = (own + passing) ** -2
     weight = weight / weight.sum()
     found = float(weight @ values)
