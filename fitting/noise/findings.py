@@ -37,6 +37,12 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     return tuple(told)
 
 
+def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
+    """Value and standard error of one of the likelihood's parameters, as tables show them."""
+    estimate = calibration.shown[name]
+    return float(estimate.value or 0.0), float(estimate.standard_error or 0.0)
+
+
 def is_impossible(calibration: NoiseCalibration) -> bool:
     """Whether more electrons are counted than photons arrive.
 
@@ -93,7 +99,7 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
     """What variances lose to charges that repel each other, and to mixing with neighbours."""
     chosen, told = calibration.chosen, []
     if "brighter_fatter" in chosen.values:
-        share, error = float(chosen.values["brighter_fatter"]), chosen.errors["brighter_fatter"]
+        share, error = _shown(calibration, "brighter_fatter")
         own, own_error = own_area_change(chosen)
         told.append(
             "The variance flattens with light more than the mean does: at the brightest level used "
@@ -110,7 +116,7 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
             "or columns share; give the frames of a monochrome camera in a rig."
         )
     if "pixel_mixing" in chosen.values:
-        share, error = float(chosen.values["pixel_mixing"]), chosen.errors["pixel_mixing"]
+        share, error = _shown(calibration, "pixel_mixing")
         told.append(
             f"Neighbouring pixels share {format_with_error(100 * share, 100 * error)} % of the "
             "signal's variance in proportion to light, as capacitance between pixels or "
@@ -124,11 +130,11 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
     chosen, standard = calibration.chosen, calibration.standard
     drop = float(gain_drop(chosen.values, chosen.data))
     one_term = "compression_2" not in chosen.values
-    strength = abs(float(chosen.values["compression"])) / chosen.errors["compression"]
+    loss, loss_error = _shown(calibration, "compression")
+    strength = abs(loss) / loss_error
     significance = f", {strength:.0f} standard errors from none" if one_term else ""
     way = "falls" if drop > 0 else "rises"
-    gain = float(chosen.values["system_gain"])
-    error = gain * chosen.errors["system_gain"]
+    gain, error = _shown(calibration, "system_gain")
     return [
         f"The camera is not linear: the gain {way} by {100 * abs(drop):.2g} % from zero signal to "
         f"the brightest level used{significance}.",
@@ -142,7 +148,7 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
 
 def _light_offset(calibration: NoiseCalibration) -> str:
     chosen = calibration.chosen
-    offset, error = float(chosen.values["light_offset"]), chosen.errors["light_offset"]
+    offset, error = _shown(calibration, "light_offset")
     way = "more" if offset > 0 else "less"
     data = chosen.data
     if not data.photons_known:
@@ -164,24 +170,26 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     values, data = calibration.chosen.values, calibration.chosen.data
     told = []
     if "light_scatter" in values:
+        scatter, error = _shown(calibration, "light_scatter")
         told.append(
-            f"From level to level the light is off by {100 * float(values['light_scatter']):.2g} % "
-            "rms from what is recorded."
+            "From level to level the light is off by "
+            f"{format_with_error(100 * scatter, 100 * error)} % rms from what is recorded."
         )
     if "black_scatter" in values:
-        wander = float(values["black_scatter"])
+        wander, error = _shown(calibration, "black_scatter")
         dark = calibration.measurement.dark
         noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
         told.append(
-            f"The black level wanders by {wander:.2g} DN from level to level, {wander / noise:.0f} "
-            "times what pixel noise does to its mean."
+            f"The black level wanders by {format_with_error(wander, error)} DN rms from level to "
+            f"level, {wander / noise:.0f} times what pixel noise does to its mean."
         )
     if "variance_scatter" in values:
-        scatter = float(values["variance_scatter"])
+        scatter, error = _shown(calibration, "variance_scatter")
         expected = float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1)))))
         told.append(
-            f"Variances scatter by {100 * scatter:.2g} % rms beyond the {100 * expected:.2g} % of "
-            "independent pixels, as noise does that rows, columns or whole frames share."
+            f"Variances scatter by {format_with_error(100 * scatter, 100 * error)} % rms beyond "
+            f"the {100 * expected:.2g} % of independent pixels, as noise does that rows, columns "
+            "or whole frames share."
         )
     chosen = calibration.chosen
     if chosen.inflation > 1:
@@ -276,7 +284,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
         return []
     variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
     spatial = np.asarray(dark.spatial_variance)
-    gain = float(calibration.chosen.values["system_gain"])
+    gain, _ = _shown(calibration, "system_gain")
     told = []
     for axis, name in enumerate(("rows", "columns")):
         found = temporal_lines(dark.shared, variance, frames, axis)

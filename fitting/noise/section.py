@@ -7,7 +7,6 @@ import numpy as np
 
 from ..inference.estimates import Estimate, not_determined
 from ..inference.parameters import names
-from ..inference.posterior import estimates
 from ..report.left_out import left_out_tables
 from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
@@ -92,8 +91,8 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
         if missing is not None:
             reason = _why_missing(calibration, name)
             listed.append(not_determined(quantity, reason, method=missing))
-    own = [replace(found, method=LIKELIHOOD) for found in estimates(calibration.posterior)]
-    return (*listed, *(found for found in own if found.name not in by_likelihood))
+    own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
+    return (*listed, *(replace(found, method=LIKELIHOOD) for found in own))
 
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
