@@ -1,5 +1,7 @@
 """Noise of rows, columns and frames: found where it is, not where it is not, and named."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from fitting import noise
 from fitting.noise.calibration import calibrate
 from fitting.noise.emva1288 import ranges, sheet, statistics
-from fitting.noise.findings import findings
+from fitting.noise.findings import extra_in_flats, findings
 from fitting.noise.fit import base_space, fitted, noise_data
 from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
@@ -229,3 +231,24 @@ def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
     assert not any(rows.believed for rows, _ in found)
     assert all(columns.believed for _, columns in found)
     assert np.mean([columns.variance for _, columns in found]) == pytest.approx(1e-4, rel=0.1)
+
+
+def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
+    rng, photons, size = np.random.default_rng(9), np.linspace(200, 20_000, 5), (40, 60)
+
+    def found(of_flats, of_darks):
+        measured = noise.from_frames(
+            [camera_frames(rng, p, size, rows=of_flats) for p in photons],
+            [camera_frames(rng, 0.0, size, rows=of_darks) for _ in photons],
+            [0.01] * 5,
+            list(photons),
+            camera=Camera(bits=14),
+        )
+        return extra_in_flats(SimpleNamespace(measurement=measured, usable=np.arange(5)))  # pyright: ignore[reportArgumentType]
+
+    for rows in (0.0, 7.5):
+        assert sum(bool(found(rows, rows)) for _ in range(20)) == 0
+    for _ in range(10):
+        only = found(7.5, 0.0)
+        assert list(only) == ["rows"]
+        assert abs(only["rows"].variance - (0.25 * 7.5) ** 2) < 4 * only["rows"].error

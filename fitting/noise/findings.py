@@ -1,5 +1,8 @@
 """What a noise calibration has to say, in sentences: misfit first, then what was done about it."""
 
+from dataclasses import replace
+
+import jax
 import numpy as np
 
 from ..inference.diagnostics import identifiability
@@ -12,7 +15,7 @@ from .fit import gain_drop
 from .misfit import MISFIT
 from .neighbours import are_known
 from .pattern import unequal_gains
-from .shared import drift, fixed_lines, temporal_lines
+from .shared import Found, drift, extra_lines, fixed_lines, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
@@ -21,6 +24,7 @@ FAR = 3.0  # standard errors between two figures that should agree
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
     told = [
+        *_shared_by_flats(calibration),
         *_efficiency(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),
@@ -50,6 +54,42 @@ def is_impossible(calibration: NoiseCalibration) -> bool:
         calibration: of a camera.
     """
     return calibration.efficiency is not None and calibration.efficiency > 1
+
+
+def extra_in_flats(calibration: NoiseCalibration) -> dict[str, Found]:
+    """Noise that rows or columns of the flats share and those of the darks do not: no model of the
+    calibration has it.
+
+    Args:
+        calibration: of a camera.
+
+    Returns:
+        What is believed, by "rows" and "columns".
+    """
+    bright, dark = calibration.measurement.bright, calibration.measurement.dark
+    if bright.shared is None or dark.shared is None:
+        return {}
+    lit = jax.tree.map(lambda x: x[calibration.usable], replace(bright.shared, shape=None))
+    lit = replace(lit, shape=bright.shared.shape)
+    of_bright = tuple(np.asarray(x)[calibration.usable] for x in (bright.variance, bright.frames))
+    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
+    found = {
+        name: extra_lines(lit, dark.shared, of_bright, of_dark, axis)
+        for axis, name in enumerate(("rows", "columns"))
+    }
+    return {name: one for name, one in found.items() if one.believed}
+
+
+def _shared_by_flats(calibration: NoiseCalibration) -> list[str]:
+    return [
+        f"The {name} of a flat share noise of "
+        f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms, new in every "
+        "frame, that the darks do not have: no model here knows of it, and where it is part of the "
+        "variance it passes for light's. Gain, responsivity, efficiency and what follows from them "
+        "are not to be used, and no sensor is made from them: look for a flickering lamp or "
+        "interference, or take darks and flats in the same state of the camera."
+        for name, one in extra_in_flats(calibration).items()
+    ]
 
 
 def _efficiency(calibration: NoiseCalibration) -> list[str]:
@@ -198,7 +238,7 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
             f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
         )
-    elif chosen is not calibration.linear:
+    elif chosen is not calibration.linear and not extra_in_flats(calibration):
         told.append(
             "With that, nothing is left to explain: chi-square per degree of freedom "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."

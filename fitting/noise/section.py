@@ -12,7 +12,7 @@ from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
-from .findings import findings, is_impossible
+from .findings import extra_in_flats, findings, is_impossible
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
@@ -41,7 +41,7 @@ def section(calibration: NoiseCalibration) -> Section:
         ),
         posteriors={"": calibration.posterior},
         records={}
-        if is_impossible(calibration)
+        if is_impossible(calibration) or extra_in_flats(calibration)
         else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
         headings=HEADINGS,

@@ -160,6 +160,26 @@ def temporal_lines(
     return _pooled(values, variance / across, (frames - 1) * lines)
 
 
+def extra_lines(
+    bright: SharedVariance, dark: SharedVariance, of_bright: tuple, of_dark: tuple, axis: int
+) -> Found:
+    """The temporal noise of rows (axis 0) or columns (axis 1) that flats have beyond their darks.
+
+    Args:
+        bright: of the flats.
+        dark: of the darks.
+        of_bright: (levels,) variance of pixels, DN^2, and how many frames, of the flats.
+        of_dark: the same of the darks.
+        axis: which.
+
+    Returns:
+        The variance.
+    """
+    lit, unlit = temporal_lines(bright, *of_bright, axis), temporal_lines(dark, *of_dark, axis)
+    extra, error = lit.variance - max(unlit.variance, 0.0), float(np.hypot(lit.error, unlit.error))
+    return Found(extra, error, extra / error)
+
+
 def believed_lines(
     shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
 ) -> list[tuple[float, float]]:
@@ -296,7 +316,6 @@ def _pooled(values: np.ndarray, expected: np.ndarray, degrees: np.ndarray) -> Fo
     weight = degrees / (2 * expected**2)
     variance = float(np.average(values, weights=weight))
     chance = float(weight.sum() ** -0.5)
-    error = float(
-        np.sqrt(2 * np.average((expected + variance) ** 2, weights=weight) / degrees.sum())
-    )
+    share = weight / weight.sum()
+    error = float(np.sqrt(np.sum(2 * (share * (expected + variance)) ** 2 / degrees)))
     return Found(variance, error, variance / chance)

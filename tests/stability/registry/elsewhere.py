@@ -596,8 +596,8 @@ ELSEWHERE = (
             fitting.noise.sampling: sampling_errors
             fitting.noise.misfit.*
             fitting.noise.window.*
-            fitting.noise.shared: believed_lines drift fixed_lines shared_noise shared_variance
-            fitting.noise.shared: one_pattern temporal_lines
+            fitting.noise.shared: believed_lines drift extra_lines fixed_lines one_pattern
+            fitting.noise.shared: shared_noise shared_variance temporal_lines
         """,
     ),
     Elsewhere(
