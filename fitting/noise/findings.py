@@ -69,9 +69,10 @@ def extra_in_flats(calibration: NoiseCalibration) -> dict[str, Found]:
     bright, dark = calibration.measurement.bright, calibration.measurement.dark
     if bright.shared is None or dark.shared is None:
         return {}
-    lit = jax.tree.map(lambda x: x[calibration.usable], replace(bright.shared, shape=None))
+    usable = calibration.usable
+    lit = jax.tree.map(lambda x: x[usable], replace(bright.shared, shape=None))
     lit = replace(lit, shape=bright.shared.shape)
-    of_bright = tuple(np.asarray(x)[calibration.usable] for x in (bright.variance, bright.frames))
+    of_bright = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
     of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
     found = {
         name: extra_lines(lit, dark.shared, of_bright, of_dark, axis)

@@ -161,7 +161,11 @@ def temporal_lines(
 
 
 def extra_lines(
-    bright: SharedVariance, dark: SharedVariance, of_bright: tuple, of_dark: tuple, axis: int
+    bright: SharedVariance,
+    dark: SharedVariance,
+    of_bright: tuple[np.ndarray, np.ndarray],
+    of_dark: tuple[np.ndarray, np.ndarray],
+    axis: int,
 ) -> Found:
     """The temporal noise of rows (axis 0) or columns (axis 1) that flats have beyond their darks.
 
