@@ -16,6 +16,7 @@ from test_emva1288 import measurement_of, noise_free
 from fitting.cli import app
 from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.estimates import find
+from fitting.inference.formatting import format_with_error
 from fitting.inference.left_out import negligible
 from fitting.inference.newton import minimise
 from fitting.inference.parameters import names
@@ -355,6 +356,24 @@ def test_a_bent_characteristic_is_noticed_and_undone(bent):
         assert error < 0.4 * true, name
     bend = float(chosen.values["compression"]) * rescale
     assert abs(bend - camera.compression) < 3.5 * chosen.errors["compression"]
+
+
+@pytest.mark.long
+def test_sentences_quote_the_numbers_of_the_table():
+    """Of a wandering black level, whose posterior is skew: its median, and not its mode."""
+    rng, n = np.random.default_rng(11), 10_000
+    light, exposure = np.linspace(500, 6000, 8), np.linspace(1e-3, 1e-2, 8)
+    black = 60 + rng.normal(size=16)
+    electrons = np.concatenate([0.5 * light, 0 * light]) + 100 * np.tile(exposure, 2)
+    variance = 0.3**2 * (electrons + 64) + 1 / 12
+    mean = black + 0.3 * electrons + rng.normal(size=16) * np.sqrt(variance / (2 * n))
+    variance *= rng.chisquare(n, 16) / n
+    rows = np.stack([mean, variance], axis=1)
+    measured = measurement_of(light, exposure, rows[:8], rows[8:], pixels=n, frames=2)
+    section = noise_section(calibrate_noise(measured))
+    (shown,) = (one for one in section.estimates if one.name == "black_scatter")
+    (told,) = (one for one in section.findings if "black level wanders" in one)
+    assert format_with_error(shown.value, shown.standard_error) in told
 
 
 @pytest.mark.slow

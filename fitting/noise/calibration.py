@@ -24,7 +24,7 @@ from ..inference.importance import laplace_where_it_holds
 from ..inference.left_out import LeftOut
 from ..inference.newton import minimise
 from ..inference.parameters import names, to_unconstrained
-from ..inference.posterior import Posterior, sample
+from ..inference.posterior import Posterior, estimates, sample
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
@@ -35,6 +35,7 @@ from .model import log_density, negative_log_density, predicted_moments
 from .pattern import PatternVariance, fitted_pattern, standard_pattern
 from .quantities import QUANTITIES, SCATTERS, Quantity
 from .regressions import through_origin
+from .shared import shared_noise
 from .window import needed_window
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
@@ -76,13 +77,22 @@ class NoiseCalibration(ShownInNotebooks):
     left_out: tuple[LeftOut, ...]
 
     @property
+    def shown(self) -> dict[str, Estimate]:
+        """The likelihood's figures and parameters by name, as tables show them."""
+        by_name = {found.name: found for found in estimates(self.posterior)}
+        return by_name | {found.name: found for found in self.sheet}
+
+    @property
     def efficiency(self) -> float | None:
-        """Electrons per photon at the posterior's mode, above 1 where something is wrong; None
-        where photons are not known."""
+        """Electrons per photon, above 1 where something is wrong: as the table shows them, or at
+        the posterior's mode, of which a sensor is made, where that alone is above 1. None where
+        photons are not known."""
         if not self.measurement.photons_known:
             return None
         values = dict(zip(names(self.posterior.space), self.posterior.mode, strict=True))
-        return float(values["responsivity"] / values["system_gain"])
+        at_mode = float(values["responsivity"] / values["system_gain"])
+        shown = (self.shown["quantum_efficiency"].value or 0.0) / 100
+        return at_mode if at_mode > 1 >= shown else shown
 
 
 @in_double
@@ -106,7 +116,9 @@ def calibrate(
     measurement = as_dtype(measurement, np.float64)  # of a caller in float32
     within = ranges(measurement)
     usable = linear_levels(measurement)
-    standard = _evaluated(measurement, within)
+    dark = measurement.dark
+    shared = shared_noise(dark.shared, dark.variance, dark.frames)
+    standard = _evaluated(measurement, within, shared=shared)
     window, gone = needed_window(measurement, usable)
     data = noise_data(measurement, usable, window=window)
     linear, chosen = choose_model(measurement, within, data, standard.values)

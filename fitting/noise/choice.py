@@ -1,11 +1,12 @@
 """The choice of what a camera calls for.
 
-A linear camera with pixel noise only comes first. Where it misses the measurement (p < 0.1 %),
-what the darks alone show, a wandering black level or variances that scatter more than pixel noise
-can, joins; random errors of the light, a compression of one or two terms and an offset of the light
-are fitted with it, and each stays only if it earns its parameter by Schwarz' criterion (BIC), a
-squared Wald ratio above the logarithm of the number of observations, and is no chance of one in a
-hundred.
+A linear camera comes first, with pixel noise and the noise that rows, columns or frames of the
+darks are seen to share. Where it misses the measurement (p < 0.1 %), what the darks alone show, a
+wandering black level or variances that scatter more than that noise can, joins. Fitted with it are
+random errors of the light, a compression of one or two terms, an offset of the light, and, where
+the black level drifts from frame to frame, its wander from level to level: each stays only if it
+earns its parameter by Schwarz' criterion (BIC), a squared Wald ratio above the logarithm of the
+number of observations, and is no chance of one in a hundred.
 """
 
 import jax.numpy as jnp
@@ -31,30 +32,34 @@ from .quantities import (
     VARIANCE_SCATTER,
 )
 from .regressions import line_misfit
+from .sampling import sampling_errors
+from .shared import drift, shared_noise
 
 SPURIOUS = 0.01  # chance of a term that a camera does not have
 CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 
 
-def dark_scatter(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
-    """The random effects that the darks show about their own lines over exposure.
+def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
+    """The random effects that the darks show about their own lines over exposure, beyond noise of
+    pixels and noise that rows, columns or frames are seen to share.
 
     Args:
         measurement: bright and dark levels.
-        within: whose number of dark exposures must be three at least.
 
     Returns:
         Their parameters.
     """
     dark = measurement.dark
-    if within.dark_exposures <= 2:
-        return ()
-    n, frames = dark.pixels, dark.frames
-    of_mean, of_variance = dark.variance / (n * frames), 2 * dark.variance**2 / ((frames - 1) * n)
+    errors = sampling_errors(
+        dark,
+        jnp.zeros_like(dark.mean),
+        jnp.ones_like(dark.pixels),
+        shared=shared_noise(dark.shared, dark.variance, dark.frames),
+    )
     found = []
     for effect, values, variances in (
-        (BLACK_SCATTER, dark.mean, of_mean),
-        (VARIANCE_SCATTER, dark.variance, of_variance),
+        (BLACK_SCATTER, dark.mean, errors.mean),
+        (VARIANCE_SCATTER, dark.variance, errors.variance),
     ):
         chi_square, degrees = line_misfit(dark.exposure, values, variances)
         if p_value(float(chi_square), float(degrees)) < MISFIT:
@@ -84,12 +89,22 @@ def choose_model(
     candidates = (LIGHT_SCATTER, COMPRESSION, offset, COMPRESSION_2)[: bright_levels - 3]
     candidates += (BRIGHTER_FATTER,)
     candidates += (PIXEL_MIXING,) if are_known(data.neighbours) else ()
-    whole = linear.space + dark_scatter(measurement, within) + candidates
+    of_darks = dark_scatter(measurement)
+    if BLACK_SCATTER not in of_darks and _drifts(measurement):
+        candidates += (BLACK_SCATTER,)
+    whole = linear.space + of_darks + candidates
     chosen = fitted(whole, data, standard, among=whole)
     while unearned := _unearned(chosen, candidates):
         space = tuple(p for p in chosen.space if p is not unearned)
         chosen = fitted(space, data, standard, among=whole)
     return (linear, chosen) if chosen.bic < linear.bic else (linear, linear)
+
+
+def _drifts(measurement: PhotonTransfer) -> bool:
+    dark = measurement.dark
+    if dark.shared is None:
+        return False
+    return drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames)).believed
 
 
 def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Parameter | None:

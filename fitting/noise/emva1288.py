@@ -33,6 +33,7 @@ from .levels import PhotonTransfer, linear_levels, saturation_index
 from .quantities import NEED_PHOTONS
 from .regressions import chi_square, line, line_misfit, surprise, through_origin
 from .sampling import SamplingErrors, sampling_errors
+from .shared import SharedNoise
 
 SENSITIVITY_TOP = 0.7
 LINEARITY_RANGE = (0.05, 0.95)
@@ -285,19 +286,22 @@ def linearity_deviation(
     return 100 * (signal - expected) / jnp.where(within, expected, 1)
 
 
-def evaluate(measurement: PhotonTransfer, within: Ranges) -> Evaluation:
+def evaluate(
+    measurement: PhotonTransfer, within: Ranges, *, shared: SharedNoise | None = None
+) -> Evaluation:
     """The sheet and its standard errors by the delta method.
 
     Args:
         measurement: bright and dark levels.
         within: the standard's ranges.
+        shared: noise of rows, columns or frames; None without.
 
     Returns:
         Values, errors and misfit.
     """
     stats = statistics(measurement, within.saturation)
     values = sheet(stats, measurement, within)
-    errors, misfit = _sampling(stats, measurement, within, values["system_gain"])
+    errors, misfit = _sampling(stats, measurement, within, values["system_gain"], shared)
     bright, dark = errors
     slopes = jax.jacrev(lambda stats: sheet(stats, measurement, within))(stats)
 
@@ -331,12 +335,17 @@ def _propagated(mean_slope: Array, variance_slope: Array, errors: SamplingErrors
 
 
 def _sampling(
-    stats: Statistics, measurement: PhotonTransfer, within: Ranges, gain: Array
+    stats: Statistics,
+    measurement: PhotonTransfer,
+    within: Ranges,
+    gain: Array,
+    shared: SharedNoise | None,
 ) -> tuple[tuple[SamplingErrors, SamplingErrors], Misfit]:
     """Sampling errors of (bright, dark), inflated block by block where the regressions say so."""
     shot = _shot_variance(stats, measurement)
-    bright = sampling_errors(measurement.bright, shot, gain)
-    dark = sampling_errors(measurement.dark, jnp.zeros_like(stats.dark_mean), gain)
+    bright = sampling_errors(measurement.bright, shot, gain, shared=shared)
+    unlit = jnp.zeros_like(stats.dark_mean)
+    dark = sampling_errors(measurement.dark, unlit, gain, shared=shared)
     ratios, factors = [], []
 
     def judge(chi2: Array, degrees: Array) -> Array:

@@ -1,5 +1,8 @@
 """What a noise calibration has to say, in sentences: misfit first, then what was done about it."""
 
+from dataclasses import replace
+
+import jax
 import numpy as np
 
 from ..inference.diagnostics import identifiability
@@ -11,7 +14,8 @@ from .emva1288 import LEAST_DARK_VARIANCE
 from .fit import gain_drop
 from .misfit import MISFIT
 from .neighbours import are_known
-from .shared import drift, fixed_lines, temporal_lines
+from .pattern import unequal_gains
+from .shared import Found, drift, extra_lines, fixed_lines, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
@@ -20,6 +24,7 @@ FAR = 3.0  # standard errors between two figures that should agree
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
     told = [
+        *_shared_by_flats(calibration),
         *_efficiency(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),
@@ -36,6 +41,12 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     return tuple(told)
 
 
+def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
+    """Value and standard error of one of the likelihood's parameters, as tables show them."""
+    estimate = calibration.shown[name]
+    return float(estimate.value or 0.0), float(estimate.standard_error or 0.0)
+
+
 def is_impossible(calibration: NoiseCalibration) -> bool:
     """Whether more electrons are counted than photons arrive.
 
@@ -43,6 +54,43 @@ def is_impossible(calibration: NoiseCalibration) -> bool:
         calibration: of a camera.
     """
     return calibration.efficiency is not None and calibration.efficiency > 1
+
+
+def extra_in_flats(calibration: NoiseCalibration) -> dict[str, Found]:
+    """Noise that rows or columns of the flats share and those of the darks do not: no model of the
+    calibration has it.
+
+    Args:
+        calibration: of a camera.
+
+    Returns:
+        What is believed, by "rows" and "columns".
+    """
+    bright, dark = calibration.measurement.bright, calibration.measurement.dark
+    if bright.shared is None or dark.shared is None:
+        return {}
+    usable = calibration.usable
+    lit = jax.tree.map(lambda x: x[usable], replace(bright.shared, shape=None))
+    lit = replace(lit, shape=bright.shared.shape)
+    of_bright = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
+    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
+    found = {
+        name: extra_lines(lit, dark.shared, of_bright, of_dark, axis)
+        for axis, name in enumerate(("rows", "columns"))
+    }
+    return {name: one for name, one in found.items() if one.believed}
+
+
+def _shared_by_flats(calibration: NoiseCalibration) -> list[str]:
+    return [
+        f"The {name} of a flat share noise of "
+        f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms, new in every "
+        "frame, that the darks do not have: no model here knows of it, and where it is part of the "
+        "variance it passes for light's. Gain, responsivity, efficiency and what follows from them "
+        "are not to be used, and no sensor is made from them: look for a flickering lamp or "
+        "interference, or take darks and flats in the same state of the camera."
+        for name, one in extra_in_flats(calibration).items()
+    ]
 
 
 def _efficiency(calibration: NoiseCalibration) -> list[str]:
@@ -65,13 +113,18 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
 def _linearity(calibration: NoiseCalibration) -> list[str]:
     linear, chosen = calibration.linear, calibration.chosen
     ratio = linear.chi_square / linear.degrees
+    noise = (
+        "pixel noise only"
+        if linear.data.shared is None
+        else "pixel noise, and noise that rows, columns or frames of the darks share,"
+    )
     if linear.p_value >= MISFIT:
         return [
-            "A linear camera with pixel noise only explains every mean and variance: chi-square "
+            f"A linear camera with {noise} explains every mean and variance: chi-square "
             f"per degree of freedom {ratio:.2f} ({format_p(linear.p_value)})."
         ]
     told = [
-        "A linear camera with pixel noise only does not explain the measurement: chi-square per "
+        f"A linear camera with {noise} does not explain the measurement: chi-square per "
         f"degree of freedom {ratio:.3g} over {linear.degrees}; its K of "
         f"{float(linear.values['system_gain']):.5g} DN/e⁻ and the small error it would claim are "
         "not to be used."
@@ -87,7 +140,7 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
     """What variances lose to charges that repel each other, and to mixing with neighbours."""
     chosen, told = calibration.chosen, []
     if "brighter_fatter" in chosen.values:
-        share, error = float(chosen.values["brighter_fatter"]), chosen.errors["brighter_fatter"]
+        share, error = _shown(calibration, "brighter_fatter")
         own, own_error = own_area_change(chosen)
         told.append(
             "The variance flattens with light more than the mean does: at the brightest level used "
@@ -104,7 +157,7 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
             "or columns share; give the frames of a monochrome camera in a rig."
         )
     if "pixel_mixing" in chosen.values:
-        share, error = float(chosen.values["pixel_mixing"]), chosen.errors["pixel_mixing"]
+        share, error = _shown(calibration, "pixel_mixing")
         told.append(
             f"Neighbouring pixels share {format_with_error(100 * share, 100 * error)} % of the "
             "signal's variance in proportion to light, as capacitance between pixels or "
@@ -118,11 +171,11 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
     chosen, standard = calibration.chosen, calibration.standard
     drop = float(gain_drop(chosen.values, chosen.data))
     one_term = "compression_2" not in chosen.values
-    strength = abs(float(chosen.values["compression"])) / chosen.errors["compression"]
+    loss, loss_error = _shown(calibration, "compression")
+    strength = abs(loss) / loss_error
     significance = f", {strength:.0f} standard errors from none" if one_term else ""
     way = "falls" if drop > 0 else "rises"
-    gain = float(chosen.values["system_gain"])
-    error = gain * chosen.errors["system_gain"]
+    gain, error = _shown(calibration, "system_gain")
     return [
         f"The camera is not linear: the gain {way} by {100 * abs(drop):.2g} % from zero signal to "
         f"the brightest level used{significance}.",
@@ -136,7 +189,7 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
 
 def _light_offset(calibration: NoiseCalibration) -> str:
     chosen = calibration.chosen
-    offset, error = float(chosen.values["light_offset"]), chosen.errors["light_offset"]
+    offset, error = _shown(calibration, "light_offset")
     way = "more" if offset > 0 else "less"
     data = chosen.data
     if not data.photons_known:
@@ -158,24 +211,26 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     values, data = calibration.chosen.values, calibration.chosen.data
     told = []
     if "light_scatter" in values:
+        scatter, error = _shown(calibration, "light_scatter")
         told.append(
-            f"From level to level the light is off by {100 * float(values['light_scatter']):.2g} % "
-            "rms from what is recorded."
+            "From level to level the light is off by "
+            f"{format_with_error(100 * scatter, 100 * error)} % rms from what is recorded."
         )
     if "black_scatter" in values:
-        wander = float(values["black_scatter"])
+        wander, error = _shown(calibration, "black_scatter")
         dark = calibration.measurement.dark
         noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
         told.append(
-            f"The black level wanders by {wander:.2g} DN from level to level, {wander / noise:.0f} "
-            "times what pixel noise does to its mean."
+            f"The black level wanders by {format_with_error(wander, error)} DN rms from level to "
+            f"level, {wander / noise:.0f} times what pixel noise does to its mean."
         )
     if "variance_scatter" in values:
-        scatter = float(values["variance_scatter"])
+        scatter, error = _shown(calibration, "variance_scatter")
         expected = float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1)))))
         told.append(
-            f"Variances scatter by {100 * scatter:.2g} % rms beyond the {100 * expected:.2g} % of "
-            "independent pixels, as noise does that rows, columns or whole frames share."
+            f"Variances scatter by {format_with_error(100 * scatter, 100 * error)} % rms beyond "
+            f"the {100 * expected:.2g} % of independent pixels, as noise does that rows, columns "
+            "or whole frames share."
         )
     chosen = calibration.chosen
     if chosen.inflation > 1:
@@ -184,7 +239,7 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
             f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
         )
-    elif chosen is not calibration.linear:
+    elif chosen is not calibration.linear and not extra_in_flats(calibration):
         told.append(
             "With that, nothing is left to explain: chi-square per degree of freedom "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."
@@ -270,7 +325,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
         return []
     variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
     spatial = np.asarray(dark.spatial_variance)
-    gain = float(calibration.chosen.values["system_gain"])
+    gain, _ = _shown(calibration, "system_gain")
     told = []
     for axis, name in enumerate(("rows", "columns")):
         found = temporal_lines(dark.shared, variance, frames, axis)
@@ -284,7 +339,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
                 "frame: it is part of the temporal noise "
                 f"({read / gain:.3g} e⁻), of which the pixels' own is {rest / gain:.3g} e⁻."
             )
-        stays = fixed_lines(dark.shared, spatial, axis)
+        stays = fixed_lines(dark.shared, spatial, variance, frames, axis)
         if stays.believed:
             error = stays.error / (2 * stays.deviation)
             told.append(
@@ -296,7 +351,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
     if wander.believed:
         told.append(
             f"From frame to frame the black level drifts by {wander.deviation:.3g} DN rms; it is "
-            "left out of the temporal noise."
+            "left out of the temporal noise, and the errors of the levels' means know of it."
         )
     return told
 
@@ -311,6 +366,14 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
         f"{float(measurement.bright.mean[level]):.0f} DN; by the fit from all levels; uneven light "
         "counts as PRNU in both."
     ]
+    for axis, name in enumerate(("rows", "columns") if measurement.bright.shared else ()):
+        found = unequal_gains(measurement, calibration.usable, axis)
+        if found.believed:
+            size, error = 100 * found.deviation, 50 * found.error / found.deviation
+            told.append(
+                f"The {name} of the flats are unequal by {format_with_error(size, error)} % rms, "
+                "the same in every frame: part of PRNU, of gains or of uneven light."
+            )
     ratio = fitted.chi_square_per_dof or 0.0
     if ratio > 2:
         told.append(

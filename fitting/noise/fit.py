@@ -34,7 +34,7 @@ from .quantities import (
     SIGNAL_RATE,
     SYSTEM_GAIN,
 )
-from .shared import believed_lines
+from .shared import shared_noise
 
 START_NOISES = 12  # read noises tried where a likelihood has several optima
 START_SHIFTS = (-0.3, 0.0, 0.3)  # DN, of the black level tried with each
@@ -115,18 +115,6 @@ def noise_data(
     dtype = bright.mean.dtype
     lit = jnp.concatenate([jnp.ones(index.size, dtype), jnp.zeros(dark.mean.size, dtype)])
 
-    def of_lines(power: int) -> Array | None:
-        """What rows and columns that share noise add to the variance of a level's mean, or of its
-        variance."""
-        believed = believed_lines(dark.shared, dark.variance, dark.frames)
-        if not believed:
-            return None
-        frames = row("frames")
-        if power == 1:
-            return sum((variance / (count * frames) for variance, count in believed), 0 * frames)
-        spread = [2 * variance**2 / (count * (frames - 1)) for variance, count in believed]
-        return sum(spread, 0 * frames)
-
     return NoiseData(
         light=row("light"),
         lit=lit,
@@ -139,8 +127,7 @@ def noise_data(
         light_step=step,
         window=window,
         photons_known=measurement.photons_known,
-        mean_of_lines=of_lines(1),
-        spread_of_lines=of_lines(2),
+        shared=shared_noise(dark.shared, dark.variance, dark.frames),
         neighbours=neighbour_data(measurement, usable),
     )
 

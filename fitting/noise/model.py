@@ -38,6 +38,7 @@ from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
 from .neighbours import NeighbourData, own_variance
 from .quantised import Window, quantised_moments
 from .quantities import RESPONSIVITY, SCATTERS, SIGNAL_RATE
+from .shared import SharedNoise
 
 
 class NoiseData(eqx.Module):
@@ -55,9 +56,7 @@ class NoiseData(eqx.Module):
         light_step: what the light was rounded to; None where it was not.
         window: of the levels that need exact moments; None where none does.
         photons_known: whether light is counted in photons.
-        mean_of_lines: (levels,) what noise that rows or columns share adds to the variance of a
-            mean, DN^2; None where there is none.
-        spread_of_lines: (levels,) to the variance of a variance, DN^4.
+        shared: noise of rows, columns or frames; None without.
         neighbours: what is known of the pixels around one.
     """
 
@@ -72,8 +71,7 @@ class NoiseData(eqx.Module):
     light_step: Float[Array, ""] | None = None
     window: Window | None = None
     photons_known: bool = eqx.field(static=True, default=True)
-    mean_of_lines: Float[Array, " levels"] | None = None
-    spread_of_lines: Float[Array, " levels"] | None = None
+    shared: SharedNoise | None = None
     neighbours: NeighbourData | None = None
 
 
@@ -267,15 +265,15 @@ def log_likelihood_terms(
         light_spread = rate.variance**2 * light_variance
 
     mean_variance = model.variance / (n * frames) + light_mean
-    if data.mean_of_lines is not None:
-        mean_variance = mean_variance + data.mean_of_lines
+    if data.shared is not None:
+        mean_variance = mean_variance + data.shared.of_mean / frames
     if "black_scatter" in values:
         mean_variance = mean_variance + values["black_scatter"] ** 2
     covariance = model.third / (n * frames) + light_both
     spread = (2 * model.variance**2 / (frames - 1) + model.fourth / frames) / n + light_spread
 
-    if data.spread_of_lines is not None:
-        spread = spread + data.spread_of_lines
+    if data.shared is not None:
+        spread = spread + data.shared.of_variance / (frames - 1)
     if "variance_scatter" in values:
         spread = spread + (values["variance_scatter"] * model.variance) ** 2
     deviation = data.mean - model.mean

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from .emva1288 import Ranges
 from .levels import LINEAR_TOP, Levels, PhotonTransfer
+from .shared import Found, one_pattern
 
 HALF = 0.5  # of the saturation signal: where the standard measures PRNU
 SEEN = 2.0  # standard errors above zero from which a pattern variance is a finding
@@ -77,6 +78,64 @@ def population_variance(levels: Levels, pattern: Float[np.ndarray, " levels"]) -
     """
     lines = sum(2 * np.maximum(fixed, 0) ** 2 / count for fixed, _, count in _lines(levels))
     return 2 * pattern**2 / float(levels.pixels) + lines
+
+
+def response_population_variance(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], response: float
+) -> float:
+    """Variance with which a die's pixels, rows and columns stand for the gains of their population.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+        response: PRNU^2.
+
+    Returns:
+        Of PRNU^2, no unit.
+    """
+    found = 2 * response**2 / float(measurement.bright.pixels)
+    if measurement.bright.shared is None or measurement.dark.shared is None:
+        return found
+    for axis, count in enumerate(np.asarray(measurement.bright.shared.shape)):
+        found += 2 * max(unequal_gains(measurement, usable, axis).variance, 0.0) ** 2 / float(count)
+    return found
+
+
+def unequal_gains(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], axis: int
+) -> Found:
+    """How unequal the gains of rows (axis 0) or columns (axis 1) are, of all levels together.
+
+    Args:
+        measurement: bright and dark levels with `shared`.
+        usable: indices of the bright levels to use.
+        axis: which.
+
+    Returns:
+        The part of PRNU^2, no unit.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    assert bright.shared is not None
+    lines, across = np.asarray(bright.shared.shape)[[axis, 1 - axis]]
+    matched, square = np.asarray(measurement.dark_of)[usable], _signal(measurement)[usable] ** 2
+    pattern, dark_pattern = pattern_variance(bright)[0], pattern_variance(dark)[0]
+    own = np.maximum(pattern[usable] - dark_pattern[matched], 0) / square / across
+
+    def of_lines(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
+        """What stays, and what passes of the average frame's."""
+        fixed, varying, _ = _lines(levels)[axis]
+        passing = np.maximum(varying, 0) + np.asarray(levels.variance) / across
+        return fixed, passing / np.asarray(levels.frames)
+
+    fixed, passing = (x[usable] for x in of_lines(bright))
+    dark_fixed, dark_passing = (x[matched] for x in of_lines(dark))
+    return one_pattern(
+        (fixed - dark_fixed) / square,
+        float(np.median(own)),
+        (passing + dark_passing) / square,
+        np.asarray(bright.frames)[usable],
+        float(lines),
+    )
 
 
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
@@ -146,10 +205,9 @@ def fitted_pattern(
     chi_square = float(np.sum((observed / spread - design @ found) ** 2))
     degrees = max(len(observed) - 2, 1)
     covariance = covariance * max(chi_square / degrees, 1)
-    of_sample = 2 * found**2 / float(measurement.bright.pixels)
-    of_sample[0] = np.median(
-        population_variance(measurement.dark, np.full(len(dark_pattern), found[0]))
-    )
+    of_dark = population_variance(measurement.dark, np.full(len(dark_pattern), found[0]))
+    of_response = response_population_variance(measurement, usable, float(found[1]))
+    of_sample = np.array([np.median(of_dark), of_response])
     errors = np.sqrt(np.diagonal(covariance) + of_sample)
     return PatternVariance(
         dark=float(found[0]),

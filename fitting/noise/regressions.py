@@ -55,7 +55,7 @@ def surprise(chi2: Array, degrees: Array) -> Array:
 
 @jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Chi-square of points about their own weighted line.
+    """Chi-square of points about their own weighted line, or mean where they lie at one place.
 
     Args:
         x: (points,).
@@ -65,8 +65,15 @@ def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
     Returns:
         (chi-square, degrees of freedom).
     """
-    intercept, slope = line(x, y, weights=1 / variances)
-    return (jnp.sum((y - intercept - slope * x) ** 2 / variances), jnp.asarray(x.size - 2, y.dtype))
+    weights = 1 / variances
+    one_place = jnp.all(x == x[0])
+    mean = jnp.sum(weights * y) / jnp.sum(weights)
+    intercept, slope = line(
+        jnp.where(one_place, jnp.arange(x.size, dtype=x.dtype), x), y, weights=weights
+    )
+    expected = jnp.where(one_place, mean, intercept + slope * x)
+    degrees = jnp.where(one_place, x.size - 1, x.size - 2)
+    return jnp.sum((y - expected) ** 2 / variances), degrees.astype(y.dtype)
 
 
 def chi_square(missed: Array, variances: Array, used: Array) -> Array:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .levels import Levels
+from .shared import SharedNoise
 
 
 class SamplingErrors(eqx.Module):
@@ -21,7 +22,9 @@ class SamplingErrors(eqx.Module):
     both: Float[Array, " levels"]
 
 
-def sampling_errors(levels: Levels, shot_variance: Array, gain: Array) -> SamplingErrors:
+def sampling_errors(
+    levels: Levels, shot_variance: Array, gain: Array, *, shared: SharedNoise | None = None
+) -> SamplingErrors:
     """Sampling (co)variances of mean and variance over n pixels and L frames.
 
     Args:
@@ -29,14 +32,16 @@ def sampling_errors(levels: Levels, shot_variance: Array, gain: Array) -> Sampli
         shot_variance: (levels,) DN^2, the part that is Poisson and so skew: kappa_3 = K var,
             kappa_4 = K^2 var.
         gain: K, DN/e-.
+        shared: noise of rows, columns or frames; None without.
 
     Returns:
         The (co)variances.
     """
     shot = jnp.maximum(shot_variance, 0)
     n, frames = levels.pixels, levels.frames
-    return SamplingErrors(
-        mean=levels.variance / (n * frames),
-        variance=(2 * levels.variance**2 / (frames - 1) + gain**2 * shot / frames) / n,
-        both=gain * shot / (n * frames),
-    )
+    mean = levels.variance / (n * frames)
+    variance = (2 * levels.variance**2 / (frames - 1) + gain**2 * shot / frames) / n
+    if shared is not None:
+        mean = mean + shared.of_mean / frames
+        variance = variance + shared.of_variance / (frames - 1)
+    return SamplingErrors(mean=mean, variance=variance, both=gain * shot / (n * frames))

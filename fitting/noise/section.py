@@ -7,13 +7,12 @@ import numpy as np
 
 from ..inference.estimates import Estimate, not_determined
 from ..inference.parameters import names
-from ..inference.posterior import estimates
 from ..report.left_out import left_out_tables
 from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
-from .findings import findings, is_impossible
+from .findings import extra_in_flats, findings, is_impossible
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
@@ -42,7 +41,7 @@ def section(calibration: NoiseCalibration) -> Section:
         ),
         posteriors={"": calibration.posterior},
         records={}
-        if is_impossible(calibration)
+        if is_impossible(calibration) or extra_in_flats(calibration)
         else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
         headings=HEADINGS,
@@ -92,8 +91,8 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
         if missing is not None:
             reason = _why_missing(calibration, name)
             listed.append(not_determined(quantity, reason, method=missing))
-    own = [replace(found, method=LIKELIHOOD) for found in estimates(calibration.posterior)]
-    return (*listed, *(found for found in own if found.name not in by_likelihood))
+    own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
+    return (*listed, *(replace(found, method=LIKELIHOOD) for found in own))
 
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
@@ -152,7 +151,8 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
 
 def _models_table(calibration: NoiseCalibration) -> Table:
     linear, chosen = calibration.linear, calibration.chosen
-    fits = {"linear camera, pixel noise only": linear}
+    noise = "pixel noise only" if linear.data.shared is None else "pixel and shared noise"
+    fits = {f"linear camera, {noise}": linear}
     if chosen is not linear:
         added = [name for name in names(chosen.space) if name not in names(linear.space)]
         fits[f"+ {', '.join(added).replace('_', ' ')}"] = chosen

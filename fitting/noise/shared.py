@@ -60,6 +60,20 @@ def shared_variance(
     return SharedVariance(rows, columns, fixed_rows, fixed_columns, frames, size)
 
 
+class SharedNoise(eqx.Module):
+    """What noise that rows, columns or whole frames share adds to the errors of a level of L
+    frames: `of_mean` / L to the variance of its mean, `of_variance` / (L - 1) to that of its
+    temporal variance, in which whole frames have no part.
+
+    Attributes:
+        of_mean: DN^2.
+        of_variance: DN^4.
+    """
+
+    of_mean: Float[Array, ""]
+    of_variance: Float[Array, ""]
+
+
 @dataclass(frozen=True)
 class Found:
     """A variance and its standard error, DN^2; believed from four standard errors.
@@ -146,6 +160,30 @@ def temporal_lines(
     return _pooled(values, variance / across, (frames - 1) * lines)
 
 
+def extra_lines(
+    bright: SharedVariance,
+    dark: SharedVariance,
+    of_bright: tuple[np.ndarray, np.ndarray],
+    of_dark: tuple[np.ndarray, np.ndarray],
+    axis: int,
+) -> Found:
+    """The temporal noise of rows (axis 0) or columns (axis 1) that flats have beyond their darks.
+
+    Args:
+        bright: of the flats.
+        dark: of the darks.
+        of_bright: (levels,) variance of pixels, DN^2, and how many frames, of the flats.
+        of_dark: the same of the darks.
+        axis: which.
+
+    Returns:
+        The variance.
+    """
+    lit, unlit = temporal_lines(bright, *of_bright, axis), temporal_lines(dark, *of_dark, axis)
+    extra, error = lit.variance - max(unlit.variance, 0.0), float(np.hypot(lit.error, unlit.error))
+    return Found(extra, error, extra / error)
+
+
 def believed_lines(
     shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
 ) -> list[tuple[float, float]]:
@@ -167,13 +205,47 @@ def believed_lines(
     return [(one.variance, n) for one, n in zip(found, counts, strict=True) if one.believed]
 
 
-def fixed_lines(shared: SharedVariance, spatial: Float[np.ndarray, " levels"], axis: int) -> Found:
-    """The unevenness of rows or columns that stays, of all levels together: one pattern, seen
-    again at each, so that levels do not make it better known.
+def shared_noise(
+    shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
+) -> SharedNoise | None:
+    """The noise that rows, columns or frames share, as far as it is believed.
+
+    Args:
+        shared: of the darks; None where only sums over the pixels are known.
+        variance: (levels,) of pixels, DN^2.
+        frames: (levels,) how many.
+
+    Returns:
+        What it adds to errors; None where nothing is believed.
+    """
+    if shared is None:
+        return None
+    lines = believed_lines(shared, variance, frames)
+    wander = drift(shared, np.asarray(variance), np.asarray(frames))
+    if not lines and not wander.believed:
+        return None
+    of_mean = sum(one / count for one, count in lines)
+    if wander.believed:
+        degrees = float(np.sum(np.asarray(frames) - 1))
+        of_mean += wander.variance * degrees / max(degrees - 2, 1)  # that of Student's t
+    of_variance = sum(2 * one**2 / count for one, count in lines)
+    return SharedNoise(jnp.asarray(of_mean, float), jnp.asarray(of_variance, float))
+
+
+def fixed_lines(
+    shared: SharedVariance,
+    spatial: Float[np.ndarray, " levels"],
+    variance: Float[np.ndarray, " levels"],
+    frames: np.ndarray,
+    axis: int,
+) -> Found:
+    """The unevenness of rows or columns that stays, of all levels together.
 
     Args:
         shared: of the levels.
         spatial: (levels,) variance of the average frames, DN^2.
+        variance: (levels,) temporal, of pixels, DN^2.
+        frames: (levels,) how many.
         axis: which.
 
     Returns:
@@ -181,10 +253,47 @@ def fixed_lines(shared: SharedVariance, spatial: Float[np.ndarray, " levels"], a
     """
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.fixed_rows if axis == 0 else shared.fixed_columns)
-    found = _pooled(values, spatial / across, np.full(len(values), lines - 1.0))
-    alone = float(np.sqrt(2 / (lines - 1)) * np.median(spatial) / across)
-    error = float(np.hypot(alone, np.sqrt(2 / (lines - 1)) * found.variance))
-    return Found(found.variance, error, found.variance / alone)
+    of_lines = max(temporal_lines(shared, variance, frames, axis).variance, 0.0)
+    passing = (of_lines + variance / across) / frames
+    own = float(np.median(np.maximum(spatial - variance / frames, 0))) / across
+    return one_pattern(values, own, passing, frames, lines)
+
+
+def one_pattern(
+    values: Float[np.ndarray, " levels"],
+    own: float,
+    passing: Float[np.ndarray, " levels"],
+    frames: np.ndarray,
+    lines: float,
+) -> Found:
+    """The variance of lines that is the same at all levels.
+
+    What the pixels' own pattern, a, adds to a line is the same at all levels, so that levels do not
+    make it better known; temporal noise, b of a line of L frames, is new at each, and is subtracted
+    as it was measured from those frames. Of levels weighted by w the error is
+
+        sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
+
+    Args:
+        values: (levels,) estimates of it.
+        own: a.
+        passing: (levels,) b.
+        frames: (levels,) L.
+        lines: how many.
+
+    Returns:
+        The variance.
+    """
+    weight = (own + passing) ** -2
+    weight = weight / weight.sum()
+    found = float(weight @ values)
+
+    def error(pattern: float) -> float:
+        mixed = 2 * pattern * np.sum(weight**2 * passing)
+        noise = np.sum(weight**2 * passing**2 * frames / (frames - 1))
+        return float(np.sqrt(2 / (lines - 1) * (pattern**2 + mixed + noise)))
+
+    return Found(found, error(own + max(found, 0.0)), found / error(own))
 
 
 def drift(
@@ -211,7 +320,6 @@ def _pooled(values: np.ndarray, expected: np.ndarray, degrees: np.ndarray) -> Fo
     weight = degrees / (2 * expected**2)
     variance = float(np.average(values, weights=weight))
     chance = float(weight.sum() ** -0.5)
-    error = float(
-        np.sqrt(2 * np.average((expected + variance) ** 2, weights=weight) / degrees.sum())
-    )
+    share = weight / weight.sum()
+    error = float(np.sqrt(np.sum(2 * (share * (expected + variance)) ** 2 / degrees)))
     return Found(variance, error, variance / chance)

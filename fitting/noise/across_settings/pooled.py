@@ -15,7 +15,7 @@ from ...inference.estimates import find
 from ..calibration import LIKELIHOOD, NoiseCalibration
 from ..levels import CLEAR_OF_CLIPPING
 from ..misfit import MISFIT, p_value
-from ..pattern import SEEN, population_variance
+from ..pattern import SEEN, population_variance, response_population_variance
 
 AT_FULL_SCALE = 0.98  # of it, from which a brightest level counts as the converter's end
 
@@ -105,9 +105,8 @@ def pattern(
         if one is None or one.patterns is None:
             continue
         fitted, dark = one.patterns[1], one.measurement.dark
-        pixels = float(dark.pixels)
         if which == "prnu":
-            of_die = 2 * fitted.response**2 / pixels
+            of_die = response_population_variance(one.measurement, one.usable, fitted.response)
             found.append((i, fitted.response, fitted.response_error**2 - of_die, of_die))
         else:
             known = population_variance(dark, np.full(dark.mean.size, fitted.dark))

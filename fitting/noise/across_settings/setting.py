@@ -25,7 +25,7 @@ from ..calibration import NoiseCalibration
 from ..levels import Levels, PhotonTransfer
 from ..misfit import inflation
 from ..settings import Setting
-from ..shared import believed_lines
+from ..shared import shared_noise
 
 FROM_BOTH = ("system_gain", "responsivity", "read_noise", "dark_current")
 FROM_DARKS = ("dark_signal_rate", "read_variance", "dark_variance_rate")
@@ -107,9 +107,11 @@ def told_by_darks(setting: Setting, darks: Levels) -> Told:
             "different exposures, from which nothing follows; add flats, or other exposures."
         )
     pixels = float(darks.pixels)
-    lines = believed_lines(darks.shared, variance, frames)
-    of_mean = variance / pixels + sum(shared / count for shared, count in lines)
-    of_variance = 2 * variance**2 / pixels + sum(2 * shared**2 / n for shared, n in lines)
+    of_mean, of_variance = variance / pixels, 2 * variance**2 / pixels
+    shared = shared_noise(darks.shared, variance, frames)
+    if shared is not None:
+        of_mean = of_mean + float(shared.of_mean)
+        of_variance = of_variance + float(shared.of_variance)
     (_, rate), means = _line(exposure, mean, of_mean / frames)
     fitted, variances = _line(exposure, variance, of_variance / (frames - 1))
     covariance = np.zeros((3, 3))

@@ -590,13 +590,14 @@ ELSEWHERE = (
             fitting.noise.model: expected_neighbours scatter_prior
             fitting.noise.neighbours.*
             fitting.noise.pattern: fitted_pattern pattern_variance population_variance
-            fitting.noise.pattern: standard_pattern
+            fitting.noise.pattern: response_population_variance standard_pattern unequal_gains
             fitting.noise.quantised: quantised_moments window_for
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
             fitting.noise.misfit.*
             fitting.noise.window.*
-            fitting.noise.shared: believed_lines drift fixed_lines shared_variance temporal_lines
+            fitting.noise.shared: believed_lines drift extra_lines fixed_lines one_pattern
+            fitting.noise.shared: shared_noise shared_variance temporal_lines
         """,
     ),
     Elsewhere(
