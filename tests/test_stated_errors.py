@@ -94,6 +94,19 @@ def test_a_turned_light_is_turned_back(fitted, about):
     )
 
 
+def test_lights_are_not_turned_by_far_more_than_the_rig_says(fitted):
+    """By ten standard deviations, in place of another error: then they stay, and only widen."""
+    observation, fit = fitted
+    wrong, known = turned_by_hand(observation, 5e-3, 0), np.zeros(5)
+    known[2] = 5e-4
+    found, alone = fit(**wrong, uncertain={"direction_sd": known}), fit(**wrong)
+    assert found.turns is None
+    np.testing.assert_array_equal(found.vector, alone.vector)
+    assert found.stated.of_lights.reshape(2, 5, -1)[:, 2].any()
+    known[2] = 5e-3
+    assert fit(**wrong, uncertain={"direction_sd": known}).turns is not None
+
+
 def test_turns_take_the_information_that_a_fit_of_them_takes(fitted):
     """Parameters and two turns by finite differences, their normal equations inverted whole."""
     observation, fit = fitted

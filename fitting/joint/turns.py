@@ -22,6 +22,7 @@ from .read import JointMeasurement
 
 MOST_TURNS = 8
 SETTLED = 0.05  # standard deviations of a light's direction
+IMPLAUSIBLE = 3.0  # times the stated size, from which it is the model that misses, not the lights
 
 Turns = Float[np.ndarray, "2 images"]
 
@@ -29,7 +30,8 @@ Turns = Float[np.ndarray, "2 images"]
 def fit_turned(
     measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
 ) -> JointFit:
-    """Best fit of one channel, about the turns that it finds.
+    """Best fit of one channel, about the turns that it finds; about the rig's lights where these
+    would be off by far more than the rig says.
 
     Args:
         measurement: images, flats and darks.
@@ -43,16 +45,20 @@ def fit_turned(
     Raises:
         InputError: where too little is left to fit.
     """
-    if not measurement.observation.uncertain["direction_sd"].any():
+    observation = measurement.observation
+    sizes = observation.uncertain["direction_sd"][~observation.held_out]
+    if not sizes.any():
         return fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
-    turns = np.zeros((2, np.count_nonzero(~measurement.observation.held_out)))
-    fit = fit_channel(measurement, channel, form, fit_gamma=fit_gamma, about=turns)
+    turns = np.zeros((2, len(sizes)))
+    nominal = fit = fit_channel(measurement, channel, form, fit_gamma=fit_gamma, about=turns)
     for _ in range(MOST_TURNS):
         found = likeliest_turns(fit)
-        if found is None or np.all(np.abs(found[0] - turns) <= SETTLED * found[1]):
+        if found is None or found[1].max() > IMPLAUSIBLE * sizes.max():
+            return nominal
+        if np.all(np.abs(found[0] - turns) <= SETTLED * found[1]):
             break
         turns = found[0]
-        lights = turned(measurement.observation, fit.grid.lights, turns)
+        lights = turned(observation, fit.grid.lights, turns)
         moved = replace(measurement, observation=lights)
         fit = fit_channel(moved, channel, form, fit_gamma=fit_gamma, about=turns)
     return fit

@@ -38,6 +38,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
         *contradictions(calibration.observation, gamma=gamma),
         *calibration.observation.findings,
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
+        *_lights_finding(calibration),
         *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
         *(_unseen_winner(calibration) or _better_model(calibration)),
         *_not_compared(calibration),
@@ -46,6 +47,27 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
         *_part_findings(calibration),
         *_shadow_finding(calibration),
     )
+
+
+def _lights_finding(calibration: ReflectanceCalibration) -> list[str]:
+    """Where lights of uncertain directions were left, or how far they were turned."""
+    stated = np.asarray(calibration.observation.uncertain.get("direction_sd", 0.0))
+    if not stated.any():
+        return []
+    left = [fit.channel for fit in calibration.reported if fit.turns is None]
+    if left:
+        return [
+            f"{listed(left)}: to fit the images, lights would have to be turned by far more than "
+            "direction_sd says: it is too small, or the model misses something else. They were "
+            "left where the rig has them."
+        ]
+    turns = np.array([fit.turns for fit in calibration.reported])
+    size = np.sqrt(np.mean(turns[:, stated > 0] ** 2, axis=(1, 2)))
+    told = " / ".join(f"{one:.2g}" for one in size)
+    return [
+        f"Lights were turned to where their images put them, by {told} times direction_sd along "
+        "either axis (rms)."
+    ]
 
 
 def misfit_table(calibration: ReflectanceCalibration) -> Table:

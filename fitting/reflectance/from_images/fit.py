@@ -43,7 +43,7 @@ from .model import (
     total_log_likelihood,
 )
 from .read import ReflectanceObservation
-from .samples import Gathered, Selection, make_samples
+from .samples import Gathered, Selection, make_samples, of_some_pixels
 from .spread import (
     Spread,
     chi_square_per_dof,
@@ -60,6 +60,7 @@ REACH = 1.0  # half width of the bounded search, in log parameters
 LONG = 300_000  # samples from which more programs, and optimised ones, save time
 MOST_TURNS = 20  # of the lights
 SETTLED = 0.05  # standard deviations of a light's direction
+PLAUSIBLE, ABSURD = 2.0, 4.0  # of them, rms over lights, at the end and on the way
 ENOUGH = 20_000  # samples that put lights nearly where all samples do
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
 
@@ -80,6 +81,7 @@ class ChannelFit:
         robustness: covariance that does not assume so; None where the data leave a direction open.
         identifiability: of the information.
         stated: what the rig calls uncertain.
+        turns: (lights, 2) of the lights, in units of `direction_sd`; None where the rig has them.
         spread: of the residuals of plain squares.
         chi_square: per degree of freedom, with the weights of the fit.
         sensor_chi_square: with the sensor's noise alone; None if unknown.
@@ -97,6 +99,7 @@ class ChannelFit:
     information: Float[np.ndarray, "parameters parameters"]
     robustness: Robustness | None
     stated: StatedErrors
+    turns: Float[np.ndarray, "lights 2"] | None
     identifiability: Identifiability
     spread: Spread
     chi_square: float
@@ -140,8 +143,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     samples = replace(samples, form=cells.form, geometry=geometry)
     if form.free_gamma:  # the encodings that were tried lie apart
         first = minimise_residuals(residuals, first, cells).vector
-    found = _weighed_and_fitted(first, samples, grouping, sensor)
-    turns = np.zeros((len(observation.files), 2))
+    found, turns = _weighed_and_fitted(first, samples, grouping, sensor), None
     if np.any(observation.uncertain.get("direction_sd", 0)):
         found, turns = _among_turns(found, gathered, channel, grouping, sensor)
     samples, vector = found.samples, found.vector
@@ -170,6 +172,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         information=information,
         robustness=robustness,
         stated=stated,
+        turns=turns,
         identifiability=judged,
         spread=found.spread,
         chi_square=chi_square_per_dof(residual, signal, slope, found.weights, dof),
@@ -205,15 +208,17 @@ def _weighed_and_fitted(
 
 
 def _among_turns(
-    found: _Found, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
-) -> tuple[_Found, np.ndarray]:
+    nominal: _Found, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
+) -> tuple[_Found, np.ndarray | None]:
     """Parameters and turns of the lights, one at the other's best, until no light moves: of a part
-    of many samples first, which is near enough to begin with."""
-    observation, every = gathered.observation, gathered.selection
-    turns = np.zeros((len(observation.files), 2))
-    step = max(1, len(every.light) // ENOUGH)
-    parts = [Selection(every.light[::step], every.pixel[::step])] if step > 1 else []
-    for selection in (*parts, every):
+    of many samples first, which is near enough to begin with. None where lights would have to be
+    turned by far more than the rig says: then it is the model that misses."""
+    whole = gathered.observation, gathered.selection
+    known = whole[0].uncertain["direction_sd"] > 0
+    found, turns = nominal, np.zeros((len(known), 2))
+    step = max(1, len(whole[1].light) // ENOUGH)
+    parts = [of_some_pixels(*whole, step)] if step > 1 else []
+    for observation, selection in (*parts, whole):
         fitted = partial(_fitted_about, observation, selection, channel, grouping, sensor)
         if parts:
             found = fitted(turns, found)
@@ -222,10 +227,18 @@ def _among_turns(
             shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
             before = turns
             turns = likeliest_turns(shifts, before, vector, samples, selection)
+            if _rms(turns[known]) > ABSURD:
+                return nominal, None
             found = fitted(turns, found)
             if np.abs(turns - before).max() < SETTLED:
                 break
+        if _rms(turns[known]) > PLAUSIBLE:
+            return nominal, None
     return found, turns
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _fitted_about(

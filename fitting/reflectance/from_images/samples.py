@@ -1,7 +1,7 @@
 """The samples of a fit: lights and pixels chosen from an observation, with what a lobe takes."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import jax
@@ -212,3 +212,32 @@ def make_samples(
     """
     found = gather(observation, selection, models=(form.model,), channels=(channel,))
     return found.samples(channel, form)
+
+
+def of_some_pixels(
+    observation: ReflectanceObservation, selection: Selection, step: int
+) -> tuple[ReflectanceObservation, Selection]:
+    """Every so many pixels of an observation, and those of a selection.
+
+    Args:
+        observation: of the object.
+        selection: indices of light and pixel.
+        step: between pixels.
+
+    Returns:
+        An observation of these pixels alone, and its selection.
+    """
+    some = slice(None, None, step)
+    fewer = replace(
+        observation,
+        normals=observation.normals[some],
+        rows=observation.rows[some],
+        columns=observation.columns[some],
+        **{
+            name: getattr(observation, name)[:, some]
+            for name in ("wi", "cosine", "log_cos_mirror", "mirror_angle", "falloff")
+        },
+        dn=observation.dn[..., some],
+    )
+    kept = selection.pixel % step == 0
+    return fewer, Selection(selection.light[kept], selection.pixel[kept] // step)

@@ -6,7 +6,7 @@ order, by
     d theta = I^-1 p e,    p = sum slope * s / deviation,
 
 slope being the gradient of the prediction in standard deviations and I the information. Errors of
-a light (`intensity_sd`, `exposure_sd`, `stray_sd`, and `direction_sd`, whose turns are found with
+a light (`intensity_sd`, `exposure_sd`, `stray_sd`, and `direction_sd`, unless turns are found with
 the parameters: `turns`) shift the samples of its image alone. The residuals show them too, so the
 covariance of few lights gives way to what the rig states, unless the residuals show more. Errors
 of all images at once (`black_sd`, `gamma_sd`) are like another surface; no residual shows them,
@@ -63,7 +63,7 @@ def stated_errors(
     vector: Float[Array, " parameters"],
     samples: Samples,
     selection: Selection,
-    turns: Float[np.ndarray, "lights 2"],
+    turns: Float[np.ndarray, "lights 2"] | None,
 ) -> StatedErrors:
     """The pulls of all that a rig calls uncertain.
 
@@ -73,7 +73,8 @@ def stated_errors(
         vector: (P,) of the fit, unconstrained.
         samples: of the fit.
         selection: of the samples.
-        turns: (lights, 2) of the samples' lights, in units of `direction_sd`.
+        turns: (lights, 2) of the samples' lights, in units of `direction_sd`, found with the
+            parameters; None where the rig has them.
 
     Returns:
         The pulls; without rows where all is exact, or so nearly that no fit can tell.
@@ -100,7 +101,7 @@ def stated_errors(
     gone = negligible(errors)
     named = {error.name for error in gone}
     lost = np.zeros((count, count))
-    if "direction_sd" in own:
+    if turns is not None and "direction_sd" in own:
         shifts = own.pop("direction_sd")
         if "direction_sd" not in named:
             lost = information_lost(shifts, vector, samples, selection, lights)
@@ -152,7 +153,7 @@ def _shifts_of_lights(
     vector: Array,
     samples: Samples,
     selection: Selection,
-    turns: np.ndarray,
+    turns: np.ndarray | None,
 ) -> dict[str, np.ndarray]:
     """(shifts, samples) DN that each kind of error of the lights moves a prediction by."""
     known = {n: sd[selection.light] for n, sd in observation.uncertain.items() if np.any(sd)}
@@ -169,6 +170,8 @@ def _shifts_of_lights(
         if name in known
     }
     if "direction_sd" in known:
+        if turns is None:
+            turns = np.zeros((len(observation.files), 2))
         found["direction_sd"] = shifts_of_turns(
             observation, turns, channel, vector, samples, selection
         )
