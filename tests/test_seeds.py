@@ -157,7 +157,7 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
     def posterior(fit, robust, sampling, seed):
         seeds.append((fit.channel, seed))
 
-    monkeypatch.setattr(joint, "fit_channel", lambda _, i, *__, **___: SimpleNamespace(channel=i))
+    monkeypatch.setattr(joint, "fit_turned", lambda _, i, *__, **___: SimpleNamespace(channel=i))
     monkeypatch.setattr(joint, "is_determined", lambda fit: True)
     monkeypatch.setattr(joint, "over_images", lambda fit: None)
     monkeypatch.setattr(joint, "_posterior", posterior)

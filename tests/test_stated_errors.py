@@ -107,6 +107,17 @@ def test_lights_are_not_turned_by_far_more_than_the_rig_says(fitted):
     assert fit(**wrong, uncertain={"direction_sd": known}).turns is not None
 
 
+def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypatch):
+    _, fit = fitted
+    uncertain = {"direction_sd": np.full(5, 5e-3)}
+    whole = fit(uncertain=uncertain)
+    monkeypatch.setattr("fitting.reflectance.from_images.fit.ENOUGH", 400)
+    found = fit(uncertain=uncertain)
+    np.testing.assert_allclose(found.turns, whole.turns, atol=0.02)
+    error = np.sqrt(np.diagonal(np.linalg.inv(whole.information)))
+    np.testing.assert_allclose(found.vector / error, whole.vector / error, atol=0.1, rtol=0)
+
+
 def test_turns_take_the_information_that_a_fit_of_them_takes(fitted):
     """Parameters and two turns by finite differences, their normal equations inverted whole."""
     observation, fit = fitted

@@ -640,7 +640,7 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_joint test_joint_nuts test_joint_left_out test_stated_errors",
+        "test_joint test_joint_nuts test_joint_left_out test_joint_turns test_stated_errors",
         """
             fitting.joint.calibration: calibrate is_determined
             fitting.joint.cells: cell_width local_geometry make_grid pixels_at reduce_images
@@ -655,6 +655,7 @@ ELSEWHERE = (
             fitting.joint.model: stored values_at weights
             fitting.joint.prediction: predict score
             fitting.joint.start: first_noise first_reflectance parameters scatter_scales
+            fitting.joint.turns: fit_turned likeliest_turns turned
         """,
     ),
     Elsewhere(
@@ -693,10 +694,13 @@ ELSEWHERE = (
             fitting.reflectance.from_images.posterior: channel_posterior composite
             fitting.reflectance.from_images.posterior: composite_log_density
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
-            fitting.reflectance.from_images.samples: gather lobe_geometry make_samples select
+            fitting.reflectance.from_images.samples: gather lobe_geometry make_samples
+            fitting.reflectance.from_images.samples: of_some_pixels select
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
             fitting.reflectance.from_images.spread: sensor_spread variance
             fitting.reflectance.from_images.stated: stated_errors with_stated_errors
+            fitting.reflectance.from_images.turns: information_lost likeliest_turns
+            fitting.reflectance.from_images.turns: shifts_of_turns turned
         """,
     ),
 )
