@@ -58,9 +58,9 @@ from .turns import likeliest_turns, shifts_of_turns, turned
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
 REACH = 1.0  # half width of the bounded search, in log parameters
 LONG = 300_000  # samples from which more programs, and optimised ones, save time
-MOST_TURNS = 20  # of the lights
+MOST_TURNS = 10  # of the lights
 SETTLED = 0.05  # standard deviations of a light's direction
-PLAUSIBLE, ABSURD = 2.0, 4.0  # of them, rms over lights, at the end and on the way
+PLAUSIBLE, ABSURD = 2.0, 4.0  # of them, rms over lights; ABSURD for the first step, from afar
 ENOUGH = 20_000  # samples that put lights nearly where all samples do
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
 
@@ -194,15 +194,22 @@ class _Found:
     converged: bool
 
 
-def _weighed_and_fitted(
-    first: Array, samples: Samples, grouping: Grouping, sensor: Spread | None
-) -> _Found:
-    """The optimum near a first one, whose residuals give the weights."""
+def _weighed(
+    first: Array, samples: Samples, sensor: Spread | None
+) -> tuple[Samples, Spread, Spread]:
+    """The samples with weights of a vector's residuals; their spread, and that of the weights."""
     seen = _residual_signal_slope(first, samples)
     weights = spread = fit_spread(*seen, sensor=sensor)
     if spread.relative is not None:
         weights = flat_spread(*seen, sensor=sensor)
-    samples = _weighted(first, samples, weights)
+    return _weighted(first, samples, weights), spread, weights
+
+
+def _weighed_and_fitted(
+    first: Array, samples: Samples, grouping: Grouping, sensor: Spread | None
+) -> _Found:
+    """The optimum near a first one, whose residuals give the weights."""
+    samples, spread, weights = _weighed(first, samples, sensor)
     near = _nearer(first, samples, grouping)
     return _Found(samples, spread, weights, *optimum(near, samples))
 
@@ -210,49 +217,46 @@ def _weighed_and_fitted(
 def _among_turns(
     nominal: _Found, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
 ) -> tuple[_Found, np.ndarray | None]:
-    """Parameters and turns of the lights, one at the other's best, until no light moves: of a part
-    of many samples first, which is near enough to begin with. None where lights would have to be
-    turned by far more than the rig says: then it is the model that misses."""
+    """Parameters and turns of the lights, one at the other's best, until no light moves; of many
+    samples a part until then, and all of them twice. None where lights would have to be turned by
+    far more than the rig says: then it is the model that misses."""
     whole = gathered.observation, gathered.selection
     known = whole[0].uncertain["direction_sd"] > 0
     found, turns = nominal, np.zeros((len(known), 2))
     step = max(1, len(whole[1].light) // ENOUGH)
-    parts = [of_some_pixels(*whole, step)] if step > 1 else []
-    for observation, selection in (*parts, whole):
-        fitted = partial(_fitted_about, observation, selection, channel, grouping, sensor)
-        if parts:
-            found = fitted(turns, found)
-        for _ in range(MOST_TURNS):
+    stages = [(*whole, MOST_TURNS)]
+    if step > 1:
+        stages = [(*of_some_pixels(*whole, step), MOST_TURNS), (*whole, 2)]
+    for observation, selection, rounds in stages:
+        if step > 1:
+            samples = _about(observation, selection, channel, found, turns)
+            found = replace(found, samples=_weighed(found.vector, samples, sensor)[0])
+        for number in range(rounds):
             vector, samples = found.vector, found.samples
             shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
             before = turns
             turns = likeliest_turns(shifts, before, vector, samples, selection)
-            if _rms(turns[known]) > ABSURD:
+            if _rms(turns[known]) > (ABSURD if number == 0 and rounds > 2 else PLAUSIBLE):
                 return nominal, None
-            found = fitted(turns, found)
+            samples = _about(observation, selection, channel, found, turns)
+            found = _weighed_and_fitted(vector, samples, grouping, sensor)
             if np.abs(turns - before).max() < SETTLED:
                 break
-        if _rms(turns[known]) > PLAUSIBLE:
-            return nominal, None
     return found, turns
+
+
+def _about(
+    observation: ReflectanceObservation,
+    selection: Selection,
+    channel: int,
+    found: _Found,
+    turns: np.ndarray,
+) -> Samples:
+    return make_samples(turned(observation, turns), channel, found.samples.form, selection)
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _fitted_about(
-    observation: ReflectanceObservation,
-    selection: Selection,
-    channel: int,
-    grouping: Grouping,
-    sensor: Spread | None,
-    turns: np.ndarray,
-    near: _Found,
-) -> _Found:
-    lights = turned(observation, turns)
-    samples = make_samples(lights, channel, near.samples.form, selection)
-    return _weighed_and_fitted(near.vector, samples, grouping, sensor)
 
 
 def robust_covariance(
