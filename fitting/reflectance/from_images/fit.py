@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.special import chdtri
 
 from ...inference.bounded import minimise_in_box
 from ...inference.clustering import Robustness, cluster_robust
@@ -60,7 +61,8 @@ REACH = 1.0  # half width of the bounded search, in log parameters
 LONG = 300_000  # samples from which more programs, and optimised ones, save time
 MOST_TURNS = 10  # of the lights
 SETTLED = 0.05  # standard deviations of a light's direction
-PLAUSIBLE, ABSURD = 2.0, 4.0  # of them, rms over lights; ABSURD for the first step, from afar
+IMPLAUSIBLE = 1e-3  # chance that lights as good as stated are turned by as much
+ABSURD = 4.0  # standard deviations, rms over lights, of the first step, which comes from afar
 ENOUGH = 20_000  # samples that put lights nearly where all samples do
 SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
 
@@ -223,6 +225,8 @@ def _among_turns(
     whole = gathered.observation, gathered.selection
     known = whole[0].uncertain["direction_sd"] > 0
     found, turns = nominal, np.zeros((len(known), 2))
+    seen = 2 * np.count_nonzero(known)
+    most = np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen)
     step = max(1, len(whole[1].light) // ENOUGH)
     stages = [(*whole, MOST_TURNS)]
     if step > 1:
@@ -236,7 +240,7 @@ def _among_turns(
             shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
             before = turns
             turns = likeliest_turns(shifts, before, vector, samples, selection)
-            if _rms(turns[known]) > (ABSURD if number == 0 and rounds > 2 else PLAUSIBLE):
+            if _rms(turns[known]) > (ABSURD if number == 0 and rounds > 2 else most):
                 return nominal, None
             samples = _about(observation, selection, channel, found, turns)
             found = _weighed_and_fitted(vector, samples, grouping, sensor)
