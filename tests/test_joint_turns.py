@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from fitting.joint import calibrate, from_photographs
-from fitting.joint.turns import likeliest_turns, turned
+from fitting.joint.turns import likeliest_turns
+from fitting.reflectance.from_images.turns import turned
 from fitting.rig import Camera, SphereGeometry
 
 SIZE, RADIUS, LIGHT, GAIN, READ = 40, 18.0, 3000.0, 0.25, 6.0
@@ -74,6 +75,8 @@ def test_lights_off_by_a_degree_are_turned_and_leave_no_bias(seed):
             assert abs(miss) < 3.5 * error[i], parameter.name
     turns = likeliest_turns(fit)
     assert turns is not None
-    seen = turned(measurement.observation, fit.grid.lights, turns[0])
+    across = np.zeros((12, 2))
+    across[fit.grid.lights] = turns[0].T
+    seen = turned(measurement.observation, across)
     cosine = np.sum(seen.wi[:11, 0] * actual[:11], axis=1)
     assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 0.1

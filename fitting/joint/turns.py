@@ -8,14 +8,10 @@ turns that it finds (Gauss-Newton), until no light moves.
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxvision import as_array, as_vec
-from jaxvision.hemisphere import local_frame
-
-from ..reflectance.from_images.read import ReflectanceObservation, angles
+from ..reflectance.from_images.turns import turned
 from .fit import JointFit, fit_channel, image_errors
 from .model import Form
 from .read import JointMeasurement
@@ -58,7 +54,9 @@ def fit_turned(
         if np.all(np.abs(found[0] - turns) <= SETTLED * found[1]):
             break
         turns = found[0]
-        lights = turned(observation, fit.grid.lights, turns)
+        across = np.zeros((len(observation.held_out), 2))
+        across[fit.grid.lights] = turns.T
+        lights = turned(observation, across)
         moved = replace(measurement, observation=lights)
         fit = fit_channel(moved, channel, form, fit_gamma=fit_gamma, about=turns)
     return fit
@@ -83,27 +81,3 @@ def likeliest_turns(fit: JointFit) -> tuple[Turns, Float[np.ndarray, " images"]]
         fit.values["direction_scatter"]
     )
     return found[0][:, first : first + 2].T * size, size
-
-
-def turned(
-    observation: ReflectanceObservation, lights: np.ndarray, turns: Turns
-) -> ReflectanceObservation:
-    """An observation whose lights stand elsewhere.
-
-    Args:
-        observation: whose lights stand as the rig says.
-        lights: indices of the images in the fit.
-        turns: (2, images) rad across them.
-
-    Returns:
-        The observation.
-    """
-    wi = observation.wi.copy()
-    middle = wi[lights].mean(axis=1)
-    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    frame = local_frame(as_vec(jnp.asarray(middle)))
-    for axis, turn in zip((frame.tangent, frame.bitangent), turns, strict=True):
-        wi[lights] += turn[:, None, None] * np.asarray(as_array(axis))[:, None]
-    wi /= np.linalg.norm(wi, axis=-1, keepdims=True)
-    cosine, log_cos, mirror = angles(observation.normals, wi)
-    return replace(observation, wi=wi, cosine=cosine, log_cos_mirror=log_cos, mirror_angle=mirror)

@@ -51,8 +51,9 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
 
 def _lights_finding(calibration: ReflectanceCalibration) -> list[str]:
     """Where lights of uncertain directions were left, or how far they were turned."""
-    stated = np.asarray(calibration.observation.uncertain.get("direction_sd", 0.0))
-    if not stated.any():
+    observation = calibration.observation
+    known = (observation.uncertain.get("direction_sd", np.zeros(1)) > 0) & ~observation.held_out
+    if not known.any():
         return []
     left = [fit.channel for fit in calibration.reported if fit.turns is None]
     if left:
@@ -62,7 +63,7 @@ def _lights_finding(calibration: ReflectanceCalibration) -> list[str]:
             "left where the rig has them."
         ]
     turns = np.array([fit.turns for fit in calibration.reported])
-    size = np.sqrt(np.mean(turns[:, stated > 0] ** 2, axis=(1, 2)))
+    size = np.sqrt(np.mean(turns[:, known] ** 2, axis=(1, 2)))
     told = " / ".join(f"{one:.2g}" for one in size)
     return [
         f"Lights were turned to where their images put them, by {told} times direction_sd along "

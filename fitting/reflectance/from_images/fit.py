@@ -146,7 +146,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     if form.free_gamma:  # the encodings that were tried lie apart
         first = minimise_residuals(residuals, first, cells).vector
     found, turns = _weighed_and_fitted(first, samples, grouping, sensor), None
-    if np.any(observation.uncertain.get("direction_sd", 0)):
+    if np.any(observation.uncertain.get("direction_sd", 0) * ~observation.held_out):
         found, turns = _among_turns(found, gathered, channel, grouping, sensor)
     samples, vector = found.samples, found.vector
 
@@ -223,7 +223,7 @@ def _among_turns(
     samples a part until then, and all of them twice. None where lights would have to be turned by
     far more than the rig says: then it is the model that misses."""
     whole = gathered.observation, gathered.selection
-    known = whole[0].uncertain["direction_sd"] > 0
+    known = (whole[0].uncertain["direction_sd"] > 0) & ~whole[0].held_out
     found, turns = nominal, np.zeros((len(known), 2))
     seen = 2 * np.count_nonzero(known)
     most = np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen)
@@ -256,7 +256,8 @@ def _about(
     found: _Found,
     turns: np.ndarray,
 ) -> Samples:
-    return make_samples(turned(observation, turns), channel, found.samples.form, selection)
+    lights = turned(observation, turns * observation.uncertain["direction_sd"][:, None])
+    return make_samples(lights, channel, found.samples.form, selection)
 
 
 def _rms(values: np.ndarray) -> float:

@@ -22,6 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision import as_array, as_vec
+from jaxvision.hemisphere import local_frame
+
 from .derivatives import scores_and_slopes
 from .model import Samples, predicted_dn, residuals
 from .read import ReflectanceObservation, angles
@@ -31,23 +34,21 @@ STEP = 0.5  # standard deviations to either side, of a slope
 
 
 def turned(
-    observation: ReflectanceObservation, turns: Float[np.ndarray, "lights 2"]
+    observation: ReflectanceObservation, angles_across: Float[np.ndarray, "lights 2"]
 ) -> ReflectanceObservation:
-    """The lights by so many standard deviations elsewhere, along two axes across them.
+    """The lights elsewhere, by angles along two axes across them.
 
     Args:
         observation: whose lights stand as the rig says.
-        turns: (lights, 2) in units of `direction_sd`.
+        angles_across: (lights, 2) rad.
 
     Returns:
         The observation.
     """
-    wi, sd = observation.wi, observation.uncertain["direction_sd"]
-    middle = wi.mean(axis=1)
-    first = np.cross(middle, np.eye(3)[np.argmin(np.abs(middle), axis=1)])
-    axes = np.stack([first, np.cross(middle, first)], axis=1)
-    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-    moved = wi + np.einsum("l,la,lac->lc", sd, turns, axes)[:, None]
+    middle = observation.wi.mean(axis=1)
+    frame = local_frame(as_vec(middle / np.linalg.norm(middle, axis=1, keepdims=True)))
+    axes = np.stack([np.asarray(as_array(v)) for v in (frame.tangent, frame.bitangent)], axis=1)
+    moved = observation.wi + np.einsum("la,lac->lc", angles_across, axes)[:, None]
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
     cosine, log_cos, mirror = angles(observation.normals, moved)
     return replace(
@@ -79,7 +80,8 @@ def shifts_of_turns(
 
     def predicted(axis: int, step: float) -> np.ndarray:
         aside = turns + step * np.eye(2)[axis]
-        moved = make_samples(turned(observation, aside), channel, samples.form, selection)
+        lights = turned(observation, aside * observation.uncertain["direction_sd"][:, None])
+        moved = make_samples(lights, channel, samples.form, selection)
         moved = replace(moved, gamma=samples.gamma)
         return np.asarray(predicted_dn(vector, moved), np.float64)
 

@@ -655,7 +655,7 @@ ELSEWHERE = (
             fitting.joint.model: stored values_at weights
             fitting.joint.prediction: predict score
             fitting.joint.start: first_noise first_reflectance parameters scatter_scales
-            fitting.joint.turns: fit_turned likeliest_turns turned
+            fitting.joint.turns: fit_turned likeliest_turns
         """,
     ),
     Elsewhere(
