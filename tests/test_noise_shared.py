@@ -27,6 +27,17 @@ from fitting.rig import Camera
 H, W, FRAMES, LEVELS = 24, 40, 3, 4
 
 
+def level_of(stack):
+    """Average, temporal variance and what lines share, of one level's frames."""
+    moments = Moments(stack[0])
+    for frame in stack[1:]:
+        moments.add(frame - stack[0])
+    wander = stack.mean(axis=(1, 2)).var(ddof=1)
+    variance = stack.var(axis=0, ddof=1).mean() - wander
+    average = stack.mean(axis=0)
+    return average, variance, moments.shared(average, variance, wander)
+
+
 def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames=0.0):
     """Four levels of dark frames: (shared, variances, spatial variances), of pixel noise 2 DN."""
     banding = fixed * rng.standard_normal(W)
@@ -42,13 +53,8 @@ def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames
             + frames * rng.standard_normal((FRAMES, 1, 1))
             + banding
         )
-        moments = Moments(stack[0])
-        for frame in stack[1:]:
-            moments.add(frame - stack[0])
-        wander = stack.mean(axis=(1, 2)).var(ddof=1)
-        variance = stack.var(axis=0, ddof=1).mean() - wander
-        average = stack.mean(axis=0)
-        kept.append((variance, average.var(ddof=1), *moments.shared(average, variance, wander)))
+        average, variance, lines = level_of(stack)
+        kept.append((variance, average.var(ddof=1), *lines))
     variance, spatial, *lines = np.array(kept).T
     return shared_variance(np.array(lines), (H, W)), variance, spatial
 
@@ -167,13 +173,8 @@ def test_errors_of_a_level_know_of_shared_noise():
     stacks = rng.standard_normal((400, FRAMES, H, W)) + 2 * rng.standard_normal((400, FRAMES, H, 1))
     stacks += rng.standard_normal((400, FRAMES, 1, 1))
     for stack in stacks:
-        moments = Moments(stack[0])
-        for frame in stack[1:]:
-            moments.add(frame - stack[0])
-        wander = stack.mean(axis=(1, 2)).var(ddof=1)
-        variance = stack.var(axis=0, ddof=1).mean() - wander
-        average = stack.mean(axis=0)
-        kept.append((variance, average.mean(), *moments.shared(average, variance, wander)))
+        average, variance, lines = level_of(stack)
+        kept.append((variance, average.mean(), *lines))
     variance, mean, *lines = np.array(kept).T
     one, shared = np.ones(400), shared_variance(np.array(lines), (H, W))
     levels = Levels(0 * one, one, mean, variance, FRAMES * one, jnp.asarray(float(H * W)))
