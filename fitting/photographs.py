@@ -33,7 +33,7 @@ def rig_entries(
     intensities: ArrayLike | None,
     held_out: Sequence[int],
     place: Literal["direction", "position"] = "direction",
-    uncertain: Mapping[str, Float[np.ndarray, " lights"]] | None = None,
+    uncertain: Mapping[str, ArrayLike | None],
 ) -> tuple[dict[str, ArrayLike], dict[str, Any]]:
     """What `observation.in_memory` takes.
 
@@ -46,7 +46,8 @@ def rig_entries(
         intensities: (lights,) or (lights, channels); None for 1.
         held_out: indices of the lights kept for testing.
         place: what `lights` holds.
-        uncertain: by name of an entry of a light, its standard deviation for each.
+        uncertain: by name of an entry of a light, its standard deviation: one for all lights or one
+            for each; None for exact.
 
     Returns:
         The images by name, and the entries `light` and `geometry`.
@@ -58,6 +59,7 @@ def rig_entries(
     require_as_many("lights", lights, "images", images)
     strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
     require_as_many("intensities", strengths, "images", images)
+    sizes = {name: _each(name, sd, images) for name, sd in uncertain.items() if sd is not None}
     entries = [
         {
             "file": f"images[{i}]",
@@ -65,7 +67,7 @@ def rig_entries(
             "intensity": np.atleast_1d(strength).tolist(),
             "held_out": i in held_out,
         }
-        | {name: float(sizes[i]) for name, sizes in (uncertain or {}).items() if sizes[i] != 0}
+        | {name: float(each[i]) for name, each in sizes.items() if each[i] != 0}
         for i, (light, strength) in enumerate(zip(lights, strengths, strict=True))
     ]
     named: dict[str, ArrayLike] = {f"images[{i}]": image for i, image in enumerate(images)}
@@ -75,3 +77,11 @@ def rig_entries(
             named[name] = array
             geometry[name] = name
     return named, {"light": entries, "geometry": geometry}
+
+
+def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> Float[np.ndarray, " lights"]:
+    sizes = np.asarray(sd, float)
+    if sizes.ndim == 0:
+        return np.full(len(images), float(sizes))
+    require_as_many(f"values of {name}", sizes, "images", images)
+    return sizes

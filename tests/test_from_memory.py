@@ -161,6 +161,9 @@ def test_photographs_of_a_known_shape(tmp_path, shape):
     for i, light in enumerate(LIGHTS):
         text += f'[[light]]\nfile = "l{i}.tif"\n{kind} = {(scale * light).tolist()}\n'
         text += f"intensity = [{1 + i / 10}]\nheld_out = {str(i == 2).lower()}\n"
+        if i != 1:  # whose exposure is exact
+            text += "exposure_sd = 0.005\n"
+        text += "intensity_sd = 0.01\ndirection_sd = 0.02\nstray_sd = 0.001\n"
     files = {f"l{i}": image for i, image in enumerate(images)}
     if shape == "normals":
         np.save(tmp_path / "n.npy", normals)
@@ -175,6 +178,10 @@ def test_photographs_of_a_known_shape(tmp_path, shape):
         *(images, scale * LIGHTS),
         camera=CAMERA,
         intensities=1 + np.arange(4) / 10,
+        intensity_sd=0.01,
+        direction_sd=0.02,
+        exposure_sd=[0.005, 0.0, 0.005, 0.005],
+        stray_sd=0.001,
         held_out=[2],
         point_lights=shape == "point lights",
         **given,

@@ -253,3 +253,24 @@ def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
         only = found(7.5, 0.0)
         assert list(only) == ["rows"]
         assert abs(only["rows"].variance - (0.25 * 7.5) ** 2) < 4 * only["rows"].error
+
+
+@pytest.mark.filterwarnings("error")
+def test_levels_whose_frames_are_alike_tell_nothing():
+    """Of a read noise that rounding hides, some darks have no two frames that differ."""
+    rng = np.random.default_rng(7)
+    stacks = [100 + rng.standard_normal((FRAMES, H, W)) for _ in range(3)]
+    still = np.full((FRAMES, H, W), 100.0)
+
+    def found(levels):
+        _, variance, lines = zip(*map(level_of, levels), strict=True)
+        shared, variance = shared_variance(np.array(lines).T, (H, W)), np.array(variance)
+        frames = np.full(len(levels), FRAMES)
+        lines = [temporal_lines(shared, variance, frames, axis) for axis in (0, 1)]
+        banding = fixed_lines(shared, variance / FRAMES, variance, frames, 0)
+        return [*lines, banding, drift(shared, variance, frames)]
+
+    for one, other in zip(found(stacks), found([still, *stacks]), strict=True):
+        assert one.variance == pytest.approx(other.variance)
+        assert one.significance == pytest.approx(other.significance)
+    assert not any(one.believed or one.variance for one in found([still, still]))

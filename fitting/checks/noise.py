@@ -1,17 +1,18 @@
-"""Photon transfer of a simulated camera, pixel by pixel in NumPy, and where fits put the truth."""
+"""Flats and darks of a simulated camera, pixel by pixel in NumPy, and where fits put the truth."""
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxvision.errors import InputError
 
 from ..noise.calibration import calibrate
-from ..noise.levels import Levels, PhotonTransfer
+from ..noise.from_memory import from_frames
+from ..noise.levels import PhotonTransfer
+from ..rig import Camera as BitDepth
 from .simulations import places_in
 
-PIXELS, FRAMES, FULL_SCALE = 2500, 2, 4095.0
+SHAPE, FRAMES = (50, 50), 2
 EFFICIENCY, DARK_CURRENT = 0.5, 100.0  # e-/photon, e-/s
 NAMES = ("system_gain", "responsivity", "black_level", "read_noise", "dark_current")
 
@@ -28,6 +29,10 @@ class Camera:
         light_sd: relative error of each level's light.
         prnu: relative error of each pixel's gain.
         levels: of light, and darks.
+        bits: of the codes.
+        row_noise: electrons rms that the pixels of a row share, new in every frame.
+        banding: electrons rms that the pixels of a column share, the same in every frame.
+        drift: DN rms by which the black level differs between frames.
     """
 
     gain: float = 0.25
@@ -37,6 +42,17 @@ class Camera:
     light_sd: float = 0.0
     prnu: float = 0.0
     levels: int = 10
+    bits: int = 12
+    row_noise: float = 0.0
+    banding: float = 0.0
+    drift: float = 0.0
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """The read noise with that of the rows."""
+        read = float(np.hypot(self.read_noise, self.row_noise))
+        values = (self.gain, self.gain * EFFICIENCY, self.black, read, DARK_CURRENT)
+        return dict(zip(NAMES, values, strict=True))
 
 
 CASES = {
@@ -50,7 +66,10 @@ CASES = {
     "5 levels off by 1 %": Camera(levels=5, light_sd=0.01),
     "24 levels off by 1 %": Camera(levels=24, light_sd=0.01),
     "fine read noise": Camera(gain=0.05, read_noise=3.0),
-    "black clipped": Camera(gain=0.5, read_noise=4.0, black=0.5, brightest=60.0),
+    "black clipped": Camera(gain=0.5, read_noise=4.0, black=0.5, brightest=60.0, bits=8),
+    "rows that share noise": Camera(row_noise=7.5),
+    "columns that differ": Camera(banding=7.5),
+    "frames that drift": Camera(drift=2.0),
 }
 
 
@@ -68,16 +87,15 @@ def places(camera: Camera, seed: int) -> np.ndarray:
         InputError: where the fit has no maximum.
     """
     posterior = calibrate(measured(camera, seed)).posterior
-    true = (camera.gain, camera.gain * EFFICIENCY, camera.black, camera.read_noise, DARK_CURRENT)
-    truth: dict[str, float] = dict(zip(NAMES, true, strict=True))
-    found = places_in(posterior, truth)
+    found = places_in(posterior, camera.truth)
     if len(found) < len(NAMES):
         raise InputError("the fit has fewer parameters than the camera.")
     return np.array([found[name] for name in NAMES])
 
 
 def measured(camera: Camera, seed: int) -> PhotonTransfer:
-    """Flats and darks of one camera: Poisson electrons, read noise, rounding and clipping.
+    """Flats and darks of one camera: Poisson electrons, what pixels, rows, columns and frames add,
+    rounding and clipping.
 
     Args:
         camera: to simulate.
@@ -88,29 +106,26 @@ def measured(camera: Camera, seed: int) -> PhotonTransfer:
     """
     rng = np.random.default_rng(seed)
     photons = np.linspace(0.01, 1, camera.levels) * camera.brightest
-    exposure = np.linspace(0.001, 0.02, camera.levels)
+    exposures = np.linspace(0.001, 0.02, camera.levels)
     lights = photons * (1 + camera.light_sd * rng.standard_normal(camera.levels))
-    own = 1 + camera.prnu * rng.standard_normal(PIXELS)
+    own = 1 + camera.prnu * rng.standard_normal(SHAPE)
     own /= own.mean()  # a camera's responsivity is the mean of its pixels'
+    banding = camera.banding * rng.standard_normal(SHAPE[1])
+    banding -= banding.mean()  # and its black level that of its columns'
 
-    def levels(given: np.ndarray, stated: np.ndarray) -> Levels:
-        rate = EFFICIENCY * given[:, None] * own + DARK_CURRENT * exposure[:, None]
-        electrons = rng.poisson(rate[:, None], (camera.levels, FRAMES, PIXELS))
-        noisy = electrons + camera.read_noise * rng.standard_normal(electrons.shape)
-        dn = np.clip(np.round(camera.black + camera.gain * noisy), 0, FULL_SCALE)
-        return Levels(
-            light=jnp.asarray(stated),
-            exposure=jnp.asarray(exposure),
-            mean=jnp.asarray(dn.mean(axis=(1, 2))),
-            variance=jnp.asarray(dn.var(axis=1, ddof=1).mean(axis=1)),
-            frames=jnp.full(camera.levels, float(FRAMES)),
-            pixels=jnp.asarray(float(PIXELS)),
-        )
+    def frames(light: float, exposure: float) -> np.ndarray:
+        rate = EFFICIENCY * light * own + DARK_CURRENT * exposure
+        electrons = rng.poisson(rate, (FRAMES, *SHAPE))
+        read = camera.read_noise * rng.standard_normal(electrons.shape)
+        rows = camera.row_noise * rng.standard_normal((FRAMES, SHAPE[0], 1))
+        drift = camera.drift * rng.standard_normal((FRAMES, 1, 1))
+        dn = camera.black + drift + camera.gain * (electrons + read + rows + banding)
+        return np.clip(np.round(dn), 0, 2.0**camera.bits - 1)
 
-    return PhotonTransfer(
-        bright=levels(lights, photons),
-        dark=levels(0 * photons, 0 * photons),
-        dark_of=jnp.arange(camera.levels),
-        light_step=jnp.asarray(0.0),
-        full_scale=FULL_SCALE,
+    return from_frames(
+        [list(frames(light, t)) for light, t in zip(lights, exposures, strict=True)],
+        [list(frames(0.0, t)) for t in exposures],
+        list(exposures),
+        list(photons),
+        camera=BitDepth(bits=camera.bits),
     )

@@ -33,10 +33,11 @@ class Sphere:
         lights: how many.
         truth: k_d, k_s, n.
         light_sd: relative error of each light's intensity.
-        direction_sd: rad, error of each light's direction along both axes across it, which the fit
-            is told.
+        direction_sd: rad, error of each light's direction along both axes across it.
+        stray_sd: light that reaches all pixels by other ways, relative to the irradiance, which the
+            fit is told.
         black_sd: DN, error of the black level, which the fit is told.
-        stated: whether the fit is told of `light_sd`.
+        stated: whether the fit is told of `light_sd` and `direction_sd`.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
         read_noise: electrons rms.
@@ -47,6 +48,7 @@ class Sphere:
     truth: tuple[float, float, float] = (0.4, 0.45, 40.0)
     light_sd: float = 0.0
     direction_sd: float = 0.0
+    stray_sd: float = 0.0
     black_sd: float = 0.0
     stated: bool = False
     prnu: float = 0.0
@@ -87,18 +89,15 @@ class Sphere:
                 gain=GAIN,
                 read_noise=self.read_noise,
                 saturation=self.clip,
+                black_sd=self.black_sd or None,
             ),
             sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
             intensities=np.full(self.lights, WHITE),
+            intensity_sd=self.light_sd * self.stated,
+            direction_sd=self.direction_sd * self.stated,
+            stray_sd=self.stray_sd,
         )
-        sizes = {"intensity_sd": self.light_sd * self.stated, "direction_sd": self.direction_sd}
-        told = {name: np.full(self.lights, size) for name, size in sizes.items() if size}
-        observation = replace(
-            observation,
-            held_out=np.zeros(self.lights, bool),
-            uncertain=told,
-            black_sd=self.black_sd,
-        )
+        observation = replace(observation, held_out=np.zeros(self.lights, bool))
         chosen = select(observation, held_out=False, form=Form("phong"))
         at = chosen.light, chosen.pixel
         cells = group(chosen.light, observation.cosine[at], observation.mirror_angle[at])
@@ -125,9 +124,10 @@ CASES = {
     "24 lights off by 1 %": Sphere(lights=24, light_sd=0.01),
     "4 lights off by 1 %, as stated": Sphere(lights=4, light_sd=0.01, stated=True),
     "lights off by 1 %, as stated": Sphere(light_sd=0.01, stated=True),
-    "directions off by 0.3 degrees, as stated": Sphere(direction_sd=np.radians(0.3)),
-    "directions off by 1 degree, as stated": Sphere(direction_sd=np.radians(1.0)),
+    "directions off by 0.3 degrees, as stated": Sphere(direction_sd=np.radians(0.3), stated=True),
+    "directions off by 1 degree, as stated": Sphere(direction_sd=np.radians(1.0), stated=True),
     "black off by 3 DN, as stated": Sphere(black_sd=3.0),
+    "stray light of .3 %, as stated": Sphere(stray_sd=0.003),
 }
 
 
@@ -146,7 +146,10 @@ def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
     signal = sphere.signal
     if sphere.direction_sd:
         signal = sphere.shaded(_turned(directions(sphere.lights), sphere.direction_sd, rng))
-    counted = rng.poisson(np.maximum(signal * lights * pixels, 0) / GAIN)
+    stray = 0.0
+    if sphere.stray_sd:
+        stray = WHITE * sphere.stray_sd * rng.standard_normal((sphere.lights, 1, 1))
+    counted = rng.poisson(np.maximum((signal * lights + stray) * pixels, 0) / GAIN)
     return counted + sphere.read_noise * rng.standard_normal(counted.shape)
 
 

@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
 
-from ..observation import in_memory, require_as_many, require_frames
+from ..observation import in_memory, require_frames
 from ..photographs import CALLED, rig_entries
-from ..reflectance.from_images.read import OF_LIGHTS
 from ..rig import Camera, SphereGeometry
 from .read import JointMeasurement, read_joint_measurement
 
@@ -61,7 +60,6 @@ def from_photographs(
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
     """
-    given = dict(zip(OF_LIGHTS, (intensity_sd, direction_sd, exposure_sd, stray_sd), strict=True))
     named, entries = rig_entries(
         images,
         lights,
@@ -70,7 +68,12 @@ def from_photographs(
         mask=mask,
         intensities=intensities,
         held_out=held_out,
-        uncertain={name: _each(name, sd, images) for name, sd in given.items() if sd is not None},
+        uncertain={
+            "intensity_sd": intensity_sd,
+            "direction_sd": direction_sd,
+            "exposure_sd": exposure_sd,
+            "stray_sd": stray_sd,
+        },
     )
     for kind, sets in (("flat", flats), ("dark", darks)):
         if len(sets):
@@ -81,11 +84,3 @@ def from_photographs(
         entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
     rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
     return read_joint_measurement(rig, load=load)
-
-
-def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> np.ndarray:
-    sizes = np.asarray(sd, float)
-    if sizes.ndim == 0:
-        return np.full(len(images), float(sizes))
-    require_as_many(f"values of {name}", sizes, "images", images)
-    return sizes

@@ -294,10 +294,10 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
     if measurement.photons_known and float(bright.light.max()) <= 0:
         raise InputError(f"{file}: no flat has any photons; give the light of each level.")
     if bool(jnp.all(dark.variance == 0)):
-        where = "0 DN" if float(dark.mean.max()) == 0 else f"{float(dark.mean.max()):g} DN"
         raise InputError(
-            f"{file}: every dark frame reads {where} in every pixel, so black is clipped or the "
-            "frames are copies; raise the camera's black level and give independent frames."
+            f"{file}: no dark varies from frame to frame (mean {float(dark.mean.max()):g} DN), so "
+            "black is clipped or the frames are copies; raise the camera's black level and give "
+            "independent frames."
         )
     if bool(jnp.all(bright.variance == 0)):
         raise InputError(

@@ -98,6 +98,9 @@ class Found:
         return float(np.sqrt(max(self.variance, 0.0)))
 
 
+NOTHING = Found(0.0, 0.0, 0.0)
+
+
 class Moments:
     """Sums over the frames of a level, from which its shared variances follow."""
 
@@ -181,7 +184,7 @@ def extra_lines(
     """
     lit, unlit = temporal_lines(bright, *of_bright, axis), temporal_lines(dark, *of_dark, axis)
     extra, error = lit.variance - max(unlit.variance, 0.0), float(np.hypot(lit.error, unlit.error))
-    return Found(extra, error, extra / error)
+    return Found(extra, error, extra / error) if error else NOTHING
 
 
 def believed_lines(
@@ -284,6 +287,10 @@ def one_pattern(
     Returns:
         The variance.
     """
+    told = own + passing > 0
+    if not told.any():
+        return NOTHING
+    values, passing, frames = values[told], passing[told], frames[told]
     weight = (own + passing) ** -2
     weight = weight / weight.sum()
     found = float(weight @ values)
@@ -316,7 +323,11 @@ def drift(
 
 def _pooled(values: np.ndarray, expected: np.ndarray, degrees: np.ndarray) -> Found:
     """Mean of excesses over what independent pixels give, weighted by the inverse of its own
-    variance 2 expected^2 / degrees."""
+    variance 2 expected^2 / degrees. Levels whose frames are all alike tell nothing."""
+    told = expected > 0
+    if not told.any():
+        return NOTHING
+    values, expected, degrees = values[told], expected[told], degrees[told]
     weight = degrees / (2 * expected**2)
     variance = float(np.average(values, weights=weight))
     chance = float(weight.sum() ** -0.5)

@@ -23,12 +23,17 @@ def from_photographs(
     sphere: SphereGeometry | None = None,
     mask: Bool[np.ndarray, "h w"] | None = None,
     intensities: ArrayLike | None = None,
+    intensity_sd: ArrayLike | None = None,
+    direction_sd: ArrayLike | None = None,
+    exposure_sd: ArrayLike | None = None,
+    stray_sd: ArrayLike | None = None,
     held_out: Sequence[int] = (),
     point_lights: bool = False,
 ) -> ReflectanceObservation:
     """Photographs in memory, for `reflectance.calibrate`.
 
-    The view is orthographic along +z (x right, y up, z toward the camera).
+    The view is orthographic along +z (x right, y up, z toward the camera). Each standard deviation
+    is one number for all images or one for each; None for exact.
 
     Args:
         images: one a light, (h, w) or (h, w, 3) DN each.
@@ -39,6 +44,10 @@ def from_photographs(
         mask: (h, w), true where the object is; None for wherever the shape is.
         intensities: (lights,) or (lights, channels) irradiance on a surface that faces the light,
             W m^-2 or relative, or radiant intensity of point lights; None for 1.
+        intensity_sd: of the intensities, relative.
+        direction_sd: of the directions, rad along each of two axes across them.
+        exposure_sd: of the images' exposures, relative.
+        stray_sd: rms of light that reaches all pixels by other ways, relative to the irradiance.
         held_out: indices of the lights kept for testing; none for every fourth.
         point_lights: take `lights` as positions from the centre of the sphere, m.
 
@@ -66,6 +75,12 @@ def from_photographs(
         intensities=intensities,
         held_out=held_out,
         place="position" if point_lights else "direction",
+        uncertain={
+            "intensity_sd": intensity_sd,
+            "direction_sd": direction_sd,
+            "exposure_sd": exposure_sd,
+            "stray_sd": stray_sd,
+        },
     )
     rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
     return read_reflectance_observation(rig, load=load)
