@@ -111,7 +111,7 @@ def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypa
     _, fit = fitted
     uncertain = {"direction_sd": np.full(5, 5e-3)}
     whole = fit(uncertain=uncertain)
-    monkeypatch.setattr("fitting.reflectance.from_images.fit.ENOUGH", 1300)
+    monkeypatch.setattr("fitting.reflectance.from_images.optimum_among_turns.ENOUGH", 1300)
     found = fit(uncertain=uncertain)
     np.testing.assert_allclose(found.turns, whole.turns, atol=0.03)
     error = np.sqrt(np.diagonal(np.linalg.inv(whole.information)))

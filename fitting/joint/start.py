@@ -14,8 +14,8 @@ from jaxtyping import Float
 from ..inference.parameters import Parameter, ParameterSpace, names, to_natural
 from ..inference.priors import LogNormal, Normal
 from ..reflectance.from_images import model as images_model
-from ..reflectance.from_images.fit import project
 from ..reflectance.from_images.geometry_cells import average, group
+from ..reflectance.from_images.optimum import project
 from ..reflectance.from_images.read import ReflectanceObservation
 from ..reflectance.from_images.samples import Selection, make_samples, select
 from ..reflectance.models import amplitude, has_lobe, shape_of

@@ -681,8 +681,10 @@ ELSEWHERE = (
             fitting.reflectance.from_images.comparison: compare comparison_table difference
             fitting.reflectance.from_images.comparison: equally_good relative_error relative_rms
             fitting.reflectance.from_images.comparison: squares_by_light surpassed_by verdict
-            fitting.reflectance.from_images.fit: fit_channel optimum predicted_image project
-            fitting.reflectance.from_images.fit: robust_covariance
+            fitting.reflectance.from_images.fit: fit_channel predicted_image robust_covariance
+            fitting.reflectance.from_images.optimum: best optimum project residual_signal_slope
+            fitting.reflectance.from_images.optimum: weighed weighed_and_fitted weighted
+            fitting.reflectance.from_images.optimum_among_turns: among_turns
             fitting.reflectance.from_images.geometry_cells: average group saturated_only
             fitting.reflectance.from_images.model: decoded encoding_gamma encoding_slope
             fitting.reflectance.from_images.model: linear_signal lobe log_likelihoods

@@ -1,0 +1,291 @@
+"""The best parameters of one channel: variable projection, weighted squares, maximum likelihood.
+
+Variable projection finds the global optimum of the plain squares without a start. Its residuals
+give the spread, and with it the weights, of the fit proper: one step of feasible generalised least
+squares. Where the model misses more than the sensor's noise, the weights take that for a constant
+(`spread`): a wrong model must not discount the very highlights that it misses. Where
+pixels are saturated, the likelihood counts them as "at least this bright"; leaving them out, or
+trusting them, would bias the highlight.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...inference.bounded import minimise_in_box
+from ...inference.compiled import compiled_briefly
+from ...inference.least_squares import minimise_residuals
+from ...inference.newton import minimise
+from ...inference.parameters import names, to_natural
+from ...inference.separable import SeparableFit, fit_amplitudes, fit_separable
+from ..models import has_lobe, is_searched, log_range, shape_of
+from .derivatives import with_information
+from .geometry_cells import Grouping, average, saturated_only
+from .model import (
+    Samples,
+    decoded,
+    encoding_gamma,
+    encoding_slope,
+    linear_signal,
+    lobe,
+    negative_log_likelihood,
+    parameter_space,
+    predicted_dn,
+    residuals,
+    total_log_likelihood,
+)
+from .spread import Spread, fit_spread, flat_spread, variance
+
+GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
+REACH = 1.0  # half width of the bounded search, in log parameters
+LONG = 300_000  # samples from which more programs, and optimised ones, save time
+SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is absent
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The likeliest parameters.
+
+    Attributes:
+        samples: with the deviations of the weights.
+        spread: of the residuals that gave the weights.
+        weights: the same without the part that grows with the signal, where the model misses it.
+        vector: (P,) unconstrained.
+        information: (P, P) on that scale.
+        converged: whether it was reached.
+    """
+
+    samples: Samples
+    spread: Spread
+    weights: Spread
+    vector: Array
+    information: Array
+    converged: bool
+
+
+def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum:
+    """The likeliest parameters, from no start.
+
+    Args:
+        samples: of one channel.
+        grouping: cells of the samples, on which all but the last digits are found.
+        sensor: what the sensor's noise makes; None if unknown.
+
+    Returns:
+        The optimum, whose form lacks the terms of amplitude zero.
+    """
+    cells, first = project(average(samples, grouping))
+    geometry = None if cells.geometry is None else samples.geometry
+    own = replace(samples, form=cells.form, geometry=geometry)
+    if samples.form.free_gamma:  # the encodings that were tried lie apart
+        first = minimise_residuals(residuals, first, cells).vector
+    return weighed_and_fitted(first, own, grouping, sensor)
+
+
+def weighed(
+    first: Array, samples: Samples, sensor: Spread | None
+) -> tuple[Samples, Spread, Spread]:
+    """Weights of a vector's residuals.
+
+    Args:
+        first: (parameters,) unconstrained.
+        samples: of one channel.
+        sensor: what the sensor's noise makes; None if unknown.
+
+    Returns:
+        The samples with their deviations, the spread of the residuals, and that of the weights.
+    """
+    seen = residual_signal_slope(first, samples)
+    weights = spread = fit_spread(*seen, sensor=sensor)
+    if spread.relative is not None:
+        weights = flat_spread(*seen, sensor=sensor)
+    return weighted(first, samples, weights), spread, weights
+
+
+def weighed_and_fitted(
+    first: Array, samples: Samples, grouping: Grouping, sensor: Spread | None
+) -> Optimum:
+    """The optimum near a first one, whose residuals give the weights.
+
+    Args:
+        first: (parameters,) unconstrained.
+        samples: of one channel.
+        grouping: cells of the samples.
+        sensor: what the sensor's noise makes; None if unknown.
+
+    Returns:
+        The optimum.
+    """
+    samples, spread, weights = weighed(first, samples, sensor)
+    near = _nearer(first, samples, grouping)
+    return Optimum(samples, spread, weights, *optimum(near, samples))
+
+
+def project(samples: Samples) -> tuple[Samples, Float[Array, " parameters"]]:
+    """The global optimum of the weighted squares of the unsaturated samples, for linearised
+    deviations.
+
+    Args:
+        samples: of one channel; saturated ones are left out.
+
+    Returns:
+        The samples, with a form that has lost every term of amplitude zero, and the vector of that
+        form, (parameters,).
+    """
+    if not samples.form.free_gamma:
+        return _present_terms(samples, _projected(samples, samples.gamma), None)
+    tried = [(gamma, _projected(samples, jnp.asarray(gamma, float))) for gamma in GAMMAS]
+    gamma, found = min(tried, key=lambda attempt: attempt[1].cost)
+    return _present_terms(samples, found, gamma)
+
+
+def _projected(samples: Samples, gamma: Array | None) -> SeparableFit:
+    """Amplitudes of [diffuse, ambient, lobe] and the log shape at a given encoding."""
+    model = samples.form.model
+    fixed, linear, weights = _linearised(samples, gamma)
+    if model == "lambert":
+        return fit_amplitudes(fixed, linear, weights)
+    lower, upper = log_range(model)
+    columns = partial(_lobe_columns, samples)
+    return fit_separable(columns, fixed, linear, weights, lower=lower, upper=upper)
+
+
+@compiled_briefly
+def _linearised(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Array]:
+    """Fixed columns, decoded values and weights, the latter two as one band."""
+    form = samples.form
+    linear = decoded(samples.dn, samples.black, samples.white, gamma)
+    slope = encoding_slope(linear, samples.white, gamma)
+    weights = (slope / samples.deviation) ** 2
+    if samples.saturated is not None:
+        weights = jnp.where(samples.saturated, 0, weights)
+    constant = jnp.ones_like(linear) if form.ambient else jnp.zeros_like(linear)
+    # A rough diffuse surface is a single term: its amplitude is the searched column's.
+    body = samples.cosine if form.model == "lambert" or has_lobe(form.model) else 0 * constant
+    return jnp.stack([samples.irradiance * body, constant]), linear[:, None], weights[:, None]
+
+
+@compiled_briefly
+def _lobe_columns(samples: Samples, log_shapes: Array) -> Array:
+    geometry = samples.geometry
+    assert geometry is not None, "a model with a lobe has its angles"
+
+    def column(log_shape: Array) -> Array:
+        unit = lobe(samples.form, geometry, jnp.exp(log_shape))
+        return jnp.where(samples.cosine > 0, samples.irradiance * unit, 0)
+
+    return jax.lax.map(column, log_shapes)
+
+
+def _present_terms(
+    samples: Samples, found: SeparableFit, gamma: float | None
+) -> tuple[Samples, Array]:
+    diffuse, ambient, specular = np.asarray(found.amplitudes[0])
+    rough = samples.form.model != "lambert" and not has_lobe(samples.form.model)
+    if rough:
+        diffuse, specular = specular, 0.0
+    elif specular == 0 and samples.form.model != "lambert":
+        samples = replace(samples, form=replace(samples.form, model="lambert"), geometry=None)
+    if ambient == 0 and samples.form.ambient:
+        samples = replace(samples, form=replace(samples.form, ambient=False))
+    form = samples.form
+    smallest = SMALLEST_SHARE * max(diffuse, specular)
+    vector = [np.log(max(diffuse, smallest))]
+    vector += [np.log(specular)] if has_lobe(form.model) else []
+    vector += [found.nonlinear] if form.model != "lambert" else []
+    vector += [np.log(ambient)] if form.ambient else []
+    vector += [np.log(gamma)] if gamma is not None else []
+    return samples, jnp.asarray(vector, samples.dn.dtype)
+
+
+def residual_signal_slope(
+    vector: Array, samples: Samples
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a spread is fitted to.
+
+    Args:
+        vector: (parameters,) unconstrained.
+        samples: of one channel.
+
+    Returns:
+        Measured - predicted (DN), linear signal and d DN / d X of the unsaturated samples.
+    """
+    trusted = slice(None) if samples.saturated is None else ~np.asarray(samples.saturated)
+    signal, slope, predicted = _predicted(vector, samples)
+    left = samples.dn - predicted
+    residual, signal, slope = (np.asarray(x, np.float64)[trusted] for x in (left, signal, slope))
+    return residual, signal, slope
+
+
+@compiled_briefly
+def _predicted(vector: Array, samples: Samples) -> tuple[Array, Array, Array]:
+    """Linear signal, d DN / d X and DN of all samples."""
+    signal = linear_signal(vector, samples)
+    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
+    return signal, slope, predicted_dn(vector, samples)
+
+
+def weighted(vector: Array, samples: Samples, spread: Spread) -> Samples:
+    """The samples with the deviations of a spread.
+
+    Args:
+        vector: (parameters,) unconstrained, at whose signal.
+        samples: of one channel.
+        spread: of residuals.
+
+    Returns:
+        The samples.
+    """
+    signal, slope, _ = _predicted(vector, samples)
+    deviation = np.sqrt(variance(spread, np.asarray(signal), slope=np.asarray(slope)))
+    return replace(samples, deviation=jnp.asarray(deviation, samples.dn.dtype))
+
+
+def _nearer(vector: Array, samples: Samples, grouping: Grouping) -> Array:
+    """Of many samples, the optimum of cells that predict what their pixels do, and of saturated
+    samples: all but the last two steps of the search, in a fraction of its time."""
+    if samples.dn.size < LONG:
+        return vector
+    cells = average(samples, grouping, exact_at=vector)
+    return minimise(_cost_of_cells, vector, (cells, saturated_only(samples))).vector
+
+
+def _cost_of_cells(vector: Array, data: tuple[Samples, Samples | None]) -> Array:
+    return -total_log_likelihood(vector, *data)
+
+
+def optimum(vector: Float[Array, " parameters"], samples: Samples) -> tuple[Array, Array, bool]:
+    """The optimum on all samples, by Newton's method from next to it; where saturated pixels lie in
+    between, by a bounded search first.
+
+    Args:
+        vector: (parameters,) to begin with, unconstrained.
+        samples: of one channel.
+
+    Returns:
+        The vector there, (parameters,), the information, (parameters, parameters), and whether
+        an optimum was reached, its shape within the range that is searched.
+    """
+    objective = negative_log_likelihood
+    search = partial(minimise, derivatives=with_information, long=samples.dn.size >= LONG)
+    found = search(objective, vector, samples)
+    if not found.converged:
+        box = minimise_in_box(
+            objective,
+            vector,
+            vector - REACH,
+            vector + REACH,
+            samples,
+            scale=float(samples.dn.size),
+        )
+        found = search(objective, box.vector, samples)
+    form, known = samples.form, parameter_space(samples.form)
+    natural = dict(zip(names(known), np.asarray(to_natural(known, found.vector)), strict=True))
+    within = form.model == "lambert" or is_searched(
+        form.model, float(natural[shape_of(form.model).name])
+    )
+    return found.vector, found.information, bool(found.converged) and within
