@@ -96,7 +96,7 @@ def choose_model(
     chosen = fitted(whole, data, standard, among=whole)
     while unearned := _unearned(chosen, candidates):
         space = tuple(p for p in chosen.space if p is not unearned)
-        chosen = fitted(space, data, standard, among=whole)
+        chosen = fitted(space, data, standard, among=whole, near=chosen)
     return (linear, chosen) if chosen.bic < linear.bic else (linear, linear)
 
 

@@ -177,7 +177,11 @@ def start_vector(space: ParameterSpace, standard: Sheet, data: NoiseData) -> Flo
 
 
 def _fit_among(
-    whole: ParameterSpace, space: ParameterSpace, data: NoiseData, standard: Sheet
+    whole: ParameterSpace,
+    space: ParameterSpace,
+    data: NoiseData,
+    standard: Sheet,
+    near: LikelihoodFit | None,
 ) -> tuple[NewtonSolution, Array]:
     """The most likely vector of a model that lacks some effects of a larger one, found by the
     larger one's program, with their sizes held at none: models that are tried in turn are compiled
@@ -186,8 +190,11 @@ def _fit_among(
     start = start_vector(whole, standard, data)
     none = jnp.asarray([0.0 if p.transform == "identity" else LOG_NONE for p in whole])
     none = none.astype(start.dtype)
+    if near is not None:
+        held = np.array([parameter in near.space for parameter in whole])
+        start = none.at[np.flatnonzero(held)].set(near.solution.vector)
     start = jnp.where(lacking, none, start)
-    if data.window is not None:
+    if data.window is not None and near is None:
         start = jnp.where(lacking, none, _best_start(whole, data, start))
     found = minimise(_cost_without, start, (whole, data, lacking, none))
     # By NumPy: JAX would compile, and keep, programs for each number of effects.
@@ -250,7 +257,12 @@ def _best_start(space: ParameterSpace, data: NoiseData, start: Array) -> Array:
 
 
 def fitted(
-    space: ParameterSpace, data: NoiseData, standard: Sheet, *, among: ParameterSpace = ()
+    space: ParameterSpace,
+    data: NoiseData,
+    standard: Sheet,
+    *,
+    among: ParameterSpace = (),
+    near: LikelihoodFit | None = None,
 ) -> LikelihoodFit:
     """One model fitted and judged.
 
@@ -259,6 +271,7 @@ def fitted(
         data: of the fit.
         standard: the standard's sheet, from which the fit starts.
         among: a larger model, whose compiled program is used; empty for the model's own.
+        near: of the effects of `among` some more, fitted already; None starts from the standard.
 
     Returns:
         The fit.
@@ -267,7 +280,7 @@ def fitted(
         InputError: where no start has a likelihood.
     """
     if among:
-        solution, vector = _fit_among(among, space, data, standard)
+        solution, vector = _fit_among(among, space, data, standard, near)
     else:
         solution = fit_space(space, data, standard)
         vector = solution.vector
