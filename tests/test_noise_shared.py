@@ -33,9 +33,9 @@ def level_of(stack):
     for frame in stack[1:]:
         moments.add(frame - stack[0])
     wander = stack.mean(axis=(1, 2)).var(ddof=1)
-    variance = stack.var(axis=0, ddof=1).mean() - wander
-    average = stack.mean(axis=0)
-    return average, variance, moments.shared(average, variance, wander)
+    average, parts = stack.mean(axis=0), moments.temporal(stack.var(axis=0, ddof=1).mean(), wander)
+    lines = parts.rows, parts.columns, *moments.fixed(average, parts), parts.frames
+    return average, parts.of_a_pixel, lines
 
 
 def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames=0.0):
@@ -274,3 +274,49 @@ def test_levels_whose_frames_are_alike_tell_nothing():
         assert one.variance == pytest.approx(other.variance)
         assert one.significance == pytest.approx(other.significance)
     assert not any(one.believed or one.variance for one in found([still, still]))
+
+
+@pytest.mark.parametrize("size", [(12, 30), (8, 8)])
+def test_parts_of_the_variance_add_up_in_the_mean(size):
+    """Of what rows, columns, pixels and frames add, each estimate scatters about its truth."""
+    rng, (h, w), frames = np.random.default_rng(9), size, 6
+    truth = {"pixels": 4.0, "rows": 9.0, "columns": 1.0, "frames": 2.25}
+    stays = {"rows": 4.0, "columns": 0.25}
+    found, fixed = [], []
+    for _ in range(1500):
+        lines = 2 * rng.standard_normal((h, 1)) + 0.5 * rng.standard_normal((1, w))
+        stack = (
+            2 * rng.standard_normal((frames, h, w))
+            + 3 * rng.standard_normal((frames, h, 1))
+            + rng.standard_normal((frames, 1, w))
+            + 1.5 * rng.standard_normal((frames, 1, 1))
+            + lines
+        )
+        moments = Moments(stack[0])
+        for frame in stack[1:]:
+            moments.add(frame - stack[0])
+        wander = stack.mean(axis=(1, 2)).var(ddof=1)
+        parts = moments.temporal(stack.var(axis=0, ddof=1).mean(), wander)
+        found.append([getattr(parts, name) for name in truth] + [parts.of_a_pixel])
+        fixed.append(moments.fixed(stack.mean(axis=0), parts))
+    for values, true in (
+        (found, [*truth.values(), 14.0]),
+        (fixed, list(stays.values())),
+    ):
+        error = np.std(values, axis=0) / np.sqrt(len(values))
+        assert np.all(np.abs(np.mean(values, axis=0) - true) < 3.5 * error)
+
+
+@pytest.mark.parametrize("shape", [(1, 600), (600, 1)])
+def test_a_line_sensor_has_no_lines(shape):
+    rng = np.random.default_rng(4)
+    light = [400, 1000, 2000, 4000]
+    flats = [list(64 + 0.5 * rng.poisson(photons / 2, (3, *shape))) for photons in light]
+    darks = [list(64 + 2 * rng.standard_normal((3, *shape)))]
+    measured = noise.from_frames(
+        *(flats, darks, [0.01] * 4, light), camera=Camera(bits=12), dark_exposures=[0.01]
+    )
+    for levels in (measured.bright, measured.dark):
+        assert not np.any(levels.shared.rows)
+        assert not np.any(levels.shared.columns)
+    assert calibrate(measured).shown["system_gain"].value == pytest.approx(0.5, rel=0.2)

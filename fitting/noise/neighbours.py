@@ -66,20 +66,20 @@ class Neighbours:
         self._count += 1
         self._products += self._of(deviation)
 
-    def covariances(self, total: np.ndarray, variance: float, wandering: float) -> Lags:
+    def covariances(self, total: np.ndarray, variance: float, drift: float) -> Lags:
         """Covariances, the variance at offset (0, 0).
 
         Args:
             total: (h, w) sum of the frames, each less the first, DN.
             variance: of pixels, DN^2.
-            wandering: variance of the frames' means, DN^2.
+            drift: variance that all pixels share, DN^2.
 
         Returns:
             (lags, lags) DN^2, at offsets of 0, 1, ... rows and columns.
         """
         count = self._count
         found = (count * self._products - self._of(total)) / (count * (count - 1))
-        found += variance / total.size - wandering
+        found -= drift
         found[0, 0] = variance
         return found
 

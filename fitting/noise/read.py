@@ -232,12 +232,11 @@ def _level(
     average = first + total / count
     temporal = (count * squares - total**2) / (count * (count - 1))
     # Light that drifts between the frames moves all pixels together, which is not pixel noise.
-    wandering = float(np.var(shifts, ddof=1))
-    own = float(temporal.mean()) - wandering
-    variance = max(own, 0.0) * pixels / (pixels - 1)
-    shared = lines.shared(average, variance, wandering)
+    parts = lines.temporal(float(temporal.mean()), float(np.var(shifts, ddof=1)))
+    variance = parts.of_a_pixel
+    shared = (parts.rows, parts.columns, *lines.fixed(average, parts), parts.frames)
     spatial = float(average.var(ddof=1))
-    covariances = neighbours.covariances(total, variance, wandering)
+    covariances = neighbours.covariances(total, variance, parts.frames)
     mean = float(average.mean())
     return _Level(mean, variance, spatial, float(count), shared, covariances, first.shape)
 

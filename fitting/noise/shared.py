@@ -46,7 +46,7 @@ class SharedVariance(eqx.Module):
 def shared_variance(
     of_levels: Float[np.ndarray, "5 levels"], shape: tuple[int, ...]
 ) -> SharedVariance:
-    """The record of what `Moments.shared` gives of each level.
+    """The record of what `Moments` gives of each level.
 
     Args:
         of_levels: (5, levels) rows, columns, fixed rows, fixed columns, frames, DN^2.
@@ -101,6 +101,28 @@ class Found:
 NOTHING = Found(0.0, 0.0, 0.0)
 
 
+@dataclass(frozen=True)
+class TemporalVariance:
+    """What adds up to the temporal variance of a pixel; estimates that scatter about 0 without any.
+
+    Attributes:
+        pixels: of each pixel by itself, DN^2.
+        rows: that the pixels of a row share, DN^2.
+        columns: likewise.
+        frames: that all pixels share: light or black level that drifts, DN^2.
+    """
+
+    pixels: float
+    rows: float
+    columns: float
+    frames: float
+
+    @property
+    def of_a_pixel(self) -> float:
+        """Without drift, which is no noise of pixels, DN^2."""
+        return max(self.pixels + self.rows + self.columns, 0.0)
+
+
 class Moments:
     """Sums over the frames of a level, from which its shared variances follow."""
 
@@ -117,31 +139,57 @@ class Moments:
             self._lines[axis] += means
             self._squares[axis] += means**2
 
-    def shared(
-        self, average: np.ndarray, temporal: float, drift: float
-    ) -> tuple[float, float, float, float, float]:
-        """Rows, columns, fixed rows, fixed columns, frames.
+    def temporal(self, total: float, wandering: float) -> TemporalVariance:
+        """What pixels, rows, columns and whole frames add from frame to frame: with T the temporal
+        variance of pixels, W that of the frames' means, and Q those of rows' and of columns' means,
+
+            pixels = (T + W - Q_rows - Q_columns) / ((1 - 1 / h) (1 - 1 / w)),
+            rows = (Q_rows - W) / (1 - 1 / h) - pixels / w,        columns likewise,
+            frames = W - rows / h - columns / w - pixels / (h w).
+
+        Args:
+            total: T, averaged over the pixels, DN^2.
+            wandering: W, DN^2.
+
+        Returns:
+            The parts, DN^2; lines are pixels where a frame is a single row or column.
+        """
+        count, (h, w) = self._count, self._shape
+        if min(h, w) == 1:
+            pixels = (total - wandering) / (1 - 1 / (h * w))
+            return TemporalVariance(pixels, 0.0, 0.0, wandering - pixels / (h * w))
+        rows, columns = (
+            float(np.mean(count * self._squares[axis] - self._lines[axis] ** 2))
+            / (count * (count - 1))
+            - wandering
+            for axis in (0, 1)
+        )
+        pixels = (total - wandering - rows - columns) / ((1 - 1 / h) * (1 - 1 / w))
+        rows = rows / (1 - 1 / h) - pixels / w
+        columns = columns / (1 - 1 / w) - pixels / h
+        frames = wandering - rows / h - columns / w - pixels / (h * w)
+        return TemporalVariance(pixels, rows, columns, frames)
+
+    def fixed(self, average: np.ndarray, temporal: TemporalVariance) -> tuple[float, float]:
+        """What rows and columns add that stays.
 
         Args:
             average: (h, w) of all frames, DN.
-            temporal: variance of pixels, without drift, DN^2.
-            drift: variance of the frames' means, DN^2.
+            temporal: of these frames, which an average keeps a share of.
 
         Returns:
-            Variances, DN^2.
+            Variances of rows and of columns, DN^2; 0 where a frame is a single row or column.
         """
-        count, spatial = self._count, float(average.var(ddof=1))
-        found, fixed = [], []
-        for axis in (0, 1):
-            lines, across = self._shape[axis], self._shape[1 - axis]
-            varying = (count * self._squares[axis] - self._lines[axis] ** 2) / (count * (count - 1))
-            own = (float(varying.mean()) - drift) * lines / max(lines - 1, 1)
-            found.append((own - temporal / across) / (1 - 1 / across))
-            still = float(average.mean(axis=1 - axis).var(ddof=1)) if lines > 1 else 0.0
-            fixed.append((still - spatial / across) / (1 - 1 / across) - found[-1] / count)
         h, w = self._shape
-        expected = temporal / (h * w) + found[0] / h + found[1] / w
-        return *found, *fixed, drift - expected
+        if min(h, w) == 1:
+            return 0.0, 0.0
+        rows, columns = average.mean(axis=1), average.mean(axis=0)
+        rest = average - rows[:, None] - columns + average.mean()
+        pixels = float(np.sum(rest**2)) / ((h - 1) * (w - 1))
+        return (
+            float(rows.var(ddof=1)) - pixels / w - temporal.rows / self._count,
+            float(columns.var(ddof=1)) - pixels / h - temporal.columns / self._count,
+        )
 
 
 def temporal_lines(
@@ -288,7 +336,7 @@ def one_pattern(
         The variance.
     """
     told = own + passing > 0
-    if not told.any():
+    if lines < 2 or not told.any():
         return NOTHING
     values, passing, frames = values[told], passing[told], frames[told]
     weight = (own + passing) ** -2
@@ -323,14 +371,16 @@ def drift(
 
 def _pooled(values: np.ndarray, expected: np.ndarray, degrees: np.ndarray) -> Found:
     """Mean of excesses over what independent pixels give, weighted by the inverse of its own
-    variance 2 expected^2 / degrees. Levels whose frames are all alike tell nothing."""
+    variance 2 (expected + excess)^2 / degrees. Levels whose frames are all alike tell nothing."""
     told = expected > 0
     if not told.any():
         return NOTHING
     values, expected, degrees = values[told], expected[told], degrees[told]
     weight = degrees / (2 * expected**2)
+    without = float(np.average(values, weights=weight))  # as if there were none
+    significance = without * float(np.sqrt(weight.sum()))
+    weight = degrees / (2 * (expected + max(without, 0.0)) ** 2)
     variance = float(np.average(values, weights=weight))
-    chance = float(weight.sum() ** -0.5)
     share = weight / weight.sum()
     error = float(np.sqrt(np.sum(2 * (share * (expected + variance)) ** 2 / degrees)))
-    return Found(variance, error, variance / chance)
+    return Found(variance, error, significance)
