@@ -37,7 +37,7 @@ class Sphere:
         stray_sd: light that reaches all pixels by other ways, relative to the irradiance, which the
             fit is told.
         black_sd: DN, error of the black level, which the fit is told.
-        stated: whether the fit is told of `light_sd` and `direction_sd`.
+        stated: which of `light_sd` and `direction_sd` the fit is told.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
         read_noise: electrons rms.
@@ -50,7 +50,7 @@ class Sphere:
     direction_sd: float = 0.0
     stray_sd: float = 0.0
     black_sd: float = 0.0
-    stated: bool = False
+    stated: tuple[str, ...] = ()
     prnu: float = 0.0
     clip: float = 2.0**BITS - 1
     read_noise: float = 6.0
@@ -93,8 +93,8 @@ class Sphere:
             ),
             sphere=SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS),
             intensities=np.full(self.lights, WHITE),
-            intensity_sd=self.light_sd * self.stated,
-            direction_sd=self.direction_sd * self.stated,
+            intensity_sd=self.light_sd * ("light_sd" in self.stated),
+            direction_sd=self.direction_sd * ("direction_sd" in self.stated),
             stray_sd=self.stray_sd,
         )
         observation = replace(observation, held_out=np.zeros(self.lights, bool))
@@ -122,10 +122,20 @@ CASES = {
     "6 lights off by 1 %": Sphere(lights=6, light_sd=0.01),
     "24 lights": Sphere(lights=24),
     "24 lights off by 1 %": Sphere(lights=24, light_sd=0.01),
-    "4 lights off by 1 %, as stated": Sphere(lights=4, light_sd=0.01, stated=True),
-    "lights off by 1 %, as stated": Sphere(light_sd=0.01, stated=True),
-    "directions off by 0.3 degrees, as stated": Sphere(direction_sd=np.radians(0.3), stated=True),
-    "directions off by 1 degree, as stated": Sphere(direction_sd=np.radians(1.0), stated=True),
+    "4 lights off by 1 %, as stated": Sphere(lights=4, light_sd=0.01, stated=("light_sd",)),
+    "lights off by 1 %, as stated": Sphere(light_sd=0.01, stated=("light_sd",)),
+    "directions off by 0.3 degrees, as stated": Sphere(
+        direction_sd=np.radians(0.3), stated=("direction_sd",)
+    ),
+    "directions off by 1 degree, as stated": Sphere(
+        direction_sd=np.radians(1.0), stated=("direction_sd",)
+    ),
+    "directions off by 1 degree, as stated, lights off by .5 %": Sphere(
+        direction_sd=np.radians(1.0), light_sd=0.005, stated=("direction_sd",)
+    ),
+    "4 lights off by 1 degree and 1 %, as stated": Sphere(
+        lights=4, direction_sd=np.radians(1.0), light_sd=0.01, stated=("light_sd", "direction_sd")
+    ),
     "black off by 3 DN, as stated": Sphere(black_sd=3.0),
     "stray light of .3 %, as stated": Sphere(stray_sd=0.003),
 }

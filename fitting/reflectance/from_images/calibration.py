@@ -19,7 +19,7 @@ from ...report.notebook import ShownInNotebooks
 from ..models import check_index, shape_of
 from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
-from .fit import ChannelFit, fit_channel, predicted_image
+from .fit import ChannelFit, fit_channel, lights_as_fitted, predicted_image
 from .geometry_cells import group
 from .model import Form, parameter_space
 from .posterior import channel_posterior
@@ -181,6 +181,7 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
         (name for name in wanted if name not in present),
         "the best fit has none: its amplitude is zero",
     )
+    of_lobe = () if fit.form.model == "lambert" else ("specular", shape_of(fit.form.model).name)
     size = fit.samples.dn.size / fit.design_effect
     gain = 2 * (fit.log_likelihood - without_lobe.log_likelihood) / fit.design_effect
     if fit.form.model != "lambert" and gain < 2 * np.log(size):
@@ -189,8 +190,12 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
             if "specular" in present
             else "the surface looks smooth: Lambert's model does as well"
         )
-        lost = ("specular", shape_of(fit.form.model).name)
-        reasons |= dict.fromkeys((name for name in lost if name in present), unseen)
+        reasons |= dict.fromkeys((name for name in of_lobe if name in present), unseen)
+    if fit.turned is not None and not fit.turned.followed:
+        astray = f"lights would have to be turned by {fit.turned.size:.2g} times direction_sd"
+        for name in of_lobe:
+            if name in present:
+                reasons.setdefault(name, astray)
     if fit.robustness is None:
         for name, inflation in zip(present, fit.identifiability.inflation, strict=True):
             if not np.isfinite(inflation):
@@ -221,9 +226,10 @@ def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pi
     difference, total = np.zeros((2, observation.cosine.shape[1]))
     lit = observation.cosine > calibration.minimum_cosine
     for channel, fit in enumerate(calibration.reported):
+        seen = lights_as_fitted(observation, fit)
         for light in range(len(observation.files)):
             used = lit[light] & (observation.dn[channel, light] < observation.clip)
-            predicted = predicted_image(observation, fit, light)
+            predicted = predicted_image(seen, fit, light)
             difference += np.where(used, observation.dn[channel, light] - predicted, 0)
             total += np.where(used, predicted - observation.black, 0)
     return np.where(total > 0, difference / np.where(total > 0, total, 1), np.nan)

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from .calibration import ReflectanceCalibration, mean_residual
-from .fit import ChannelFit, predicted_image
+from .fit import ChannelFit, lights_as_fitted, predicted_image
 from .model import decoded, encoding_gamma, lobe
 from .read import ReflectanceObservation
 from .samples import Selection, make_samples
@@ -27,6 +27,7 @@ MOST_POINTS = 200_000
 def images_figure(calibration: ReflectanceCalibration) -> Figure:
     """Rows: measured, predicted, difference; columns: lights."""
     observation = calibration.observation
+    as_fitted = [lights_as_fitted(observation, fit) for fit in calibration.reported]
     lights = _shown_lights(observation)
     columns = len(lights)
     figure = Figure(figsize=(1.2 + 2.2 * columns, 6.6), layout="constrained")
@@ -35,7 +36,10 @@ def images_figure(calibration: ReflectanceCalibration) -> Figure:
     for column, light in enumerate(lights):
         measured = observation.dn[:, light] - observation.black
         predicted = np.stack(
-            [predicted_image(observation, fit, light) for fit in calibration.reported]
+            [
+                predicted_image(seen, fit, light)
+                for seen, fit in zip(as_fitted, calibration.reported, strict=True)
+            ]
         )
         predicted = predicted - observation.black
         white = np.quantile(predicted[:, observation.cosine[light] > 0], 0.995)

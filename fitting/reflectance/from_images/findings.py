@@ -1,6 +1,6 @@
 """What a reader of a reflectance calibration must be told, in sentences and as a table."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import stdtrit
@@ -15,6 +15,7 @@ from ..names import MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters
 from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit
+from .optimum_among_turns import TurnedLights
 from .shading_check import contradictions
 
 NOTABLE_RESIDUAL = 0.02  # of the mean signal, in one part of the object
@@ -55,20 +56,33 @@ def _lights_finding(calibration: ReflectanceCalibration) -> list[str]:
     known = (observation.uncertain.get("direction_sd", np.zeros(1)) > 0) & ~observation.held_out
     if not known.any():
         return []
-    left = [fit.channel for fit in calibration.reported if fit.turns is None]
+    found = []
+    turned = {fit.channel: fit.turned for fit in calibration.reported if fit.turned is not None}
+    left = {name: lights for name, lights in turned.items() if not lights.followed}
     if left:
-        return [
-            f"{listed(left)}: to fit the images, lights would have to be turned by far more than "
-            "direction_sd says: it is too small, or the model misses something else. They were "
-            "left where the rig has them."
-        ]
-    turns = np.array([fit.turns for fit in calibration.reported])
-    size = np.sqrt(np.mean(turns[:, known] ** 2, axis=(1, 2)))
-    told = " / ".join(f"{one:.2g}" for one in size)
-    return [
-        f"Lights were turned to where their images put them, by {told} times direction_sd along "
-        "either axis (rms)."
-    ]
+        found.append(
+            f"{listed(left)}: to fit the images, lights would have to be turned by "
+            f"{_times(left)} times direction_sd (rms): it is too small, or the model misses "
+            "something else. They were left where the rig has them, and no highlight is told."
+        )
+    followed = {name: lights for name, lights in turned.items() if lights.followed}
+    if followed:
+        found.append(
+            f"Lights were turned to where their images put them, by {_times(followed)} times "
+            "direction_sd along either axis (rms)."
+        )
+    wider = {name: lights for name, lights in followed.items() if lights.widened > 1}
+    if wider:
+        found.append(
+            f"{listed(wider)}: turns as large are no chance: direction_sd is too small, or the "
+            "model misses something that turned lights take up. Intervals take the directions for "
+            "as uncertain as that; give direction_sd as large as it is, and compare models."
+        )
+    return found
+
+
+def _times(turned: Mapping[str, TurnedLights]) -> str:
+    return " / ".join(f"{lights.size:.2g}" for lights in turned.values())
 
 
 def misfit_table(calibration: ReflectanceCalibration) -> Table:

@@ -15,11 +15,12 @@ from .derivatives import scores_and_slopes
 from .geometry_cells import Grouping
 from .model import Form, Samples, negative_log_likelihood, parameter_space, predicted_dn
 from .optimum import best, residual_signal_slope, weighted
-from .optimum_among_turns import among_turns
+from .optimum_among_turns import TurnedLights, among_turns, with_wider_directions
 from .read import ReflectanceObservation
 from .samples import Gathered, Selection, make_samples
 from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread
 from .stated import StatedErrors, stated_errors, with_stated_errors
+from .turns import turned
 
 _cost = compiled_briefly(negative_log_likelihood)
 
@@ -40,7 +41,7 @@ class ChannelFit:
         robustness: covariance that does not assume so; None where the data leave a direction open.
         identifiability: of the information.
         stated: what the rig calls uncertain.
-        turns: (lights, 2) of the lights, in units of `direction_sd`; None where the rig has them.
+        turned: where the images put lights of uncertain directions; None without such.
         spread: of the residuals of plain squares.
         chi_square: per degree of freedom, with the weights of the fit.
         sensor_chi_square: with the sensor's noise alone; None if unknown.
@@ -58,7 +59,7 @@ class ChannelFit:
     information: Float[np.ndarray, "parameters parameters"]
     robustness: Robustness | None
     stated: StatedErrors
-    turns: Float[np.ndarray, "lights 2"] | None
+    turned: TurnedLights | None
     identifiability: Identifiability
     spread: Spread
     chi_square: float
@@ -97,16 +98,19 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     sensor = None
     if observation.gain is not None and observation.read_noise is not None:
         sensor = sensor_spread(observation.gain, observation.read_noise)
-    found, turns = best(samples, grouping, sensor), None
+    found, lights, turns, known = best(samples, grouping, sensor), None, None, observation
     if np.any(observation.uncertain.get("direction_sd", 0) * ~observation.held_out):
-        found, turns = among_turns(found, gathered, channel, grouping, sensor)
+        found, lights = among_turns(found, gathered, channel, grouping, sensor)
+        if lights.followed:
+            turns = lights.turns / lights.widened
+            known = with_wider_directions(observation, lights.widened)
     samples, vector = found.samples, found.vector
 
     space = parameter_space(samples.form)
     information = np.asarray(found.information, np.float64)
     judged = identifiability(space, information)
     robustness = None
-    stated = stated_errors(observation, channel, vector, samples, selection, turns)
+    stated = stated_errors(known, channel, vector, samples, selection, turns)
     alike = _lights_alike(observation, vector, samples, selection)
     if judged.determined:
         robustness = robust_covariance(
@@ -126,7 +130,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         information=information,
         robustness=robustness,
         stated=stated,
-        turns=turns,
+        turned=lights,
         identifiability=judged,
         spread=found.spread,
         chi_square=chi_square_per_dof(residual, signal, slope, found.weights, dof),
@@ -161,11 +165,12 @@ def robust_covariance(
     Returns:
         What lights and pixels share, and what the rig states, allowed for.
     """
-    gradients, slopes = (
-        np.asarray(x, np.float64)[known] for x in scores_and_slopes(vector, samples)
+    gradients, slopes = (np.asarray(x, np.float64) for x in scores_and_slopes(vector, samples))
+    slopes = slopes if stated.slopes is None else stated.slopes
+    among = (information - stated.lost)[np.ix_(known, known)]
+    found = cluster_robust(
+        gradients[known], among, alike[selection.light], selection.pixel, slopes=slopes[known]
     )
-    among = information[np.ix_(known, known)]
-    found = cluster_robust(gradients, among, alike[selection.light], selection.pixel, slopes=slopes)
     return with_stated_errors(found, stated, among, known)
 
 
@@ -180,6 +185,23 @@ def _lights_alike(
     return regions(gradients, selection.light, observation.wi.mean(axis=1))
 
 
+def lights_as_fitted(
+    observation: ReflectanceObservation, fit: ChannelFit
+) -> ReflectanceObservation:
+    """The observation with lights where a fit has them.
+
+    Args:
+        observation: whose lights stand as the rig says.
+        fit: of one channel.
+
+    Returns:
+        The observation; unchanged where no light is turned.
+    """
+    if fit.turned is None or not fit.turned.followed:
+        return observation
+    return turned(observation, fit.turned.turns * observation.uncertain["direction_sd"][:, None])
+
+
 def predicted_image(
     observation: ReflectanceObservation, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, " pixels"]:
@@ -187,7 +209,7 @@ def predicted_image(
     level.
 
     Args:
-        observation: of the object.
+        observation: of the object, with `lights_as_fitted`.
         fit: of one channel.
         light: index.
 

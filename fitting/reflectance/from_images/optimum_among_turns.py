@@ -1,8 +1,9 @@
 """The best parameters among lights whose directions the rig calls uncertain (`turns`)."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 from scipy.special import chdtri
 
 from .geometry_cells import Grouping
@@ -16,15 +17,37 @@ from .turns import likeliest_turns, shifts_of_turns, turned
 MOST_TURNS = 10  # of the lights
 SETTLED = 0.05  # standard deviations of a light's direction
 IMPLAUSIBLE = 1e-3  # chance that lights as good as stated are turned by as much
-ABSURD = 4.0  # standard deviations, rms over lights, of the first step, which comes from afar
+WIDEST = 3.0  # times the stated size, from which it is the model that misses, not the lights
+ABSURD = 2 * WIDEST  # standard deviations, of a step, which the next ones may take back
 ENOUGH = 20_000  # samples that put lights nearly where all samples do
+
+
+@dataclass(frozen=True)
+class TurnedLights:
+    """Where the images put the lights.
+
+    Attributes:
+        turns: (lights, 2) in units of `direction_sd`.
+        size: their rms over the lights of uncertain direction.
+        widened: factor by which `direction_sd` was taken larger, as such turns are no chance.
+    """
+
+    turns: Float[np.ndarray, "lights 2"]
+    size: float
+    widened: float = 1.0
+
+    @property
+    def followed(self) -> bool:
+        """Whether the fit is about these lights; else about those of the rig, as turns are so
+        large that the model misses."""
+        return self.size <= WIDEST
 
 
 def among_turns(
     nominal: Optimum, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
-) -> tuple[Optimum, np.ndarray | None]:
-    """Parameters and turns of the lights, one at the other's best, until no light moves; of many
-    samples a part until then, and all of them twice.
+) -> tuple[Optimum, TurnedLights]:
+    """Parameters and turns of the lights, one at the other's best, until no light moves. Lights
+    that are off by more than the rig says, and chance allows, are as uncertain as they show.
 
     Args:
         nominal: the optimum where lights stand as the rig says.
@@ -34,14 +57,50 @@ def among_turns(
         sensor: what the sensor's noise makes; None if unknown.
 
     Returns:
-        The optimum, and (lights, 2) turns in units of `direction_sd`; `nominal` and None where
-        lights would have to be turned by far more than the rig says: then the model misses.
+        The optimum, `nominal` where the turns are not followed, and the turns.
     """
-    whole = gathered.observation, gathered.selection
-    known = (whole[0].uncertain["direction_sd"] > 0) & ~whole[0].held_out
-    found, turns = nominal, np.zeros((len(known), 2))
+    observation = gathered.observation
+    known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
     seen = 2 * np.count_nonzero(known)
-    most = np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen)
+    most = float(np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen))
+    found, turns = _settled(nominal, gathered, known, channel, grouping, sensor)
+    lights = TurnedLights(turns, _rms(turns[known]))
+    if most < lights.size <= WIDEST:
+        widened = lights.size
+        wider = replace(gathered, observation=with_wider_directions(observation, widened))
+        found, turns = _settled(nominal, wider, known, channel, grouping, sensor)
+        lights = TurnedLights(widened * turns, widened * _rms(turns[known]), widened)
+    return (found if lights.followed else nominal), lights
+
+
+def with_wider_directions(
+    observation: ReflectanceObservation, factor: float
+) -> ReflectanceObservation:
+    """The observation with a larger `direction_sd`.
+
+    Args:
+        observation: with `direction_sd`.
+        factor: by which.
+
+    Returns:
+        The observation.
+    """
+    sizes = observation.uncertain | {"direction_sd": factor * observation.uncertain["direction_sd"]}
+    return replace(observation, uncertain=sizes)
+
+
+def _settled(
+    nominal: Optimum,
+    gathered: Gathered,
+    known: np.ndarray,
+    channel: int,
+    grouping: Grouping,
+    sensor: Spread | None,
+) -> tuple[Optimum, np.ndarray]:
+    """The optimum and the turns about each other: of many samples a part until no light moves, and
+    all of them twice. They end where lights go astray."""
+    whole = gathered.observation, gathered.selection
+    found, turns = nominal, np.zeros((len(known), 2))
     step = max(1, len(whole[1].light) // ENOUGH)
     stages = [(*whole, MOST_TURNS)]
     if step > 1:
@@ -50,13 +109,13 @@ def among_turns(
         if step > 1:
             samples = _about(observation, selection, channel, found, turns)
             found = replace(found, samples=weighed(found.vector, samples, sensor)[0])
-        for number in range(rounds):
+        for _ in range(rounds):
             vector, samples = found.vector, found.samples
             shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
             before = turns
             turns = likeliest_turns(shifts, before, vector, samples, selection)
-            if _rms(turns[known]) > (ABSURD if number == 0 and rounds > 2 else most):
-                return nominal, None
+            if _rms(turns[known]) > ABSURD:
+                return nominal, turns
             samples = _about(observation, selection, channel, found, turns)
             found = weighed_and_fitted(vector, samples, grouping, sensor)
             if np.abs(turns - before).max() < SETTLED:

@@ -35,7 +35,7 @@ from .model import (
 )
 from .read import ReflectanceObservation
 from .samples import Selection
-from .turns import information_lost, shifts_of_turns
+from .turns import beyond_turns, shifts_of_turns
 
 CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
 
@@ -47,6 +47,8 @@ class StatedErrors:
     Attributes:
         of_lights: (errors, P), each of one image.
         common: (errors, P), each of all images.
+        slopes: (P, samples) of the predictions, in standard deviations, as far as turns of the
+            lights leave them; None where none are found.
         lost: (P, P), information that the turns of the lights take (`turns`).
         left_out: errors that the rig states and that are too small to matter.
     """
@@ -54,6 +56,7 @@ class StatedErrors:
     of_lights: Float[np.ndarray, "errors parameters"]
     common: Float[np.ndarray, "more parameters"]
     lost: Float[np.ndarray, "parameters parameters"]
+    slopes: Float[np.ndarray, "parameters samples"] | None = None
     left_out: tuple[LeftOut, ...] = ()
 
 
@@ -100,28 +103,35 @@ def stated_errors(
     ]
     gone = negligible(errors)
     named = {error.name for error in gone}
-    lost = np.zeros((count, count))
+    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
+    whole, turnable = slopes @ slopes.T, None
     if turns is not None and "direction_sd" in own:
         shifts = own.pop("direction_sd")
-        if "direction_sd" not in named:
-            lost = information_lost(shifts, vector, samples, selection, lights)
-    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
+        turnable = None if "direction_sd" in named else shifts
+
+    def left(values: np.ndarray) -> np.ndarray:
+        if turnable is None:
+            return values
+        return beyond_turns(values, turnable, samples, selection, lights)
+
+    slopes = left(slopes)
     of_lights = [
         np.stack([by_light(row * shift) for row in slopes], axis=1)
         for name, shifts in own.items()
         if name not in named
-        for shift in shifts / deviation
+        for shift in left(shifts / deviation)
     ]
     of_all = [
         slopes @ shift
         for name, shifts in shared.items()
         if name not in named
-        for shift in shifts / deviation
+        for shift in left(shifts / deviation)
     ]
     return StatedErrors(
         np.concatenate(of_lights) if of_lights else np.empty((0, count)),
         np.array(of_all).reshape(-1, count),
-        lost,
+        whole - slopes @ slopes.T,
+        None if turnable is None else slopes,
         gone,
     )
 
@@ -189,13 +199,13 @@ def with_stated_errors(
     Args:
         robust: of the residuals, (known, known).
         stated: of the same fit.
-        information: (known, known), as if all samples were independent.
+        information: (known, known), as if all samples were independent, less what turns take.
         known: (known,) indices of the parameters among all.
 
     Returns:
         Covariance and degrees of freedom; unchanged where the rig states nothing.
     """
-    inverse = np.linalg.inv(information - stated.lost[np.ix_(known, known)])
+    inverse = np.linalg.inv(information)
     covariance, freedom = robust.covariance, robust.freedom
     if len(stated.of_lights) or stated.lost.any():
         moved = stated.of_lights[:, known] @ inverse

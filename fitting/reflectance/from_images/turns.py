@@ -8,7 +8,7 @@ standard deviations, an image of residuals r moves by S e to first order, so tha
 are the likeliest turns at given parameters, and eliminating them leaves of the information I on
 the parameters, whose slopes are J,
 
-    I - J^T S K^-1 S^T J.
+    I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S S^T)^-1.
 
 A highlight does not follow its light linearly: lights off by a degree, left where the rig puts
 them, show the mean of highlights that lie apart, wider and weaker than each of them. All images
@@ -18,19 +18,18 @@ turn, about the last ones (Gauss-Newton).
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision import as_array, as_vec
 from jaxvision.hemisphere import local_frame
 
-from .derivatives import scores_and_slopes
 from .model import Samples, predicted_dn, residuals
 from .read import ReflectanceObservation, angles
 from .samples import Selection, make_samples
 
 STEP = 0.5  # standard deviations to either side, of a slope
+TOLD = 1e-12  # least information of an image on a turn, in units of the prior's
 
 
 def turned(
@@ -115,31 +114,35 @@ def likeliest_turns(
     return np.linalg.solve(precision, np.stack(pulls, axis=1)[..., None])[..., 0]
 
 
-def information_lost(
+def beyond_turns(
+    values: Float[np.ndarray, "rows samples"],
     shifts: Float[np.ndarray, "2 samples"],
-    vector: Float[Array, " parameters"],
     samples: Samples,
     selection: Selection,
     lights: int,
-) -> Float[np.ndarray, "parameters parameters"]:
-    """What unknown turns take of the information on the parameters, J^T S K^-1 S^T J.
+) -> Float[np.ndarray, "rows samples"]:
+    """What unknown turns leave of slopes and errors x, (1 + S S^T)^(-1/2) x: products of these are
+    those of x less what the turns take, x^T (1 - S K^-1 S^T) y.
 
     Args:
+        values: (rows, samples) in standard deviations.
         shifts: (2, samples) DN, about the turns of the samples.
-        vector: (parameters,) unconstrained.
         samples: with their deviations.
         selection: of the samples.
         lights: of the observation.
 
     Returns:
-        (parameters, parameters).
+        (rows, samples).
     """
     moves, precision = _standard(shifts, samples, selection, lights)
-    slopes = np.asarray(scores_and_slopes(jnp.asarray(vector), samples)[1], np.float64)
-    both = np.stack(
-        [[np.bincount(selection.light, slope * move, lights) for move in moves] for slope in slopes]
-    )  # (parameters, 2, lights)
-    return np.einsum("pal,lab,qbl->pq", both, np.linalg.inv(precision), both)
+    squares, axes = np.linalg.eigh(precision - np.eye(2))  # of S^T S
+    squares = np.maximum(squares, TOLD)
+    taken = (1 - 1 / np.sqrt(1 + squares)) / squares
+    pulls = np.stack(
+        [[np.bincount(selection.light, row * move, lights) for move in moves] for row in values]
+    )  # (rows, 2, lights)
+    back = np.einsum("lab,lb,lcb,rcl->ral", axes, taken, axes, pulls)
+    return values - np.einsum("as,ras->rs", moves, back[:, :, selection.light])
 
 
 def _standard(

@@ -681,10 +681,11 @@ ELSEWHERE = (
             fitting.reflectance.from_images.comparison: compare comparison_table difference
             fitting.reflectance.from_images.comparison: equally_good relative_error relative_rms
             fitting.reflectance.from_images.comparison: squares_by_light surpassed_by verdict
-            fitting.reflectance.from_images.fit: fit_channel predicted_image robust_covariance
+            fitting.reflectance.from_images.fit: fit_channel lights_as_fitted predicted_image
+            fitting.reflectance.from_images.fit: robust_covariance
             fitting.reflectance.from_images.optimum: best optimum project residual_signal_slope
             fitting.reflectance.from_images.optimum: weighed weighed_and_fitted weighted
-            fitting.reflectance.from_images.optimum_among_turns: among_turns
+            fitting.reflectance.from_images.optimum_among_turns: among_turns with_wider_directions
             fitting.reflectance.from_images.geometry_cells: average group saturated_only
             fitting.reflectance.from_images.model: decoded encoding_gamma encoding_slope
             fitting.reflectance.from_images.model: linear_signal lobe log_likelihoods
@@ -701,7 +702,7 @@ ELSEWHERE = (
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
             fitting.reflectance.from_images.spread: sensor_spread variance
             fitting.reflectance.from_images.stated: stated_errors with_stated_errors
-            fitting.reflectance.from_images.turns: information_lost likeliest_turns
+            fitting.reflectance.from_images.turns: beyond_turns likeliest_turns
             fitting.reflectance.from_images.turns: shifts_of_turns turned
         """,
     ),
