@@ -19,17 +19,17 @@ from ..models import (
 from ..names import Axis, Model, Objective
 from .calibration import BRDFCalibration
 from .errors import (
-    FEWEST_INCIDENCES,
     Errors,
+    Ratio,
     best,
     distinguished,
+    exceeds_signal,
     metric,
     ratio,
     weight_by_incidence,
 )
 from .fit import compressed, reflected
 
-RELATIONS = {"half": "beats", "mirror": "loses to", "neither": "is not told apart from"}
 MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which a reader is told
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
 NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
@@ -89,47 +89,70 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
 def _verdict(calibration: BRDFCalibration) -> str:
     objective, held_out = calibration.objective, calibration.held_out
     winner = best(held_out, objective)
-    equal: list[Model] = [
-        m for m in held_out if not distinguished(held_out[m], held_out[winner], objective)
+    found: dict[Model, Ratio] = {
+        m: ratio(own, held_out[winner], objective) for m, own in held_out.items()
+    }
+    open_size: list[Model] = [m for m in held_out if m != winner and not found[m].told]
+    worse: list[Model] = [m for m in open_size if found[m].ordered]
+    useless: list[Model] = [
+        m
+        for m in open_size
+        if m not in worse
+        and exceeds_signal(held_out[m], objective)
+        and not exceeds_signal(held_out[winner], objective)
     ]
+    equal: list[Model] = [m for m in open_size if m not in (*worse, *useless)]
+    far: list[Model] = [m for m in equal if found[m].value >= APART]
+
     rivals: list[Model] = [of_axis(held_out, axis, objective) for axis in AXES]
-    others: list[Model] = [m for m in (*rivals, "lambert") if m not in equal]
+    others: list[Model] = [m for m in (*rivals, "lambert") if m not in (winner, *equal)]
     against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
     against = f", against {against}" if others else ""
     unit = " of the signal's" if objective == "cosine" else ""
-    told = (
+    told = [
         f"At angles of incidence that no fit has seen, {LABELS[winner]} predicts best: "
         f"{METRICS[objective]} {in_words(held_out[winner], objective)}{unit}{against}."
-    )
-    alike = [f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal if m != winner]
-    if not alike:
-        return told
-    told = f"{told} Not told apart from it, leaving out incidence by incidence: {listed(alike)}."
-    return " ".join([told, *_apart_and_not_told(calibration, winner, equal)])
-
-
-def _apart_and_not_told(
-    calibration: BRDFCalibration, winner: Model, equal: Sequence[Model]
-) -> list[str]:
-    """Why models of much larger errors are not told apart from the best one."""
-    told = []
-    for model in equal:
-        found = ratio(
-            calibration.held_out[model], calibration.held_out[winner], calibration.objective
-        )
-        if found.value < APART or len(found.without) < FEWEST_INCIDENCES:
-            continue
-        decides = int(np.argmax(np.abs(np.log(found.without / found.value))))
-        told.append(
-            f"{LABELS[model]} ({found.value:.1f} times as much, {found.without[decides]:.1f} times "
-            f"without {np.degrees(calibration.measured.incidences[decides]):.0f}°)"
-        )
-    if not told:
-        return []
-    return [
-        "Of these some err far more here, but how far depends on a single incidence: "
-        f"{listed(told)}."
     ]
+    if equal:
+        alike = [f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal]
+        told.append(f"Not told apart from it, leaving out incidence by incidence: {listed(alike)}.")
+    if far:
+        told.append(
+            "Of these some err far more here, but whether they do hangs on a single incidence: "
+            f"{_compared(calibration, found, far)}."
+        )
+    if worse:
+        told.append(
+            "Worse than it whichever incidence is left out, though by how much depends on which: "
+            f"{_compared(calibration, found, worse)}."
+        )
+    if useless:
+        told.append(
+            "Missing more than the whole signal, hence no description of it, though how it "
+            "compares with the best depends on the incidence that is left out: "
+            f"{_compared(calibration, found, useless)}."
+        )
+    return " ".join(told)
+
+
+def _compared(
+    calibration: BRDFCalibration, found: Mapping[Model, Ratio], models: Sequence[Model]
+) -> str:
+    """How much more models err than the best one, and between which bounds with an incidence left
+    out."""
+    angles = np.degrees(calibration.measured.incidences)
+
+    def bound(model: Model, i: np.intp) -> str:
+        return f"{found[model].without[i]:.2f} times without {angles[i]:.0f}°"
+
+    return listed(
+        [
+            f"{LABELS[m]} ({in_words(calibration.held_out[m], calibration.objective)}: "
+            f"{found[m].value:.2f} times as much, {bound(m, np.argmin(found[m].without))}, "
+            f"{bound(m, np.argmax(found[m].without))})"
+            for m in models
+        ]
+    )
 
 
 def _weight(calibration: BRDFCalibration) -> list[str]:
@@ -159,14 +182,28 @@ def _pairs(calibration: BRDFCalibration) -> str:
     told = []
     for mirror, half in PAIRS:
         ours, theirs = held_out[half], held_out[mirror]
-        relation = RELATIONS[_winner(ours, theirs, objective)]
-        if objective == "cosine" and min(ours.relative, theirs.relative) > 1:
-            relation = "errs by more than the whole signal, and so does"
         told.append(
-            f"{LABELS[half]} {relation} {LABELS[mirror]} ({in_words(ours, objective)} against "
-            f"{in_words(theirs, objective)})"
+            f"{LABELS[half]} {_relation(ours, theirs, objective)} {LABELS[mirror]} "
+            f"({in_words(ours, objective)} against {in_words(theirs, objective)})"
         )
     return f"Half vector against mirror direction, all else equal: {'; '.join(told)}."
+
+
+def _relation(half: Errors, mirror: Errors, objective: Objective) -> str:
+    """How a lobe about the half vector stands to one about the mirror direction, as a verb."""
+    useless = exceeds_signal(half, objective), exceeds_signal(mirror, objective)
+    if all(useless):
+        return "errs by more than the whole signal, and so does"
+    winner = _winner(half, mirror, objective)
+    if winner != "neither":
+        return "beats" if winner == "half" else "loses to"
+    found = ratio(half, mirror, objective)
+    if found.ordered:
+        more = "more" if found.value > 1 else "less"
+        return f"errs {more}, whichever incidence is left out, than"
+    if any(useless):
+        return f"errs by {'more' if useless[0] else 'less'} than the whole signal, unlike"
+    return "is not told apart from"
 
 
 def _generalisation(calibration: BRDFCalibration) -> list[str]:
