@@ -88,8 +88,10 @@ def test_what_wins_on_five_materials(calibrated):
     assert least(all_five[4], MIRROR) < 0.97 * least(all_five[4], HALF)
     first, second, third = which_axis_wins(all_five)
     assert "wins on 2 of 5 (garnet red, satin rosaline rgb)" in first
-    assert "This confirms, where it tells, the finding" in first  # three are not told apart
+    assert "Torrance-Sparrow (Beckmann) against normalised Phong on garnet red" in first
     assert "the half vector wins 0 of 10 comparisons" in second
+    # Facets win by more than their axis, and the axis alone wins nothing.
+    assert "neither confirm nor contradict the finding" in second
     assert "garnet red" in third
 
 

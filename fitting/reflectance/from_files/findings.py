@@ -1,6 +1,7 @@
 """What a reader of fitted measured reflectance must be told: who wins, by how much, how sure."""
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from .errors import (
 )
 from .fit import compressed, reflected
 
+Side = Literal["half", "mirror", "neither"]  # which axis wins a comparison
 MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which a reader is told
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
 NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
@@ -274,56 +276,86 @@ def _intervals(calibration: BRDFCalibration) -> str:
 def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
     """Over several materials: does the half vector win, as the literature has it, and why?"""
     return (
-        _against_the_literature(calibrations),
-        _axis_alone(calibrations),
+        _best_lobes(calibrations),
+        f"{_axis_alone(calibrations)} {_against_the_literature(calibrations)}",
         *_what_fresnel_does(calibrations),
     )
 
 
-def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
+def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
+    """The best lobe about the half vector, that about the mirror direction, and which wins."""
+    held_out, objective = calibration.held_out, calibration.objective
+    half = of_axis(held_out, "half", objective)
+    mirror = of_axis(held_out, "mirror", objective)
+    return half, mirror, _winner(held_out[half], held_out[mirror], objective)
+
+
+def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> str:
+    """The best lobe of each axis, whatever else it differs in, and where it does."""
     objective = calibrations[0].objective
-    wins: dict[str, list[str]] = {"half": [], "mirror": [], "neither": []}
+    wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
+    confounded = []
     for calibration in calibrations:
-        held_out = calibration.held_out
-        half, mirror = (held_out[of_axis(held_out, axis, objective)] for axis in AXES)
-        wins[_winner(half, mirror, objective)].append(readable(calibration.measured.name))
-    sides = {
+        name = readable(calibration.measured.name)
+        half, mirror, side = _of_best_lobes(calibration)
+        wins[side].append(name)
+        if side != "neither" and (mirror, half) not in PAIRS:
+            confounded.append(f"{LABELS[half]} against {LABELS[mirror]} on {name}")
+    sides: dict[Side, str] = {
         "half": "the best lobe about the half vector wins",
         "mirror": "the best about the mirror direction",
-        "neither": "neither",
+        "neither": "neither by more than chance",
     }
     told = "; ".join(
         f"{words} on {len(wins[side])} of {len(calibrations)} ({', '.join(wins[side])})"
         for side, words in sides.items()
         if wins[side]
     )
-    judgement = {
-        (True, False): "confirms",
-        (True, True): "confirms only in part",
-        (False, True): "contradicts",
-        (False, False): "neither confirms nor contradicts",
-    }[bool(wins["half"]), bool(wins["mirror"])]
-    if wins["neither"] and len(wins["neither"]) < len(calibrations):
-        judgement += ", where it tells,"
+    told = f"By {METRICS[objective]} at incidences that no fit has seen, {told}."
+    if not confounded:
+        return told
     return (
-        f"By {METRICS[objective]} at incidences that no fit has seen, {told}. This {judgement} the "
-        "finding of Ngan, Durand & Matusik (2005) on 100 materials that lobes about the half "
-        "vector fit better."
+        f"{told} By itself this says nothing about the axis where the lobes differ in more than "
+        f"the axis: {listed(confounded)}."
     )
 
 
-def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
-    objective = calibrations[0].objective
-    results = [
-        _winner(c.held_out[half], c.held_out[mirror], objective)
+def _of_axis_alone(calibrations: Sequence[BRDFCalibration]) -> list[Side]:
+    """Which axis wins each comparison of lobes that differ in nothing else."""
+    return [
+        _winner(c.held_out[half], c.held_out[mirror], c.objective)
         for c in calibrations
         for mirror, half in PAIRS
     ]
-    half, mirror = results.count("half"), results.count("mirror")
+
+
+def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
+    results = _of_axis_alone(calibrations)
     return (
         "Between lobes that differ in the axis alone (Phong and Blinn, with and without "
-        f"normalisation), the half vector wins {half} of {len(results)} comparisons, the mirror "
-        f"direction {mirror}; the others are even."
+        f"normalisation), the half vector wins {results.count('half')} of {len(results)} "
+        f"comparisons, the mirror direction {results.count('mirror')}; the others leave it open."
+    )
+
+
+def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
+    """A conclusion about the axis where comparisons of it alone tell, and the best lobes, which
+    differ in more than that, do not disagree."""
+    results = _of_axis_alone(calibrations)
+    alone, overall = set(results), {_of_best_lobes(c)[-1] for c in calibrations}
+    if {"half", "mirror"} <= alone:
+        judgement = "confirm only in part"
+    elif "half" in alone and "mirror" not in overall:
+        judgement = "confirm"
+    elif "mirror" in alone and "half" not in overall:
+        judgement = "contradict"
+    else:
+        judgement = "neither confirm nor contradict"
+    if "neither" in alone and not judgement.startswith("neither"):
+        judgement += ", where they tell,"
+    return (
+        f"Together these comparisons {judgement} the finding of Ngan, Durand & Matusik (2005) on "
+        "100 materials that lobes about the half vector fit better."
     )
 
 
@@ -351,8 +383,10 @@ def _what_fresnel_does(calibrations: Sequence[BRDFCalibration]) -> list[str]:
     ]
 
 
-def _winner(half: Errors, mirror: Errors, objective: Objective) -> str:
-    if not distinguished(half, mirror, objective):
+def _winner(half: Errors, mirror: Errors, objective: Objective) -> Side:
+    """Which axis errs less by more than chance; neither where both lobes describe nothing."""
+    useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
+    if useless or not distinguished(half, mirror, objective):
         return "neither"
     return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
 
