@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fitting.reflectance.from_files.errors import Errors, distinguished, ratio
+from fitting.reflectance.from_files.errors import Errors, distinguished, exceeds_signal, ratio
 from fitting.reflectance.from_images.comparison import (
     ModelScore,
     difference,
@@ -144,3 +144,23 @@ def test_the_error_that_is_shown_is_the_one_that_is_judged():
     np.testing.assert_allclose(hangs.value, np.sqrt(410 / 12))
     np.testing.assert_allclose(hangs.without[[0, -1]], [np.sqrt(409 / 11), 1])
     assert not hangs.told
+
+
+def test_an_order_may_be_sure_where_its_size_is_not():
+    """Roots of 4 and of (3 * 4 + 400) / 4 times as much: more in both, by how much is open. One
+    incidence that reverses it, or 1.05 times without it, leaves the order open, and so do two."""
+    base = np.ones(5)
+    sure = ratio(of([4, 4, 4, 4, 400]), of(base), "cosine")
+    np.testing.assert_allclose(sure.without[[-1, 0]], [2, np.sqrt(412 / 4)])
+    assert not sure.told
+    assert sure.ordered
+    assert ratio(of(base), of([4, 4, 4, 4, 400]), "cosine").ordered
+    for other in ([0.5, 0.5, 0.5, 0.5, 400], [1.1, 1.1, 1.1, 1.1, 400]):
+        assert not ratio(of(other), of(base), "cosine").ordered
+    assert not ratio(of([4, 400]), of(base[:2]), "cosine").ordered
+
+
+def test_errors_beyond_the_signal_are_those_of_a_relative_metric():
+    assert exceeds_signal(of([0.5, 0.6]), "cosine")
+    assert not exceeds_signal(of([0.5, 0.4]), "cosine")
+    assert not exceeds_signal(of([0.5, 0.6]), "cube-root")

@@ -13,6 +13,7 @@ from .read import MeasuredBRDF
 
 FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
 SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
+MATERIAL = 1.1  # ratio of two errors from which a reader would prefer the model of the smaller
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 
 
@@ -114,6 +115,15 @@ class Ratio:
         error = np.sqrt((count - 1) * np.var(np.log(self.without)))
         return bool(log > stdtrit(count - 1, 0.975) * error)
 
+    @property
+    def ordered(self) -> bool:
+        """Whether the same model errs materially more whichever incidence is left out. One that
+        stands apart from the others may leave the size of a difference open, hence `told` false,
+        and yet not its sign."""
+        logs, least = np.log(self.without), np.log(MATERIAL)
+        same_sign = np.all(logs >= least) or np.all(logs <= -least)
+        return bool(len(logs) >= FEWEST_INCIDENCES and same_sign)
+
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
     """The ratio of two models' errors of the same samples.
@@ -148,6 +158,19 @@ def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:
         Whether; never with fewer than three incidences.
     """
     return ratio(one, other, objective).told
+
+
+def exceeds_signal(errors: Errors, objective: Objective) -> bool:
+    """Whether a prediction misses more than one of no reflectance at all would.
+
+    Args:
+        errors: of one prediction.
+        objective: whose metric counts.
+
+    Returns:
+        Whether; never of cube roots, whose errors are not relative to their signal.
+    """
+    return objective == "cosine" and errors.relative > 1
 
 
 def weight_by_incidence(

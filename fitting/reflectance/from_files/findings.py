@@ -1,6 +1,7 @@
 """What a reader of fitted measured reflectance must be told: who wins, by how much, how sure."""
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -19,17 +20,18 @@ from ..models import (
 from ..names import Axis, Model, Objective
 from .calibration import BRDFCalibration
 from .errors import (
-    FEWEST_INCIDENCES,
     Errors,
+    Ratio,
     best,
     distinguished,
+    exceeds_signal,
     metric,
     ratio,
     weight_by_incidence,
 )
 from .fit import compressed, reflected
 
-RELATIONS = {"half": "beats", "mirror": "loses to", "neither": "is not told apart from"}
+Side = Literal["half", "mirror", "neither"]  # which axis wins a comparison
 MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which a reader is told
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
 NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
@@ -89,47 +91,70 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
 def _verdict(calibration: BRDFCalibration) -> str:
     objective, held_out = calibration.objective, calibration.held_out
     winner = best(held_out, objective)
-    equal: list[Model] = [
-        m for m in held_out if not distinguished(held_out[m], held_out[winner], objective)
+    found: dict[Model, Ratio] = {
+        m: ratio(own, held_out[winner], objective) for m, own in held_out.items()
+    }
+    open_size: list[Model] = [m for m in held_out if m != winner and not found[m].told]
+    worse: list[Model] = [m for m in open_size if found[m].ordered]
+    useless: list[Model] = [
+        m
+        for m in open_size
+        if m not in worse
+        and exceeds_signal(held_out[m], objective)
+        and not exceeds_signal(held_out[winner], objective)
     ]
+    equal: list[Model] = [m for m in open_size if m not in (*worse, *useless)]
+    far: list[Model] = [m for m in equal if found[m].value >= APART]
+
     rivals: list[Model] = [of_axis(held_out, axis, objective) for axis in AXES]
-    others: list[Model] = [m for m in (*rivals, "lambert") if m not in equal]
+    others: list[Model] = [m for m in (*rivals, "lambert") if m not in (winner, *equal)]
     against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
     against = f", against {against}" if others else ""
     unit = " of the signal's" if objective == "cosine" else ""
-    told = (
+    told = [
         f"At angles of incidence that no fit has seen, {LABELS[winner]} predicts best: "
         f"{METRICS[objective]} {in_words(held_out[winner], objective)}{unit}{against}."
-    )
-    alike = [f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal if m != winner]
-    if not alike:
-        return told
-    told = f"{told} Not told apart from it, leaving out incidence by incidence: {listed(alike)}."
-    return " ".join([told, *_apart_and_not_told(calibration, winner, equal)])
-
-
-def _apart_and_not_told(
-    calibration: BRDFCalibration, winner: Model, equal: Sequence[Model]
-) -> list[str]:
-    """Why models of much larger errors are not told apart from the best one."""
-    told = []
-    for model in equal:
-        found = ratio(
-            calibration.held_out[model], calibration.held_out[winner], calibration.objective
-        )
-        if found.value < APART or len(found.without) < FEWEST_INCIDENCES:
-            continue
-        decides = int(np.argmax(np.abs(np.log(found.without / found.value))))
-        told.append(
-            f"{LABELS[model]} ({found.value:.1f} times as much, {found.without[decides]:.1f} times "
-            f"without {np.degrees(calibration.measured.incidences[decides]):.0f}°)"
-        )
-    if not told:
-        return []
-    return [
-        "Of these some err far more here, but how far depends on a single incidence: "
-        f"{listed(told)}."
     ]
+    if equal:
+        alike = [f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal]
+        told.append(f"Not told apart from it, leaving out incidence by incidence: {listed(alike)}.")
+    if far:
+        told.append(
+            "Of these some err far more here, but whether they do hangs on a single incidence: "
+            f"{_compared(calibration, found, far)}."
+        )
+    if worse:
+        told.append(
+            "Worse than it whichever incidence is left out, though by how much depends on which: "
+            f"{_compared(calibration, found, worse)}."
+        )
+    if useless:
+        told.append(
+            "Missing more than the whole signal, hence no description of it, though how it "
+            "compares with the best depends on the incidence that is left out: "
+            f"{_compared(calibration, found, useless)}."
+        )
+    return " ".join(told)
+
+
+def _compared(
+    calibration: BRDFCalibration, found: Mapping[Model, Ratio], models: Sequence[Model]
+) -> str:
+    """How much more models err than the best one, and between which bounds with an incidence left
+    out."""
+    angles = np.degrees(calibration.measured.incidences)
+
+    def bound(model: Model, i: np.intp) -> str:
+        return f"{found[model].without[i]:.2f} times without {angles[i]:.0f}°"
+
+    return listed(
+        [
+            f"{LABELS[m]} ({in_words(calibration.held_out[m], calibration.objective)}: "
+            f"{found[m].value:.2f} times as much, {bound(m, np.argmin(found[m].without))}, "
+            f"{bound(m, np.argmax(found[m].without))})"
+            for m in models
+        ]
+    )
 
 
 def _weight(calibration: BRDFCalibration) -> list[str]:
@@ -159,14 +184,28 @@ def _pairs(calibration: BRDFCalibration) -> str:
     told = []
     for mirror, half in PAIRS:
         ours, theirs = held_out[half], held_out[mirror]
-        relation = RELATIONS[_winner(ours, theirs, objective)]
-        if objective == "cosine" and min(ours.relative, theirs.relative) > 1:
-            relation = "errs by more than the whole signal, and so does"
         told.append(
-            f"{LABELS[half]} {relation} {LABELS[mirror]} ({in_words(ours, objective)} against "
-            f"{in_words(theirs, objective)})"
+            f"{LABELS[half]} {_relation(ours, theirs, objective)} {LABELS[mirror]} "
+            f"({in_words(ours, objective)} against {in_words(theirs, objective)})"
         )
     return f"Half vector against mirror direction, all else equal: {'; '.join(told)}."
+
+
+def _relation(half: Errors, mirror: Errors, objective: Objective) -> str:
+    """How a lobe about the half vector stands to one about the mirror direction, as a verb."""
+    useless = exceeds_signal(half, objective), exceeds_signal(mirror, objective)
+    if all(useless):
+        return "errs by more than the whole signal, and so does"
+    winner = _winner(half, mirror, objective)
+    if winner != "neither":
+        return "beats" if winner == "half" else "loses to"
+    found = ratio(half, mirror, objective)
+    if found.ordered:
+        more = "more" if found.value > 1 else "less"
+        return f"errs {more}, whichever incidence is left out, than"
+    if any(useless):
+        return f"errs by {'more' if useless[0] else 'less'} than the whole signal, unlike"
+    return "is not told apart from"
 
 
 def _generalisation(calibration: BRDFCalibration) -> list[str]:
@@ -237,56 +276,86 @@ def _intervals(calibration: BRDFCalibration) -> str:
 def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
     """Over several materials: does the half vector win, as the literature has it, and why?"""
     return (
-        _against_the_literature(calibrations),
-        _axis_alone(calibrations),
+        _best_lobes(calibrations),
+        f"{_axis_alone(calibrations)} {_against_the_literature(calibrations)}",
         *_what_fresnel_does(calibrations),
     )
 
 
-def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
+def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
+    """The best lobe about the half vector, that about the mirror direction, and which wins."""
+    held_out, objective = calibration.held_out, calibration.objective
+    half = of_axis(held_out, "half", objective)
+    mirror = of_axis(held_out, "mirror", objective)
+    return half, mirror, _winner(held_out[half], held_out[mirror], objective)
+
+
+def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> str:
+    """The best lobe of each axis, whatever else it differs in, and where it does."""
     objective = calibrations[0].objective
-    wins: dict[str, list[str]] = {"half": [], "mirror": [], "neither": []}
+    wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
+    confounded = []
     for calibration in calibrations:
-        held_out = calibration.held_out
-        half, mirror = (held_out[of_axis(held_out, axis, objective)] for axis in AXES)
-        wins[_winner(half, mirror, objective)].append(readable(calibration.measured.name))
-    sides = {
+        name = readable(calibration.measured.name)
+        half, mirror, side = _of_best_lobes(calibration)
+        wins[side].append(name)
+        if side != "neither" and (mirror, half) not in PAIRS:
+            confounded.append(f"{LABELS[half]} against {LABELS[mirror]} on {name}")
+    sides: dict[Side, str] = {
         "half": "the best lobe about the half vector wins",
         "mirror": "the best about the mirror direction",
-        "neither": "neither",
+        "neither": "neither by more than chance",
     }
     told = "; ".join(
         f"{words} on {len(wins[side])} of {len(calibrations)} ({', '.join(wins[side])})"
         for side, words in sides.items()
         if wins[side]
     )
-    judgement = {
-        (True, False): "confirms",
-        (True, True): "confirms only in part",
-        (False, True): "contradicts",
-        (False, False): "neither confirms nor contradicts",
-    }[bool(wins["half"]), bool(wins["mirror"])]
-    if wins["neither"] and len(wins["neither"]) < len(calibrations):
-        judgement += ", where it tells,"
+    told = f"By {METRICS[objective]} at incidences that no fit has seen, {told}."
+    if not confounded:
+        return told
     return (
-        f"By {METRICS[objective]} at incidences that no fit has seen, {told}. This {judgement} the "
-        "finding of Ngan, Durand & Matusik (2005) on 100 materials that lobes about the half "
-        "vector fit better."
+        f"{told} By itself this says nothing about the axis where the lobes differ in more than "
+        f"the axis: {listed(confounded)}."
     )
 
 
-def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
-    objective = calibrations[0].objective
-    results = [
-        _winner(c.held_out[half], c.held_out[mirror], objective)
+def _of_axis_alone(calibrations: Sequence[BRDFCalibration]) -> list[Side]:
+    """Which axis wins each comparison of lobes that differ in nothing else."""
+    return [
+        _winner(c.held_out[half], c.held_out[mirror], c.objective)
         for c in calibrations
         for mirror, half in PAIRS
     ]
-    half, mirror = results.count("half"), results.count("mirror")
+
+
+def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
+    results = _of_axis_alone(calibrations)
     return (
         "Between lobes that differ in the axis alone (Phong and Blinn, with and without "
-        f"normalisation), the half vector wins {half} of {len(results)} comparisons, the mirror "
-        f"direction {mirror}; the others are even."
+        f"normalisation), the half vector wins {results.count('half')} of {len(results)} "
+        f"comparisons, the mirror direction {results.count('mirror')}; the others leave it open."
+    )
+
+
+def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
+    """A conclusion about the axis where comparisons of it alone tell, and the best lobes, which
+    differ in more than that, do not disagree."""
+    results = _of_axis_alone(calibrations)
+    alone, overall = set(results), {_of_best_lobes(c)[-1] for c in calibrations}
+    if {"half", "mirror"} <= alone:
+        judgement = "confirm only in part"
+    elif "half" in alone and "mirror" not in overall:
+        judgement = "confirm"
+    elif "mirror" in alone and "half" not in overall:
+        judgement = "contradict"
+    else:
+        judgement = "neither confirm nor contradict"
+    if "neither" in alone and not judgement.startswith("neither"):
+        judgement += ", where they tell,"
+    return (
+        f"Together these comparisons {judgement} the finding of Ngan, Durand & Matusik (2005) on "
+        "100 materials that lobes about the half vector fit better."
     )
 
 
@@ -314,8 +383,10 @@ def _what_fresnel_does(calibrations: Sequence[BRDFCalibration]) -> list[str]:
     ]
 
 
-def _winner(half: Errors, mirror: Errors, objective: Objective) -> str:
-    if not distinguished(half, mirror, objective):
+def _winner(half: Errors, mirror: Errors, objective: Objective) -> Side:
+    """Which axis errs less by more than chance; neither where both lobes describe nothing."""
+    useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
+    if useless or not distinguished(half, mirror, objective):
         return "neither"
     return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
 

@@ -665,7 +665,7 @@ ELSEWHERE = (
             fitting.reflectance.from_files.calibration: amplitudes calibrate log_density
             fitting.reflectance.from_files.calibration: parameter_space
             fitting.reflectance.from_files.errors: best distinguished errors prediction_of_held_out
-            fitting.reflectance.from_files.errors: metric ratio weight_by_incidence
+            fitting.reflectance.from_files.errors: exceeds_signal metric ratio weight_by_incidence
             fitting.reflectance.from_files.fit: compressed darkness fit_model fit_models reflected
             fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
             fitting.reflectance.models: is_searched
