@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
+from jaxvision.errors import InputError
 
 from .observation import require_as_many, require_several_images
 from .rig import SphereGeometry
@@ -80,7 +81,11 @@ def rig_entries(
 
 
 def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> Float[np.ndarray, " lights"]:
-    sizes = np.asarray(sd, float)
+    sizes = np.asarray(sd)
+    if sizes.dtype.kind not in "fiu" or sizes.ndim > 1:
+        raise InputError(
+            f"{name}: give one number for all images or a list of one for each, got {sd!r:.60}."
+        )
     if sizes.ndim == 0:
         return np.full(len(images), float(sizes))
     require_as_many(f"values of {name}", sizes, "images", images)

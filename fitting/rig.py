@@ -46,6 +46,7 @@ def _quotient(text: Any) -> Any:
 
 Seconds = Annotated[Positive, BeforeValidator(_quotient)]
 
+UNKNOWN_DIRECTION = 0.5  # rad: lights of which no more is known are not known
 COLDEST = 100.0  # K, of a sensor; a smaller number is one of degrees Celsius
 
 
@@ -235,6 +236,11 @@ class Light(Entry):
     def _one_kind(self) -> "Light":
         if (self.direction is None) == (self.position is None):
             raise ValueError("give either direction or position")
+        if (self.direction_sd or 0) > UNKNOWN_DIRECTION:
+            raise ValueError(
+                f"direction_sd = {self.direction_sd:g} rad tells nothing of a direction; give it "
+                "in radians"
+            )
         if self.direction is not None:
             length = math.hypot(*self.direction)
             if abs(length - 1) > 1e-2:

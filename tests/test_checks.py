@@ -90,7 +90,7 @@ def test_a_check_goes_on_where_it_stopped(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         simulated(simulate, 30, parameters=2, kept=file)
     rows = simulated(simulate, 30, parameters=2, kept=file)
-    assert asked == [*range(25), 0, *range(20, 30)]
+    assert asked == [*range(25), 0, 1, *range(20, 30)]
     assert np.flatnonzero(np.isnan(rows[:, 0])).tolist() == [3]
     told = section("toy", {"case": coverage(rows, ("a", "b"))}, 30).findings
     assert any("1 of 30 fits print no interval" in sentence for sentence in told)
@@ -122,6 +122,28 @@ def test_kept_fits_of_another_problem_are_neither_used_nor_lost(tmp_path, rows):
     np.testing.assert_array_equal(np.load(file), rows)
 
 
+def test_a_check_of_which_no_fit_succeeds_says_why(tmp_path):
+    line = Problem(
+        {"a": Parameter(prior=Normal(0.0, 1.0))},
+        lambda a: a * jnp.ones(4),
+        Gaussian(0.1),
+        np.zeros(4),
+    )
+    with pytest.raises(InputError, match=r"none of 3 fits gave an interval; the first: posterior"):
+        fitting.check(line, simulations=3, posterior="x")
+    with pytest.raises(InputError, match="truth has values that are NaN"):
+        fitting.check(line, simulations=3, truth={"a": np.nan})
+
+    def every_other(seed):
+        if seed % 2:
+            raise InputError("odd")
+        return np.array([0.3])
+
+    places = simulated(every_other, 4, parameters=1)
+    found = fitting.Check(coverage(places, ("a",)), places)
+    assert "2 of 4 fits gave no interval" in str(found)
+
+
 def test_a_check_with_fewer_fits_keeps_those_that_there_are(tmp_path):
     file = tmp_path / "places.npy"
     every = simulated(quarters, 4, parameters=2, kept=file)
@@ -141,7 +163,7 @@ def test_another_seed_draws_anew_and_keeps_its_own(tmp_path, monkeypatch):
     with reporting() as reporter:
         for seed in (0, 0, 5):
             command.run("toy", 2, tmp_path, reporter, seed=seed)
-    assert asked == [0, 1, 0, 5_000_000, 5_000_001]
+    assert asked == [0, 1, 0, 1, 5_000_000, 5_000_001]
 
 
 def line():

@@ -189,6 +189,24 @@ def test_photographs_of_a_known_shape(tmp_path, shape):
     assert_equal(ours, theirs)
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"intensity_sd": [[0.01]] * 4}, "intensity_sd: give one number"),
+        ({"stray_sd": "a"}, "stray_sd: give one number"),
+        ({"exposure_sd": True}, "exposure_sd: give one number"),
+        ({"intensity_sd": [0.01] * 3}, "values of intensity_sd"),
+        ({"intensity_sd": -0.01}, "intensity_sd"),
+        ({"direction_sd": np.nan}, "direction_sd"),
+        ({"direction_sd": 3.0}, "3 rad tells nothing of a direction; give it in radians"),
+    ],
+)
+def test_unusable_errors_of_lights_are_refused(given, said):
+    images = [64 + 2000.0 * np.maximum(normals_of_the_sphere() @ v, 0) for v in LIGHTS]
+    with pytest.raises(InputError, match=said):
+        from_photographs(images, LIGHTS, camera=CAMERA, sphere=SPHERE, **given)
+
+
 def test_nan_under_the_mask_does_no_harm():
     """Pixels that the mask leaves out may hold anything; one that it keeps may not."""
     normals = normals_of_the_sphere()

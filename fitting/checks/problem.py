@@ -50,7 +50,13 @@ class Check:
     def __str__(self) -> str:
         from .section import line
 
-        return "\n".join([*(line(one) for one in self.coverage), *self.faults])
+        return "\n".join([*(line(one) for one in self.coverage), *self.faults, *self._withheld])
+
+    @property
+    def _withheld(self) -> tuple[str, ...]:
+        total = len(self.places)
+        none = int(np.isnan(self.places).all(axis=1).sum())
+        return (f"{none} of {total} fits gave no interval and are not counted.",) if none else ()
 
     def _repr_html_(self) -> str:
         """The table that a notebook shows."""
@@ -66,7 +72,7 @@ class Check:
         ]
         heads = ("parameter", "fits", *levels, f"{levels[-1]}, by chance", "z")
         title = "Share of fits whose interval holds the truth"
-        return record_html(heads, rows, title=title, notes=self.faults)
+        return record_html(heads, rows, title=title, notes=(*self.faults, *self._withheld))
 
 
 def check(
@@ -99,7 +105,7 @@ def check(
 
     Raises:
         InputError: for parameters without priors where no truth is given, unusable numbers, and
-            kept fits of another problem or seed.
+            kept fits of another problem or seed; where no fit gives an interval, with the reason.
 
     Example:
         >>> import fitting
@@ -164,4 +170,6 @@ def _given(problem: Problem, truth: dict[str, Any]) -> list[np.ndarray]:
     shaped = [
         np.broadcast_to(np.asarray(truth[p.name], float), p.shape or ()) for p in problem.free
     ]
+    if not all(np.isfinite(values).all() for values in shaped):
+        raise InputError("check: truth has values that are NaN or infinite; give finite ones.")
     return [np.array([value]) for values in shaped for value in values.ravel()]

@@ -44,13 +44,16 @@ def simulated(
         (simulations, parameters), NaN where a fit gave no interval.
 
     Raises:
-        InputError: where the fits that are kept are not those of `simulate`.
+        InputError: where the fits that are kept are not those of `simulate`, and where no fit
+            gave an interval, with the reason of the first.
     """
     rows = np.empty((0, parameters))
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
         if kept is not None and (found := _kept(kept)) is not None:
             own = found.ndim == 2 and found.shape[1] == parameters and found.dtype == rows.dtype
-            first = [_places((simulate, parameters), 0)] if own and len(found) else []
+            own = own and not np.any((found < 0) | (found > 1))
+            some = range(min(len(found), 2)) if own else ()
+            first = [_places((simulate, parameters), number) for number in some]
             if not own or not np.allclose(found[: len(first)], first, atol=SAME, equal_nan=True):
                 raise InputError(
                     f"{kept}: holds fits of another problem, seed or version; name a file (or "
@@ -65,7 +68,13 @@ def simulated(
             if kept is not None and (len(rows) % BLOCK == 0 or len(rows) == count):
                 with replaced_on_success(kept) as partial, partial.open("wb") as stream:
                     np.save(stream, rows)
-    return rows[:count]
+    rows = rows[:count]
+    if count and np.isnan(rows).all():
+        try:
+            simulate(0)
+        except InputError as error:
+            raise InputError(f"none of {count} fits gave an interval; the first: {error}") from None
+    return rows
 
 
 def _kept(file: Path) -> np.ndarray | None:
