@@ -61,7 +61,7 @@ def _lights_finding(calibration: ReflectanceCalibration) -> list[str]:
     left = {name: lights for name, lights in turned.items() if not lights.followed}
     if left:
         found.append(
-            f"{listed(left)}: to fit the images, lights would have to be turned by "
+            f"{listed([*left])}: to fit the images, lights would have to be turned by "
             f"{_times(left)} times direction_sd (rms): it is too small, or the model misses "
             "something else. They were left where the rig has them, and no highlight is told."
         )
@@ -74,7 +74,7 @@ def _lights_finding(calibration: ReflectanceCalibration) -> list[str]:
     wider = {name: lights for name, lights in followed.items() if lights.widened > 1}
     if wider:
         found.append(
-            f"{listed(wider)}: turns as large are no chance: direction_sd is too small, or the "
+            f"{listed([*wider])}: turns as large are no chance: direction_sd is too small, or the "
             "model misses something that turned lights take up. Intervals take the directions for "
             "as uncertain as that; give direction_sd as large as it is, and compare models."
         )
