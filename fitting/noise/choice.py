@@ -36,6 +36,7 @@ from .sampling import sampling_errors
 from .shared import drift, shared_noise
 
 SPURIOUS = 0.01  # chance of a term that a camera does not have
+SPURIOUS_SHARING = 0.001  # the same of neighbours that share charges, which leads the gain astray
 CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 
 
@@ -131,12 +132,15 @@ def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Paramete
 
 def _price(fit: LikelihoodFit, parameter: Parameter) -> float:
     """The squared Wald ratio that earns a parameter its place: Schwarz', and beyond that what comes
-    about by chance once in a hundred cameras, since errors do not know of the choice. A scatter of
+    about by chance once in a hundred cameras (once in a thousand of what neighbours share, which
+    moves the gain by as many errors), since errors do not know of the choice. A scatter of
     m lights about a curve of q terms is most likely too small by (m - q) / m, and uncertain, so
     that a term of the curve then has to pass Fisher's F."""
     price = float(np.log(observations(fit.data)))
     if parameter.transform == "log":
         return price
+    if parameter in (BRIGHTER_FATTER, PIXEL_MIXING):
+        return max(price, float(chdtri(1, SPURIOUS_SHARING)))
     if LIGHT_SCATTER not in fit.space or parameter not in CURVE:
         return max(price, float(chdtri(1, SPURIOUS)))
     lights = int(jnp.sum(fit.data.lit))
