@@ -202,8 +202,8 @@ def test_fixed_pattern_is_recovered_within_its_errors():
     within = ranges(measured)
     for found in (standard_pattern(measured, within), fitted_pattern(measured, np.arange(12))):
         dsnu_square, prnu_square = (camera.gain * camera.dsnu) ** 2, camera.prnu**2
-        assert abs(found.dark - dsnu_square) < 3 * found.dark_error
-        assert abs(found.response - prnu_square) < 3 * found.response_error
-        assert found.dark_error < 0.03 * dsnu_square
-        assert found.response_error < 0.1 * prnu_square
+        assert abs(found.dark.variance - dsnu_square) < 3 * found.dark.error
+        assert abs(found.response.variance - prnu_square) < 3 * found.response.error
+        assert found.dark.error < 0.03 * dsnu_square
+        assert found.response.error < 0.1 * prnu_square
     assert found.chi_square_per_dof < 2

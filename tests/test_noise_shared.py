@@ -225,7 +225,7 @@ def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
         )
         usable = np.arange(4)
         pattern = fitted_pattern(measured, usable)
-        z.append((pattern.response - 1e-4) / pattern.response_error)
+        z.append((pattern.response.variance - 1e-4) / pattern.response.error)
         found.append([unequal_gains(measured, usable, axis) for axis in (0, 1)])
     assert np.mean(np.abs(z) < 1.96) > 0.85
     assert 0.7 < np.std(z) < 1.4

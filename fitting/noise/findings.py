@@ -14,8 +14,9 @@ from .emva1288 import LEAST_DARK_VARIANCE
 from .fit import gain_drop
 from .misfit import MISFIT
 from .neighbours import are_known
-from .pattern import unequal_gains
-from .shared import Found, drift, extra_lines, fixed_lines, temporal_lines
+from .parts import Part, deviation_quantiles
+from .pattern import unequal_gains, unequal_offsets
+from .shared import Found, drift, extra_lines, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
@@ -23,22 +24,30 @@ FAR = 3.0  # standard errors between two figures that should agree
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
+    flicker = extra_in_flats(calibration)
     told = [
-        *_shared_by_flats(calibration),
-        *_efficiency(calibration),
-        *_linearity(calibration),
-        *_random_effects(calibration),
-        *_standard_scatter(calibration),
+        *_shared_by_flats(flicker),
+        *(_misfit(calibration) if flicker else _of_models(calibration)),
         *_near_black(calibration),
         *_saturation(calibration),
-        *_dark_current(calibration),
+        *([] if flicker else _dark_current(calibration)),
         *_linearity_errors(calibration),
-        *_shared(calibration),
+        *_shared(calibration, None if flicker else _shown(calibration, "system_gain")[0]),
         *_pattern(calibration),
         *_solver(calibration),
         *calibration.measurement.remarks,
     ]
     return tuple(told)
+
+
+def _of_models(calibration: NoiseCalibration) -> list[str]:
+    """What hangs on the variance being light's."""
+    return [
+        *_efficiency(calibration),
+        *_linearity(calibration),
+        *_random_effects(calibration),
+        *_standard_scatter(calibration),
+    ]
 
 
 def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
@@ -81,7 +90,7 @@ def extra_in_flats(calibration: NoiseCalibration) -> dict[str, Found]:
     return {name: one for name, one in found.items() if one.believed}
 
 
-def _shared_by_flats(calibration: NoiseCalibration) -> list[str]:
+def _shared_by_flats(flicker: dict[str, Found]) -> list[str]:
     return [
         f"The {name} of a flat share noise of "
         f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms, new in every "
@@ -89,7 +98,7 @@ def _shared_by_flats(calibration: NoiseCalibration) -> list[str]:
         "variance it passes for light's. Gain, responsivity, efficiency and what follows from them "
         "are not to be used, and no sensor is made from them: look for a flickering lamp or "
         "interference, or take darks and flats in the same state of the camera."
-        for name, one in extra_in_flats(calibration).items()
+        for name, one in flicker.items()
     ]
 
 
@@ -110,25 +119,35 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
     ]
 
 
-def _linearity(calibration: NoiseCalibration) -> list[str]:
-    linear, chosen = calibration.linear, calibration.chosen
-    ratio = linear.chi_square / linear.degrees
-    noise = (
-        "pixel noise only"
-        if linear.data.shared is None
-        else "pixel noise, and noise that rows, columns or frames of the darks share,"
+def _linear_model(calibration: NoiseCalibration) -> str:
+    if calibration.linear.data.shared is None:
+        return "A linear camera with pixel noise only"
+    return (
+        "A linear camera with pixel noise, and noise that rows, columns or frames of the darks "
+        "share,"
     )
+
+
+def _misfit(calibration: NoiseCalibration) -> list[str]:
+    linear = calibration.linear
     if linear.p_value >= MISFIT:
-        return [
-            f"A linear camera with {noise} explains every mean and variance: chi-square "
-            f"per degree of freedom {ratio:.2f} ({format_p(linear.p_value)})."
-        ]
-    told = [
-        f"A linear camera with {noise} does not explain the measurement: chi-square per "
-        f"degree of freedom {ratio:.3g} over {linear.degrees}; its K of "
+        return []
+    return [
+        f"{_linear_model(calibration)} does not explain the measurement: chi-square per degree of "
+        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}; its K of "
         f"{float(linear.values['system_gain']):.5g} DN/e⁻ and the small error it would claim are "
         "not to be used."
     ]
+
+
+def _linearity(calibration: NoiseCalibration) -> list[str]:
+    linear, chosen = calibration.linear, calibration.chosen
+    told = _misfit(calibration)
+    if not told:
+        return [
+            f"{_linear_model(calibration)} explains every mean and variance: chi-square per degree "
+            f"of freedom {linear.chi_square / linear.degrees:.2f} ({format_p(linear.p_value)})."
+        ]
     if "compression" in chosen.values:
         told += _compression(calibration)
     if "light_offset" in chosen.values:
@@ -239,7 +258,7 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
             f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
         )
-    elif chosen is not calibration.linear and not extra_in_flats(calibration):
+    elif chosen is not calibration.linear:
         told.append(
             "With that, nothing is left to explain: chi-square per degree of freedom "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."
@@ -318,14 +337,14 @@ def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
     ]
 
 
-def _shared(calibration: NoiseCalibration) -> list[str]:
-    """What rows, columns and frames of the darks share."""
+def _shared(calibration: NoiseCalibration, gain: float | None) -> list[str]:
+    """What rows, columns and frames of the darks share, in electrons; in DN where there is no gain
+    to be used."""
     dark = calibration.measurement.dark
     if dark.shared is None:
         return []
     variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
-    spatial = np.asarray(dark.spatial_variance)
-    gain, _ = _shown(calibration, "system_gain")
+    scale, unit = (1.0, "DN") if gain is None else (gain, "e⁻")
     told = []
     for axis, name in enumerate(("rows", "columns")):
         found = temporal_lines(dark.shared, variance, frames, axis)
@@ -335,25 +354,32 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
             error = found.error / (2 * found.deviation)
             told.append(
                 f"The {name} of a dark frame share noise of "
-                f"{format_with_error(found.deviation / gain, error / gain)} e⁻ rms, new in every "
-                "frame: it is part of the temporal noise "
-                f"({read / gain:.3g} e⁻), of which the pixels' own is {rest / gain:.3g} e⁻."
+                f"{format_with_error(found.deviation / scale, error / scale)} {unit} rms, new in "
+                f"every frame: it is part of the temporal noise ({read / scale:.3g} {unit}), of "
+                f"which the pixels' own is {rest / scale:.3g} {unit}."
             )
-        stays = fixed_lines(dark.shared, spatial, variance, frames, axis)
+    for stays, name in zip(unequal_offsets(dark), ("rows", "columns"), strict=False):
         if stays.believed:
             error = stays.error / (2 * stays.deviation)
             told.append(
                 f"The {name} of the darks are unequal by "
-                f"{format_with_error(stays.deviation / gain, error / gain)} e⁻ rms, the same in "
-                "every frame: banding, part of DSNU."
+                f"{format_with_error(stays.deviation / scale, error / scale)} {unit} rms, the same "
+                "in every frame: banding, part of DSNU."
             )
     wander = drift(dark.shared, variance, frames)
     if wander.believed:
         told.append(
-            f"From frame to frame the black level drifts by {wander.deviation:.3g} DN rms; it is "
+            f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms; it is "
             "left out of the temporal noise, and the errors of the levels' means know of it."
         )
     return told
+
+
+def _with_interval(found: Found) -> str:
+    """The root of a variance that a few frames tell, of as many degrees as its error says."""
+    part = Part(found.variance, 2 * (found.variance / found.error) ** 2)
+    low, _, value, _, high = deviation_quantiles(found.variance, 0.0, [part])
+    return f"{value:.3g} (95 %: {low:.3g} to {high:.3g})"
 
 
 def _pattern(calibration: NoiseCalibration) -> list[str]:
@@ -374,11 +400,11 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
                 f"The {name} of the flats are unequal by {format_with_error(size, error)} % rms, "
                 "the same in every frame: part of PRNU, of gains or of uneven light."
             )
-    ratio = fitted.chi_square_per_dof or 0.0
-    if ratio > 2:
+    if fitted.p_value is not None and fitted.p_value < MISFIT:
         told.append(
             "The pattern does not grow with signal as offsets and gains of pixels do: chi-square "
-            f"per degree of freedom {ratio:.3g}; the errors of the fit allow for it."
+            f"per degree of freedom {fitted.chi_square_per_dof:.3g} ({format_p(fitted.p_value)}); "
+            "the errors of the fit allow for it."
         )
     return told
 

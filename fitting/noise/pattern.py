@@ -4,21 +4,55 @@
     s^2 = s_dark^2 + PRNU^2 (mu_y - mu_y.dark)^2   what dark signal and gain of the pixels add up to
 
 The standard (EMVA 1288, release 3.1) takes one dark level and one at half of saturation; the
-weighted fit takes all. Uneven light counts as PRNU in both. Errors are those of the population
-that the die's n pixels are a sample of: 2 s^4 / n for the pattern itself, beside temporal noise.
+weighted fit takes all. Uneven light counts as PRNU in both. Both stand for the population that the
+die is a sample of. A variance over n pixels has 1 - 1 / w of what w unequal columns contribute, so
+what rows and columns are believed to share is raised to that of their population; and each part is
+known as a chi-square of n, or of w - 1, degrees lets it be (`parts`).
+
+Offsets and gains that have nothing to do with each other still have a covariance c in a sample,
+which adds 2 c (mu_y - mu_y.dark) to s^2. It is 0 on average and counts as an error.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .emva1288 import Ranges
 from .levels import LINEAR_TOP, Levels, PhotonTransfer
-from .shared import Found, one_pattern
+from .misfit import p_value
+from .parts import Part, sampling_variance
+from .shared import Found, fixed_lines, one_pattern
 
 HALF = 0.5  # of the saturation signal: where the standard measures PRNU
 SEEN = 2.0  # standard errors above zero from which a pattern variance is a finding
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Variance of a property of the pixels over their population.
+
+    Attributes:
+        variance: DN^2 of offsets; of gains relative, no unit.
+        noise: its standard error by temporal noise.
+        parts: of pixels, and of rows and columns where their means are known; 0 where rows or
+            columns are not believed to differ.
+    """
+
+    variance: float
+    noise: float
+    parts: tuple[Part, ...]
+
+    @property
+    def error(self) -> float:
+        """Standard error, with that of a die that stands for its population."""
+        return float(np.sqrt(self.noise**2 + sampling_variance(self.parts)))
+
+    @property
+    def seen(self) -> bool:
+        """Whether temporal noise does not hide it."""
+        return self.variance > SEEN * self.noise
 
 
 @dataclass(frozen=True)
@@ -27,18 +61,16 @@ class PatternVariance:
 
     Attributes:
         dark: s_dark^2, DN^2.
-        dark_error: its standard error.
         response: PRNU^2, no unit.
-        response_error: its standard error.
         chi_square_per_dof: of the fit to all levels; None for the standard's two.
+        p_value: how often chance gives as large a chi-square; None for the standard's two.
         level: the bright level used; None where all were.
     """
 
-    dark: float
-    dark_error: float
-    response: float
-    response_error: float
+    dark: Spread
+    response: Spread
     chi_square_per_dof: float | None = None
+    p_value: float | None = None
     level: int | None = None
 
 
@@ -66,39 +98,50 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     return pattern, by_noise
 
 
-def population_variance(levels: Levels, pattern: Float[np.ndarray, " levels"]) -> np.ndarray:
-    """Variance with which a die's n pixels, and its rows and columns, stand for their population.
+def unequal_offsets(dark: Levels) -> tuple[Found, ...]:
+    """How unequal rows and columns of the darks are, of all levels together.
 
     Args:
-        levels: of pixels.
-        pattern: (levels,) their spatial variance, DN^2.
+        dark: levels without light.
 
     Returns:
-        (levels,) DN^4.
+        Variances of rows and of columns, DN^2; none where only pixels are known.
     """
-    lines = sum(2 * np.maximum(fixed, 0) ** 2 / count for fixed, _, count in _lines(levels))
-    return 2 * pattern**2 / float(levels.pixels) + lines
+    shared, spatial = dark.shared, dark.spatial_variance
+    if shared is None or spatial is None:
+        return ()
+    levels = np.asarray(spatial), np.asarray(dark.variance), np.asarray(dark.frames)
+    return tuple(fixed_lines(shared, *levels, axis) for axis in (0, 1))
 
 
-def response_population_variance(
-    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], response: float
-) -> float:
-    """Variance with which a die's pixels, rows and columns stand for the gains of their population.
+def _of_population(levels: Levels, of_die: float, noise: float, lines: Sequence[Found]) -> Spread:
+    """A variance over the pixels of a die, as that of their population.
 
     Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-        response: PRNU^2.
-
-    Returns:
-        Of PRNU^2, no unit.
+        levels: of which it is.
+        of_die: the variance.
+        noise: its error by temporal noise.
+        lines: the part of rows and of columns; nothing where only pixels are known.
     """
-    found = 2 * response**2 / float(measurement.bright.pixels)
-    if measurement.bright.shared is None or measurement.dark.shared is None:
-        return found
-    for axis, count in enumerate(np.asarray(measurement.bright.shared.shape)):
-        found += 2 * max(unequal_gains(measurement, usable, axis).variance, 0.0) ** 2 / float(count)
-    return found
+    n = float(levels.pixels)
+    counts = () if levels.shared is None else levels.shared.shape
+    parts = [
+        Part(line.variance if line.believed else 0.0, max(float(count) - 1, 1.0))
+        for line, count in zip(lines, counts, strict=False)
+    ]
+    # Of w columns of n / w pixels the die has (w - 1) (n / w) / (n - 1).
+    lost = sum(part.variance * (n / (part.degrees + 1) - 1) / (n - 1) for part in parts)
+    variance = of_die + lost
+    own = max(variance - sum(part.variance for part in parts), 0.0)
+    return Spread(float(variance), noise, (Part(float(own), n), *parts))
+
+
+def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
+    """Variance over dies of the covariance between offsets and gains that are independent, DN^2."""
+    lines = zip(dark.parts[1:], response.parts[1:], strict=False)
+    return max(dark.variance, 0.0) * max(response.variance, 0.0) / pixels + sum(
+        one.variance * other.variance / one.degrees for one, other in lines
+    )
 
 
 def unequal_gains(
@@ -138,6 +181,14 @@ def unequal_gains(
     )
 
 
+def _all_unequal_gains(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> tuple[Found, ...]:
+    if measurement.bright.shared is None or measurement.dark.shared is None:
+        return ()
+    return tuple(unequal_gains(measurement, usable, axis) for axis in (0, 1))
+
+
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """(fixed variance, temporal variance, how many) of rows and of columns."""
     shared = levels.shared
@@ -170,16 +221,14 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     frames = np.minimum(np.asarray(bright.frames), np.asarray(dark.frames)[matched])[linear]
     level = int(linear[np.lexsort((np.abs(signal[linear] - half), -frames))[0]])
     own = matched[level]
-    square = signal[level] ** 2
-    variances = by_noise + population_variance(bright, pattern)
-    dark_variances = dark_by_noise + population_variance(dark, dark_pattern)
-    return PatternVariance(
-        dark=float(dark_pattern[own]),
-        dark_error=float(np.sqrt(dark_variances[own])),
-        response=float((pattern[level] - dark_pattern[own]) / square),
-        response_error=float(np.sqrt(variances[level] + dark_variances[own]) / square),
-        level=level,
-    )
+    noise = float(np.sqrt(dark_by_noise[own]))
+    offsets = _of_population(dark, float(dark_pattern[own]), noise, unequal_offsets(dark))
+    of_die = float(pattern[level] - dark_pattern[own]) / signal[level] ** 2
+    gains = _all_unequal_gains(measurement, linear)
+    response = _of_population(bright, of_die, 0.0, gains)
+    chance = 4 * signal[level] ** 2 * _chance_covariance(offsets, response, float(bright.pixels))
+    noise = float(np.sqrt(by_noise[level] + dark_by_noise[own] + chance) / signal[level] ** 2)
+    return PatternVariance(offsets, replace(response, noise=noise), level=level)
 
 
 def fitted_pattern(
@@ -194,27 +243,39 @@ def fitted_pattern(
     Returns:
         The pattern.
     """
-    pattern, by_noise = pattern_variance(measurement.bright)
-    dark_pattern, dark_by_noise = pattern_variance(measurement.dark)
-    square = np.concatenate([_signal(measurement)[usable] ** 2, np.zeros(len(dark_pattern))])
+    bright, dark = measurement.bright, measurement.dark
+    pattern, by_noise = pattern_variance(bright)
+    dark_pattern, dark_by_noise = pattern_variance(dark)
+    signal = np.concatenate([_signal(measurement)[usable], np.zeros(len(dark_pattern))])
     observed = np.concatenate([pattern[usable], dark_pattern])
-    spread = np.sqrt(np.concatenate([by_noise[usable], dark_by_noise]))
-    design = np.stack([np.ones_like(square), square], axis=1) / spread[:, None]
-    covariance = np.linalg.inv(design.T @ design)
-    found = covariance @ (design.T @ (observed / spread))
-    chi_square = float(np.sum((observed / spread - design @ found) ** 2))
+    by_noise = np.concatenate([by_noise[usable], dark_by_noise])
+    told = by_noise > 0  # by levels whose frames are not all alike
+    signal, observed, by_noise = signal[told], observed[told], by_noise[told]
+    unequal = unequal_offsets(dark), _all_unequal_gains(measurement, usable)
+    design = np.stack([np.ones_like(signal), signal**2], axis=1)
     degrees = max(len(observed) - 2, 1)
-    covariance = covariance * max(chi_square / degrees, 1)
-    of_dark = population_variance(measurement.dark, np.full(len(dark_pattern), found[0]))
-    of_response = response_population_variance(measurement, usable, float(found[1]))
-    of_sample = np.array([np.median(of_dark), of_response])
-    errors = np.sqrt(np.diagonal(covariance) + of_sample)
+
+    def fit(chance: float) -> tuple[Spread, Spread, float]:
+        """Offsets, gains and chi-square, given the variance of their chance covariance."""
+        weights = np.linalg.inv(np.diag(by_noise) + 4 * chance * np.outer(signal, signal))
+        covariance = np.linalg.inv(design.T @ weights @ design)
+        found = covariance @ (design.T @ (weights @ observed))
+        left = observed - design @ found
+        chi_square = float(left @ weights @ left)
+        noise = np.sqrt(np.diagonal(covariance) * max(chi_square / degrees, 1))
+        offsets, gains = (
+            _of_population(levels, float(one), float(error), lines)
+            for levels, one, error, lines in zip((dark, bright), found, noise, unequal, strict=True)
+        )
+        return offsets, gains, chi_square
+
+    offsets, gains, _ = fit(0.0)
+    offsets, gains, chi_square = fit(_chance_covariance(offsets, gains, float(bright.pixels)))
     return PatternVariance(
-        dark=float(found[0]),
-        dark_error=float(errors[0]),
-        response=float(found[1]),
-        response_error=float(errors[1]),
+        offsets,
+        gains,
         chi_square_per_dof=chi_square / degrees,
+        p_value=p_value(chi_square, degrees),
     )
 
 

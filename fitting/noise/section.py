@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from ..inference.estimates import Estimate, not_determined
+from ..inference.estimates import Estimate, not_determined, quantile_estimate
 from ..inference.parameters import names
 from ..report.left_out import left_out_tables
 from ..report.section import Section, Table
@@ -13,6 +13,7 @@ from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
 from .findings import extra_in_flats, findings, is_impossible
+from .parts import deviation_quantiles
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
@@ -135,17 +136,20 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
         ),
     ):
         if name == "dsnu":
-            square, error, scale = pattern.dark / k**2, pattern.dark_error / k**2, 1.0
+            spread, scale = pattern.dark, 1 / k
         else:
-            square, error, scale, relative = pattern.response, pattern.response_error, 100.0, 0.0
-        if square < SEEN * error:
-            bound = scale * np.sqrt(max(square, 0) + SEEN * error)
+            spread, scale, relative = pattern.response, 100.0, 0.0
+        if not spread.seen:
+            bound = scale * np.sqrt(max(spread.variance, 0) + SEEN * spread.noise)
             reason = f"hidden under temporal noise, below {bound:.3g} {unit}; take more frames"
             found.append(not_determined(quantity, reason, method=method))
             continue
-        value = float(np.sqrt(square))
-        spread = np.hypot(error / (2 * value), value * relative)
-        found.append(sheet_estimate(quantity, scale * value, scale * float(spread), method))
+        value = float(np.sqrt(spread.variance))
+        error = scale * np.hypot(spread.error / (2 * value), value * relative)
+        ends = scale * deviation_quantiles(
+            spread.variance, spread.noise, spread.parts, relative=relative
+        )
+        found.append(quantile_estimate(quantity, scale * value, error, ends, method=method))
     return tuple(found)
 
 

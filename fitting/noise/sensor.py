@@ -13,7 +13,6 @@ from jaxvision.camera_files import write_sensor
 from ..inference.parameters import names
 from .brighter_fatter import fitted_effect, fitted_kernel
 from .calibration import NoiseCalibration
-from .pattern import SEEN
 
 DRAWS = 1000  # kept at most
 
@@ -83,6 +82,5 @@ def _patterns(calibration: NoiseCalibration) -> tuple[float | None, float | None
         return None, None
     found = calibration.patterns[1]
     gain = float(calibration.chosen.values["system_gain"])
-    dark = np.sqrt(found.dark) / gain if found.dark > SEEN * found.dark_error else None
-    seen = found.response > SEEN * found.response_error
-    return dark, float(np.sqrt(found.response)) if seen else None
+    dark = np.sqrt(found.dark.variance) / gain if found.dark.seen else None
+    return dark, float(np.sqrt(found.response.variance)) if found.response.seen else None

@@ -98,8 +98,8 @@ def figures(calibration):
     values = {name: float(x) for name, x in calibration.standard.values.items()}
     pattern, _ = calibration.patterns
     fixed = {
-        "dsnu": np.sqrt(pattern.dark) / values["system_gain"],
-        "prnu": 100 * np.sqrt(pattern.response),
+        "dsnu": np.sqrt(pattern.dark.variance) / values["system_gain"],
+        "prnu": 100 * np.sqrt(pattern.response.variance),
     }
     return values | fixed
 

@@ -15,7 +15,8 @@ from ...inference.estimates import find
 from ..calibration import LIKELIHOOD, NoiseCalibration
 from ..levels import CLEAR_OF_CLIPPING
 from ..misfit import MISFIT, p_value
-from ..pattern import SEEN, population_variance, response_population_variance
+from ..parts import Part
+from ..pattern import SEEN
 
 AT_FULL_SCALE = 0.98  # of it, from which a brightest level counts as the converter's end
 
@@ -27,14 +28,16 @@ class Pooled:
     Attributes:
         settings: indices of those that enter.
         value: of full well, e-; of a pattern its variance, e-^2 or relative squared.
-        error: its standard error.
+        error: its standard error; of a pattern by temporal noise alone.
         chi_square: of the settings about it.
+        parts: of a pattern's variance, in which the die stands for its population.
     """
 
     settings: tuple[int, ...]
     value: float
     error: float
     chi_square: float
+    parts: tuple[Part, ...] = ()
 
     @property
     def p_value(self) -> float:
@@ -104,21 +107,16 @@ def pattern(
     for i, one in enumerate(calibrations):
         if one is None or one.patterns is None:
             continue
-        fitted, dark = one.patterns[1], one.measurement.dark
-        if which == "prnu":
-            of_die = response_population_variance(one.measurement, one.usable, fitted.response)
-            found.append((i, fitted.response, fitted.response_error**2 - of_die, of_die))
-        else:
-            known = population_variance(dark, np.full(dark.mean.size, fitted.dark))
-            of_die, scale = float(np.median(known)), float(gains[i]) ** 2
-            rest = fitted.dark_error**2 - of_die
-            found.append((i, fitted.dark / scale, rest / scale**2, of_die / scale**2))
+        fitted = one.patterns[1]
+        spread = fitted.response if which == "prnu" else fitted.dark
+        scale = 1.0 if which == "prnu" else float(gains[i]) ** 2
+        parts = tuple(Part(part.variance / scale, part.degrees) for part in spread.parts)
+        found.append((i, spread.variance / scale, spread.noise / scale, parts))
     if not found:
         return None
-    index, values, variances, of_die = (np.array(column) for column in zip(*found, strict=True))
-    average, error, chi_square = _average(values, np.sqrt(variances))
-    die = float(np.median(of_die))
-    return Pooled(tuple(index.tolist()), average, float(np.hypot(error, np.sqrt(die))), chi_square)
+    settings, values, errors, parts = zip(*found, strict=True)
+    average, error, chi_square = _average(np.array(values), np.array(errors))
+    return Pooled(settings, average, error, chi_square, parts[int(np.argmin(errors))])
 
 
 def _average(values: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:

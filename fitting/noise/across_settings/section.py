@@ -11,6 +11,7 @@ from ...inference.estimates import QUANTILES, Estimate, not_determined, quantile
 from ...inference.parameters import Parameter, names
 from ...report.section import Section, Table
 from ..calibration import NoiseCalibration
+from ..parts import Part, deviation_quantiles, sampling_variance
 from ..pattern import SEEN
 from ..section import section as section_of_one
 from .calibration import CameraCalibration
@@ -162,15 +163,22 @@ def _drawn(
     return quantile_estimate(what, value, np.std(draws), np.quantile(draws, QUANTILES), group=group)
 
 
-def _root(what: Parameter, square: float, error: float, under: str, scale: float = 1.0) -> Estimate:
-    """The root of a variance that may come out negative."""
+def _root(
+    what: Parameter,
+    square: float,
+    error: float,
+    under: str,
+    scale: float = 1.0,
+    parts: tuple[Part, ...] = (),
+) -> Estimate:
+    """The root of a variance that may come out negative, beside parts known from samples."""
     if square < SEEN * error:
         bound = scale * np.sqrt(max(square, 0) + SEEN * error)
         return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")
     value = np.sqrt(square)
-    steps = ndtri(QUANTILES)
-    ends = scale * np.sqrt(np.maximum(square + steps * error, 0))
-    return quantile_estimate(what, scale * value, scale * error / (2 * value), ends)
+    total = np.sqrt(error**2 + sampling_variance(parts))
+    ends = scale * deviation_quantiles(square, error, parts)
+    return quantile_estimate(what, scale * value, scale * total / (2 * value), ends)
 
 
 def _read_noises(
@@ -202,7 +210,7 @@ def _of_die(calibration: CameraCalibration) -> list[Estimate]:
     ):
         if pooled is not None and pooled.holds:
             under = "temporal noise; take more frames"
-            found.append(_root(what, pooled.value, pooled.error, under, scale))
+            found.append(_root(what, pooled.value, pooled.error, under, scale, pooled.parts))
     return found
 
 

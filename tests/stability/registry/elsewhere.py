@@ -589,8 +589,9 @@ ELSEWHERE = (
             fitting.noise.model: log_likelihood_terms named negative_log_density predicted_moments
             fitting.noise.model: expected_neighbours scatter_prior
             fitting.noise.neighbours.*
-            fitting.noise.pattern: fitted_pattern pattern_variance population_variance
-            fitting.noise.pattern: response_population_variance standard_pattern unequal_gains
+            fitting.noise.parts.*
+            fitting.noise.pattern: fitted_pattern pattern_variance standard_pattern unequal_gains
+            fitting.noise.pattern: unequal_offsets
             fitting.noise.quantised: quantised_moments window_for
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
