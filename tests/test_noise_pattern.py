@@ -59,10 +59,10 @@ def level_of(frames):
     for frame in frames[1:]:
         moments.add(frame - frames[0])
     wander = frames.mean(axis=(1, 2)).var(ddof=1)
-    variance = frames.var(axis=0, ddof=1).mean() - wander
+    parts = moments.temporal(frames.var(axis=0, ddof=1).mean(), wander)
     average = frames.mean(axis=0)
-    spatial = average.var(ddof=1)
-    return average.mean(), variance, spatial, *moments.shared(average, variance, wander)
+    lines = parts.rows, parts.columns, *moments.fixed(average, parts), parts.frames
+    return average.mean(), parts.of_a_pixel, average.var(ddof=1), *lines
 
 
 def measured(rng, size, *, dark_columns=0.0, gain_columns=0.0, wander=0.0, frames=4, darks=2):

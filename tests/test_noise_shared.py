@@ -123,7 +123,7 @@ def test_row_noise_widens_the_pattern():
         levels = Levels(0 * one, one, 100 * one, *of)
         pattern, by_noise = pattern_variance(levels)
         z += list(pattern / np.sqrt(by_noise))
-    assert abs(np.mean(z)) < 0.2
+    assert abs(np.mean(z)) < 0.1
     assert 0.8 < np.std(z) < 1.2
 
 

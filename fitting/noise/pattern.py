@@ -86,7 +86,9 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     measured, temporal, frames = (
         np.asarray(x) for x in (levels.spatial_variance, levels.variance, levels.frames)
     )
-    n, rest = float(levels.pixels), temporal / frames
+    # Of h rows' noise, a variance over the pixels of a frame has (h - 1) / h.
+    common = sum(varying / count for _, varying, count in _lines(levels))
+    n, rest = float(levels.pixels), (temporal - common) / frames
     pattern = measured - rest
 
     def of(pattern: np.ndarray, rest: np.ndarray, count: float) -> np.ndarray:
