@@ -287,8 +287,8 @@ def fitted(
     if not bool(jnp.isfinite(solution.cost)):
         raise InputError(
             "the likelihood of the levels is nowhere finite; look for levels whose frames are all "
-            "alike, as clipped or hardly dithered ones are, or whose light flickers within a frame, "
-            "and leave them out."
+            "alike, as clipped or hardly dithered ones are, or whose light flickers within a "
+            "frame, and leave them out."
         )
     residuals = _residuals(vector, (among or space, data))
     chi_square = float(sum(jnp.sum(x**2) for x in jax.tree.leaves(residuals)))
