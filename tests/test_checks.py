@@ -317,4 +317,4 @@ def test_bands_of_a_response_hold(case):
 def test_a_dark_whose_frames_are_all_alike_is_refused():
     """Its variance of 0 has no likelihood: errors of 1e-13 were printed for it."""
     with pytest.raises(InputError, match="frames are all alike"):
-        noise.places(noise.CASES["fine read noise"], 47)
+        noise.places(noise.CASES["fine read noise"], 1009)
