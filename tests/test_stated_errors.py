@@ -14,6 +14,7 @@ from fitting.checks.simulations import simulated
 from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.calibration import open_parameters
+from fitting.reflectance.from_images.comparison import relative_error
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.model import (
     Form,
@@ -89,6 +90,9 @@ def test_a_turned_light_is_turned_back(fitted, about):
     believed = (fit(**wrong).vector - right.vector) / error
     assert (np.abs(believed).max() > 1) == (about == 0)
     doubted = fit(**wrong, uncertain={"direction_sd": known})
+    rig = replace(observation, **wrong, uncertain={"direction_sd": known})
+    missed = relative_error(rig, doubted, doubted.selection)
+    assert missed == pytest.approx(relative_error(observation, right, right.selection), rel=1e-3)
     left = np.linalg.inv(doubted.information - doubted.stated.lost)
     beyond = np.diagonal(left - np.linalg.inv(doubted.information))
     np.testing.assert_array_less(

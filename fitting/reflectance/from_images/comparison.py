@@ -22,7 +22,7 @@ from ...inference.formatting import format_with_error
 from ...report.section import Table
 from ..models import LABELS
 from ..names import Model
-from .fit import ChannelFit
+from .fit import ChannelFit, lights_as_fitted
 from .model import predicted_dn
 from .read import ReflectanceObservation
 from .samples import Selection, make_samples
@@ -135,7 +135,7 @@ def squares_by_light(
     if not len(selection.light):
         return None
     channel = observation.channels.index(fit.channel)
-    samples = make_samples(observation, channel, fit.form, selection)
+    samples = make_samples(lights_as_fitted(observation, fit), channel, fit.form, selection)
     predicted = np.asarray(predicted_dn(jnp.asarray(fit.vector), samples), np.float64)
     measured = np.asarray(samples.dn, np.float64)
     trusted = measured < observation.clip

@@ -201,7 +201,7 @@ def _per_unit_light(
     step = max(1, len(calibration.fitted.light) // MOST_POINTS)
     selection = Selection(calibration.fitted.light[::step], calibration.fitted.pixel[::step])
     channel = observation.channels.index(fit.channel)
-    samples = make_samples(observation, channel, fit.form, selection)
+    samples = make_samples(lights_as_fitted(observation, fit), channel, fit.form, selection)
     vector = jnp.asarray(fit.vector)
     gamma = encoding_gamma(vector, samples)
     linear = np.asarray(decoded(samples.dn, samples.black, samples.white, gamma))
