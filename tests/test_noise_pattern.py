@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles.frames import level_of
 from scipy import stats
 
 from fitting import noise
@@ -15,7 +16,7 @@ from fitting.noise.parts import Part, deviation_quantiles, sampling_variance
 from fitting.noise.pattern import PatternVariance, Spread, fitted_pattern
 from fitting.noise.quantities import QUANTITIES
 from fitting.noise.section import _pattern_estimates
-from fitting.noise.shared import Moments, shared_variance
+from fitting.noise.shared import shared_variance
 from fitting.rig import Camera
 
 ENDS = np.array([0.025, 0.16, 0.5, 0.84, 0.975])
@@ -53,18 +54,6 @@ def test_a_sum_of_parts_is_covered():
     assert np.all(np.abs(misses - 75) < 34)
 
 
-def level_of(frames):
-    """(mean, variance, spatial variance, what lines share) of one level."""
-    moments = Moments(frames[0])
-    for frame in frames[1:]:
-        moments.add(frame - frames[0])
-    wander = frames.mean(axis=(1, 2)).var(ddof=1)
-    parts = moments.temporal(frames.var(axis=0, ddof=1).mean(), wander)
-    average = frames.mean(axis=0)
-    lines = parts.rows, parts.columns, *moments.fixed(average, parts), parts.frames
-    return average.mean(), parts.of_a_pixel, average.var(ddof=1), *lines
-
-
 def measured(rng, size, *, dark_columns=0.0, gain_columns=0.0, wander=0.0, frames=4, darks=2):
     """Six levels up to 2500 DN, pixels of 0.5 DN and 0.5 %, and unequal columns."""
     offsets = 0.5 * rng.standard_normal(size) + dark_columns * rng.standard_normal(size[1])
@@ -75,7 +64,9 @@ def measured(rng, size, *, dark_columns=0.0, gain_columns=0.0, wander=0.0, frame
         for signal in signals:
             mean = 64 + offsets + signal * gains
             noisy = mean + np.sqrt(2.25 + 0.25 * signal) * rng.standard_normal((frames, *size))
-            rows.append(level_of(noisy + wander * rng.standard_normal((frames, 1, 1))))
+            taken = noisy + wander * rng.standard_normal((frames, 1, 1))
+            average, variance, lines = level_of(taken)
+            rows.append((average.mean(), variance, average.var(ddof=1), *lines))
         mean, variance, spatial, *lines = np.array(rows).T
         one = np.ones(len(signals))
         return Levels(

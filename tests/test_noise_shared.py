@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles.frames import level_of
 
 from fitting import noise
 from fitting.noise.calibration import calibrate
@@ -25,17 +26,6 @@ from fitting.noise.shared import (
 from fitting.rig import Camera
 
 H, W, FRAMES, LEVELS = 24, 40, 3, 4
-
-
-def level_of(stack):
-    """Average, temporal variance and what lines share, of one level's frames."""
-    moments = Moments(stack[0])
-    for frame in stack[1:]:
-        moments.add(frame - stack[0])
-    wander = stack.mean(axis=(1, 2)).var(ddof=1)
-    average, parts = stack.mean(axis=0), moments.temporal(stack.var(axis=0, ddof=1).mean(), wander)
-    lines = parts.rows, parts.columns, *moments.fixed(average, parts), parts.frames
-    return average, parts.of_a_pixel, lines
 
 
 def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames=0.0):
