@@ -22,7 +22,7 @@ from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
 from ..inference.priors import LogNormal
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
-SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=5.0)  # where images show it: nearly flat in ln tau
+SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=2.5)  # where images show it: within a factor of 12
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
 MOST_STEPS, NEAR = 100, 1e-6  # toward a quantile
