@@ -204,7 +204,7 @@ def _pixel_variance(found: Solution, noise: np.ndarray, bins: CodeBins) -> np.nd
     """Variance of g at centres from a covariance of the right-hand side."""
     size = len(found.means)
     rows = at_centres(found.covariance[:size], bins)
-    return np.maximum(np.einsum("ij,jk,ik->i", rows, noise, rows), 0)
+    return np.maximum(np.sum((rows @ noise) * rows, axis=1), 0)
 
 
 def _prediction_error(

@@ -237,16 +237,14 @@ def equations_of(
     size = len(statistics.score) - len(log_t)
     curve, errors = slice(0, size), slice(size, None)
     mixed, times = statistics.matrix[curve, errors], statistics.matrix[errors, errors]
-    score = statistics.score
-    return Equations(
-        np.block(
-            [
-                [statistics.matrix[curve, curve], mixed @ basis],
-                [basis.T @ mixed.T, basis.T @ times @ basis],
-            ]
-        ),
-        np.concatenate([score[curve] - mixed @ log_t, basis.T @ (score[errors] - times @ log_t)]),
-    )
+    score, unknowns = statistics.score, size + basis.shape[1]
+    matrix = np.empty((unknowns, unknowns))
+    matrix[curve, curve] = statistics.matrix[curve, curve]
+    matrix[curve, errors] = mixed @ basis
+    matrix[errors, curve] = matrix[curve, errors].T
+    matrix[errors, errors] = basis.T @ times @ basis
+    right = [score[curve] - mixed @ log_t, basis.T @ (score[errors] - times @ log_t)]
+    return Equations(matrix, np.concatenate(right))
 
 
 def _design_effect(
@@ -260,7 +258,7 @@ def _design_effect(
         return known
     pulls = np.stack([tile.matrix @ mean - tile.right for tile in tiles])
     pulls -= pulls.mean(axis=0)
-    spread = np.einsum("ki,ij,kj->", pulls, covariance, pulls) * len(tiles) / (len(tiles) - 1)
+    spread = np.sum((pulls @ covariance) * pulls) * len(tiles) / (len(tiles) - 1)
     return max(1.0, float(spread / np.sum(covariance * matrix)))
 
 
