@@ -8,13 +8,17 @@ import pytest
 from oracles.frames import level_of
 
 from fitting import noise
+from fitting.noise.across_settings.calibration import calibrate_settings
+from fitting.noise.across_settings.setting import FramesOfSetting
 from fitting.noise.calibration import calibrate
 from fitting.noise.emva1288 import ranges, sheet, statistics
-from fitting.noise.findings import extra_in_flats, findings
+from fitting.noise.findings import findings
 from fitting.noise.fit import base_space, fitted, noise_data
+from fitting.noise.flicker import WHY, extra_in_flats
 from fitting.noise.levels import Levels, linear_levels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
 from fitting.noise.sampling import sampling_errors
+from fitting.noise.settings import Setting
 from fitting.noise.shared import (
     Moments,
     drift,
@@ -24,6 +28,7 @@ from fitting.noise.shared import (
     temporal_lines,
 )
 from fitting.rig import Camera
+from jaxvision.errors import InputError
 
 H, W, FRAMES, LEVELS = 24, 40, 3, 4
 
@@ -243,6 +248,40 @@ def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
         only = found(7.5, 0.0)
         assert list(only) == ["rows"]
         assert abs(only["rows"].variance - (0.25 * 7.5) ** 2) < 4 * only["rows"].error
+
+
+@pytest.mark.long
+def test_nothing_is_made_of_light_that_flickers():
+    """Lines of flats that err by 3 %, anew in every frame: what light enters is declined, and in a
+    fit over settings this one is left out. Of these frames no smaller model has a likelihood where
+    a larger one ends."""
+    rng, photons = np.random.default_rng(2), np.linspace(0.02, 1, 8) * 20_000
+
+    def frames(mean):
+        rows = 1 + 0.03 * rng.standard_normal((4, 48, 1))
+        electrons = rng.poisson(mean / 2 * rows * np.ones((4, 48, 64)))
+        electrons = electrons + 6 * rng.standard_normal((4, 48, 64))
+        electrons += 7.5 * rng.standard_normal((4, 48, 1))
+        return list(np.clip(np.round(64 + 0.25 * electrons), 0, 4095))
+
+    measured = noise.from_frames(
+        [frames(p) for p in photons],
+        [frames(0.0) for _ in photons],
+        [0.01] * 8,
+        list(photons),
+        camera=Camera(bits=12),
+    )
+    calibration = calibrate(measured)
+    shown = calibration.section
+    given = {one.name for one in shown.estimates if one.value is not None}
+    assert given <= {"temporal_dark_noise", "black_level", "black_scatter"}
+    assert {one.reason for one in shown.estimates if one.value is None} == {WHY}
+    assert [row[-1] for row in shown.tables[0].rows] == [None, None]
+    assert shown.findings[0].startswith("The rows of a flat share noise of ")
+    assert not shown.records
+    settings = [FramesOfSetting(Setting(gain=gain), measured) for gain in (100, 200)]
+    with pytest.raises(InputError, match=f"ISO 100 is left out of the fit: {WHY}"):
+        calibrate_settings(settings, calibrations=[calibration, calibration])
 
 
 @pytest.mark.filterwarnings("error")

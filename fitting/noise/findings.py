@@ -1,8 +1,5 @@
 """What a noise calibration has to say, in sentences: misfit first, then what was done about it."""
 
-from dataclasses import replace
-
-import jax
 import numpy as np
 
 from ..inference.diagnostics import identifiability
@@ -12,11 +9,12 @@ from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
 from .emva1288 import LEAST_DARK_VARIANCE
 from .fit import gain_drop
+from .flicker import extra_in_flats, flicker_in_words
 from .misfit import MISFIT
 from .neighbours import are_known
 from .parts import Part, deviation_quantiles
 from .pattern import unequal_gains, unequal_offsets
-from .shared import Found, drift, extra_lines, temporal_lines
+from .shared import Found, drift, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
@@ -26,7 +24,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
     flicker = extra_in_flats(calibration)
     told = [
-        *_shared_by_flats(flicker),
+        *flicker_in_words(flicker),
         *(_misfit(calibration) if flicker else _of_models(calibration)),
         *_near_black(calibration),
         *_saturation(calibration),
@@ -63,43 +61,6 @@ def is_impossible(calibration: NoiseCalibration) -> bool:
         calibration: of a camera.
     """
     return calibration.efficiency is not None and calibration.efficiency > 1
-
-
-def extra_in_flats(calibration: NoiseCalibration) -> dict[str, Found]:
-    """Noise that rows or columns of the flats share and those of the darks do not: no model of the
-    calibration has it.
-
-    Args:
-        calibration: of a camera.
-
-    Returns:
-        What is believed, by "rows" and "columns".
-    """
-    bright, dark = calibration.measurement.bright, calibration.measurement.dark
-    if bright.shared is None or dark.shared is None:
-        return {}
-    usable = calibration.usable
-    lit = jax.tree.map(lambda x: x[usable], replace(bright.shared, shape=None))
-    lit = replace(lit, shape=bright.shared.shape)
-    of_bright = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
-    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
-    found = {
-        name: extra_lines(lit, dark.shared, of_bright, of_dark, axis)
-        for axis, name in enumerate(("rows", "columns"))
-    }
-    return {name: one for name, one in found.items() if one.believed}
-
-
-def _shared_by_flats(flicker: dict[str, Found]) -> list[str]:
-    return [
-        f"The {name} of a flat share noise of "
-        f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms, new in every "
-        "frame, that the darks do not have: no model here knows of it, and where it is part of the "
-        "variance it passes for light's. Gain, responsivity, efficiency and what follows from them "
-        "are not to be used, and no sensor is made from them: look for a flickering lamp or "
-        "interference, or take darks and flats in the same state of the camera."
-        for name, one in flicker.items()
-    ]
 
 
 def _efficiency(calibration: NoiseCalibration) -> list[str]:

@@ -281,6 +281,10 @@ def fitted(
     """
     if among:
         solution, vector = _fit_among(among, space, data, standard, near)
+        if near is not None and not bool(
+            jnp.isfinite(solution.cost)
+        ):  # that start is out of bounds
+            solution, vector = _fit_among(among, space, data, standard, None)
     else:
         solution = fit_space(space, data, standard)
         vector = solution.vector

@@ -12,7 +12,8 @@ from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
-from .findings import extra_in_flats, findings, is_impossible
+from .findings import findings, is_impossible
+from .flicker import OF_DARKS, WHY, extra_in_flats
 from .parts import deviation_quantiles
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
@@ -28,21 +29,22 @@ def section(calibration: NoiseCalibration) -> Section:
     Returns:
         Estimates by both methods, findings, tables and pictures.
     """
-    chosen = calibration.chosen
+    chosen, flickers = calibration.chosen, bool(extra_in_flats(calibration))
+    estimates = _sheet_estimates(calibration)
     return Section(
         kind="noise",
         title="Camera noise by photon transfer",
-        estimates=_sheet_estimates(calibration),
+        estimates=_of_darks_alone(estimates) if flickers else estimates,
         findings=findings(calibration),
         pictures=noise_pictures(calibration),
         tables=(
-            _models_table(calibration),
+            _models_table(calibration, flickers),
             *_area_changes_table(calibration),
             *left_out_tables([("", calibration.left_out)]),
         ),
         posteriors={"": calibration.posterior},
         records={}
-        if is_impossible(calibration) or extra_in_flats(calibration)
+        if is_impossible(calibration) or flickers
         else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
         headings=HEADINGS,
@@ -94,6 +96,13 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
             listed.append(not_determined(quantity, reason, method=missing))
     own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
     return (*listed, *(replace(found, method=LIKELIHOOD) for found in own))
+
+
+def _of_darks_alone(estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+    """What light does not enter; the others are named once and declined."""
+    kept = [found for found in estimates if found.name in OF_DARKS]
+    others = {found.name: found for found in estimates if found.name not in OF_DARKS}
+    return (*kept, *(not_determined(found, WHY) for found in others.values()))
 
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
@@ -153,7 +162,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
     return tuple(found)
 
 
-def _models_table(calibration: NoiseCalibration) -> Table:
+def _models_table(calibration: NoiseCalibration, flickers: bool) -> Table:
     linear, chosen = calibration.linear, calibration.chosen
     noise = "pixel noise only" if linear.data.shared is None else "pixel and shared noise"
     fits = {f"linear camera, {noise}": linear}
@@ -166,7 +175,7 @@ def _models_table(calibration: NoiseCalibration) -> Table:
         tuple(
             (label, len(fit.space), fit.chi_square / fit.degrees, fit.p_value, fit.bic, gain)
             for label, fit in fits.items()
-            for gain in [float(fit.values["system_gain"])]
+            for gain in [None if flickers else float(fit.values["system_gain"])]
         ),
         "A good model has χ² per degree of freedom near 1; the smaller BIC is preferred.",
     )

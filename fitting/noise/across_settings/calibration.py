@@ -14,6 +14,7 @@ from ...inference.posterior import Posterior
 from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration, calibrate
+from ..flicker import WHY, extra_in_flats
 from ..levels import Levels, PhotonTransfer
 from ..settings import Setting
 from .fit import SharedFit, fitted
@@ -138,11 +139,12 @@ def _kept(
     frames: Sequence[FramesOfSetting], calibrations: Sequence[NoiseCalibration | InputError | None]
 ) -> tuple[list[FramesOfSetting], list[NoiseCalibration | None], tuple[str, ...]]:
     """The settings that could be fitted, with the darks of their gains; and why not the others."""
-    why = {
-        one.setting.label: str(own)
-        for one, own in zip(frames, calibrations, strict=True)
-        if isinstance(own, InputError)
-    }
+    why = {}
+    for one, own in zip(frames, calibrations, strict=True):
+        if isinstance(own, InputError):
+            why[one.setting.label] = str(own)
+        elif own is not None and extra_in_flats(own):
+            why[one.setting.label] = f"{WHY}."
     flats = [one for one in frames if isinstance(one.frames, PhotonTransfer)]
     lost = {one.setting.gain for one in flats}
     lost -= {one.setting.gain for one in flats if one.setting.label not in why}
