@@ -15,6 +15,7 @@ from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.calibration import open_parameters
 from fitting.reflectance.from_images.comparison import relative_error
+from fitting.reflectance.from_images.derivatives import scores_and_slopes
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.model import (
     Form,
@@ -93,8 +94,9 @@ def test_a_turned_light_is_turned_back(fitted, about):
     rig = replace(observation, **wrong, uncertain={"direction_sd": known})
     missed = relative_error(rig, doubted, doubted.selection)
     assert missed == pytest.approx(relative_error(observation, right, right.selection), rel=1e-3)
-    left = np.linalg.inv(doubted.information - doubted.stated.lost)
-    beyond = np.diagonal(left - np.linalg.inv(doubted.information))
+    left = np.linalg.inv(doubted.stated.left_of(doubted.information))
+    slopes = np.asarray(scores_and_slopes(doubted.vector, doubted.samples)[1])
+    beyond = np.diagonal(left - np.linalg.inv(slopes @ slopes.T))
     np.testing.assert_array_less(
         np.abs(doubted.vector - right.vector) / error, 3 * np.sqrt(beyond) / error + 0.05
     )
@@ -135,12 +137,16 @@ def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypa
     np.testing.assert_allclose(found.vector / error, whole.vector / error, atol=0.1, rtol=0)
 
 
-def test_turns_take_the_information_that_a_fit_of_them_takes(fitted):
-    """Parameters and two turns by finite differences, their normal equations inverted whole."""
+@pytest.mark.parametrize("core", [0.0, 0.6])
+def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
+    """Parameters and two turns by finite differences, their normal equations inverted whole; also
+    of a highlight with a core that the model misses, as those of real surfaces have."""
     observation, fit = fitted
     known = np.zeros(5)
     known[2] = 5e-3
-    found = fit(uncertain={"direction_sd": known})
+    brighter = core * observation.dn.max() * np.exp(400 * observation.log_cos_mirror)
+    observation = replace(observation, dn=observation.dn + brighter * (observation.cosine > 0))
+    found = fit(dn=observation.dn, uncertain={"direction_sd": known})
     samples, vector = found.samples, jnp.asarray(found.vector)
     deviation = np.asarray(samples.deviation, float)
 
@@ -160,7 +166,7 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted):
         columns.append(slope(ends[0], ends[1], 2e-4 / 5e-3))
     design = np.stack(columns, axis=1)
     whole = design.T @ design + np.diag([0, 0, 0, 1, 1])
-    gauss = found.information - found.stated.lost
+    gauss = found.stated.left_of(found.information)
     np.testing.assert_allclose(np.linalg.inv(gauss), np.linalg.inv(whole)[:3, :3], rtol=0.1, atol=0)
 
 
@@ -177,7 +183,7 @@ def test_intervals_hold_where_highlights_are_smeared(degrees, lights):
 
 def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     information, known = np.diag([4.0, 1.0]), np.arange(2)
-    stated = StatedErrors(np.array([[4.0, 0.0]]), np.array([[0.0, 2.0]]), np.zeros((2, 2)))
+    stated = StatedErrors(np.array([[4.0, 0.0]]), np.array([[0.0, 2.0]]))
     freedom = np.array([2.0, 3.0])
     narrow = Robustness(np.diag([0.5, 0.5]), freedom, 1.0, 1.0, 1.0)
     found = with_stated_errors(narrow, stated, information, known)
@@ -187,7 +193,7 @@ def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     found = with_stated_errors(wide, stated, information, known)
     np.testing.assert_allclose(found.covariance, np.diag([100, 0.5 + 4]))
     np.testing.assert_allclose(found.freedom, [2, 3 / (0.5 / 4.5) ** 2])
-    none = StatedErrors(np.empty((0, 2)), np.empty((0, 2)), np.zeros((2, 2)))
+    none = StatedErrors(np.empty((0, 2)), np.empty((0, 2)))
     found = with_stated_errors(wide, none, information, known)
     np.testing.assert_array_equal(found.covariance, wide.covariance)
     np.testing.assert_array_equal(found.freedom, wide.freedom)
@@ -214,7 +220,7 @@ def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
     assert gone["exposure_sd"] == (1e-5, pytest.approx(bounds["exposure_sd"], rel=1e-3))
     assert 0 < sum(bounds.values()) <= TOLERANCE
     assert not len(found.stated.of_lights)
-    assert found.stated.lost.any()
+    assert found.stated.slopes is not None
     assert not len(found.stated.common)
     (table,) = left_out_tables([("grey", found.stated.left_out)])
     assert {row[1] for row in table.rows} == bounds.keys()

@@ -39,7 +39,7 @@ class ChannelFit:
         vector: (P,) unconstrained.
         information: (P, P) on that scale, as if all samples were independent.
         robustness: covariance that does not assume so; None where the data leave a direction open.
-        identifiability: of the information.
+        identifiability: of the information, less what turns of lights take.
         stated: what the rig calls uncertain.
         turned: where the images put lights of uncertain directions; None without such.
         spread: of the residuals of plain squares.
@@ -108,9 +108,9 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
 
     space = parameter_space(samples.form)
     information = np.asarray(found.information, np.float64)
-    judged = identifiability(space, information)
     robustness = None
     stated = stated_errors(known, channel, vector, samples, selection, turns)
+    judged = identifiability(space, stated.left_of(information))
     alike = _lights_alike(observation, vector, samples, selection)
     if judged.determined:
         robustness = robust_covariance(
@@ -167,7 +167,7 @@ def robust_covariance(
     """
     gradients, slopes = (np.asarray(x, np.float64) for x in scores_and_slopes(vector, samples))
     slopes = slopes if stated.slopes is None else stated.slopes
-    among = (information - stated.lost)[np.ix_(known, known)]
+    among = stated.left_of(information)[np.ix_(known, known)]
     found = cluster_robust(
         gradients[known], among, alike[selection.light], selection.pixel, slopes=slopes[known]
     )

@@ -49,15 +49,28 @@ class StatedErrors:
         common: (errors, P), each of all images.
         slopes: (P, samples) of the predictions, in standard deviations, as far as turns of the
             lights leave them; None where none are found.
-        lost: (P, P), information that the turns of the lights take (`turns`).
         left_out: errors that the rig states and that are too small to matter.
     """
 
     of_lights: Float[np.ndarray, "errors parameters"]
     common: Float[np.ndarray, "more parameters"]
-    lost: Float[np.ndarray, "parameters parameters"]
     slopes: Float[np.ndarray, "parameters samples"] | None = None
     left_out: tuple[LeftOut, ...] = ()
+
+    def left_of(
+        self, information: Float[np.ndarray, "parameters parameters"]
+    ) -> Float[np.ndarray, "parameters parameters"]:
+        """What turns of the lights leave of an information. That is Gauss and Newton's: where a
+        model misses, the curvature of the likelihood is no sum of squares, and less what turns take
+        need not even be positive.
+
+        Args:
+            information: (P, P), as if lights stood where they are put.
+
+        Returns:
+            (P, P); the same where no turns are found.
+        """
+        return information if self.slopes is None else self.slopes @ self.slopes.T
 
 
 def stated_errors(
@@ -87,7 +100,7 @@ def stated_errors(
     own = _shifts_of_lights(observation, channel, vector, samples, selection, turns)
     shared = _shifts_of_all(observation, vector, samples)
     if not own and not shared:
-        return StatedErrors(np.empty((0, count)), np.empty((0, count)), np.zeros((count, count)))
+        return StatedErrors(np.empty((0, count)), np.empty((0, count)))
     deviation = np.asarray(samples.deviation, np.float64)
 
     def by_light(values: np.ndarray) -> np.ndarray:
@@ -104,7 +117,7 @@ def stated_errors(
     gone = negligible(errors)
     named = {error.name for error in gone}
     slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
-    whole, turnable = slopes @ slopes.T, None
+    turnable = None
     if turns is not None and "direction_sd" in own:
         shifts = own.pop("direction_sd")
         turnable = None if "direction_sd" in named else shifts
@@ -130,7 +143,6 @@ def stated_errors(
     return StatedErrors(
         np.concatenate(of_lights) if of_lights else np.empty((0, count)),
         np.array(of_all).reshape(-1, count),
-        whole - slopes @ slopes.T,
         None if turnable is None else slopes,
         gone,
     )
@@ -207,7 +219,7 @@ def with_stated_errors(
     """
     inverse = np.linalg.inv(information)
     covariance, freedom = robust.covariance, robust.freedom
-    if len(stated.of_lights) or stated.lost.any():
+    if len(stated.of_lights) or stated.slopes is not None:
         moved = stated.of_lights[:, known] @ inverse
         model = inverse + moved.T @ moved
         least = np.maximum(freedom, 1)
