@@ -33,11 +33,11 @@ def test_the_mixture_has_the_quantiles_of_the_integral(error):
         assert below / whole == pytest.approx(level, abs=2e-3)
 
 
-def places(rng, tau):
+def places(rng, tau, known=0.0):
     """Where the truth lies, for one shown error and one truth of each tau."""
     shown = np.hypot(tau, KNOWN) * rng.standard_normal(len(tau))
     truth = np.hypot(tau / np.sqrt(SPREAD), KNOWN) * rng.standard_normal(len(tau))
-    square, freedom = np.transpose([posterior_of_exponent(error) for error in shown])
+    square, freedom = np.transpose([posterior_of_exponent(error, known) for error in shown])
     return stats.t.cdf(truth / np.sqrt(square), freedom)
 
 
@@ -62,6 +62,17 @@ def test_what_is_known_of_the_times_is_the_least():
     square, freedom = posterior_of_exponent(0.0, known=0.01)
     half = np.sqrt(square) * stats.t.ppf(0.975, freedom)
     assert half > 1.96 * 0.01 / np.sqrt(SPREAD)
+
+
+def test_what_is_stated_of_the_times_is_believed_unless_images_show_more():
+    place = places(np.random.default_rng(2), np.full(600, 0.01), known=0.01)
+    for level in (0.68, 0.95):
+        held = np.mean(np.abs(place - 0.5) < level / 2)
+        assert abs(held - level) < 3 * np.sqrt(level * (1 - level) / 600)
+    square, freedom = posterior_of_exponent(0.0, known=0.01)
+    assert np.sqrt(square) * stats.t.ppf(0.975, freedom) < 1.2 * 1.96 * 0.01 / np.sqrt(SPREAD)
+    square, freedom = posterior_of_exponent(0.1, known=0.01)
+    assert np.sqrt(square) * stats.t.ppf(0.975, freedom) > 1.96 * 0.1 / np.sqrt(SPREAD) / 2
 
 
 def test_nothing_is_uncertain_at_mid_scale():

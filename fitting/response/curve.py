@@ -236,8 +236,8 @@ def fit_response_curve(
         found = to_flat_places(whole, cells, activity, log_t, bins) if flat else whole
         fraction = min(1.0, len(sample) / max(int(linked.sum()), 1))
         left_out = over_exposures(few, of_few, log_t, coarse, pilot, found.used, bins, fraction)
-        tau = _shutter_error(found, log_t, least_error)
-        if tau is not None and tau >= SHAKIEST:
+        tau = _shutter_error(found)
+        if tau is not None and tau >= max(SHAKIEST, 2 * least_error):
             raise InputError(
                 f"the images contradict their exposure times by {format_percent(SHAKIEST)} or "
                 "more; check the times and the black level."
@@ -312,16 +312,13 @@ def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
     return in_use
 
 
-def _shutter_error(found: Solution, log_t: np.ndarray, least_error: float) -> float | None:
+def _shutter_error(found: Solution) -> float | None:
     """tau, or None where the errors are within what the pixels' noise explains."""
-    free = len(found.free)
-    if least_error > STEADIEST:
-        return max(found.suggested.shutter_error, least_error)
-    if free == 0:
+    if not len(found.free):
         return None
     pull, information = _by_the_images(found)
     explained = pull @ np.linalg.pinv(information, hermitian=True) @ pull
-    shaky = explained > chdtri(free, 1 - SIGNIFICANCE)
+    shaky = explained > chdtri(len(found.free), 1 - SIGNIFICANCE)
     return found.suggested.shutter_error if shaky else None
 
 

@@ -273,12 +273,14 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
             "The exposure times agree with the images within pixel noise; no shutter error is seen."
         )
     if few:
-        count = len(few[0].curve.exposures)
-        rests = (
-            "how large the others are, the intervals mix over"
-            if count > 2
-            else "the intervals rest on the assumption of about 1 % (within a factor of 4.5)"
-        )
+        count, stated = len(few[0].curve.exposures), few[0].plane.exposure_sd
+        if stated:
+            size = format_percent(stated, decimals=1)
+            rests = f"the intervals rest on the {size} that the rig states"
+        elif count > 2:
+            rests = "how large the others are, the intervals mix over"
+        else:
+            rests = "the intervals rest on the assumption of about 1 % (within a factor of 4.5)"
         found.append(
             f"{count} exposures show {'one error' if count > 2 else 'nothing'} of the shutter: "
             f"{rests}; take more exposures."

@@ -28,12 +28,11 @@ from jaxvision.point_ops import srgb_decode
 
 from ..inference.diagnostics import identifiability
 from ..inference.emcee_run import SamplingOptions
-from ..inference.estimates import Estimate
+from ..inference.estimates import Estimate, sampled_estimate
 from ..inference.left_out import LeftOut
 from ..inference.parameters import (
     Parameter,
     ParameterSpace,
-    log_prior,
     to_natural,
     to_unconstrained,
 )
@@ -55,9 +54,10 @@ SHUTTER_ERROR = Parameter(
 SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 
-def space_of(free: int) -> ParameterSpace:
-    """Gamma and the shutter error, by how many of its errors are visible."""
-    return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free))
+def space_of(free: int, stated: float = 0.0) -> ParameterSpace:
+    """Gamma and the shutter error, or what comes on top of a stated one, by how many of its errors
+    are visible."""
+    return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free, stated))
 
 
 class GammaSums(eqx.Module):
@@ -76,6 +76,8 @@ class GammaSums(eqx.Module):
         known: tau that is known beforehand, in quadrature beneath the fitted one; None for 0.
         added: variance of gamma from elsewhere: of black, of what is no noise, between weightings.
         most: fitted tau up to which it is believed.
+        median: of the prior on the fitted tau.
+        log_sd: of its logarithm.
     """
 
     cc: Float[Array, ""]
@@ -89,6 +91,8 @@ class GammaSums(eqx.Module):
     known: Float[Array, ""] | None
     added: Float[Array, ""]
     most: Float[Array, ""]
+    median: Float[Array, ""]
+    log_sd: Float[Array, ""]
 
 
 class GivenShutter(eqx.Module):
@@ -169,7 +173,7 @@ def fit_gamma(
     sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
     log_tau, weights, given = _over_shutter(sums)
     best = int(np.argmax(weights))
-    space = space_of(sums.td.size)
+    space = space_of(sums.td.size, exposure_sd)
     likeliest = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
     mode = to_unconstrained(space, likeliest)
     spread = _spread(given, log_tau, weights)
@@ -178,12 +182,15 @@ def fit_gamma(
         found = sample(
             log_density, space, mode, found.covariance, sums, options=sampling, seed=seed
         )
-        gamma, tau = estimates(found, group=label)
+        gamma, _ = estimates(found, group=label)
+        of_tau = np.hypot(found.samples[:, 1], exposure_sd)
+        tau = sampled_estimate(SHUTTER_ERROR, of_tau, method=found.method, group=label)
     else:
         mixture = Mixture(log_tau, weights, np.asarray(given.mean), np.asarray(given.variance))
         drawn = mixture.draws(len(found.samples), seed)
         found = replace(found, method="marginal", draws=drawn[None])
-        gamma, tau = mixture.of_mean(GAMMA, label), mixture.of_tau(SHUTTER_ERROR, label)
+        gamma = mixture.of_mean(GAMMA, label)
+        tau = mixture.of_tau(SHUTTER_ERROR, label, stated=exposure_sd)
     assert gamma.value is not None
     information = np.linalg.inv(found.covariance)
     return GammaFit(
@@ -262,7 +269,7 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
         - jnp.log(given.variance) / 2
         + given.log_evidence
         + vector[0]
-        + log_prior(space_of(sums.td.size), vector)
+        - (jnp.log(tau / sums.median) / sums.log_sd) ** 2 / 2
     )
     return jnp.where(tau <= sums.most, density, -jnp.inf)
 
@@ -338,6 +345,7 @@ def _gamma_sums(
     score = curve.statistics.score / overstated
     log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
     mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
+    prior = prior_of(basis.shape[1], known)
     return GammaSums(
         cc=jnp.asarray(column @ matrix[:size, :size] @ column, float),
         ct=jnp.asarray(mixed @ log_t, float),
@@ -350,6 +358,8 @@ def _gamma_sums(
         known=jnp.asarray(known, float) if known else None,
         added=jnp.zeros(()),
         most=jnp.asarray(_most_of_shutter(curve, basis.shape[1]), float),
+        median=jnp.asarray(prior.median, float),
+        log_sd=jnp.asarray(prior.log_sd, float),
     )
 
 
@@ -370,8 +380,7 @@ def _over_shutter(sums: GammaSums) -> tuple[np.ndarray, np.ndarray, GivenShutter
     """(grid of ln tau, its posterior weights, gamma at each)."""
     log_tau = np.linspace(np.log(TABULATED[0]), np.log(float(sums.most)), 1001)
     given = _tabulate(sums, jnp.asarray(log_tau))
-    known = space_of(sums.td.size)[1].prior
-    prior = -(((log_tau - np.log(known.median)) / known.log_sd) ** 2) / 2
+    prior = -(((log_tau - np.log(float(sums.median))) / float(sums.log_sd)) ** 2) / 2
     log_weight = np.asarray(given.log_evidence) + prior
     weights = np.exp(log_weight - log_weight.max())
     return log_tau, weights / weights.sum(), given

@@ -41,9 +41,9 @@ class Mixture:
         ends = (low + high) / 2
         return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
 
-    def of_tau(self, what: Parameter, group: str) -> Estimate:
-        """Tau, with its median as value."""
-        tau = np.exp(self.log_tau)
+    def of_tau(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
+        """Tau with what is stated of it, its median as value."""
+        tau = np.hypot(np.exp(self.log_tau), stated)
         ends = np.interp(QUANTILES, np.cumsum(self.weights), tau)
         spread = float(np.sqrt(self.weights @ (tau - self.weights @ tau) ** 2))
         return quantile_estimate(what, ends[2], spread, ends, method="marginal", group=group)

@@ -20,9 +20,14 @@ from jaxtyping import Float
 from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
 
 from ..inference.priors import LogNormal
+from .solve import STEADIEST
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
 SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=2.5)  # where images show it: within a factor of 12
+BEYOND, BEYOND_LOG_SD = (
+    0.1,
+    1.5,
+)  # of what is stated: the median of what comes on top, and its spread
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
 MOST_STEPS, NEAR = 100, 1e-6  # toward a quantile
@@ -56,8 +61,19 @@ class Shutter:
         return self.per_square * self.likeliest**2
 
 
-def prior_of(shown: int) -> LogNormal:
-    """The prior on tau, by how many errors show."""
+def prior_of(shown: int, stated: float = 0.0) -> LogNormal:
+    """The prior on tau, or on what comes on top of a stated one. Where no error shows, the prior
+    alone makes the interval, and is narrower, about what cameras do.
+
+    Args:
+        shown: how many errors show.
+        stated: rms of what is known of them beforehand.
+
+    Returns:
+        The prior.
+    """
+    if stated > STEADIEST:
+        return LogNormal(median=BEYOND * stated, log_sd=BEYOND_LOG_SD)
     return SHUTTER_SHOWN if shown else SHUTTER_PRIOR
 
 
@@ -86,7 +102,7 @@ def over_tau(
     log_weight = (pull**2 * square / (1 + known_by * square) - np.log1p(known_by * square)).sum(
         axis=1
     ) / 2
-    prior = prior_of(int(told.sum()))
+    prior = prior_of(int(told.sum()), known)
     log_weight -= ((log_tau - np.log(prior.median)) / prior.log_sd) ** 2 / 2
     weights = np.exp(log_weight - log_weight.max())
     kept = weights > LEAST * weights.sum()
