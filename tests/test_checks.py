@@ -90,7 +90,7 @@ def test_a_check_goes_on_where_it_stopped(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         simulated(simulate, 30, parameters=2, kept=file)
     rows = simulated(simulate, 30, parameters=2, kept=file)
-    assert asked == [*range(25), 0, 1, *range(20, 30)]
+    assert asked == [*range(25), 0, 10, 19, *range(20, 30)]
     assert np.flatnonzero(np.isnan(rows[:, 0])).tolist() == [3]
     told = section("toy", {"case": coverage(rows, ("a", "b"))}, 30).findings
     assert any("1 of 30 fits print no interval" in sentence for sentence in told)
@@ -109,8 +109,28 @@ def test_kept_fits_that_are_damaged_are_made_again(tmp_path):
     np.testing.assert_array_equal(np.load(file), found)
 
 
+def test_files_that_hold_no_fits_are_left_alone(tmp_path):
+    notes = tmp_path / "notes.txt"
+    notes.write_text("years of work")
+    with pytest.raises(InputError, match=r"notes\.txt: holds no kept fits, and is left alone"):
+        simulated(quarters, 4, parameters=2, kept=notes)
+    assert notes.read_text() == "years of work"
+    with pytest.raises(InputError, match="is a folder"):
+        simulated(quarters, 4, parameters=2, kept=tmp_path)
+    notes.write_bytes(b"")  # any name, and nothing in it yet
+    first = simulated(quarters, 2, parameters=2, kept=notes)
+    np.testing.assert_array_equal(simulated(quarters, 2, parameters=2, kept=notes), first)
+
+
 @pytest.mark.parametrize(
-    "rows", [np.ones((2, 3)), np.ones(4), np.ones((2, 2), int), np.ones((2, 2))]
+    "rows",
+    [
+        np.ones((2, 3)),
+        np.ones(4),
+        np.ones((2, 2), int),
+        np.ones((2, 2)),
+        np.array([[0.0, 0.0], [0.25, 0.25], [0.9, 0.9]]),  # the last is another's
+    ],
 )
 def test_kept_fits_of_another_problem_are_neither_used_nor_lost(tmp_path, rows):
     file = tmp_path / "places.npy"
