@@ -22,30 +22,27 @@ FAR = 3.0  # standard errors between two figures that should agree
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
-    flicker = extra_in_flats(calibration)
-    told = [
-        *flicker_in_words(flicker),
-        *(_misfit(calibration) if flicker else _of_models(calibration)),
-        *_near_black(calibration),
-        *_saturation(calibration),
-        *([] if flicker else _dark_current(calibration)),
-        *_linearity_errors(calibration),
-        *_shared(calibration, None if flicker else _shown(calibration, "system_gain")[0]),
-        *_pattern(calibration),
-        *_solver(calibration),
-        *calibration.measurement.remarks,
-    ]
-    return tuple(told)
-
-
-def _of_models(calibration: NoiseCalibration) -> list[str]:
-    """What hangs on the variance being light's."""
-    return [
+    if flicker := extra_in_flats(calibration):
+        return (
+            *flicker_in_words(flicker),
+            *_near_black(calibration),
+            *_shared(calibration, None),
+            *calibration.measurement.remarks,
+        )
+    return (
         *_efficiency(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),
         *_standard_scatter(calibration),
-    ]
+        *_near_black(calibration),
+        *_saturation(calibration),
+        *_dark_current(calibration),
+        *_linearity_errors(calibration),
+        *_shared(calibration, _shown(calibration, "system_gain")[0]),
+        *_pattern(calibration),
+        *_solver(calibration),
+        *calibration.measurement.remarks,
+    )
 
 
 def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:

@@ -11,7 +11,6 @@ from ..inference.formatting import format_with_error
 from .calibration import NoiseCalibration
 from .shared import Found, extra_lines
 
-OF_DARKS = ("temporal_dark_noise", "black_level", "black_scatter")  # what no light changes
 WHY = "the flats share noise that the darks do not have, which passes for light's"
 
 

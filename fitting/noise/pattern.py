@@ -23,7 +23,7 @@ from .emva1288 import Ranges
 from .levels import LINEAR_TOP, Levels, PhotonTransfer
 from .misfit import p_value
 from .parts import Part, sampling_variance
-from .shared import Found, fixed_lines, one_pattern
+from .shared import NOTHING, Found, fixed_lines, one_pattern
 
 HALF = 0.5  # of the saturation signal: where the standard measures PRNU
 SEEN = 2.0  # standard errors above zero from which a pattern variance is a finding
@@ -162,7 +162,11 @@ def unequal_gains(
     bright, dark = measurement.bright, measurement.dark
     assert bright.shared is not None
     lines, across = np.asarray(bright.shared.shape)[[axis, 1 - axis]]
-    matched, square = np.asarray(measurement.dark_of)[usable], _signal(measurement)[usable] ** 2
+    signal = _signal(measurement)
+    usable = usable[signal[usable] > 0]  # flats of no light tell nothing of gains
+    matched, square = np.asarray(measurement.dark_of)[usable], signal[usable] ** 2
+    if not len(usable):
+        return NOTHING
     pattern, dark_pattern = pattern_variance(bright)[0], pattern_variance(dark)[0]
     own = np.maximum(pattern[usable] - dark_pattern[matched], 0) / square / across
 

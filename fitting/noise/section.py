@@ -13,11 +13,13 @@ from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
 from .figures import noise_pictures
 from .findings import findings, is_impossible
-from .flicker import OF_DARKS, WHY, extra_in_flats
+from .flicker import WHY, extra_in_flats
 from .parts import deviation_quantiles
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
+
+KIND, TITLE, DARK_NOISE = "noise", "Camera noise by photon transfer", "temporal_dark_noise"
 
 
 def section(calibration: NoiseCalibration) -> Section:
@@ -29,22 +31,23 @@ def section(calibration: NoiseCalibration) -> Section:
     Returns:
         Estimates by both methods, findings, tables and pictures.
     """
-    chosen, flickers = calibration.chosen, bool(extra_in_flats(calibration))
-    estimates = _sheet_estimates(calibration)
+    if extra_in_flats(calibration):
+        return _of_darks_alone(calibration)
+    chosen = calibration.chosen
     return Section(
-        kind="noise",
-        title="Camera noise by photon transfer",
-        estimates=_of_darks_alone(estimates) if flickers else estimates,
+        kind=KIND,
+        title=TITLE,
+        estimates=_sheet_estimates(calibration),
         findings=findings(calibration),
         pictures=noise_pictures(calibration),
         tables=(
-            _models_table(calibration, flickers),
+            _models_table(calibration),
             *_area_changes_table(calibration),
             *left_out_tables([("", calibration.left_out)]),
         ),
         posteriors={"": calibration.posterior},
         records={}
-        if is_impossible(calibration) or flickers
+        if is_impossible(calibration)
         else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
         headings=HEADINGS,
@@ -56,6 +59,27 @@ def section(calibration: NoiseCalibration) -> Section:
             "parameters": ", ".join(names(chosen.space)),
             "exact moments of clipping and rounding": chosen.data.window is not None,
             "covariance inflated by": chosen.inflation,
+        },
+    )
+
+
+def _of_darks_alone(calibration: NoiseCalibration) -> Section:
+    """What is left where light flickers: no model of flats and darks together is right."""
+    known = [one for one in _sheet_estimates(calibration) if one.method == STANDARD]
+    declined = [quantity for quantity in QUANTITIES if quantity.name != DARK_NOISE]
+    return Section(
+        kind=KIND,
+        title=TITLE,
+        estimates=(
+            *(one for one in known if one.name == DARK_NOISE),
+            *(not_determined(quantity, WHY) for quantity in declined),
+        ),
+        findings=findings(calibration),
+        about=_operating_point(calibration),
+        headings=HEADINGS,
+        settings={
+            "dark levels": calibration.measurement.dark.mean.size,
+            "pixels": int(calibration.measurement.bright.pixels),
         },
     )
 
@@ -96,13 +120,6 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
             listed.append(not_determined(quantity, reason, method=missing))
     own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
     return (*listed, *(replace(found, method=LIKELIHOOD) for found in own))
-
-
-def _of_darks_alone(estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
-    """What light does not enter; the others are named once and declined."""
-    kept = [found for found in estimates if found.name in OF_DARKS]
-    others = {found.name: found for found in estimates if found.name not in OF_DARKS}
-    return (*kept, *(not_determined(found, WHY) for found in others.values()))
 
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
@@ -162,7 +179,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
     return tuple(found)
 
 
-def _models_table(calibration: NoiseCalibration, flickers: bool) -> Table:
+def _models_table(calibration: NoiseCalibration) -> Table:
     linear, chosen = calibration.linear, calibration.chosen
     noise = "pixel noise only" if linear.data.shared is None else "pixel and shared noise"
     fits = {f"linear camera, {noise}": linear}
@@ -175,7 +192,7 @@ def _models_table(calibration: NoiseCalibration, flickers: bool) -> Table:
         tuple(
             (label, len(fit.space), fit.chi_square / fit.degrees, fit.p_value, fit.bic, gain)
             for label, fit in fits.items()
-            for gain in [None if flickers else float(fit.values["system_gain"])]
+            for gain in [float(fit.values["system_gain"])]
         ),
         "A good model has χ² per degree of freedom near 1; the smaller BIC is preferred.",
     )

@@ -18,8 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
+from scipy.special import chdtri, fdtrc, ndtri
 
-SURE = 4.0  # standard errors above zero from which shared noise is believed
+SURE = 4.0  # deviates of a normal distribution: once in 30,000 cameras without shared noise
+LOWEST = 0.05  # chance of darks that show as little of the noise that they have
+RAREST, EPSILON = 1e-300, 1e-16  # of a chance, and of what it lacks of one
+MOST_DEGREES, TINY = 1e9, 1e-300  # as good as infinitely many; as good as nothing
 
 
 class SharedVariance(eqx.Module):
@@ -76,12 +80,12 @@ class SharedNoise(eqx.Module):
 
 @dataclass(frozen=True)
 class Found:
-    """A variance and its standard error, DN^2; believed from four standard errors.
+    """A variance and its standard error, DN^2.
 
     Attributes:
         variance: DN^2.
         error: its standard error.
-        significance: in standard errors that it would have without any.
+        significance: how rare it is where there is none, as a normal deviate.
     """
 
     variance: float
@@ -99,6 +103,12 @@ class Found:
 
 
 NOTHING = Found(0.0, 0.0, 0.0)
+
+
+def _deviate(ratio: float, degrees: float, beneath: float = MOST_DEGREES) -> float:
+    """The normal deviate that is as rare as a ratio of two variances of so many degrees of freedom:
+    of few, chi-squares have tails that no number of standard errors bounds."""
+    return -float(ndtri(np.clip(fdtrc(degrees, beneath, max(ratio, 0.0)), RAREST, 1 - EPSILON)))
 
 
 @dataclass(frozen=True)
@@ -208,7 +218,8 @@ def temporal_lines(
     """
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.rows if axis == 0 else shared.columns)
-    return _pooled(values, variance / across, (frames - 1) * lines)
+    expected, degrees = variance / across, (frames - 1) * max(lines - 1, 1.0)
+    return _pooled(values, expected, degrees, degrees * max(across - 1, 1.0))
 
 
 def extra_lines(
@@ -231,8 +242,23 @@ def extra_lines(
         The variance.
     """
     lit, unlit = temporal_lines(bright, *of_bright, axis), temporal_lines(dark, *of_dark, axis)
-    extra, error = lit.variance - max(unlit.variance, 0.0), float(np.hypot(lit.error, unlit.error))
-    return Found(extra, error, extra / error) if error else NOTHING
+    if not lit.error or not unlit.error:
+        return NOTHING
+    lines, across = np.asarray(bright.shape)[[axis, 1 - axis]]
+    alike, by_pixels = max(unlit.variance, 0.0), of_bright[0] / across
+    of_darks = float(np.mean(of_dark[0])) / across
+    own = unlit.variance + of_darks
+    known = 2 * (own / unlit.error) ** 2
+    more = max(float(np.mean(by_pixels)) - of_darks, 0.0)  # of the flats' pixels, known well
+    beneath = known * (1 + more / (own * known / chdtri(known, 1 - LOWEST))) ** 2
+    told = _pooled(
+        np.asarray(bright.rows if axis == 0 else bright.columns) - alike,
+        by_pixels + alike,
+        (of_bright[1] - 1) * max(lines - 1, 1.0),
+        np.full(len(by_pixels), beneath / len(by_pixels)),
+    )
+    error = float(np.hypot(lit.error, unlit.error))
+    return Found(lit.variance - alike, error, told.significance)
 
 
 def believed_lines(
@@ -341,14 +367,15 @@ def one_pattern(
     values, passing, frames = values[told], passing[told], frames[told]
     weight = (own + passing) ** -2
     weight = weight / weight.sum()
-    found = float(weight @ values)
+    found, base = float(weight @ values), own + float(weight @ passing)
 
     def error(pattern: float) -> float:
         mixed = 2 * pattern * np.sum(weight**2 * passing)
         noise = np.sum(weight**2 * passing**2 * frames / (frames - 1))
         return float(np.sqrt(2 / (lines - 1) * (pattern**2 + mixed + noise)))
 
-    return Found(found, error(own + max(found, 0.0)), found / error(own))
+    significance = _deviate(1 + found / base, 2 * (base / error(own)) ** 2)
+    return Found(found, error(own + max(found, 0.0)), significance)
 
 
 def drift(
@@ -364,21 +391,42 @@ def drift(
     Returns:
         The variance.
     """
-    h, w = np.asarray(shared.shape)
-    lines = np.maximum(np.asarray(shared.rows), 0) / h + np.maximum(shared.columns, 0) / w
-    return _pooled(np.asarray(shared.frames), variance / (h * w) + lines, frames - 1)
+    shape, degrees = np.asarray(shared.shape), frames - 1
+    lines = [
+        np.maximum(np.asarray(values), 0) / count
+        for values, count in zip((shared.rows, shared.columns), shape, strict=True)
+    ]
+    expected = variance / shape.prod() + sum(lines)
+    unsure = [
+        line**2 / (degrees * max(count - 1, 1.0)) for line, count in zip(lines, shape, strict=True)
+    ]
+    beneath = np.minimum(expected**2 / np.maximum(sum(unsure), TINY), MOST_DEGREES)
+    return _pooled(np.asarray(shared.frames), expected, degrees, beneath)
 
 
-def _pooled(values: np.ndarray, expected: np.ndarray, degrees: np.ndarray) -> Found:
+def _pooled(
+    values: np.ndarray, expected: np.ndarray, degrees: np.ndarray, beneath: np.ndarray
+) -> Found:
     """Mean of excesses over what independent pixels give, weighted by the inverse of its own
-    variance 2 (expected + excess)^2 / degrees. Levels whose frames are all alike tell nothing."""
+    variance 2 (expected + excess)^2 / degrees. Levels whose frames are all alike tell nothing.
+
+    Args:
+        values: (levels,) excesses, DN^2.
+        expected: (levels,) what they exceed, DN^2.
+        degrees: (levels,) of the two together.
+        beneath: (levels,) of `expected`.
+
+    Returns:
+        The variance.
+    """
     told = expected > 0
     if not told.any():
         return NOTHING
     values, expected, degrees = values[told], expected[told], degrees[told]
     weight = degrees / (2 * expected**2)
     without = float(np.average(values, weights=weight))  # as if there were none
-    significance = without * float(np.sqrt(weight.sum()))
+    ratio = float(np.average(1 + values / expected, weights=degrees))
+    significance = _deviate(ratio, float(degrees.sum()), float(beneath[told].sum()))
     weight = degrees / (2 * (expected + max(without, 0.0)) ** 2)
     variance = float(np.average(values, weights=weight))
     share = weight / weight.sum()
