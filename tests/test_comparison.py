@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from fitting.reflectance.from_files.errors import Errors, distinguished, exceeds_signal, ratio
 from fitting.reflectance.from_images.comparison import (
@@ -147,17 +148,36 @@ def test_the_error_that_is_shown_is_the_one_that_is_judged():
 
 
 def test_an_order_may_be_sure_where_its_size_is_not():
-    """Roots of 4 and of (3 * 4 + 400) / 4 times as much: more in both, by how much is open. One
-    incidence that reverses it, or 1.05 times without it, leaves the order open, and so do two."""
+    """Roots of 4 and of (3 * 4 + 400) / 4 times as much: more at each of five incidences, by how
+    much is open. Where four say the reverse, or there are but two, the order is open too."""
     base = np.ones(5)
     sure = ratio(of([4, 4, 4, 4, 400]), of(base), "cosine")
     np.testing.assert_allclose(sure.without[[-1, 0]], [2, np.sqrt(412 / 4)])
+    np.testing.assert_allclose(sure.alone, [2, 2, 2, 2, 20])
     assert not sure.told
     assert sure.ordered
-    assert ratio(of(base), of([4, 4, 4, 4, 400]), "cosine").ordered
-    for other in ([0.5, 0.5, 0.5, 0.5, 400], [1.1, 1.1, 1.1, 1.1, 400]):
-        assert not ratio(of(other), of(base), "cosine").ordered
+    assert sure.chance == 2 / 2**5
+    reverse = ratio(of(base), of([4, 4, 4, 4, 400]), "cosine")
+    assert reverse.ordered
+    assert reverse.more_often == 5
+    hangs = ratio(of([0.5, 0.5, 0.5, 0.5, 400]), of(base), "cosine")
+    assert (hangs.more_often, hangs.chance, hangs.ordered) == (1, 1, False)
     assert not ratio(of([4, 400]), of(base[:2]), "cosine").ordered
+
+
+@pytest.mark.parametrize("incidences", [5, 8, 15])
+def test_equal_models_are_seldom_ordered(incidences):
+    """Errors of two models that scatter alike about those of each incidence."""
+    rng, found = np.random.default_rng(2), []
+    for _ in range(1000):
+        base = np.exp(1.5 * rng.standard_normal(incidences))
+        one, other = base * np.exp(0.6 * rng.standard_normal((2, incidences)))
+        pair = ratio(of(one), of(other), "cosine")
+        k = int(np.sum(one > other if pair.value > 1 else one < other))
+        exact = stats.binomtest(k, incidences, alternative="greater").pvalue
+        assert pair.chance == pytest.approx(min(2 * exact, 1))
+        found.append(pair.ordered)
+    assert np.mean(found) < 0.1 + 3 * np.sqrt(0.1 * 0.9 / 1000)
 
 
 def test_errors_beyond_the_signal_are_those_of_a_relative_metric():

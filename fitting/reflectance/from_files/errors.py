@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import stdtrit
+from scipy.special import bdtrc, stdtrit
 
 from ..names import Model, Objective
 from .fit import ModelFit, reflected
@@ -13,7 +13,7 @@ from .read import MeasuredBRDF
 
 FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
 SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
-MATERIAL = 1.1  # ratio of two errors from which a reader would prefer the model of the smaller
+LIKELY = 0.1  # chance up to which the one model that errs more at most incidences is called worse
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 
 
@@ -100,10 +100,12 @@ class Ratio:
     Attributes:
         value: of the whole errors.
         without: (incidences,) the same with each incidence left out.
+        alone: (incidences,) the same of each by itself.
     """
 
     value: float
     without: Float[np.ndarray, " incidences"]
+    alone: Float[np.ndarray, " incidences"]
 
     @property
     def told(self) -> bool:
@@ -116,13 +118,21 @@ class Ratio:
         return bool(log > stdtrit(count - 1, 0.975) * error)
 
     @property
+    def more_often(self) -> int:
+        """At how many incidences the model errs more that errs more on the whole."""
+        return int(np.sum(self.alone > 1 if self.value > 1 else self.alone < 1))
+
+    @property
+    def chance(self) -> float:
+        """That of two equal models one errs more at as many incidences (sign test, both sides)."""
+        return min(2 * float(bdtrc(self.more_often - 1, len(self.alone), 0.5)), 1.0)
+
+    @property
     def ordered(self) -> bool:
-        """Whether the same model errs materially more whichever incidence is left out. One that
+        """Whether the same model errs more at so many incidences that chance is unlikely. One that
         stands apart from the others may leave the size of a difference open, hence `told` false,
         and yet not its sign."""
-        logs, least = np.log(self.without), np.log(MATERIAL)
-        same_sign = np.all(logs >= least) or np.all(logs <= -least)
-        return bool(len(logs) >= FEWEST_INCIDENCES and same_sign)
+        return self.chance <= LIKELY
 
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
@@ -134,16 +144,18 @@ def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
         objective: whose metric counts.
 
     Returns:
-        The ratio; 1 with any incidence left out where rounding is all that one of them misses.
+        The ratio; 1 of incidences where rounding is all that one of them misses.
     """
     value = metric(one, objective) / metric(other, objective)
     column = 0 if objective == "cosine" else 1
     ours, theirs = one.parts[:, column], other.parts[:, column]
     others = 1 - np.eye(len(ours))
-    ours, theirs = others @ ours, others @ theirs
-    exact = (ours <= 0) | (theirs <= 0)
-    without = np.sqrt(np.where(exact, 1, ours) / np.where(exact, 1, theirs))
-    return Ratio(value, without)
+
+    def of(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        exact = (ours <= 0) | (theirs <= 0)
+        return np.sqrt(np.where(exact, 1, ours) / np.where(exact, 1, theirs))
+
+    return Ratio(value, of(others @ ours, others @ theirs), of(ours, theirs))
 
 
 def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:

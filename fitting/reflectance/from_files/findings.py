@@ -41,7 +41,6 @@ PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other
     ("phong", "blinn"),
     ("normalised-phong", "normalised-blinn"),
 )
-FRESNEL: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-metal", "lambert")
 AXES: tuple[Axis, ...] = ("half", "mirror")
 METRICS: dict[Objective, str] = {"cosine": "cosine-weighted RMS", "cube-root": "cube-root error"}
 
@@ -120,13 +119,13 @@ def _verdict(calibration: BRDFCalibration) -> str:
         told.append(f"Not told apart from it, leaving out incidence by incidence: {listed(alike)}.")
     if far:
         told.append(
-            "Of these some err far more here, but whether they do hangs on a single incidence: "
+            "Of these some err far more here, but by how much hangs on single incidences: "
             f"{_compared(calibration, found, far)}."
         )
     if worse:
         told.append(
-            "Worse than it whichever incidence is left out, though by how much depends on which: "
-            f"{_compared(calibration, found, worse)}."
+            "Worse than it at more incidences than is likely by chance, though by how much on the "
+            f"whole hangs on single ones: {_compared(calibration, found, worse, counted=True)}."
         )
     if useless:
         told.append(
@@ -138,11 +137,20 @@ def _verdict(calibration: BRDFCalibration) -> str:
 
 
 def _compared(
-    calibration: BRDFCalibration, found: Mapping[Model, Ratio], models: Sequence[Model]
+    calibration: BRDFCalibration,
+    found: Mapping[Model, Ratio],
+    models: Sequence[Model],
+    *,
+    counted: bool = False,
 ) -> str:
-    """How much more models err than the best one, and between which bounds with an incidence left
-    out."""
+    """How much more models err than the best one, between which bounds with an incidence left out,
+    and at how many."""
     angles = np.degrees(calibration.measured.incidences)
+
+    def often(model: Model) -> str:
+        one = found[model]
+        told = f"; more at {one.more_often} of {len(one.alone)}, p = {one.chance:.2g}"
+        return told if counted else ""
 
     def bound(model: Model, i: np.intp) -> str:
         return f"{found[model].without[i]:.2f} times without {angles[i]:.0f}°"
@@ -151,7 +159,7 @@ def _compared(
         [
             f"{LABELS[m]} ({in_words(calibration.held_out[m], calibration.objective)}: "
             f"{found[m].value:.2f} times as much, {bound(m, np.argmin(found[m].without))}, "
-            f"{bound(m, np.argmax(found[m].without))})"
+            f"{bound(m, np.argmax(found[m].without))}{often(m)})"
             for m in models
         ]
     )
@@ -196,13 +204,14 @@ def _relation(half: Errors, mirror: Errors, objective: Objective) -> str:
     useless = exceeds_signal(half, objective), exceeds_signal(mirror, objective)
     if all(useless):
         return "errs by more than the whole signal, and so does"
-    winner = _winner(half, mirror, objective)
+    winner = winner_of(half, mirror, objective)
     if winner != "neither":
         return "beats" if winner == "half" else "loses to"
     found = ratio(half, mirror, objective)
     if found.ordered:
         more = "more" if found.value > 1 else "less"
-        return f"errs {more}, whichever incidence is left out, than"
+        at = f"{found.more_often} of {len(found.alone)} incidences"
+        return f"errs {more} at {at} (p = {found.chance:.2g}) than"
     if any(useless):
         return f"errs by {'more' if useless[0] else 'less'} than the whole signal, unlike"
     return "is not told apart from"
@@ -273,124 +282,18 @@ def _intervals(calibration: BRDFCalibration) -> str:
     return f"{first} {convergence_in_words(calibration.posterior)}"
 
 
-def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
-    """Over several materials: does the half vector win, as the literature has it, and why?"""
-    return (
-        _best_lobes(calibrations),
-        f"{_axis_alone(calibrations)} {_against_the_literature(calibrations)}",
-        *_what_fresnel_does(calibrations),
-    )
+def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
+    """Which axis errs less by more than chance.
 
+    Args:
+        half: errors of a lobe about the half vector.
+        mirror: of one about the mirror direction.
+        objective: whose metric counts.
 
-def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
-    """The best lobe about the half vector, that about the mirror direction, and which wins."""
-    held_out, objective = calibration.held_out, calibration.objective
-    half = of_axis(held_out, "half", objective)
-    mirror = of_axis(held_out, "mirror", objective)
-    return half, mirror, _winner(held_out[half], held_out[mirror], objective)
-
-
-def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> str:
-    """The best lobe of each axis, whatever else it differs in, and where it does."""
-    objective = calibrations[0].objective
-    wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
-    confounded = []
-    for calibration in calibrations:
-        name = readable(calibration.measured.name)
-        half, mirror, side = _of_best_lobes(calibration)
-        wins[side].append(name)
-        if side != "neither" and (mirror, half) not in PAIRS:
-            confounded.append(f"{LABELS[half]} against {LABELS[mirror]} on {name}")
-    sides: dict[Side, str] = {
-        "half": "the best lobe about the half vector wins",
-        "mirror": "the best about the mirror direction",
-        "neither": "neither by more than chance",
-    }
-    told = "; ".join(
-        f"{words} on {len(wins[side])} of {len(calibrations)} ({', '.join(wins[side])})"
-        for side, words in sides.items()
-        if wins[side]
-    )
-    told = f"By {METRICS[objective]} at incidences that no fit has seen, {told}."
-    if not confounded:
-        return told
-    return (
-        f"{told} By itself this says nothing about the axis where the lobes differ in more than "
-        f"the axis: {listed(confounded)}."
-    )
-
-
-def _of_axis_alone(calibrations: Sequence[BRDFCalibration]) -> list[Side]:
-    """Which axis wins each comparison of lobes that differ in nothing else."""
-    return [
-        _winner(c.held_out[half], c.held_out[mirror], c.objective)
-        for c in calibrations
-        for mirror, half in PAIRS
-    ]
-
-
-def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> str:
-    results = _of_axis_alone(calibrations)
-    return (
-        "Between lobes that differ in the axis alone (Phong and Blinn, with and without "
-        f"normalisation), the half vector wins {results.count('half')} of {len(results)} "
-        f"comparisons, the mirror direction {results.count('mirror')}; the others leave it open."
-    )
-
-
-def _against_the_literature(calibrations: Sequence[BRDFCalibration]) -> str:
-    """A conclusion about the axis where comparisons of it alone tell, and the best lobes, which
-    differ in more than that, do not disagree."""
-    results = _of_axis_alone(calibrations)
-    alone, overall = set(results), {_of_best_lobes(c)[-1] for c in calibrations}
-    if {"half", "mirror"} <= alone:
-        judgement = "confirm only in part"
-    elif "half" in alone and "mirror" not in overall:
-        judgement = "confirm"
-    elif "mirror" in alone and "half" not in overall:
-        judgement = "contradict"
-    else:
-        judgement = "neither confirm nor contradict"
-    if "neither" in alone and not judgement.startswith("neither"):
-        judgement += ", where they tell,"
-    return (
-        f"Together these comparisons {judgement} the finding of Ngan, Durand & Matusik (2005) on "
-        "100 materials that lobes about the half vector fit better."
-    )
-
-
-def _what_fresnel_does(calibrations: Sequence[BRDFCalibration]) -> list[str]:
-    """Where clear facets win, how much of its lead GGX loses without Fresnel reflectance."""
-    objective = calibrations[0].objective
-    told = []
-    for calibration in calibrations:
-        held_out = calibration.held_out
-        clear, metal, matt = (held_out[model] for model in FRESNEL)
-        lead = metric(matt, objective) - metric(clear, objective)
-        if best(held_out, objective) not in CLEAR or lead <= 0:
-            continue
-        rise = max(metric(metal, objective) - metric(clear, objective), 0.0)
-        told.append(
-            f"{readable(calibration.measured.name)} {in_words(metal, objective)} instead of "
-            f"{in_words(clear, objective)}, which is {format_percent(rise / lead)} of their lead "
-            f"over Lambert's {in_words(matt, objective)}"
-        )
-    if not told:
-        return []
-    return [
-        "Where Torrance-Sparrow with clear facets wins, GGX facets without the rise of Fresnel "
-        f"reflectance toward grazing angles (metal) err on {'; '.join(told)}."
-    ]
-
-
-def _winner(half: Errors, mirror: Errors, objective: Objective) -> Side:
-    """Which axis errs less by more than chance; neither where both lobes describe nothing."""
+    Returns:
+        The axis; neither where both lobes describe nothing.
+    """
     useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
     if useless or not distinguished(half, mirror, objective):
         return "neither"
     return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
-
-
-def readable(name: str) -> str:
-    """A file's name as words."""
-    return name.replace("_", " ")

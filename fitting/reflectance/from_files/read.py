@@ -9,6 +9,7 @@ lobes, and its errors would depend on where it hits them. Where a table depends 
 azimuth too, four of them are taken.
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,7 +80,7 @@ class MeasuredBRDF:
         return np.asarray(self.wi.z)
 
 
-def read_measured_brdf(path: Path) -> MeasuredBRDF:
+def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
     """Samples of a Cornell, RGL or MERL file.
 
     Args:
@@ -91,6 +92,7 @@ def read_measured_brdf(path: Path) -> MeasuredBRDF:
     Raises:
         InputError: for what cannot be fitted.
     """
+    path = Path(path)
     measured = read_measured(path)
     findings: tuple[str, ...] = ()
     if isinstance(measured, BRDFSamples):

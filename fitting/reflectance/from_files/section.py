@@ -13,9 +13,10 @@ from ...report.section import Picture, Section, Table
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from ..names import MODELS, OBJECTIVES, Model, Objective
 from . import figures
+from .axes import readable, which_axis_wins
 from .calibration import BRDFCalibration
 from .errors import best, metric
-from .findings import METRICS, findings, readable, which_axis_wins
+from .findings import METRICS, findings
 
 AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
 

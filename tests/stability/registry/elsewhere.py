@@ -225,6 +225,8 @@ ELSEWHERE = (
         "test_report",
         """
             fitting.*.findings.*
+            fitting.noise.flicker: flicker_in_words
+            fitting.reflectance.from_files.axes: readable which_axis_wins
             fitting.*.section.*
             fitting.report.*
             fitting.inference.formatting.*
@@ -599,6 +601,7 @@ ELSEWHERE = (
             fitting.noise.window.*
             fitting.noise.shared: believed_lines drift extra_lines fixed_lines one_pattern
             fitting.noise.shared: shared_noise shared_variance temporal_lines
+            fitting.noise.flicker: extra_in_flats
         """,
     ),
     Elsewhere(
