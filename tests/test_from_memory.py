@@ -295,3 +295,4 @@ def test_calibrations_find_their_optimum_where_jax_computes_in_single_precision(
         found = calibrate_noise(measured)
         assert bool(found.chosen.solution.converged)
         assert "system gain" in repr(found)
+        found.section.figure("photon_transfer")

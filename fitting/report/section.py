@@ -11,6 +11,7 @@ from jaxvision.errors import InputError, nearest
 
 from ..inference.estimates import Estimate, find
 from ..inference.posterior import Posterior
+from ..inference.precision import in_double
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -150,4 +151,4 @@ class Section:
             raise InputError(
                 f"there is no picture {name!r} of {self.kind}; {nearest(name, drawn)}."
             )
-        return drawn[name]()
+        return in_double(drawn[name])()

@@ -20,7 +20,7 @@ from .read import ReflectanceObservation
 from .samples import Gathered, Selection, make_samples
 from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread
 from .stated import StatedErrors, stated_errors, with_stated_errors
-from .turns import turned
+from .turns import log_evidence_of_turns, shifts_of_turns, turned
 
 _cost = compiled_briefly(negative_log_likelihood)
 
@@ -45,7 +45,8 @@ class ChannelFit:
         spread: of the residuals of plain squares.
         chi_square: per degree of freedom, with the weights of the fit.
         sensor_chi_square: with the sensor's noise alone; None if unknown.
-        log_likelihood: with the spread of the final residuals.
+        log_likelihood: with the spread of the final residuals; over all turns of the lights where
+            they are found.
         converged: whether the optimum was reached.
     """
 
@@ -118,6 +119,10 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         )
     residual, signal, slope = residual_signal_slope(vector, samples)
     likeliest = weighted(vector, samples, fit_spread(residual, signal, slope, sensor=sensor))
+    log_likelihood = -float(_cost(vector, likeliest))
+    if turns is not None:
+        shifts = shifts_of_turns(known, turns, channel, vector, likeliest, selection)
+        log_likelihood += log_evidence_of_turns(shifts, turns, likeliest, selection)
     dof = len(residual) - len(space)
     return ChannelFit(
         channel=observation.channels[channel],
@@ -137,7 +142,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         sensor_chi_square=None
         if sensor is None
         else chi_square_per_dof(residual, signal, slope, sensor, dof),
-        log_likelihood=-float(_cost(vector, likeliest)),
+        log_likelihood=log_likelihood,
         converged=found.converged,
     )
 

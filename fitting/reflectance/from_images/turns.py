@@ -114,6 +114,30 @@ def likeliest_turns(
     return np.linalg.solve(precision, np.stack(pulls, axis=1)[..., None])[..., 0]
 
 
+def log_evidence_of_turns(
+    shifts: Float[np.ndarray, "2 samples"],
+    turns: Float[np.ndarray, "lights 2"],
+    samples: Samples,
+    selection: Selection,
+) -> float:
+    """What finding the turns costs a model: the logarithm of its likelihood over all turns less
+    that at the likeliest ones e,
+
+        -e^2 / 2 - ln det K / 2,    summed over the lights.
+
+    Args:
+        shifts: (2, samples) DN, about the turns.
+        turns: (lights, 2) in units of `direction_sd`.
+        samples: with their deviations.
+        selection: of the samples.
+
+    Returns:
+        The difference, negative.
+    """
+    _, precision = _standard(shifts, samples, selection, len(turns))
+    return -float(np.sum(turns**2) + np.linalg.slogdet(precision)[1].sum()) / 2
+
+
 def beyond_turns(
     values: Float[np.ndarray, "rows samples"],
     shifts: Float[np.ndarray, "2 samples"],
