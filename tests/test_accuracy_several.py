@@ -406,6 +406,7 @@ order = 2
     assert entry_of(by_chance, base | {"light samples": 16}).order == 16
 
 
+@pytest.mark.long
 def test_the_chance_of_light_is_measured_apart_from_that_of_places_within_pixels(tmp_path):
     """The edges of the ball are hit elsewhere by each seed, but not where rules are compared: there
     two seeds of a rule without chance agree, and those of a random one do not."""

@@ -397,6 +397,7 @@ def test_a_matt_surface_reports_no_lobe():
     assert any("roughness" in sentence for sentence in section.findings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_a_rough_body_contains_the_smooth_one(calibration, objective, noise):

@@ -201,6 +201,7 @@ def test_slopes_are_those_of_the_series_also_without_an_effect():
     np.testing.assert_allclose(one[0, 1], (both[0] - both[1]) / (2 * step), rtol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mu", [1e4, 1e7])
 def test_slopes_in_the_kernel_hold_where_the_series_is_held_too(mu):
     """Central differences with steps of a thousandth of each number."""

@@ -171,6 +171,7 @@ def program(function, *arguments):
     return str(jax.make_jaxpr(function)(*arguments))
 
 
+@pytest.mark.long
 def test_lambert_alone_traces_no_lobe():
     assert not re.search(TRANSCENDENTAL, program(render, LAMBERT_ONLY, PINHOLE))
     assert re.search(r"\bexp\b", program(render, SCENE, PINHOLE))
@@ -187,6 +188,7 @@ def test_a_noiseless_sensor_traces_no_random_bits():
     assert re.search(RANDOM, noisy)
 
 
+@pytest.mark.long
 def test_an_absent_adc_does_not_round_and_absent_ambient_does_not_select():
     bare = program(lambda c: capture(None, LAMBERT_ONLY, c).raw, s.Camera(PINHOLE, s.Sensor()))
     with_adc = s.Camera(PINHOLE, s.Sensor(bits=8))
@@ -362,6 +364,7 @@ def test_what_bounces_is_what_the_integrator_finds():
     np.testing.assert_array_equal(flat.radiance, 1)
 
 
+@pytest.mark.long
 def test_radiance_that_no_lens_made_irradiance_is_told():
     photons = s.PhotonConversion(wavelength=550e-9, pixel_area=25e-12)
     camera = s.Camera(PINHOLE, s.Sensor(exposure_time=0.01, photon_conversion=photons))
@@ -418,6 +421,7 @@ def test_a_missing_key_is_told_before_anything_is_rendered(sensor, missing, monk
     assert not rendered
 
 
+@pytest.mark.long
 def test_a_camera_in_the_bands_of_the_scene_is_what_the_refusal_advises():
     sensor = read_camera("emva1288", wavelengths=[610e-9, 550e-9, 465e-9]).sensor
     with pytest.warns(UserWarning, match=r"gets 0\.0052 photons .* without a photon_conv"):

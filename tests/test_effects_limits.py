@@ -142,6 +142,7 @@ def test_shadows_that_nobody_searches_save_nothing():
         assert shadows.saves == saves
 
 
+@pytest.mark.long
 @pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(
     "material",

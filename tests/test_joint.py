@@ -600,6 +600,7 @@ def test_halves_that_differ_are_two_random_groups():
     assert widened(robust, close) is robust
 
 
+@pytest.mark.long
 @pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(("prnu", "stated"), [(0.0, None), (0.0, 0.0), (0.01, None)])
 def test_pixels_of_unequal_gains_are_named(prnu, stated):

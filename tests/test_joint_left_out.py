@@ -12,6 +12,7 @@ from fitting.joint.section import section
 from fitting.rig import Camera
 
 
+@pytest.mark.long
 def test_an_error_too_small_to_tell_is_left_out_of_the_likelihood():
     """The bound by the pixels one by one; nothing of the error is traced, and the report lists
     it."""

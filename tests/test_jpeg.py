@@ -34,6 +34,7 @@ def levels(picture):
     return np.round(codes).astype(int)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
 def test_half_precision_passes_through_float32(compressed, dtype):
     picture = relative(RNG.integers(0, 256, (9, 7, 3))).astype(dtype)
@@ -84,6 +85,7 @@ def test_the_same_levels_in_double_precision(compressed):
     np.testing.assert_array_equal(levels(ours), through_a_file(codes, 60))
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("shape", [(1, 1, 3), (3, 17, 3), (16, 16, 3), (9, 8)])
 def test_small_and_grey_pictures(shape, compressed):
@@ -101,6 +103,7 @@ def test_opencv_reads_the_same(compressed):
     np.testing.assert_array_equal(levels(compressed(relative(codes), jnp.float32(70))), truth)
 
 
+@pytest.mark.long
 def test_what_bytes_cannot_hold_is_cut(compressed):
     wild = RNG.uniform(0, 1, size=(16, 16, 3)).astype(np.float32)
     wild[5, 6], wild[7, 8] = np.inf, -np.inf
@@ -112,6 +115,7 @@ def test_what_bytes_cannot_hold_is_cut(compressed):
     )
 
 
+@pytest.mark.long
 @pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize("rounding", ["straight_through", "cubic"])
 @pytest.mark.parametrize(("subsampling", "block"), [("4:4:4", 8), ("4:2:0", 16)])

@@ -80,6 +80,7 @@ def test_no_seam_and_no_jump_across_the_poles():
         np.testing.assert_allclose(look(painted(), a), look(painted(), b), rtol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["rough", "one bright pixel", "black", "odd width"])
 def test_samples_follow_their_density(kind):
@@ -119,6 +120,7 @@ def test_samples_follow_their_density(kind):
     assert stats.chisquare(seen, wanted * seen.sum() / wanted.sum()).pvalue > 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("peak", [5e5, 1e7, 1e9])
 def test_a_sun_in_float32_is_drawn_as_its_density_says(peak):

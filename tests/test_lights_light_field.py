@@ -36,6 +36,7 @@ FOCAL = Window([-0.8, 0.8, 1], [1.6, 0, 0], [0, -1.6, 0])
 RNG = np.random.default_rng(2)
 
 
+@pytest.mark.long
 def test_between_samples_it_is_linear_in_all_four():
     """A radiance that is a product of linear functions is met exactly."""
     sizes = (2, 3, 4, 5)

@@ -56,6 +56,7 @@ def test_under_a_corner_it_is_the_catalogues_form_factor(a, b, h):
     np.testing.assert_allclose(got, 3 * np.pi * factor, rtol=1e-13)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("normal", [[0, 0, 1.0], [0.6, 0, 0.8], [-0.48, 0.6, -0.64]])
 def test_inside_a_luminous_box_any_receiver_gets_pi(normal):
     """Six walls of radiance 1 all round: pi for every place and tilt, horizon cuts included."""

@@ -55,6 +55,7 @@ def test_student_t_with_ends_against_scipy():
     np.testing.assert_allclose(density(PREDICTION, data), expected, rtol=1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dof", [0.5, 1.0, 4.0, 30.0, 1000.0, 20_000.0])
 def test_log_of_student_and_its_slope_in_both_tails(dof):
     """Against 120 digits, where probabilities underflow too, and at the median."""
@@ -208,6 +209,7 @@ def test_outliers_of_saturated_data():
         StudentT(0.1, "dof", high=1.0)
 
 
+@pytest.mark.long
 def test_saturated_data_bias_a_gaussian_and_not_a_censored_fit():
     data = np.minimum(3 * LINE + 0.1 * RNG.standard_normal(200), 2.0)
     censored = fitted(Censored(0.1, high=2.0), data)
@@ -303,6 +305,7 @@ def test_draws_of_a_coarse_sensor_are_rounded_once():
     assert abs(left.mean()) < 0.015
 
 
+@pytest.mark.long
 def test_the_probabilities_of_all_codes_are_those_of_a_plain_sum():
     camera = sensor(read_noise=1.2, gain=0.4, offset=1.0, bits=5)
     likelihood = SensorCounts(camera, reach=14)
@@ -319,6 +322,7 @@ def test_the_probabilities_of_all_codes_are_those_of_a_plain_sum():
         np.testing.assert_allclose(np.exp(ours).sum(), 1, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.sweep(rest="long")
 @pytest.mark.parametrize(("light", "code"), [(0.01, 3.0), (0.01, 60.0), (300.0, 0.0), (2.0, 255.0)])
 def test_a_code_far_from_the_mean_has_its_probability(light, code):

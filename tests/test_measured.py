@@ -263,6 +263,7 @@ def test_nothing_below_the_surface_and_nothing_negative(name):
         assert (np.asarray(evaluate(table, a, b)) == 0).all()
 
 
+@pytest.mark.long
 def test_reciprocity_of_half_difference_tables_and_where_it_is_asked_for():
     wi, wo = pairs()
     np.testing.assert_allclose(evaluate(MERL, wi, wo), evaluate(MERL, wo, wi), rtol=1e-10)

@@ -151,6 +151,7 @@ def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
     assert view.pixel_pitch * view.resolution[1] == pytest.approx(20)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("parts", "words"),
     [

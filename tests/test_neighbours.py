@@ -40,6 +40,7 @@ def held(place):
     return np.mean(np.abs(place - 0.5) < 0.475)
 
 
+@pytest.mark.long
 def test_intervals_hold_more_often_where_neighbours_err_alike():
     """An error that is smooth over a tenth of the places: with each image counted as independent
     95 % intervals hold 75 %, with regions 85 %; what regions share is not seen."""

@@ -96,6 +96,7 @@ def estimates_of(measurement):
     return [_pattern_estimates(given, lines[name])[1] for name in ("dsnu", "prnu")]  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.long
 @pytest.mark.sweep
 @pytest.mark.parametrize("columns", [8, 16])
 def test_what_few_columns_decide_is_covered(columns):

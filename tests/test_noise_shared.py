@@ -181,6 +181,7 @@ def test_errors_of_a_level_know_of_shared_noise():
         assert abs(np.sqrt(np.mean(claimed)) / found.std(ddof=1) - 1) < 0.14
 
 
+@pytest.mark.long
 def test_black_is_within_its_errors_where_it_drifts():
     """6 e- of drift from frame to frame, darks of one exposure: the camera stays linear."""
     rng, photons, size = np.random.default_rng(7), np.linspace(200, 8000, 6), (40, 60)
@@ -206,6 +207,7 @@ def test_black_is_within_its_errors_where_it_drifts():
     assert np.all(np.mean(np.abs(np.array(z)) < 1.96, axis=0) > 0.8)
 
 
+@pytest.mark.long
 def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
     """1 % of random column gains: PRNU within its errors, and columns named, rows not."""
     rng, photons, size = np.random.default_rng(8), np.linspace(2000, 20_000, 4), (40, 60)
@@ -250,6 +252,7 @@ def test_a_flat_of_no_light_hides_no_unequal_gains():
     assert not unequal_gains(whole, np.arange(1), 1).believed
 
 
+@pytest.mark.long
 def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
     rng, photons, size = np.random.default_rng(9), np.linspace(200, 20_000, 5), (40, 60)
 
@@ -383,6 +386,7 @@ def test_parts_of_the_variance_add_up_in_the_mean(size):
         assert np.all(np.abs(np.mean(values, axis=0) - true) < 3.5 * error)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", [(1, 600), (600, 1)])
 def test_a_line_sensor_has_no_lines(shape):
     rng = np.random.default_rng(4)

@@ -165,6 +165,7 @@ def test_an_absent_shadow_is_not_traced():
     assert count(both_sides) > count(both_sides, ()) + 30
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rule", [Quadrature(2), MonteCarlo(jax.random.key(1), 3)])
 def test_shadows_are_asked_for_once_however_many_kinds_of_material(rule):
     """The program of four kinds of material tests shapes for blocking as often as that of one."""

@@ -335,6 +335,7 @@ def in_band(codes: np.ndarray, response, *, lowest: float = 0) -> float:
     return float(np.mean(np.abs(gap) <= curve.half_width + 1e-9, where=judged))
 
 
+@pytest.mark.long
 def test_peaks_that_clip_and_hide_are_left_out():
     """A blur after clipping darkens bright codes, which no code at full scale shows."""
     codes = processed_stack(gamma(2.2), STOPS, np.random.default_rng(1002), blurred=0.6)

@@ -67,6 +67,7 @@ def spectral(tmp_path_factory, data_folder):
     return source, np.asarray(jax.jit(render)(source.scene, source.view))
 
 
+@pytest.mark.long
 def test_bands_are_the_table_between_its_rows(spectral, table):
     source, _ = spectral
     nm = np.arange(400, 701, 10)

@@ -43,6 +43,7 @@ def slanted(theta):
     return jnp.asarray([np.sin(theta), 0.0, np.cos(theta)])
 
 
+@pytest.mark.long
 def test_albedo_of_white_paper(rgl):
     """The figures published beside the data: .82-.86 in red, .83-.87 in green; by an independent
     product quadrature, and the material's own to 3e-3."""

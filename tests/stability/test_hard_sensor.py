@@ -225,6 +225,7 @@ def test_transfer_of_three_thousand_rows_conserves_charge(dtype, inefficiency):
         np.testing.assert_allclose(read[:, 0, 0], expected, rtol=3000 * 4 * eps(dtype))
 
 
+@pytest.mark.long
 @both_precisions
 def test_exposure_of_no_time_is_dark_not_undefined(dtype):
     zero = jnp.zeros((), dtype)
