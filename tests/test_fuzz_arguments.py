@@ -60,7 +60,8 @@ def as_for_users():
 def test_odd_arguments_are_taken_or_refused(room):
     known, counts, wrong = traced(), Counter(), {}
     for name, (arguments, options) in examples_of(room).items():
-        if not places(arguments):
+        private = any(part.startswith("_") for part in name.split("."))  # others check for it
+        if private or not places(arguments):
             continue
         function = partial(known[name], **options)
         for number in range(FIRST, FIRST + COUNT):
