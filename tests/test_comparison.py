@@ -163,6 +163,8 @@ def test_an_order_may_be_sure_where_its_size_is_not():
     hangs = ratio(of([0.5, 0.5, 0.5, 0.5, 400]), of(base), "cosine")
     assert (hangs.more_often, hangs.chance, hangs.ordered) == (1, 1, False)
     assert not ratio(of([4, 400]), of(base[:2]), "cosine").ordered
+    assert not ratio(of(base + 1e-9 * np.arange(1, 6)), of(base), "cosine").ordered
+    assert not ratio(of(1.04 * base), of(base), "cosine").ordered
 
 
 @pytest.mark.parametrize("incidences", [5, 8, 15])

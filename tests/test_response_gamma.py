@@ -99,6 +99,21 @@ def test_what_is_known_of_black_and_shutter_widens():
     assert of_shutter.standard_error == pytest.approx(expected, rel=0.1)
 
 
+def test_two_exposures_rest_on_what_is_stated_however_little():
+    """Nothing shows of two shutters: 1e-4, which no pixel tells and the fit does without, makes an
+    interval narrower than 1e-3 does, not that of the prior on cameras."""
+    times = np.array([0.25, 1.0])
+    _, codes = exposure_stack(gamma(2.2), times, np.random.default_rng(4), pixels=4000)
+    curve = fit_response_curve(codes, times, bits=8)
+    widths = [
+        float(np.ptp(fit_gamma(curve, exposure_sd=stated).gamma.interval_95))
+        for stated in (1e-4, 1e-3, 5e-3, 0.0)
+    ]
+    assert [own.name for own in fit_gamma(curve, exposure_sd=1e-4).left_out] == ["exposure_sd"]
+    assert (np.diff(widths) > 0).all()
+    assert widths[2] == pytest.approx(2 * 1.96 * 2.2 * 5e-3 / np.log(4) * np.sqrt(2), rel=0.2)
+
+
 def test_what_no_pixel_can_tell_of_black_and_shutter_is_left_out():
     """Bounds against the least-squares energy of all pixels, whose irradiances are the best for
     each shift: the law moves by what the shift adds to the misfit of codes without noise."""

@@ -27,7 +27,7 @@ from fitting.reflectance.from_images.model import (
 )
 from fitting.reflectance.from_images.samples import Selection, gather, make_samples
 from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
-from fitting.reflectance.from_images.turns import beyond_turns, log_evidence_of_turns
+from fitting.reflectance.from_images.turns import beyond_turns, information_on_turns
 from fitting.report.left_out import left_out_tables
 
 SPHERE = Sphere(lights=5, read_noise=1.0)
@@ -268,19 +268,24 @@ def test_what_turns_leave_is_what_their_elimination_leaves(fitted):
     np.testing.assert_allclose(left @ left.T, expected, rtol=1e-10, atol=1e-9)
 
 
-def test_a_model_pays_for_turns_what_an_integral_over_them_takes():
-    """Residuals r = S e + noise, against scipy's normal density of r, whose covariance is 1 + S
-    S^T."""
+def test_a_model_pays_for_turns_what_an_integral_over_them_takes(fitted):
+    """Residuals r = S e + noise of three lights, against scipy's normal density of r, whose
+    covariance is 1 + S S^T; where four samples count as one, S S^T / 4."""
+    fit = fitted[1]()
     rng, light = np.random.default_rng(4), np.repeat(np.arange(3), 20)
     deviation, moves = rng.uniform(1, 3, 60), 2 * rng.standard_normal((2, 60))
-    left, turns, exact = rng.standard_normal(60), np.empty((3, 2)), 0.0
-    for one in range(3):
-        own = light == one
-        s = moves[:, own].T
-        turns[one] = np.linalg.solve(np.eye(2) + s.T @ s, s.T @ left[own])
-        exact += stats.multivariate_normal(cov=np.eye(20) + s @ s.T).logpdf(left[own])
-        exact -= stats.norm.logpdf(left[own] - s @ turns[one]).sum()
     samples = SimpleNamespace(deviation=deviation, saturated=None)
     selection = Selection(light, np.arange(60))
-    found = log_evidence_of_turns(moves * deviation, turns, samples, selection)  # pyright: ignore[reportArgumentType]
-    assert found == pytest.approx(exact)
+    told = information_on_turns(moves * deviation, samples, selection, 3)  # pyright: ignore[reportArgumentType]
+    for effect in (1.0, 4.0):
+        left, turns, exact = rng.standard_normal(60), np.empty((3, 2)), 0.0
+        for one in range(3):
+            own = light == one
+            s = moves[:, own].T / np.sqrt(effect)
+            turns[one] = np.linalg.solve(np.eye(2) + s.T @ s, s.T @ left[own])
+            exact += stats.multivariate_normal(cov=np.eye(20) + s @ s.T).logpdf(left[own])
+            exact -= stats.norm.logpdf(left[own] - s @ turns[one]).sum()
+        of_turns = replace(fit, told_of_turns=(turns, told))
+        found = of_turns.log_evidence(effect) - fit.log_evidence(effect)
+        assert found == pytest.approx(exact)
+        assert fit.log_evidence(effect) == fit.log_likelihood / effect

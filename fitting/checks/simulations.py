@@ -18,7 +18,6 @@ from ..inference.posterior import Posterior
 
 BLOCK = 20  # fits between two writings
 SAME = 1e-3  # difference up to which a place is that of the same fit
-MAGIC = b"\x93NUMPY"  # of a file's beginning
 
 Simulate = Callable[[int], Float[np.ndarray, " parameters"]]
 
@@ -79,20 +78,22 @@ def simulated(
 
 
 def _kept(file: Path) -> np.ndarray | None:
-    """What an earlier run has written; None where there is nothing, or what it wrote is damaged."""
+    """What an earlier run has written; None where there is nothing."""
     if not file.exists():
         return None
     if not file.is_file():
         raise InputError(f"{file}: is a folder; name a file.")
     with file.open("rb") as stream:
-        start = stream.read(len(MAGIC))
-        if start and start != MAGIC:
-            raise InputError(f"{file}: holds no kept fits, and is left alone; name another file.")
+        if not stream.read(1):
+            return None
         stream.seek(0)
         try:
             return np.load(stream, allow_pickle=False)
-        except (ValueError, EOFError, MemoryError):
-            return None
+        except Exception:  # a damaged header ends in whatever its tokens make Python say
+            raise InputError(
+                f"{file}: holds no kept fits, or damaged ones, and is left alone; remove it, or "
+                "name another file."
+            ) from None
 
 
 def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " parameters"]:

@@ -49,10 +49,10 @@ def flicker_in_words(flicker: dict[str, Found]) -> list[str]:
     """
     return [
         f"The {name} of a flat share noise of "
-        f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms, new in every "
-        "frame, that the darks do not have: no model here knows of it, and where it is part of the "
-        "variance it passes for light's. Gain, efficiency and what follows from them are not "
-        "given, and no sensor is made: look for a flickering lamp or interference, or take darks "
-        "and flats in the same state of the camera."
+        f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms where it is "
+        "plainest, new in every frame, that the darks do not have: no model here knows of it, and "
+        "where it is part of the variance it passes for light's. Gain, efficiency and what follows "
+        "from them are not given, and no sensor is made: look for a flickering lamp or "
+        "interference, or take darks and flats in the same state of the camera."
         for name, one in flicker.items()
     ]

@@ -239,10 +239,10 @@ def extra_lines(
         axis: which.
 
     Returns:
-        The variance.
+        The variance of the level that shows it most plainly, and the significance of all.
     """
-    lit, unlit = temporal_lines(bright, *of_bright, axis), temporal_lines(dark, *of_dark, axis)
-    if not lit.error or not unlit.error:
+    unlit = temporal_lines(dark, *of_dark, axis)
+    if not unlit.error:
         return NOTHING
     lines, across = np.asarray(bright.shape)[[axis, 1 - axis]]
     alike, by_pixels = max(unlit.variance, 0.0), of_bright[0] / across
@@ -251,14 +251,13 @@ def extra_lines(
     known = 2 * (own / unlit.error) ** 2
     more = max(float(np.mean(by_pixels)) - of_darks, 0.0)  # of the flats' pixels, known well
     beneath = known * (1 + more / (own * known / chdtri(known, 1 - LOWEST))) ** 2
-    told = _pooled(
-        np.asarray(bright.rows if axis == 0 else bright.columns) - alike,
-        by_pixels + alike,
-        (of_bright[1] - 1) * max(lines - 1, 1.0),
-        np.full(len(by_pixels), beneath / len(by_pixels)),
-    )
-    error = float(np.hypot(lit.error, unlit.error))
-    return Found(lit.variance - alike, error, told.significance)
+    values = np.asarray(bright.rows if axis == 0 else bright.columns) - alike
+    expected, degrees = by_pixels + alike, (of_bright[1] - 1) * max(lines - 1, 1.0)
+    told = _pooled(values, expected, degrees, np.full(len(values), beneath / len(values)))
+    plainest = int(np.argmax(values / expected * np.sqrt(degrees)))
+    error = (expected + values)[plainest] * np.sqrt(2 / degrees[plainest])
+    error = float(np.hypot(error, unlit.error))
+    return Found(float(values[plainest]), error, told.significance)
 
 
 def believed_lines(
@@ -407,8 +406,9 @@ def drift(
 def _pooled(
     values: np.ndarray, expected: np.ndarray, degrees: np.ndarray, beneath: np.ndarray
 ) -> Found:
-    """Mean of excesses over what independent pixels give, weighted by the inverse of its own
-    variance 2 (expected + excess)^2 / degrees. Levels whose frames are all alike tell nothing.
+    """Mean of excesses over what independent pixels give, each weighted by its degrees of freedom
+    over what it exceeds, as the ratio is that judges them: what is believed is above zero. Levels
+    whose frames are all alike tell nothing.
 
     Args:
         values: (levels,) excesses, DN^2.
@@ -423,12 +423,9 @@ def _pooled(
     if not told.any():
         return NOTHING
     values, expected, degrees = values[told], expected[told], degrees[told]
-    weight = degrees / (2 * expected**2)
-    without = float(np.average(values, weights=weight))  # as if there were none
     ratio = float(np.average(1 + values / expected, weights=degrees))
     significance = _deviate(ratio, float(degrees.sum()), float(beneath[told].sum()))
-    weight = degrees / (2 * (expected + max(without, 0.0)) ** 2)
-    variance = float(np.average(values, weights=weight))
-    share = weight / weight.sum()
+    share = degrees / expected / np.sum(degrees / expected)
+    variance = float(share @ values)
     error = float(np.sqrt(np.sum(2 * (share * (expected + variance)) ** 2 / degrees)))
     return Found(variance, error, significance)

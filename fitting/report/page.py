@@ -153,7 +153,7 @@ def _drawn(pictures: Sequence[Picture]) -> list[_Drawn]:
 
     found = []
     for picture in pictures:
-        strips = figure_strips(picture.draw, widest=math.inf if picture.is_whole else NARROW)
+        strips = figure_strips(picture.drawn, widest=math.inf if picture.is_whole else NARROW)
         sizes = np.array([re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)', svg)[0] for svg in strips])
         widths, heights = sizes.astype(float).T
         drawn = tuple(zip(map(Markup, strips), np.rint(widths).astype(int), strict=True))

@@ -55,6 +55,10 @@ class Picture:
     draw: "Callable[[], Figure]"
     is_whole: bool = False
 
+    def drawn(self) -> "Figure":
+        """The figure, of numbers in double precision."""
+        return in_double(self.draw)()
+
     def __repr__(self) -> str:
         return f"Picture({self.name!r}, {self.title!r})"  # what it draws from may be long
 
@@ -146,9 +150,9 @@ class Section:
         Raises:
             InputError: for a name that is none.
         """
-        drawn = {picture.name: picture.draw for picture in self.pictures}
+        drawn = {picture.name: picture.drawn for picture in self.pictures}
         if name not in drawn:
             raise InputError(
                 f"there is no picture {name!r} of {self.kind}; {nearest(name, drawn)}."
             )
-        return in_double(drawn[name])()
+        return drawn[name]()

@@ -179,28 +179,24 @@ def _count_pairs(sums: _Sums, seen: Observations) -> None:
     sums.chi_square += np.bincount(seen.classes, square, classes)
     sums.free += np.bincount(seen.classes, np.count_nonzero(used, axis=0) - 1.0, classes)
     shares = seen.weights / np.sqrt(seen.total)
-    images = np.arange(exposures)
-    own = seen.weights - shares**2
-    places = (seen.binned + images[:, None] * bins).ravel()
-    by_image = np.bincount(places, own.ravel(), exposures * bins).reshape(exposures, bins)
-    sums.curve[np.diag_indices(bins)] += by_image.sum(axis=0)
-    sums.mixed -= by_image.T
-    sums.times[np.diag_indices(exposures)] += by_image.sum(axis=1)
-    found = []
-    for j in range(exposures - 1):
-        products = shares[j] * shares[j + 1 :]
-        later, pixel = np.nonzero(products)  # most pixels are well exposed in few images only
-        found.append((np.full(len(pixel), j), later + j + 1, pixel, products[later, pixel]))
-    one, other, pixel, products = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    code, other_code = seen.binned[one, pixel], seen.binned[other, pixel]
-    pairs = np.bincount(code * bins + other_code, products, bins**2)
-    sums.curve -= 2 * pairs.reshape(bins, bins)
-    across = np.bincount(one * bins + other_code, products, exposures * bins)
-    across += np.bincount(other * bins + code, products, exposures * bins)
-    sums.mixed += across.reshape(exposures, bins).T
-    apart = np.bincount(one * exposures + other, products, exposures**2)
-    apart = apart.reshape(exposures, exposures)
-    sums.times -= apart + apart.T
+    for j in range(exposures):
+        own = np.bincount(seen.binned[j], seen.weights[j] - shares[j] ** 2, bins)
+        sums.curve[np.diag_indices(bins)] += own
+        sums.mixed[:, j] -= own
+        sums.times[j, j] += own.sum()
+        later = slice(j + 1, None)
+        products = shares[j] * shares[later]
+        image, pixel = np.nonzero(products)  # most pixels are well exposed in few images only
+        products, code = products[image, pixel], seen.binned[j][pixel]
+        other = seen.binned[later][image, pixel]
+        pairs = np.bincount(code * bins + other, products, bins**2).reshape(bins, bins)
+        sums.curve -= 2 * pairs
+        sums.mixed[:, j] += pairs.sum(axis=0)
+        count = exposures - 1 - j
+        by_image = np.bincount(code + image * bins, products, count * bins).reshape(count, bins)
+        sums.mixed[:, later] += by_image.T
+        sums.times[j, later] -= by_image.sum(axis=1)
+        sums.times[later, j] -= by_image.sum(axis=1)
 
 
 def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:

@@ -31,6 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Integer
+from scipy.optimize import brentq
 from scipy.special import chdtri, stdtrit
 from threadpoolctl import threadpool_limits
 
@@ -44,7 +45,7 @@ from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
-from .shutter import Shutter, over_tau
+from .shutter import UNTOLD, Shutter, over_tau
 from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
 from .weights import APART, WeightRule, cells_of, coarsest, hat_rule, noise_rule
 
@@ -313,13 +314,21 @@ def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
 
 
 def _shutter_error(found: Solution) -> float | None:
-    """tau, or None where the errors are within what the pixels' noise explains."""
+    """tau as the images alone show it (Paule & Mandel, J. Res. NBS 87, 1982), or None where the
+    errors are within what the pixels' noise explains."""
     if not len(found.free):
         return None
     pull, information = _by_the_images(found)
-    explained = pull @ np.linalg.pinv(information, hermitian=True) @ pull
-    shaky = explained > chdtri(len(found.free), 1 - SIGNIFICANCE)
-    return found.suggested.shutter_error if shaky else None
+    known, axes = np.linalg.eigh(information)
+    told = known > UNTOLD * known.max()
+    known, square = known[told], ((pull @ axes)[told] / known[told]) ** 2
+
+    def beyond(tau: float) -> float:
+        return float(np.sum(square / (1 / known + tau**2))) - len(known)
+
+    if beyond(0.0) <= chdtri(len(known), 1 - SIGNIFICANCE) - len(known):
+        return None
+    return float(brentq(beyond, 0.0, np.sqrt(square.sum())))
 
 
 def _bound(shutter_error: float, free: int) -> float:

@@ -275,8 +275,7 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
     if few:
         count, stated = len(few[0].curve.exposures), few[0].plane.exposure_sd
         if stated:
-            size = format_percent(stated, decimals=1)
-            rests = f"the intervals rest on the {size} that the rig states"
+            rests = f"the intervals rest on the {100 * stated:.2g} % that the rig states"
         elif count > 2:
             rests = "how large the others are, the intervals mix over"
         else:

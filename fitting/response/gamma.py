@@ -116,7 +116,7 @@ class GammaFit:
     Attributes:
         gamma: with its intervals.
         shutter_error: tau, rms of the error of ln t.
-        posterior: over (gamma, tau).
+        posterior: over (gamma, tau), of a stated tau what comes on top.
         departure: (bins,) ln X of the measured curve less that of the best gamma; NaN where no
             pixel was seen.
         srgb_departure: (bins,) less that of the sRGB curve.
@@ -168,8 +168,8 @@ def fit_gamma(
     )
     named = {own.name for own in gone}
     black_sd = 0.0 if "black_sd" in named else black_sd
-    exposure_sd = 0.0 if "exposure_sd" in named else exposure_sd
-    sums = _gamma_sums(curve, column, dispersion, exposure_sd)
+    known = 0.0 if "exposure_sd" in named else exposure_sd
+    sums = _gamma_sums(curve, column, dispersion, known, exposure_sd)
     sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
     log_tau, weights, given = _over_shutter(sums)
     best = int(np.argmax(weights))
@@ -313,7 +313,7 @@ def _from_elsewhere(
     tau = jnp.asarray(SHUTTER_PRIOR.median)
     mean = float(given_shutter(sums, tau).mean)
     shifted = log_code_means(curve, shift=BLACK_STEP)
-    moved = float(given_shutter(_gamma_sums(curve, shifted, dispersion, 0.0), tau).mean)
+    moved = float(given_shutter(_gamma_sums(curve, shifted, dispersion), tau).mean)
     of_black = ((moved - mean) / BLACK_STEP * black_sd) ** 2
     excess = [(other - mean) ** 2 - variance for other, variance in _other_weightings(curve)]
     of_slope = (mean * slope_error(curve.noise)) ** 2
@@ -338,14 +338,20 @@ def _other_weightings(curve: ResponseCurve) -> list[tuple[float, float]]:
 
 
 def _gamma_sums(
-    curve: ResponseCurve, column: np.ndarray, dispersion: float, known: float
+    curve: ResponseCurve,
+    column: np.ndarray,
+    dispersion: float,
+    known: float = 0.0,
+    stated: float = 0.0,
 ) -> GammaSums:
+    """The sums; a stated shutter error that is too small to enter them, so that none is `known`,
+    makes the prior all the same."""
     overstated = dispersion * curve.design_effect
     size, matrix = len(column), curve.statistics.matrix / overstated
     score = curve.statistics.score / overstated
     log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
     mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
-    prior = prior_of(basis.shape[1], known)
+    prior = prior_of(basis.shape[1], stated)
     return GammaSums(
         cc=jnp.asarray(column @ matrix[:size, :size] @ column, float),
         ct=jnp.asarray(mixed @ log_t, float),

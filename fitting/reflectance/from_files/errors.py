@@ -13,6 +13,7 @@ from .read import MeasuredBRDF
 
 FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
 SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
+NOTABLE = 1.05  # ratio of two errors from which an order of them is worth a word
 LIKELY = 0.1  # chance up to which the one model that errs more at most incidences is called worse
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 
@@ -120,7 +121,8 @@ class Ratio:
     @property
     def more_often(self) -> int:
         """At how many incidences the model errs more that errs more on the whole."""
-        return int(np.sum(self.alone > 1 if self.value > 1 else self.alone < 1))
+        logs = np.log(self.alone) * np.sign(np.log(self.value))
+        return int(np.sum(logs > SAME))
 
     @property
     def chance(self) -> float:
@@ -132,7 +134,7 @@ class Ratio:
         """Whether the same model errs more at so many incidences that chance is unlikely. One that
         stands apart from the others may leave the size of a difference open, hence `told` false,
         and yet not its sign."""
-        return self.chance <= LIKELY
+        return self.chance <= LIKELY and abs(np.log(self.value)) >= np.log(NOTABLE)
 
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:

@@ -183,7 +183,8 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
     )
     of_lobe = () if fit.form.model == "lambert" else ("specular", shape_of(fit.form.model).name)
     size = fit.samples.dn.size / fit.design_effect
-    gain = 2 * (fit.log_likelihood - without_lobe.log_likelihood) / fit.design_effect
+    effect = fit.design_effect
+    gain = 2 * (fit.log_evidence(effect) - without_lobe.log_evidence(effect))
     if fit.form.model != "lambert" and gain < 2 * np.log(size):
         unseen = (
             "a fit without a highlight does as well"

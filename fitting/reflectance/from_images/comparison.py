@@ -189,10 +189,10 @@ def compare(
     """
     scores = []
     for of_models in zip(*fits.values(), strict=True):
-        best = max(of_models, key=lambda fit: fit.log_likelihood)
+        best = max(of_models, key=lambda fit: fit.log_evidence(1.0))
         size = best.samples.dn.size / best.design_effect
         counts = np.array([len(fit.space) for fit in of_models])
-        deviance = -2 * np.array([fit.log_likelihood for fit in of_models]) / best.design_effect
+        deviance = -2 * np.array([fit.log_evidence(best.design_effect) for fit in of_models])
         criteria = deviance + np.array([[2.0], [np.log(size)]]) * counts
         for model, fit, (aic, bic) in zip(
             fits, of_models, (criteria - criteria.min(axis=1, keepdims=True)).T, strict=True

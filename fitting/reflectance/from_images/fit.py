@@ -20,7 +20,7 @@ from .read import ReflectanceObservation
 from .samples import Gathered, Selection, make_samples
 from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread
 from .stated import StatedErrors, stated_errors, with_stated_errors
-from .turns import log_evidence_of_turns, shifts_of_turns, turned
+from .turns import information_on_turns, shifts_of_turns, turned
 
 _cost = compiled_briefly(negative_log_likelihood)
 
@@ -45,8 +45,9 @@ class ChannelFit:
         spread: of the residuals of plain squares.
         chi_square: per degree of freedom, with the weights of the fit.
         sensor_chi_square: with the sensor's noise alone; None if unknown.
-        log_likelihood: with the spread of the final residuals; over all turns of the lights where
-            they are found.
+        log_likelihood: with the spread of the final residuals, where lights stand in the fit.
+        told_of_turns: (lights, 2) turns and (lights, 2, 2) what the images tell of them, in units
+            of the directions' uncertainty; None without such.
         converged: whether the optimum was reached.
     """
 
@@ -66,6 +67,7 @@ class ChannelFit:
     chi_square: float
     sensor_chi_square: float | None
     log_likelihood: float
+    told_of_turns: tuple[np.ndarray, np.ndarray] | None
     converged: bool
 
     @property
@@ -80,6 +82,26 @@ class ChannelFit:
     @property
     def design_effect(self) -> float:
         return 1.0 if self.robustness is None else self.robustness.design_effect
+
+    def log_evidence(self, design_effect: float) -> float:
+        """Logarithm of the likelihood over all turns of the lights, e being the likeliest,
+
+            ln L(e) - e^2 / 2 - ln det(1 + S^T S) / 2,
+
+        where so many samples count as one.
+
+        Args:
+            design_effect: by which ln L and S^T S are lessened.
+
+        Returns:
+            The logarithm.
+        """
+        evidence = self.log_likelihood / design_effect
+        if self.told_of_turns is None:
+            return evidence
+        turns, information = self.told_of_turns
+        widening = np.linalg.slogdet(np.eye(2) + information / design_effect)[1]
+        return evidence - float(np.sum(turns**2) + widening.sum()) / 2
 
 
 def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping) -> ChannelFit:
@@ -119,10 +141,11 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         )
     residual, signal, slope = residual_signal_slope(vector, samples)
     likeliest = weighted(vector, samples, fit_spread(residual, signal, slope, sensor=sensor))
-    log_likelihood = -float(_cost(vector, likeliest))
-    if turns is not None:
-        shifts = shifts_of_turns(known, turns, channel, vector, likeliest, selection)
-        log_likelihood += log_evidence_of_turns(shifts, turns, likeliest, selection)
+    told = None
+    if lights is not None:
+        about = np.zeros_like(lights.turns) if turns is None else turns
+        shifts = shifts_of_turns(known, about, channel, vector, likeliest, selection)
+        told = about, information_on_turns(shifts, likeliest, selection, len(about))
     dof = len(residual) - len(space)
     return ChannelFit(
         channel=observation.channels[channel],
@@ -142,7 +165,8 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         sensor_chi_square=None
         if sensor is None
         else chi_square_per_dof(residual, signal, slope, sensor, dof),
-        log_likelihood=log_likelihood,
+        log_likelihood=-float(_cost(vector, likeliest)),
+        told_of_turns=told,
         converged=found.converged,
     )
 

@@ -114,28 +114,21 @@ def likeliest_turns(
     return np.linalg.solve(precision, np.stack(pulls, axis=1)[..., None])[..., 0]
 
 
-def log_evidence_of_turns(
-    shifts: Float[np.ndarray, "2 samples"],
-    turns: Float[np.ndarray, "lights 2"],
-    samples: Samples,
-    selection: Selection,
-) -> float:
-    """What finding the turns costs a model: the logarithm of its likelihood over all turns less
-    that at the likeliest ones e,
-
-        -e^2 / 2 - ln det K / 2,    summed over the lights.
+def information_on_turns(
+    shifts: Float[np.ndarray, "2 samples"], samples: Samples, selection: Selection, lights: int
+) -> Float[np.ndarray, "lights 2 2"]:
+    """S^T S: what the images tell of the turns, without the rig.
 
     Args:
-        shifts: (2, samples) DN, about the turns.
-        turns: (lights, 2) in units of `direction_sd`.
+        shifts: (2, samples) DN, about the turns of the samples.
         samples: with their deviations.
         selection: of the samples.
+        lights: of the observation.
 
     Returns:
-        The difference, negative.
+        (lights, 2, 2) in units of `direction_sd`.
     """
-    _, precision = _standard(shifts, samples, selection, len(turns))
-    return -float(np.sum(turns**2) + np.linalg.slogdet(precision)[1].sum()) / 2
+    return _standard(shifts, samples, selection, lights)[1] - np.eye(2)
 
 
 def beyond_turns(

@@ -707,7 +707,7 @@ ELSEWHERE = (
             fitting.reflectance.from_images.spread: sensor_spread variance
             fitting.reflectance.from_images.stated: stated_errors with_stated_errors
             fitting.reflectance.from_images.turns: beyond_turns likeliest_turns
-            fitting.reflectance.from_images.turns: log_evidence_of_turns shifts_of_turns turned
+            fitting.reflectance.from_images.turns: information_on_turns shifts_of_turns turned
         """,
     ),
 )
