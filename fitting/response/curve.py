@@ -28,6 +28,7 @@ mid-scale.
 """
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -328,7 +329,7 @@ def _shutter_error(found: Solution) -> float | None:
 
     if beyond(0.0) <= chdtri(len(known), 1 - SIGNIFICANCE) - len(known):
         return None
-    return float(brentq(beyond, 0.0, np.sqrt(square.sum())))
+    return cast(float, brentq(beyond, 0.0, np.sqrt(square.sum())))
 
 
 def _bound(shutter_error: float, free: int) -> float:
