@@ -54,10 +54,10 @@ SHUTTER_ERROR = Parameter(
 SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 
-def space_of(free: int, stated: float = 0.0) -> ParameterSpace:
+def space_of(free: int, *, stated: float = 0.0) -> ParameterSpace:
     """Gamma and the shutter error, or what comes on top of a stated one, by how many of its errors
     are visible."""
-    return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free, stated))
+    return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free, stated=stated))
 
 
 class GammaSums(eqx.Module):
@@ -173,7 +173,7 @@ def fit_gamma(
     sums = eqx.tree_at(lambda s: s.added, sums, _from_elsewhere(curve, sums, dispersion, black_sd))
     log_tau, weights, given = _over_shutter(sums)
     best = int(np.argmax(weights))
-    space = space_of(sums.td.size, exposure_sd)
+    space = space_of(sums.td.size, stated=exposure_sd)
     likeliest = jnp.asarray([float(given.mean[best]), float(np.exp(log_tau[best]))])
     mode = to_unconstrained(space, likeliest)
     spread = _spread(given, log_tau, weights)
@@ -351,7 +351,7 @@ def _gamma_sums(
     score = curve.statistics.score / overstated
     log_t, basis = np.log(curve.exposures), shutter_basis(np.log(curve.exposures))
     mixed, times = column @ matrix[:size, size:], matrix[size:, size:]
-    prior = prior_of(basis.shape[1], stated)
+    prior = prior_of(basis.shape[1], stated=stated)
     return GammaSums(
         cc=jnp.asarray(column @ matrix[:size, :size] @ column, float),
         ct=jnp.asarray(mixed @ log_t, float),

@@ -61,7 +61,7 @@ class Shutter:
         return self.per_square * self.likeliest**2
 
 
-def prior_of(shown: int, stated: float = 0.0) -> LogNormal:
+def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
     """The prior on tau, or on what comes on top of a stated one. Where no error shows, the prior
     alone makes the interval, and is narrower, about what cameras do.
 
@@ -102,7 +102,7 @@ def over_tau(
     log_weight = (pull**2 * square / (1 + known_by * square) - np.log1p(known_by * square)).sum(
         axis=1
     ) / 2
-    prior = prior_of(int(told.sum()), known)
+    prior = prior_of(int(told.sum()), stated=known)
     log_weight -= ((log_tau - np.log(prior.median)) / prior.log_sd) ** 2 / 2
     weights = np.exp(log_weight - log_weight.max())
     kept = weights > LEAST * weights.sum()
