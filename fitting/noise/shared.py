@@ -254,7 +254,8 @@ def extra_lines(
     values = np.asarray(bright.rows if axis == 0 else bright.columns) - alike
     expected, degrees = by_pixels + alike, (of_bright[1] - 1) * max(lines - 1, 1.0)
     told = _pooled(values, expected, degrees, np.full(len(values), beneath / len(values)))
-    plainest = int(np.argmax(values / expected * np.sqrt(degrees)))
+    ratio = np.divide(values, expected, out=np.full(len(values), -np.inf), where=expected > 0)
+    plainest = int(np.argmax(ratio * np.sqrt(degrees)))
     error = (expected + values)[plainest] * np.sqrt(2 / degrees[plainest])
     error = float(np.hypot(error, unlit.error))
     return Found(float(values[plainest]), error, told.significance)
