@@ -20,7 +20,6 @@ from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gain
 from fitting.noise.sampling import sampling_errors
 from fitting.noise.settings import Setting
 from fitting.noise.shared import (
-    Moments,
     drift,
     extra_lines,
     fixed_lines,
@@ -28,6 +27,7 @@ from fitting.noise.shared import (
     shared_variance,
     temporal_lines,
 )
+from fitting.noise.variance_parts import Moments
 from fitting.rig import Camera
 from jaxvision.errors import InputError
 

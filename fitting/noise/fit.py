@@ -281,9 +281,8 @@ def fitted(
     """
     if among:
         solution, vector = _fit_among(among, space, data, standard, near)
-        if near is not None and not bool(
-            jnp.isfinite(solution.cost)
-        ):  # that start is out of bounds
+        if near is not None and not bool(jnp.isfinite(solution.cost)):
+            # The larger model's end is out of bounds for this one.
             solution, vector = _fit_among(among, space, data, standard, None)
     else:
         solution = fit_space(space, data, standard)

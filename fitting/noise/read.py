@@ -21,7 +21,8 @@ from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels,
 from .levels_table import read_table
 from .neighbours import Neighbours
 from .settings import require_one_setting
-from .shared import Moments, shared_variance
+from .shared import shared_variance
+from .variance_parts import Moments
 
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8

@@ -24,10 +24,8 @@ from .solve import STEADIEST
 
 SHUTTER_PRIOR = LogNormal(median=0.01, log_sd=1.5)  # within a factor of 4.5 at one sigma
 SHUTTER_SHOWN = LogNormal(median=0.01, log_sd=2.5)  # where images show it: within a factor of 12
-BEYOND, BEYOND_LOG_SD = (
-    0.1,
-    1.5,
-)  # of what is stated: the median of what comes on top, and its spread
+BEYOND = 0.1  # of what is stated, the median of what comes on top
+BEYOND_LOG_SD = 1.5  # of its logarithm
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
 MOST_STEPS, NEAR = 100, 1e-6  # toward a quantile

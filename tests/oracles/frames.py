@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fitting.noise.shared import Moments
+from fitting.noise.variance_parts import Moments
 
 
 def level_of(
