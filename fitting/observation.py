@@ -14,6 +14,7 @@ import numpy as np
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
+from jaxvision.plain_arrays import plain_array
 from jaxvision.toml_files import checked
 
 from .rig import Camera, Rig
@@ -41,7 +42,7 @@ def in_memory(
         InputError: for entries that no rig file may have.
     """
     rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig", first=0, called=called)
-    stored = {rig.path(name): np.asarray(image) for name, image in images.items()}
+    stored = {rig.path(n): np.asarray(plain_array(n, image)) for n, image in images.items()}
     return rig, stored.__getitem__
 
 

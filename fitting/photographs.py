@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
+from jaxvision.plain_arrays import plain_array
 
 from .observation import require_as_many, require_several_images
 from .rig import SphereGeometry
@@ -56,6 +57,7 @@ def rig_entries(
     Raises:
         InputError: for lists of unequal length.
     """
+    lights, intensities = plain_array("lights", lights), plain_array("intensities", intensities)
     require_several_images("images", images)
     require_as_many("lights", lights, "images", images)
     strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
@@ -81,7 +83,7 @@ def rig_entries(
 
 
 def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> Float[np.ndarray, " lights"]:
-    sizes = np.asarray(sd)
+    sizes = np.asarray(plain_array(name, sd))
     if sizes.dtype.kind not in "fiu" or sizes.ndim > 1:
         raise InputError(
             f"{name}: give one number for all images or a list of one for each, got {sd!r:.60}."

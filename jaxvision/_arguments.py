@@ -30,6 +30,7 @@ from ._types import (
     require_metres,
 )
 from .errors import nearest
+from .plain_arrays import plain_array
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -85,11 +86,14 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
             raise _unknown(function, kwargs, wanted)
         values = dict(zip(wanted, args, strict=False)) | kwargs
         arrays = {n: w for n, w in wanted.items() if w is not None and n in values}
+        given = values
+        values = {n: plain_array(_place(function, n), value) for n, value in values.items()}
         plain = [n for n, want in arrays.items() if _is_plain(values[n], want)]
         if plain:
             dtype = _dtype_beside(values)
             for name in plain:
                 values[name] = _as_array(function, name, values[name], arrays[name], dtype)
+        if any(values[name] is not given[name] for name in values):
             args = tuple(values.get(n, x) for n, x in zip(wanted, args, strict=False))  # type: ignore[assignment]
             kwargs = {name: values[name] for name in kwargs}  # type: ignore[assignment]
         for name, want in arrays.items():

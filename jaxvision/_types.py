@@ -19,6 +19,8 @@ import numpy.typing as npt
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
+from .plain_arrays import plain_array
+
 
 class _OneOf(type):
     """The class of an alias of several kinds, of which an instance is one."""
@@ -95,6 +97,7 @@ def in_short(x: Any) -> str:
 
 
 def _as_numbers(x: Any) -> Array:
+    x = plain_array("an argument", x)
     try:
         return jnp.asarray(x)
     except (TypeError, ValueError) as error:

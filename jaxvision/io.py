@@ -23,6 +23,7 @@ import numpy as np
 from ._png_chunks import png_fault
 from .errors import InputError, check_utf8, unwritable
 from .interrupts import removed_if_interrupted
+from .plain_arrays import plain_array
 from .raw_files import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
 
 _LOG = logging.getLogger("jaxvision.io")
@@ -229,7 +230,7 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
         >>> print(jv.read_image(file).mean())
         0.5
     """
-    file, array = Path(path), np.ascontiguousarray(pixels)
+    file, array = Path(path), np.ascontiguousarray(plain_array("pixels", pixels))
     suffix = file.suffix.lower()
     if array.ndim not in (2, 3) or 0 in array.shape:
         raise InputError(f"{file}: an image is (h, w) or (h, w, channels), got {array.shape}.")

@@ -20,6 +20,7 @@ NIGHTLY = ROOT / ".ci" / "nightly"
 FLOORS = [
     {"_primitives", "lazy_names"},
     {"errors", "in_notebooks", "memory", "programs", "progress", "side_by_side"},
+    {"plain_arrays"},
     {"_types", "_shown", "_staging"},
     {"_arguments"},
     {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
@@ -49,7 +50,7 @@ FLOORS = [
     {"__main__"},
 ]
 # Of `jaxvision`: no light, surface or camera.
-KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "lazy_names", "programs"}
+KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "lazy_names", "plain_arrays", "programs"}
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
     {"rig", "inference"},

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from jaxvision.errors import InputError
+from jaxvision.plain_arrays import plain_array
 from jaxvision.progress import progress_bar
 
 from ..inference.estimates import QUANTILES
@@ -90,6 +91,7 @@ def fit_map(
     for name, values in (("data", data), ("inputs", inputs), ("labels", labels)):
         require_here(name, values)
     require_kind("fit_map: problem", problem, Problem)
+    data, inputs = plain_array("data", data), plain_array("inputs", inputs)
     data = data if hasattr(data, "shape") else np.asarray(data)
     own_shape = problem.data.shape
     shape = tuple(data.shape[len(own_shape) :])

@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Int
 
 from jaxvision.errors import InputError
+from jaxvision.plain_arrays import plain_array
 
 from .on_host import on_host
 
@@ -110,7 +111,9 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
         if isinstance(value, str) and value:
             return value
         try:
-            return jnp.asarray(value, jnp.result_type(float))
+            return jnp.asarray(plain_array(what, value), jnp.result_type(float))
+        except InputError:
+            raise
         except (TypeError, ValueError) as error:
             plain = value is None or isinstance(value, str | list | tuple)
             got = repr(value) if plain else f"a {type(value).__name__}"
@@ -200,7 +203,7 @@ def whole_labels(labels: Any) -> Int[np.ndarray, "..."]:
     Raises:
         InputError: for others than whole numbers.
     """
-    given = on_host(labels)
+    given = on_host(plain_array("labels", labels))
     if given.dtype.kind not in "iuf" or (given != np.round(given)).any():
         raise InputError(
             "Clustered: labels are whole numbers, the group of each datum; "

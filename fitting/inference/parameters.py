@@ -30,6 +30,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
+from jaxvision.plain_arrays import plain_array
 
 from .priors import Prior, support
 
@@ -42,6 +43,7 @@ FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # at which a prior's spread is re
 
 def _frozen(value: Any) -> Any:
     """Numbers as nested tuples, which a compile key can hold."""
+    value = plain_array("a number of a Parameter", value)
     if value is None or np.ndim(value) == 0:
         return value if value is None else float(value)
     return tuple(_frozen(part) for part in np.asarray(value))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxvision.errors import InputError, nearest
+from jaxvision.plain_arrays import plain_array
 
 from .likelihoods import names_within
 from .on_host import on_host
@@ -34,7 +35,8 @@ def as_arrays(tree: Any) -> Any:
     Returns:
         The same tree.
     """
-    return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, tree)
+    plain = jax.tree.map(lambda x: plain_array("inputs", x), tree)
+    return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, plain)
 
 
 def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
@@ -173,7 +175,7 @@ def finite_data(data: Any) -> np.ndarray:
     Raises:
         InputError: for an infinite one.
     """
-    data = on_host(data, dtype=jnp.result_type(float))
+    data = on_host(plain_array("data", data), dtype=jnp.result_type(float))
     if np.isinf(data).any():
         raise InputError(
             f"{int(np.isinf(data).sum())} of the data are infinite: mark missing ones by NaN."

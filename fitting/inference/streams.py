@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxvision.errors import InputError
+from jaxvision.plain_arrays import plain_array
 
 from .given import require_whole
 from .likelihoods import Clustered, check_data
@@ -99,8 +100,9 @@ def opened(
             "data: an iterator ends after one reading, and a fit reads its data many times: give "
             "the function that makes it."
         )
-    if not callable(data) and not hasattr(data, "shape"):
-        data = np.asarray(data)
+    if not callable(data):
+        data = plain_array("data", data)
+        data = data if hasattr(data, "shape") else np.asarray(data)
     for name, values in (("data", data), ("inputs", inputs), ("likelihood", likelihood)):
         require_here(name, values)
     stream = Stream(data, inputs, likelihood, *_beside(data, inputs, likelihood), size)
@@ -187,7 +189,7 @@ def _pieces(stream: Stream) -> Iterator[Rows]:
         return
     for piece in cast(Iterable[Any], data()):
         rows, inputs = piece if isinstance(piece, tuple) else (piece, stream.beside[0])
-        rows = np.asarray(rows, dtype)
+        rows = np.asarray(plain_array("data", rows), dtype)
         beside = inputs, stream.likelihood
         _check_beside(stream, beside, len(rows) if rows.ndim else 0)
         yield Rows(rows, tuple(np.asarray(leaf) for leaf in _chosen(stream, beside)))

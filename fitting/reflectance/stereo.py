@@ -16,6 +16,7 @@ from scipy.special import ndtri, stdtrit
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 from jaxvision.in_notebooks import figure_png, record_html, with_picture
+from jaxvision.plain_arrays import plain_array
 from jaxvision.plots import pictures
 
 from ..inference.formatting import format_spread
@@ -153,6 +154,7 @@ def photometric_stereo(
 def _checked(
     images: ArrayLike, lights: ArrayLike, intensities: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    images, lights = plain_array("images", images), plain_array("lights", lights)
     stack, directions = np.asarray(images, float), np.asarray(lights, float)
     if stack.ndim != 3 or directions.shape != (len(stack), 3):
         raise InputError(

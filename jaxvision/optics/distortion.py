@@ -74,7 +74,7 @@ def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
     return a * c - b * b
 
 
-@jax.custom_jvp
+@takes_numbers
 def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Slopes of the chief ray that meets the sensor at a given place: the inverse of `distort`.
 
@@ -95,6 +95,12 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
         >>> round(float(x), 12)
         0.5
     """
+    return _undistort(distortion, x, y)
+
+
+@jax.custom_jvp
+def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """`undistort` by Newton's method, with the derivative of the implicit function."""
     accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))
 
     def residual(u: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
@@ -130,12 +136,12 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
     return jnp.where(lost, jnp.nan, u), jnp.where(lost, jnp.nan, v)
 
 
-@undistort.defjvp
+@_undistort.defjvp
 def _undistort_jvp(primals, tangents):
     """D(k, u) = x: D_u du = dx - D_k dk."""
     distortion, x, y = primals
     by_distortion, dx, dy = tangents
-    u, v = undistort(distortion, x, y)
+    u, v = _undistort(distortion, x, y)
     at, moved = jax.jvp(lambda k: distort(k, u, v), (distortion,), (by_distortion,))
     du, dv = _solve(distortion, u, v, dx - moved[0], dy - moved[1])
     off = jnp.maximum(jnp.abs(at[0] - x), jnp.abs(at[1] - y))

@@ -50,6 +50,7 @@ def sample_image(
         [3.]
     """
     check_choice("interpolation", interpolation, INTERPOLATIONS)
+    image = jnp.asarray(image)  # whose rows are chosen by traced numbers
     taps = _linear_taps if interpolation == "linear" else _cubic_taps
     h, w = image.shape[-3:-1]
     if 0 in (h, w):

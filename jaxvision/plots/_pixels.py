@@ -3,11 +3,12 @@
 import numpy as np
 
 from ..errors import InputError
+from ..plain_arrays import plain_array
 
 
 def checked(image: np.ndarray) -> np.ndarray:
     """(h, w, bands) of a numeric dtype."""
-    pixels = np.asarray(image)
+    pixels = np.asarray(plain_array("image", image))
     if pixels.ndim not in (2, 3) or 0 in pixels.shape:
         raise InputError(
             f"an image is (h, w) or (h, w, bands) with at least one pixel, got {pixels.shape}."

@@ -18,6 +18,7 @@ from .._legible_axes import (
     name_points,
 )
 from ..errors import InputError
+from ..plain_arrays import plain_array
 from ._axes import new_axes, tidy
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def curve(
         >>> print(len(axes.lines), len(axes.collections))
         2 1
     """
+    x, y = plain_array("x", x), plain_array("y", y)
     found = np.asarray(y, float)
     rows = [found, *(band or ()), *(() if truth is None else (truth,))]
     if any(np.shape(row) != np.shape(x) for row in rows) or np.ndim(x) != 1:
@@ -315,7 +317,7 @@ def trace(draws: Mapping[str, np.ndarray]) -> "Figure":
 
 def _numbers(name: str, drawn: np.ndarray) -> dict[str, np.ndarray]:
     """(chains, draws) of each number of a parameter, by its name."""
-    whole = np.atleast_1d(np.asarray(drawn, float))
+    whole = np.atleast_1d(np.asarray(plain_array(name, drawn), float))
     chains = whole[None] if whole.ndim == 1 else whole
     flat = chains.reshape(*chains.shape[:2], -1)
     count = flat.shape[2]

@@ -10,6 +10,7 @@ import numpy as np
 from .._types import require_metres
 from ..brdf import evaluate, is_delta
 from ..errors import InputError
+from ..plain_arrays import plain_array
 from ..scene import Material
 from ._axes import new_axes, tidy
 from ._views import INK, OTHER_INKS
@@ -49,10 +50,11 @@ def spectrum(
         >>> print(axes.get_xlabel(), axes.get_xlim()[1] > 690)
         wavelength [nm] True
     """
+    wavelengths, values = plain_array("wavelengths", wavelengths), plain_array("values", values)
     grid = np.asarray(wavelengths, float)
     require_metres("wavelength", grid)
     if isinstance(values, Mapping):
-        named = {name: np.asarray(one, float) for name, one in values.items()}
+        named = {n: np.asarray(plain_array(n, one), float) for n, one in values.items()}
     else:
         columns = np.asarray(values, float).reshape(len(values), -1)
         names = band_names(columns.shape[1])
