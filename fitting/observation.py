@@ -17,7 +17,7 @@ from jaxvision.io import read_image
 from jaxvision.plain_arrays import plain_array
 from jaxvision.toml_files import checked
 
-from .rig import Camera, Rig
+from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
 
 Load = Callable[[Path], np.ndarray]  # an image by its path
 
@@ -108,21 +108,22 @@ def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
 def read_frame(
     path: Path, camera: Camera, *, load: Load = read_image, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Digital numbers of one image.
+    """Digital numbers of one image, of the camera's region alone where it has one.
 
     Args:
         path: of the image.
         camera: whose bits the numbers must fit.
         load: how an image is had by its path.
-        mask: (h, w), false where NaN and infinite numbers do no harm: they become 0; None for
-            nowhere.
+        mask: (h, w) of the region, false where NaN and infinite numbers do no harm: they become 0;
+            None for nowhere.
 
     Returns:
         (h, w) or (h, w, 3) DN, float64, as stored.
 
     Raises:
         InputError: for non-finite, negative or too large numbers, for another number of channels,
-            and for data of a depth that contradicts the camera's `bits`.
+            for a region beyond the image, and for data of a depth that contradicts the camera's
+            `bits`.
 
     Example:
         >>> from pathlib import Path
@@ -155,7 +156,13 @@ def read_frame(
             f"{path}: has {stored.shape[2]} channels; save it as grey (or mosaic), or as RGB "
             "without an alpha channel."
         )
-    frame = stored.astype(np.float64)
+    if stored.ndim == 3 and camera.pattern is not None:
+        raise InputError(
+            f"{path}: is a colour picture {stored.shape}, but camera.pattern says that it is a "
+            "mosaic; give the raw mosaic, or remove camera.pattern."
+        )
+    _refuse_other_lists(path, camera, stored)
+    frame = in_region(stored, camera, path).astype(np.float64)
     if not np.isfinite(frame).all():
         wrong = ~np.isfinite(frame)
         if mask is not None and mask.shape == frame.shape[:2]:
@@ -169,6 +176,45 @@ def read_frame(
             f"{camera.bits}-bit camera (0 to {camera.full_scale}); correct camera.bits."
         )
     return frame
+
+
+def _refuse_other_lists(path: Path, camera: Camera, image: np.ndarray) -> None:
+    """Refuses numbers by site that are those of another kind of image."""
+    sites = len(camera.sites)
+    most = sites if image.ndim == 2 else sites * len(COLOURS)
+    for name in BY_SITE:
+        values = getattr(camera, name)
+        if isinstance(values, tuple) and len(values) > most:
+            wanted = "one" if sites == 1 else f"{sites}, one for each site"
+            raise InputError(
+                f"{path}: is grey, but camera.{name} lists {len(values)} numbers, as for RGB; give "
+                f"{wanted}, or camera.pattern of a mosaic."
+            )
+
+
+def in_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
+    """The part of an image that the camera's region has.
+
+    Args:
+        image: (h, w, ...) of the whole frame.
+        camera: with or without a region.
+        path: of the image, for messages.
+
+    Returns:
+        The part; the image where the camera has no region.
+
+    Raises:
+        InputError: for a region that is not within the image.
+    """
+    if camera.region is None:
+        return image
+    top, left, height, width = camera.region
+    if top + height > image.shape[0] or left + width > image.shape[1]:
+        raise InputError(
+            f"{path}: is {image.shape[0]} x {image.shape[1]} pixels, but camera.region ends at row "
+            f"{top + height}, column {left + width}; correct top, left, height and width."
+        )
+    return image[top : top + height, left : left + width]
 
 
 def read_stack(
@@ -199,15 +245,17 @@ def read_stack(
 
 
 def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
-    """Colour planes of one frame by name.
+    """Planes of one frame by name: its colours, and the sites that a cell of it repeats.
 
     Args:
-        frame: (h, w) or (h, w, 3).
-        camera: whose `pattern` says whether the frame is a mosaic.
+        frame: (h, w) or (h, w, 3), of the camera's region where it has one.
+        camera: whose `pattern` says whether the frame is a mosaic, and `taps` where its amplifiers
+            repeat.
 
     Returns:
         `grey` for (h, w), `red green blue` for (h, w, 3), and for a Bayer mosaic its four sites
-        `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2).
+        `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2); of several amplifiers
+        `tap 0,1` and the like, as `Camera.sites` has them.
 
     Example:
         >>> from fitting.observation import split_channels
@@ -216,24 +264,81 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
         >>> print({name: int(plane[0, 0]) for name, plane in sites.items()})
         {'red': 0, 'green 1': 1, 'green 2': 4, 'blue': 5}
     """
-    if frame.ndim == 3:
-        return dict(zip(("red", "green", "blue"), np.moveaxis(frame, -1, 0), strict=True))
-    if camera.pattern is None:
-        return {"grey": frame}
-    sites = {"R": ["red"], "G": ["green 2", "green 1"], "B": ["blue"]}
-    return {
-        sites[letter].pop(): frame[site // 2 :: 2, site % 2 :: 2]
-        for site, letter in enumerate(camera.pattern)
-    }
+    (rows, columns), (top, left) = camera.cell, (camera.region or (0, 0))[:2]
+    names, planes = camera.channels(colour=frame.ndim == 3), {}
+    for site in range(rows * columns):
+        row, column = divmod(site, columns)
+        own = frame[(row - top) % rows :: rows, (column - left) % columns :: columns]
+        each = [own] if frame.ndim == 2 else np.moveaxis(own, -1, 0)
+        planes.update(zip(names[site * len(each) : (site + 1) * len(each)], each, strict=True))
+    return planes
+
+
+def one_black(camera: Camera) -> SiteCamera:
+    """The camera of images that `to_one_black` has levelled.
+
+    Args:
+        camera: whose sites may differ in black level and saturation.
+
+    Returns:
+        With the mean black level, and the saturation of the site that has least room above it.
+
+    Raises:
+        InputError: for gains or read noises by site.
+    """
+    sites = [camera.at(name) for name in _channels_of_lists(camera)]
+    for name in ("gain", "read_noise"):
+        if len({getattr(site, name) for site in sites}) > 1:
+            raise InputError(
+                f"camera.{name} lists several numbers, but all pixels are fitted with one; give "
+                "their mean."
+            )
+    known = sites[0].model_dump()
+    if any(isinstance(getattr(camera, name), tuple) for name in ("black_level", "saturation")):
+        blacks = [site.black_level or 0.0 for site in sites]
+        room = min(site.clip_level - black for site, black in zip(sites, blacks, strict=True))
+        level = float(np.mean(blacks))
+        known |= {"saturation": room + level}
+        known |= {} if camera.black_level is None else {"black_level": level}
+    return SiteCamera(**known)
+
+
+def to_one_black(image: np.ndarray, camera: Camera) -> np.ndarray:
+    """An image whose sites all have the mean of their black levels.
+
+    Args:
+        image: (h, w) or (h, w, 3) DN, of the camera's region.
+        camera: with one black level or several.
+
+    Returns:
+        DN; the image itself where there is one black level.
+    """
+    if not isinstance(camera.black_level, tuple):
+        return image
+    own = np.empty(image.shape)
+    for name, plane in split_channels(own, camera).items():
+        plane[...] = camera.at(name).black_level
+    return image - own + np.mean(camera.black_level)
+
+
+def _channels_of_lists(camera: Camera) -> tuple[str, ...]:
+    """Names of all sites, and of the channels of each where a list tells them apart."""
+    lengths = [len(v) for name in BY_SITE if isinstance(v := getattr(camera, name), tuple)]
+    return camera.channels(colour=any(length > len(camera.sites) for length in lengths))
 
 
 def read_mask(
-    path: Path, *, shape: tuple[int, int] | None = None, load: Load = read_image
+    path: Path,
+    camera: Camera,
+    *,
+    shape: tuple[int, int] | None = None,
+    load: Load = read_image,
 ) -> np.ndarray:
-    """A mask of pixels.
+    """A mask of pixels, of the camera's region alone where it has one.
 
     Args:
         path: of the image.
+        camera: with or without a region.
         shape: (h, w) that it must have; None for any.
         load: how an image is had by its path.
 
@@ -243,8 +348,8 @@ def read_mask(
     Raises:
         InputError: for another size.
     """
-    mask = load(path) != 0
-    mask = mask.any(axis=-1) if mask.ndim == 3 else mask
+    mask = in_region(load(path), camera, path).astype(bool)
+    mask = np.asarray(mask.any(axis=-1)) if mask.ndim == 3 else mask
     if shape is not None and mask.shape != shape:
         raise InputError(f"{path}: the mask is {mask.shape}, the images are {shape}; resize it.")
     return mask

@@ -12,7 +12,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from jaxvision.errors import InputError
 from jaxvision.toml_files import (
@@ -44,6 +45,7 @@ def _quotient(text: Any) -> Any:
         raise ValueError(f'{text!r} is no time; write seconds, as in 0.125 or "1/8"') from None
 
 
+Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]
 Seconds = Annotated[Positive, BeforeValidator(_quotient)]
 
 UNKNOWN_DIRECTION = 0.5  # rad: lights of which no more is known are not known
@@ -77,8 +79,36 @@ def kelvin(temperature: float) -> float:
 Kelvin = Annotated[Finite, AfterValidator(kelvin)]
 
 
-class Camera(Entry):
-    """`[camera]`: what is known of the camera; what is not known stays out.
+def _plain(value: Any) -> Any:
+    """An array as the lists that a rig file has; anything else as it is."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _tag(value: Any) -> str:
+    return "several" if isinstance(value, list | tuple | np.ndarray) else "one"
+
+
+# One number, or one for each site of the cell that repeats.
+PositiveBySite = Annotated[
+    Annotated[Positive, Tag("one")]
+    | Annotated[tuple[Positive, ...], Field(min_length=1), Tag("several")],
+    Discriminator(_tag),
+    BeforeValidator(_plain),
+]
+NonNegativeBySite = Annotated[
+    Annotated[NonNegative, Tag("one")]
+    | Annotated[tuple[NonNegative, ...], Field(min_length=1), Tag("several")],
+    Discriminator(_tag),
+    BeforeValidator(_plain),
+]
+
+BY_SITE = ("black_level", "saturation", "gain", "read_noise")
+COLOURS = ("red", "green", "blue")  # channels of an RGB image
+MOSAIC_NAMES = {"R": ("red",), "G": ("green 1", "green 2"), "B": ("blue",)}
+
+
+class _Known(Entry):
+    """What is known alike of all sites of a camera.
 
     Without both gain and read_noise a fit estimates the noise of its pixels from their residuals.
     An `_sd` is the standard deviation with which a number is known; without one it counts as exact.
@@ -86,12 +116,7 @@ class Camera(Entry):
     Attributes:
         bits: ADC bits of the digital numbers in the files (12-bit data may lie in 16-bit files), 1
             to 16.
-        black_level: DN without light.
-        saturation: DN from which a pixel counts as clipped (default: 2^bits - 1).
         gamma: encoding exponent of the files; 1 is linear.
-        gain: DN per electron.
-        read_noise: electrons rms.
-        pattern: phase of a Bayer mosaic.
         pixel_pitch: m.
         wavelength: m, of the monochromatic light of the flats.
         black_sd: DN, of the black level.
@@ -105,12 +130,7 @@ class Camera(Entry):
     """
 
     bits: Annotated[Count, Field(le=16)]
-    black_level: NonNegative | None = None
-    saturation: Positive | None = None
     gamma: Positive | None = None
-    gain: Positive | None = None
-    read_noise: NonNegative | None = None
-    pattern: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
     pixel_pitch: Positive | None = None
     wavelength: Positive | None = None
     black_sd: Positive | None = None
@@ -122,7 +142,7 @@ class Camera(Entry):
     temperature: Kelvin | None = None
 
     @model_validator(mode="after")
-    def _errors_of_something(self) -> "Camera":
+    def _errors_of_something(self) -> "_Known":
         for name in ("gamma", "gain", "read_noise"):
             if getattr(self, f"{name}_sd") is not None and getattr(self, name) is None:
                 raise ValueError(f"{name}_sd without {name}; give both, or neither")
@@ -137,9 +157,149 @@ class Camera(Entry):
     def full_scale(self) -> int:
         return 2**self.bits - 1
 
+
+class SiteCamera(_Known):
+    """What is known of the camera at one of its sites, or at all of them where they are alike.
+
+    Attributes:
+        black_level: DN without light.
+        saturation: DN from which a pixel counts as clipped (default: 2^bits - 1).
+        gain: DN per electron.
+        read_noise: electrons rms.
+    """
+
+    black_level: NonNegative | None = None
+    saturation: Positive | None = None
+    gain: Positive | None = None
+    read_noise: NonNegative | None = None
+
     @property
     def clip_level(self) -> float:
         return float(self.full_scale) if self.saturation is None else self.saturation
+
+
+class Camera(_Known):
+    """`[camera]`: what is known of the camera; what is not known stays out.
+
+    Neighbouring pixels may differ: in the colours of a mosaic (`pattern`), and in the amplifiers
+    that read them (`taps`). They repeat after a cell of so many rows and columns: the least common
+    multiple of 2 x 2 and taps. Of black_level, saturation, gain and read_noise each is one number,
+    or a list of one for each site of this cell in reading order, counted from the first pixel of
+    the whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images take a list of
+    three, or of three for each site.
+
+    Attributes:
+        black_level: DN without light.
+        saturation: DN from which a pixel counts as clipped (default: 2^bits - 1).
+        gain: DN per electron.
+        read_noise: electrons rms.
+        pattern: phase of a Bayer mosaic.
+        taps: rows and columns after which the amplifiers repeat; [1, 2] where even and odd columns
+            have one each.
+        region: top, left, height and width, in pixels, of the part of each frame that is used; one
+            half of a chip with an amplifier on either side.
+    """
+
+    black_level: NonNegativeBySite | None = None
+    saturation: PositiveBySite | None = None
+    gain: PositiveBySite | None = None
+    read_noise: NonNegativeBySite | None = None
+    pattern: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    taps: tuple[Count, Count] | None = None
+    region: tuple[Index, Index, Count, Count] | None = None
+
+    @model_validator(mode="after")
+    def _one_a_site(self) -> "Camera":
+        sites = len(self.sites)
+        if self.taps == (1, 1):
+            raise ValueError("taps = [1, 1] repeat at every pixel and separate nothing; remove it")
+        for name in BY_SITE:
+            values = getattr(self, name)
+            if not isinstance(values, tuple) or len(values) in self._lengths:
+                continue
+            lengths = " or ".join(map(str, self._lengths))
+            raise ValueError(
+                f"{name} lists {len(values)} numbers, but the cell of {self.cell[0]} x "
+                f"{self.cell[1]} pixels that pattern and taps make has {sites} "
+                f"site{'s' * (sites > 1)}; give one number, or {lengths} in reading order"
+            )
+        return self
+
+    @property
+    def _lengths(self) -> tuple[int, ...]:
+        sites = len(self.sites)
+        colours = () if self.pattern else (len(COLOURS) * sites,)
+        return tuple(length for length in (sites, *colours) if length > 1)
+
+    @property
+    def cell(self) -> tuple[int, int]:
+        """Rows and columns after which sites repeat."""
+        down, across = self.taps or (1, 1)
+        return (math.lcm(down, 2), math.lcm(across, 2)) if self.pattern else (down, across)
+
+    @property
+    def sites(self) -> tuple[str, ...]:
+        """Names of the sites of the cell, in reading order: `grey`; `tap 0,1`, row and column, of
+        several taps; `red`, `green 1`, `green 2` and `blue` of a mosaic, and `red tap 0,2` where a
+        colour is read by several."""
+        down, across = self.taps or (1, 1)
+        places = [(row, column) for row in range(self.cell[0]) for column in range(self.cell[1])]
+        taps = [f"tap {row % down},{column % across}" for row, column in places]
+        if self.pattern is None:
+            return ("grey",) if self.taps is None else tuple(taps)
+        of_mosaic = _mosaic_sites(self.pattern)
+        own = [of_mosaic[row % 2][column % 2] for row, column in places]
+        alone = len(own) == 4
+        return tuple(o if alone else f"{o} {tap}" for o, tap in zip(own, taps, strict=True))
+
+    def at(self, channel: str) -> SiteCamera:
+        """What is known of one site.
+
+        Args:
+            channel: a name among `sites`; of RGB images also `red`, `green` or `blue`, before the
+                name of a tap where there are several.
+
+        Returns:
+            The camera there, with one number each.
+
+        Raises:
+            ValueError: for a name that is none.
+        """
+        known: dict[str, Any] = self.model_dump(include=set(_Known.model_fields))
+        known |= {name: self._number(name, channel) for name in BY_SITE}
+        return SiteCamera(**known)
+
+    def channels(self, *, colour: bool) -> tuple[str, ...]:
+        """Names of the planes that one frame is split into.
+
+        Args:
+            colour: whether frames are RGB images.
+
+        Returns:
+            `sites`; of RGB images three for each: `red`, or `red tap 0,1` and the like.
+        """
+        if not colour:
+            return self.sites
+        of_site = {site: "" if site == "grey" else f" {site}" for site in self.sites}
+        return tuple(f"{name}{of_site[site]}" for site in self.sites for name in COLOURS)
+
+    def _number(self, name: str, channel: str) -> float | None:
+        names = self.sites if channel in self.sites else self.channels(colour=True)
+        if channel not in names:
+            raise ValueError(f"{channel!r} is no channel of the camera; use {', '.join(names)}")
+        values = getattr(self, name)
+        if not isinstance(values, tuple):
+            return values
+        if len(values) not in (len(names), len(self.sites)):
+            raise ValueError(f"{name} lists {len(values)} numbers for {len(names)} channels")
+        place = names.index(channel)
+        return values[place if len(values) == len(names) else place // len(COLOURS)]
+
+
+def _mosaic_sites(pattern: str) -> tuple[tuple[str, str], tuple[str, str]]:
+    left = {letter: list(names) for letter, names in MOSAIC_NAMES.items()}
+    first, second, third, fourth = (left[letter].pop(0) for letter in pattern)
+    return (first, second), (third, fourth)
 
 
 class Level(Entry):
@@ -212,8 +372,8 @@ class Light(Entry):
         file: name.
         direction: unit vector from the object toward a distant light.
         position: m, from the centre of the sphere (then `[geometry]` needs a sphere in metres).
-        intensity: irradiance per channel on a surface facing the light (W m^-2 or relative), or the
-            radiant intensity of a point light.
+        intensity: irradiance on a surface facing the light (W m^-2 or relative), or the radiant
+            intensity of a point light; one number, or a list of one for each channel.
         held_out: keep this image for testing the prediction.
         intensity_sd: standard deviation of the intensity, relative to it.
         direction_sd: of the direction toward the light, rad along each of two axes across it.
@@ -225,7 +385,11 @@ class Light(Entry):
     file: str
     direction: Vector | None = None
     position: Vector | None = None
-    intensity: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0,)
+    intensity: Annotated[
+        tuple[Positive, ...],
+        Field(min_length=1),
+        BeforeValidator(lambda value: (value,) if isinstance(value, int | float) else value),
+    ] = (1.0,)
     held_out: bool = False
     intensity_sd: Positive | None = None
     direction_sd: Positive | None = None

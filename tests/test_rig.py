@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from fitting.observation import read_frame, read_mask, read_stack, split_channels
+from fitting.observation import (
+    read_frame,
+    read_mask,
+    read_stack,
+    split_channels,
+    to_one_black,
+)
 from fitting.rig import Camera, as_rig, load_rig, require
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
@@ -38,7 +44,7 @@ def test_a_rig_is_read_from_its_folder_or_its_file(tmp_path):
     assert rig == load_rig(tmp_path / "rig.toml")
     assert as_rig(str(tmp_path)) == as_rig(rig) == rig
     assert rig.camera.full_scale == 4095
-    assert rig.camera.clip_level == 4095
+    assert rig.camera.at("grey").clip_level == 4095
     assert rig.flat[0].files == ("a.tif", "b.tif")
     assert rig.light[0].intensity == (1.0, 2.0, 3.0)
     assert rig.path("a.tif") == tmp_path / "a.tif"
@@ -176,7 +182,95 @@ RNG_FRAME = np.random.default_rng(0).random((3, 4, 3))
 
 def test_masks(tmp_path):
     write_image(tmp_path / "m.png", np.array([[0, 255], [1, 0]], np.uint8))
-    mask = read_mask(tmp_path / "m.png", shape=(2, 2))
+    mask = read_mask(tmp_path / "m.png", Camera(bits=8), shape=(2, 2))
     np.testing.assert_array_equal(mask, [[False, True], [True, False]])
     with pytest.raises(InputError, match=r"the mask is \(2, 2\), the images are \(3, 3\)"):
-        read_mask(tmp_path / "m.png", shape=(3, 3))
+        read_mask(tmp_path / "m.png", Camera(bits=8), shape=(3, 3))
+
+
+SITES = {"bits": 14, "pattern": "RGGB"}
+BLACK = [480.0, 512.0, 513.0, 560.0]
+
+
+@pytest.mark.parametrize(
+    ("camera", "names"),
+    [
+        ({}, ("grey",)),
+        ({"taps": (1, 2)}, ("tap 0,0", "tap 0,1")),
+        ({"pattern": "GBRG"}, ("green 1", "blue", "red", "green 2")),
+        ({"pattern": "RGGB", "taps": (2, 1)}, ("red", "green 1", "green 2", "blue")),
+        (
+            {"pattern": "RGGB", "taps": (1, 4)},
+            (
+                *("red tap 0,0", "green 1 tap 0,1", "red tap 0,2", "green 1 tap 0,3"),
+                *("green 2 tap 0,0", "blue tap 0,1", "green 2 tap 0,2", "blue tap 0,3"),
+            ),
+        ),
+    ],
+)
+def test_the_sites_of_a_cell_are_named_in_reading_order(camera, names):
+    assert Camera(bits=12, **camera).sites == names
+
+
+def test_numbers_by_site_are_had_by_name(tmp_path):
+    stated = "bits = 14\npattern = 'RGGB'\nblack_level = [480, 512, 513, 560]\ngain = 0.5"
+    (tmp_path / "rig.toml").write_text(f"[camera]\n{stated}")
+    camera = load_rig(tmp_path).camera
+    assert [camera.at(name).black_level for name in camera.sites] == BLACK
+    assert camera.at("blue").gain == 0.5
+    assert camera.at("blue").clip_level == 2**14 - 1
+    assert Camera(**SITES, black_level=np.array(BLACK)) == Camera(**SITES, black_level=BLACK)
+    colour = Camera(bits=8, saturation=[250, 251, 252])
+    assert [colour.at(name).clip_level for name in ("red", "green", "blue")] == [250, 251, 252]
+
+
+@pytest.mark.parametrize(
+    ("camera", "expected"),
+    [
+        ({"pattern": "RGGB", "black_level": [1, 2, 3]}, r"black_level lists 3 numbers, but .* 4$"),
+        ({"gain": [1, 2]}, r"gain lists 2 .* 1 x 1 pixels .* has 1 site; .* or 3 in reading order"),
+        ({"taps": (1, 2), "gain": [1, 2, 3]}, r"has 2 sites; give one number, or 2 or 6 in read"),
+        ({"black_level": [1, 2, -3]}, r"black_level\[3\] = -3: must be greater than or equal to 0"),
+        ({"black_level": []}, "black_level lists 0; give at least 1"),
+        ({"taps": (1, 1)}, "repeat at every pixel and separate nothing; remove it"),
+        ({"region": (0, 0, 0, 5)}, r"region\[3\] = 0: must be greater"),
+    ],
+)
+def test_numbers_by_site_fit_the_cell(tmp_path, camera, expected):
+    text = "\n".join(f"{k} = {list(v) if isinstance(v, tuple) else v!r}" for k, v in camera.items())
+    with pytest.raises(InputError, match=expected.replace("$", "")):
+        load_rig(write_rig(tmp_path, f"[camera]\nbits = 12\n{text}"))
+
+
+def test_a_grey_image_has_no_numbers_by_colour(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((4, 4)))
+    with pytest.raises(InputError, match=r"is grey, but camera\.gain lists 3 numbers, as for RGB"):
+        read_frame(tmp_path / "a.npy", Camera(bits=12, gain=[1, 2, 3]))
+
+
+def test_a_region_keeps_the_phase_of_the_mosaic_and_of_the_taps(tmp_path):
+    frame = np.arange(8.0 * 10).reshape(8, 10)
+    np.save(tmp_path / "a.npy", frame)
+    camera = Camera(bits=12, pattern="RGGB", region=(1, 2, 5, 7))
+    read = read_frame(tmp_path / "a.npy", camera)
+    np.testing.assert_array_equal(read, frame[1:6, 2:9])
+    planes = split_channels(read, camera)
+    np.testing.assert_array_equal(planes["red"], frame[2:6:2, 2:9:2])
+    np.testing.assert_array_equal(planes["green 2"], frame[1:6:2, 2:9:2])
+    np.testing.assert_array_equal(planes["blue"], frame[1:6:2, 3:9:2])
+    with pytest.raises(InputError, match=r"is 8 x 10 .* ends at row 9, column 3; correct top"):
+        read_frame(tmp_path / "a.npy", Camera(bits=12, region=(4, 0, 5, 3)))
+
+
+def test_colour_images_of_two_taps_have_six_planes():
+    image = np.arange(2.0 * 4 * 3).reshape(2, 4, 3)
+    camera = Camera(bits=12, taps=(1, 2), black_level=[0, 1, 2, 3, 4, 5])
+    planes = split_channels(image, camera)
+    assert list(planes)[2:4] == ["blue tap 0,0", "red tap 0,1"]
+    np.testing.assert_array_equal(planes["red tap 0,1"], image[:, 1::2, 0])
+    np.testing.assert_array_equal(to_one_black(image, camera)[0, 0], [2.5, 2.5, 2.5])
+
+
+def test_one_intensity_needs_no_list(tmp_path):
+    rig = load_rig(write_rig(tmp_path, GOOD.replace("[1.0, 2.0, 3.0]", "1.5776")))
+    assert rig.light[0].intensity == (1.5776,)

@@ -11,9 +11,9 @@ from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
 from ..noise.settings import require_one_setting
-from ..observation import Load, read_stack
+from ..observation import Load, one_black, read_stack, to_one_black
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
-from ..rig import Camera, Rig, as_rig
+from ..rig import Rig, SiteCamera, as_rig
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class JointMeasurement:
 
     Attributes:
         observation: of the object.
-        camera: of the rig.
+        camera: of the rig, its sites levelled to one black.
         levels: of each channel; None without flats and darks.
         findings: what was assumed, in sentences.
     """
 
     observation: ReflectanceObservation
-    camera: Camera
+    camera: SiteCamera
     levels: tuple[UniformLevels, ...] | None
     findings: tuple[str, ...]
 
@@ -78,7 +78,7 @@ def read_joint_measurement(
         )
     return JointMeasurement(
         observation=observation,
-        camera=rig.camera,
+        camera=one_black(rig.camera),
         levels=_levels(rig, len(observation.channels), load, with_darks=not encoded),
         findings=tuple(findings),
     )
@@ -106,14 +106,14 @@ def _levels(
 
 def _level(rig: Rig, files: tuple[str, ...], channels: int, load: Load) -> np.ndarray:
     """(channels, 4): mean, temporal variance, its degrees of freedom, error of the mean."""
-    stack = read_stack(rig, files, load=load)
+    stack = np.stack([to_one_black(f, rig.camera) for f in read_stack(rig, files, load=load)])
     stack = stack[..., None] if stack.ndim == 3 else stack
     if stack.shape[3] != channels:
         raise InputError(
             f"{rig.path(files[0])}: has {stack.shape[3]} channels, the object's images have "
             f"{channels}; give flats and darks of the same kind."
         )
-    if (stack >= rig.camera.clip_level).any():
+    if (stack >= one_black(rig.camera).clip_level).any():
         raise InputError(
             f"{rig.path(files[0])}: has saturated pixels; leave this level out of the rig."
         )

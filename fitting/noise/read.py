@@ -16,7 +16,7 @@ from jaxvision.sensor import photon_rate
 from ..copies import Copies
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
-from ..rig import Dark, Flat, Rig, load_rig, require
+from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels, rounding_step
 from .levels_table import read_table
 from .neighbours import Neighbours
@@ -87,7 +87,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
             f"{rig.folder}: the flats have neither photons nor three different exposures; give "
             "photons (or irradiance) for every [[flat]], or vary the exposure."
         )
-    channel = channel or ("grey" if rig.camera.pattern is None else "green 1")
+    channel = channel or _first_site(rig.camera)
     bright = _reduced(rig, flats, channel, load)
     dark = _reduced(rig, darks, channel, load)
     if float(bright.pixels) != float(dark.pixels):
@@ -97,6 +97,8 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     remarks = []
     if rig.camera.pattern is not None:
         remarks.append(f"Of the {rig.camera.pattern} mosaic the {channel} sites were used.")
+    elif len(rig.camera.sites) > 1:
+        remarks.append(f"Of the {len(rig.camera.sites)} taps the pixels of {channel} were used.")
     gap = jnp.abs(dark.exposure[None, :] / bright.exposure[:, None] - 1)
     if float(gap.min(axis=1).max()) > DARK_MATCH:
         remarks.append(
@@ -109,7 +111,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         dark_of=jnp.argmin(gap, axis=1),
         light_step=jnp.asarray(rounding_step(amounts) if all(known) else 0.0),
         photons_known=all(known),
-        full_scale=rig.camera.clip_level,
+        full_scale=rig.camera.at(channel).clip_level,
         remarks=tuple(remarks),
     )
 
@@ -128,8 +130,14 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     Raises:
         InputError: for frames that do not belong together.
     """
-    channel = channel or ("grey" if rig.camera.pattern is None else "green 1")
+    channel = channel or _first_site(rig.camera)
     return _reduced(rig, _pooled(rig.dark), channel, load)
+
+
+def _first_site(camera: Camera) -> str:
+    """The first green of a mosaic, else the first tap, or `grey`."""
+    greens = [site for site in camera.sites if site.startswith("green 1")]
+    return (greens or camera.sites)[0]
 
 
 def _pooled(darks: Sequence[Dark]) -> list[Dark]:
@@ -169,7 +177,7 @@ def _reduced(
     shape, of_lines = rows[0].shape, np.array([row.lines for row in rows]).T
     mean, variance, spatial, frames = np.array([row[:4] for row in rows], float).T
     # In a mosaic the nearest sites of one colour are two pixels apart.
-    adjacent = rig.camera.pattern is None and min(shape) > 2 * REACH
+    adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
     covariances = jnp.asarray([row.covariances for row in rows]) if adjacent else None
     return Levels(
         light=jnp.zeros(len(rows)),

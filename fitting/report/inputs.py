@@ -115,8 +115,10 @@ def small_picture(rig: Rig, name: str) -> str | None:
         return None
     step = -(-max(image.shape[:2]) // SIDE)
     means = _block_means(_block_means(image, step, axis=0), step, axis=1)
-    camera, black = rig.camera, rig.camera.black_level or 0.0
-    shown = np.nan_to_num(np.clip((means - black) / (camera.clip_level - black), 0, 1))
+    camera = rig.camera
+    black = float(np.min(camera.black_level or 0.0))  # a thumbnail is no place to tell sites apart
+    clip = float(np.max(camera.saturation or camera.full_scale))
+    shown = np.nan_to_num(np.clip((means - black) / (clip - black), 0, 1))
     if camera.bits > 8 and camera.gamma in (None, 1.0):  # linear
         shown = shown ** (1 / DISPLAY_GAMMA)
     rgb = shown if shown.shape[2] == 3 else np.repeat(shown[..., :1], 3, axis=2)

@@ -16,8 +16,8 @@ from jaxvision.io import read_image
 
 from ..copies import Copies
 from ..inference.formatting import format_percent
-from ..observation import Load, read_frame, read_stack, split_channels
-from ..rig import Camera, Exposure, Rig, as_rig, require
+from ..observation import Load, in_region, read_frame, read_stack, split_channels
+from ..rig import Exposure, Rig, SiteCamera, as_rig, require
 
 LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
 BRIGHTER = 1.9
@@ -86,9 +86,9 @@ def read_exposure_stack(
 ) -> ExposureStack:
     """A rig's `[[exposure]]` images, group by group, split into planes.
 
-    The black level is the camera's, else the mean of the `[[dark]]` frames, else the code of the
-    dark pixels that stay alike however long the exposure; the clip level is the camera's
-    saturation, else read off the bright pixels that do.
+    The black level of a channel or site is the camera's, else its mean in the `[[dark]]` frames,
+    else the code of its dark pixels that stay alike however long the exposure; its clip level is
+    the camera's saturation, else read off the bright pixels that do.
 
     Args:
         rig: with `[[exposure]]`, or its folder or file.
@@ -107,10 +107,10 @@ def read_exposure_stack(
     rig = as_rig(rig)
     require(rig, "a response calibration")
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
-    known_black = _black_level(rig, load)
+    measured_black = _black_levels(rig, load)
     planes: list[Plane] = []
     for group, entries in groupby(ordered, key=lambda entry: entry.group):
-        planes += _planes(rig, group, tuple(entries), mask, known_black, load)
+        planes += _planes(rig, group, tuple(entries), mask, measured_black, load)
     return ExposureStack(tuple(planes), rig.camera.bits)
 
 
@@ -119,7 +119,7 @@ def _planes(
     group: str,
     entries: tuple[Exposure, ...],
     mask: np.ndarray | None,
-    known_black: float | None,
+    measured_black: dict[str, float],
     load: Load,
 ) -> list[Plane]:
     times = np.array([entry.exposure for entry in entries])
@@ -147,15 +147,25 @@ def _planes(
             f"shortest, at {format_percent(darker)} of the pixels; check the order of the times, "
             "and that the images are no negatives."
         )
-    scene = _scene_mask(mask, frames[0].shape[:2], where)
+    scene = _scene_mask(rig, mask, frames[0].shape[:2], where)
     files = tuple(entry.file for entry in entries)
     channels = [split_channels(frame, rig.camera) for frame in frames]
-    masks = _mask_planes(scene, rig.camera, tuple(channels[0]))
+    grid = np.broadcast_to(
+        scene.reshape(*scene.shape, *[1] * (frames[0].ndim - 2)), frames[0].shape
+    )
+    masks = split_channels(grid, rig.camera)
     planes = []
     for name in channels[0]:
         codes = np.stack([frame[name] for frame in channels])
-        black = floor_level(codes, times, rig.camera) if known_black is None else known_black
-        clip = rig.camera.saturation or ceiling_level(codes, times, rig.camera)
+        camera = rig.camera.at(name)
+        black = camera.black_level if camera.black_level is not None else measured_black.get(name)
+        if black is None and measured_black:
+            raise InputError(
+                f"{rig.folder}: the darks have {', '.join(measured_black)}, the exposures "
+                f"{', '.join(channels[0])}; give darks of the same kind, or camera.black_level."
+            )
+        black = floor_level(codes, times, camera) if black is None else black
+        clip = camera.saturation or ceiling_level(codes, times, camera)
         planes.append(
             Plane(
                 group,
@@ -166,14 +176,16 @@ def _planes(
                 masks[name],
                 black,
                 clip,
-                black_sd=rig.camera.black_sd or 0.0,
+                black_sd=camera.black_sd or 0.0,
                 exposure_sd=float(np.sqrt(np.mean([(e.exposure_sd or 0.0) ** 2 for e in entries]))),
             )
         )
     return planes
 
 
-def floor_level(codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: Camera) -> float:
+def floor_level(
+    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera
+) -> float:
     """Black level read off the pixels whose code stays within one step while the exposure grows at
     least eightfold.
 
@@ -194,7 +206,7 @@ def floor_level(codes: Codes, exposures: Float[np.ndarray, " exposures"], camera
 
 
 def ceiling_level(
-    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: Camera
+    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera
 ) -> float:
     """Clip level read off the pixels beyond half scale whose code stays within one step while the
     exposure grows by 1.9 at least.
@@ -230,9 +242,13 @@ def _codes(rig: Rig, name: str, load: Load) -> UInt16[np.ndarray, "h w *channels
     return codes
 
 
-def _scene_mask(mask: np.ndarray | None, shape: tuple[int, ...], where: str) -> np.ndarray:
+def _scene_mask(
+    rig: Rig, mask: np.ndarray | None, shape: tuple[int, ...], where: str
+) -> np.ndarray:
     if mask is None:
         return np.ones(shape, bool)
+    if mask.shape != shape:  # as it is where it has the size of the region already
+        mask = in_region(mask, rig.camera, rig.path("the mask"))
     if mask.shape != shape:
         raise InputError(f"{where} are {shape} pixels, the mask is {mask.shape}; resize it.")
     if not mask.any():
@@ -240,15 +256,11 @@ def _scene_mask(mask: np.ndarray | None, shape: tuple[int, ...], where: str) -> 
     return mask
 
 
-def _mask_planes(
-    mask: np.ndarray, camera: Camera, channels: tuple[str, ...]
-) -> dict[str, np.ndarray]:
-    if camera.pattern is not None and len(channels) == 4:
-        return split_channels(mask, camera)
-    return dict.fromkeys(channels, mask)
-
-
-def _black_level(rig: Rig, load: Load) -> float | None:
+def _black_levels(rig: Rig, load: Load) -> dict[str, float]:
+    """Mean of the dark frames in each channel, DN; none where the rig states the black level, or
+    has no darks."""
     if rig.camera.black_level is not None or not rig.dark:
-        return rig.camera.black_level
-    return float(np.mean([read_stack(rig, entry.files, load=load).mean() for entry in rig.dark]))
+        return {}
+    means = [read_stack(rig, entry.files, load=load).mean(axis=0) for entry in rig.dark]
+    planes = [split_channels(mean, rig.camera) for mean in means]
+    return {name: float(np.mean([each[name].mean() for each in planes])) for name in planes[0]}

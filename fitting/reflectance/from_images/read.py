@@ -7,7 +7,6 @@ direction is the same everywhere. Angles are radians, digital numbers as stored.
 
 import os
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +18,8 @@ from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
 from ...inference.formatting import format_percent
-from ...observation import Load, read_mask, read_stack
-from ...rig import Geometry, Light, Purpose, Rig, SphereGeometry, as_rig, require
+from ...observation import Load, in_region, one_black, read_mask, read_stack, to_one_black
+from ...rig import Camera, Geometry, Light, Purpose, Rig, SphereGeometry, as_rig, require
 
 VIEW = (0.0, 0.0, 1.0)
 PURPOSE: Purpose = "a reflectance calibration"
@@ -127,7 +126,8 @@ def read_reflectance_observation(
     rows, columns, normals = _surface(rig, rig.geometry, shape, load)
     wi, falloff = _light_field(rig, normals)
     cosine, log_cos_mirror, mirror_angle = angles(normals, wi)
-    black = rig.camera.black_level or 0.0
+    camera = one_black(rig.camera)
+    black = camera.black_level or 0.0
     held_out, how = _held_out(rig)
     observation = ReflectanceObservation(
         channels=("grey",) if len(frames) == 1 else ("red", "green", "blue"),
@@ -145,18 +145,18 @@ def read_reflectance_observation(
         columns=columns,
         shape=shape,
         black=black,
-        white=rig.camera.full_scale - black,
-        clip=rig.camera.clip_level,
-        gamma=rig.camera.encoding,
-        gain=rig.camera.gain,
-        read_noise=rig.camera.read_noise,
+        white=camera.full_scale - black,
+        clip=camera.clip_level,
+        gamma=camera.encoding,
+        gain=camera.gain,
+        read_noise=camera.read_noise,
         findings=(*how, *_assumptions(rig)),
         uncertain={
             name: np.array([getattr(light, name) or 0.0 for light in rig.light])
             for name in OF_LIGHTS
         },
-        black_sd=rig.camera.black_sd or 0.0,
-        gamma_sd=rig.camera.gamma_sd or 0.0,
+        black_sd=camera.black_sd or 0.0,
+        gamma_sd=camera.gamma_sd or 0.0,
     )
     _refuse_unusable(rig, observation)
     return observation
@@ -164,8 +164,9 @@ def read_reflectance_observation(
 
 def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w"]:
     named = None if rig.geometry is None else rig.geometry.mask
-    mask = None if named is None else read_mask(rig.path(named), load=load)
-    stack = read_stack(rig, [light.file for light in rig.light], load=load, mask=mask)
+    mask = None if named is None else read_mask(rig.path(named), rig.camera, load=load)
+    stored = read_stack(rig, [light.file for light in rig.light], load=load, mask=mask)
+    stack = np.stack([to_one_black(image, rig.camera) for image in stored])
     if stack.ndim == 3:
         return stack[None]
     return np.moveaxis(stack, 3, 0)
@@ -177,12 +178,12 @@ def _surface(
     """Rows, columns and unit normals of the pixels that show the object."""
     mask = None
     if geometry.mask is not None:
-        mask = read_mask(rig.path(geometry.mask), shape=shape, load=load)
+        mask = read_mask(rig.path(geometry.mask), rig.camera, shape=shape, load=load)
     if geometry.sphere is not None:
-        normals, seen = _sphere_normals(geometry.sphere, shape)
+        normals, seen = _sphere_normals(geometry.sphere, shape, rig.camera)
     else:
         assert geometry.normals is not None
-        normals, seen = _stored_normals(rig.path(geometry.normals), shape, mask, load)
+        normals, seen = _stored_normals(rig, geometry.normals, shape, mask, load)
     if mask is not None:
         seen = seen & mask
     rows, columns = np.nonzero(seen)
@@ -195,10 +196,11 @@ def _surface(
 
 
 def _sphere_normals(
-    sphere: SphereGeometry, shape: tuple[int, int]
+    sphere: SphereGeometry, shape: tuple[int, int], camera: Camera
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """Normals of an orthographic sphere; pixels that its outline may cross are left out."""
-    row, column = np.indices(shape, dtype=np.float64)
+    top, left = (camera.region or (0, 0))[:2]
+    row, column = np.indices(shape, dtype=np.float64) + np.reshape((top, left), (2, 1, 1))
     x = (column - sphere.centre[0]) / sphere.radius
     y = (sphere.centre[1] - row) / sphere.radius
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
@@ -206,9 +208,10 @@ def _sphere_normals(
 
 
 def _stored_normals(
-    path: Path, shape: tuple[int, int], mask: np.ndarray | None, load: Load
+    rig: Rig, name: str, shape: tuple[int, int], mask: np.ndarray | None, load: Load
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    normals = np.asarray(load(path), np.float64)
+    path = rig.path(name)
+    normals = in_region(np.asarray(load(path), np.float64), rig.camera, path)
     if normals.shape != (*shape, 3):
         raise InputError(
             f"{path}: the normals are {normals.shape}, the images are {shape}; give one normal "
