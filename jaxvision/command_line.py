@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from . import __version__
-from .errors import InputError, check_utf8, nearest, unwritable
+from .errors import DISTRIBUTION, InputError, check_utf8, nearest, unwritable
 from .interrupts import INTERRUPTED, is_said, say_if_interrupted
 from .programs import kept_in
 
@@ -162,7 +162,7 @@ def surroundings() -> list[str]:
     import jax
 
     lines = [f"Python {platform.python_version()} on {platform.platform()}"]
-    for requirement in metadata.requires("jaxvision") or ():
+    for requirement in metadata.requires(DISTRIBUTION) or ():
         name = re.match(r"[\w.-]+", requirement)
         try:
             lines.append(f"{name[0]} {metadata.version(name[0])}" if name else "")

@@ -5,6 +5,24 @@ import errno
 from collections.abc import Iterable
 from pathlib import Path
 
+DISTRIBUTION = "jaxvision-imaging"  # in package indices, where `jaxvision` is another project
+
+
+def install(extra: str) -> str:
+    """The command that installs what an optional feature needs.
+
+    Args:
+        extra: of the distribution.
+
+    Returns:
+        The command.
+
+    Example:
+        >>> print(jv.errors.install("mesh"))
+        pip install 'jaxvision-imaging[mesh]'
+    """
+    return f"pip install '{DISTRIBUTION}[{extra}]'"
+
 
 class InputError(ValueError):
     """Input that cannot be used. The message is one sentence: what, where, and what to do.

@@ -1,6 +1,6 @@
 """Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
 
-Eager; trimesh (`pip install jaxvision[mesh]`) is loaded on first use. A file of several meshes
+Eager; trimesh (the extra `mesh`) is loaded on first use. A file of several meshes
 becomes one, each placed as in the file's scene; polygons are split into triangles. Lengths are
 taken as metres. Every failure is an `InputError` of one sentence.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, install
 from .geometry.checks import faces_without_area
 from .gltf_files import Gltf, primitive_of, read_gltf
 from .scene import TriangleMesh
@@ -142,7 +142,7 @@ def _trimesh(file: Path):
         import trimesh
     except ImportError as error:
         raise InputError(
-            f"{file}: reading meshes needs trimesh; install it with `pip install jaxvision[mesh]`."
+            f"{file}: reading meshes needs trimesh; install it with `{install('mesh')}`."
         ) from error
     return trimesh
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, install
 
 RAW_FORMATS = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".pef", ".srw")
 FITS_FORMATS = (".fits", ".fit", ".fts")
@@ -150,5 +150,5 @@ def extra(module: str, name: str, file: Path) -> Any:
     except ImportError as error:
         library = module.partition(".")[0]
         raise InputError(
-            f"{file}: {library} reads such files; install it by `pip install 'jaxvision[{name}]'`."
+            f"{file}: {library} reads such files; install it by `{install(name)}`."
         ) from error

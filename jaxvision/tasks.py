@@ -22,8 +22,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from . import __version__
 from ._local_workers import LOOK, local_workers, replace_lost
-from .errors import InputError
+from .errors import InputError, install
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -39,7 +40,7 @@ TOO_LARGE = 3  # workers started again for want of memory while one result is aw
 _PATIENCE = 20.0  # s, for a scheduler to answer
 _ASKED = 5  # times, for the version of workers that are being lost
 _LONELY = 120.0  # s without any worker
-_INSTALL = "install it with pip install 'jaxvision[cluster]'"
+_INSTALL = f"install it with {install('cluster')}"
 
 _client: ContextVar["Client | None"] = ContextVar("client", default=None)
 _objects: dict[str, Any] = {}  # in a worker: what its tasks share, by digest; one at a time
@@ -365,8 +366,9 @@ def _environment() -> dict[str, Any]:
     """What results depend on besides the task."""
     import jax
 
-    packages = ("jaxvision", "jax", "jaxlib", "numpy")
+    packages = ("jax", "jaxlib", "numpy")
     return {
+        "jaxvision": __version__,
         **{name: version(name) for name in packages},
         "source": _source(),
         "device": jax.devices()[0].device_kind,

@@ -145,7 +145,7 @@ def test_without_trimesh_it_says_what_to_install(tmp_path, monkeypatch):
         return real(name, *arguments, **options)
 
     monkeypatch.setattr(builtins, "__import__", absent)
-    with pytest.raises(InputError, match=r"install it with `pip install jaxvision\[mesh\]`"):
+    with pytest.raises(InputError, match=r"`pip install 'jaxvision-imaging\[mesh\]'`"):
         read_mesh(tmp_path / "a.ply")
 
 

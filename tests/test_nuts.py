@@ -164,5 +164,5 @@ def test_what_cannot_be_run_is_said(monkeypatch):
     with pytest.raises(InputError, match=r"chains = 2\.5: give a whole number"):
         NutsOptions(chains=2.5)
     monkeypatch.setitem(sys.modules, "blackjax", None)
-    with pytest.raises(InputError, match=r"pip install 'jaxvision\[nuts\]'"):
+    with pytest.raises(InputError, match=r"pip install 'jaxvision-imaging\[nuts\]'"):
         run(0.0)

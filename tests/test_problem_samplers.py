@@ -92,5 +92,5 @@ def test_a_sampler_that_cannot_be_run_is_refused(posterior, sampling, expected):
 
 def test_nuts_without_blackjax_is_refused_before_the_search(monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
-    with pytest.raises(InputError, match=r"pip install 'jaxvision\[nuts\]'"):
+    with pytest.raises(InputError, match=r"pip install 'jaxvision-imaging\[nuts\]'"):
         fit(problem(), posterior="nuts")

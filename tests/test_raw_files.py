@@ -157,5 +157,5 @@ def test_damaged_files_and_missing_extras_are_sentences(suffix, tmp_path, monkey
         read_image(path)
     monkeypatch.setitem(sys.modules, "rawpy", None)
     monkeypatch.setitem(sys.modules, "astropy.io.fits", None)
-    with pytest.raises(InputError, match=r"pip install 'jaxvision\[(raw|fits)\]'"):
+    with pytest.raises(InputError, match=r"pip install 'jaxvision-imaging\[(raw|fits)\]'"):
         read_image(path)

@@ -177,7 +177,7 @@ def test_a_stale_part_is_refused_until_it_may_go(rendered, tmp_path, monkeypatch
         assert status == 2
         assert f"a.exr.partial: holds part of a render with another {names}" in error
     with monkeypatch.context() as patch:
-        patch.setattr(job, "version", lambda package: "0.0")
+        patch.setattr(job, "__version__", "0.0")
         assert "another version of jaxvision; add --fresh" in run(*command)[2]
     (tmp_path / "b.toml").write_text(SCENE.replace("radius = 1", "radius = 0.9"))
     _, _, error = run(tmp_path / "b.toml", "--out", tmp_path / "a.exr")

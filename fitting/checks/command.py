@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+
+from jaxvision import __version__
 
 from ..report.progress import Reporter
 from ..report.section import Section
@@ -34,7 +35,7 @@ def run(
         Coverage of every case.
     """
     room, found = KINDS[kind], {}
-    file = f"{kind}, {{}}, seed {seed}, {version('jaxvision')}.npy"
+    file = f"{kind}, {{}}, seed {seed}, {__version__}.npy"
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
     for name, case in room.CASES.items():

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxvision.errors import InputError
+from jaxvision.errors import InputError, install
 
 from .blocks import Block, Progress, begun, length, next_length, stacked, store
 from .convergence import effective_draws, split_r_hat
@@ -164,7 +164,7 @@ def require_blackjax() -> ModuleType:
         import blackjax
     except ImportError as error:
         raise InputError(
-            "NUTS needs blackjax, which is not installed; run: pip install 'jaxvision[nuts]'."
+            f"NUTS needs blackjax, which is not installed; run: {install('nuts')}."
         ) from error
     return blackjax
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxvision import __version__
 from jaxvision.io import replaced_on_success
 from jaxvision.plots.inline import figure_strips
 
@@ -27,12 +28,12 @@ from .sheet import sheet
 
 WIDE = 520  # px of a figure that needs the width of the page
 NARROW = 390  # px of the widest strip of one, for a phone
-PACKAGES = ("jaxvision", "jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
+PACKAGES = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
 
 
 def versions() -> dict[str, str]:
     """Versions of this package and of the packages that compute a result."""
-    return {name: version(name) for name in PACKAGES}
+    return {"jaxvision": __version__} | {name: version(name) for name in PACKAGES}
 
 
 def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any]) -> str:

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from jaxvision import __version__
 from jaxvision.errors import InputError
 from jaxvision.io import replaced_on_success, write_image
 from jaxvision.tasks import PROGRAMS
@@ -190,7 +190,7 @@ def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
         **asdict(settings),
         "digest": folder.digest,
         "changed": folder.changed,
-        "jaxvision": version("jaxvision"),
+        "jaxvision": __version__,
     }
 
 

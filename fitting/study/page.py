@@ -1,12 +1,12 @@
 """The comparison of a study's cameras as one page, with links to the report of each."""
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
+from jaxvision import __version__
 from jaxvision.plots.inline import INK, inline_svg
 
 from ..report.colours import BLUE, RED
@@ -65,7 +65,7 @@ def page(
         unlike=unlike,
         figures=[(one, Markup(_svg(one, found))) for one in drawn],
         left_out=max(len(quantities) - MOST, 0),
-        version=version("jaxvision"),
+        version=__version__,
     )
 
 

@@ -2,10 +2,10 @@
 
 import json
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .. import __version__
 from ..io import replaced_on_success
 from ..plots.inline import figure_svg
 from .plots import front, plot
@@ -60,7 +60,7 @@ def page(
         machine=machine(),
         command=command,
         about=problem.about,
-        version=version("jaxvision"),
+        version=__version__,
     )
 
 

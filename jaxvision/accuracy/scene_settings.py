@@ -9,13 +9,13 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from .. import __version__
 from ..effects import Pruned
 from ..errors import InputError
 from ..io import replaced_on_success
@@ -255,7 +255,7 @@ def _remembered(source: SceneFile, tolerance: float | None, render_seconds: floa
         "tolerance": tolerance,
         "render_seconds": render_seconds,
         "machine": machine(),
-        "jaxvision": version("jaxvision"),
+        "jaxvision": __version__,
         "jax": jax.__version__,
     }
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()

@@ -8,6 +8,7 @@ import jax
 from jaxtyping import Array, Bool, Int
 
 from .._types import Scalar
+from ..errors import install
 from ..programs import on_processor
 from ..scene import TriangleMesh
 from . import _embree
@@ -60,6 +61,6 @@ def _searched(mesh: TriangleMesh) -> bool:
 def _say_once(tried: int) -> None:
     warnings.warn(
         f"meshes of more than {tried} triangles are searched one triangle at a time, which is "
-        "slow; install embreex (pip install 'jaxvision[mesh]') for speed.",
+        f"slow; install embreex ({install('mesh')}) for speed.",
         stacklevel=2,
     )

@@ -13,7 +13,6 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .. import __version__
 from ..colour_spaces import luminance
 from ..effects import Pruned, explain
 from ..errors import InputError
@@ -256,7 +256,7 @@ def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dic
         "scene": source.digest,
         "resolution": list(source.view.resolution),
         **settings.model_dump(exclude=unused),
-        "version of jaxvision": version("jaxvision"),
+        "version of jaxvision": __version__,
         "version of jax": jax.__version__,
         "device": jax.devices()[0].device_kind,
         **({} if pruned is None else {"certificate": explain(pruned.certificate)}),
@@ -268,7 +268,7 @@ def _attributes(
 ) -> dict[str, str | int]:
     unit = "W m^-2 sr^-1" if source.wavelengths is None else "W m^-2 sr^-1 per m"
     return {
-        "Software": f"jaxvision {version('jaxvision')}",
+        "Software": f"jaxvision {__version__}",
         "jaxvision:unit": unit,
         "jaxvision:bands": source.bands,
         "jaxvision:scene": source.path.name,
