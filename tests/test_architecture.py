@@ -53,7 +53,7 @@ FLOORS = [
 KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "lazy_names", "plain_arrays", "programs"}
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
-    {"rig", "inference"},
+    {"rig", "inference", "codes"},
     {"copies", "observation", "report", "rig_from_folder"},
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},

@@ -1,0 +1,233 @@
+"""What the numbers in frames say of the converter that made them.
+
+A converter of b bits gives 2^b different numbers, but a file may hold them in another form:
+
+    multiples     12 bits at the upper end of 16 (left-aligned), frames divided or averaged by hand
+    scaled        multiples of 65535 / 4095, rounded again
+    uneven        a stretched histogram, or a table (gamma): codes are missing, more of them in
+                  some places than in others
+    alternating   even codes more often than odd ones, because their steps are wider
+
+The step q between neighbouring codes decides how large rounding is, q^2 / 12; a file that is read
+as if q were 1 gives read noise that is wrong.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+MOST_VALUES = 2**18  # different numbers; frames of more lie on no grid
+CHANCE = 1e-4  # that numbers of step 1 are all multiples of a larger one
+SMOOTH = 4.0  # standard deviation of a frame, in codes, from which its histogram is smooth
+WIDTH = 32  # codes over which a smooth histogram is about constant
+EXPECTED = 12.0  # pixels a code, from which an empty one is missing
+SIGNIFICANT = 5.0  # standard errors
+PILE, STEEP = 100, 10.0  # pixels at the largest number, and times as many as at those below
+COARSE = 3.0  # DN; a finer step cannot be followed through numbers that were rounded again
+FLOAT32 = 2.0**-22  # relative rounding error of numbers that went through single precision
+
+
+@dataclass(frozen=True)
+class Converter:
+    """The grid on which the numbers of a camera lie.
+
+    Attributes:
+        step: q, DN between neighbouring codes; 0 where the numbers lie on no grid.
+        origin: DN of a code; all others are whole steps from it.
+        even: whether all steps are equal.
+        missing: share of the codes between used ones that do not occur, for their step.
+        imbalance: by what share even codes occur more (or less) often than odd ones, half of their
+            difference; 0 where it is within chance.
+        clips_at: largest number, DN, where pixels pile up at it; None elsewhere.
+    """
+
+    step: float = 1.0
+    origin: float = 0.0
+    even: bool = True
+    missing: float = 0.0
+    imbalance: float = 0.0
+    clips_at: float | None = None
+
+    @property
+    def rounding(self) -> float:
+        """Variance of rounding, DN^2."""
+        if not self.step:
+            return 0.0
+        wider = 1 / (1 - self.missing) if self.missing < 1 else 1.0
+        # Of steps 1 + d and 1 - d a signal sees the first more often: the mean of w^3.
+        one = (self.step * wider) ** 2 * (1 + 3 * self.imbalance**2) / 12
+        again = 0.0 if self._whole else 1 / 12
+        return one + again
+
+    @property
+    def _whole(self) -> bool:
+        """Whether no number was rounded a second time."""
+        return (self.even and self.step < 1) or (self.even and self.step == round(self.step))
+
+
+@dataclass
+class Codes:
+    """Counts of the numbers in frames, from which the grid of the converter follows.
+
+    Example:
+        >>> from fitting.codes import Codes
+        >>> codes, rng = Codes(), np.random.default_rng(0)
+        >>> codes.add(16 * rng.poisson(400, (50, 50)))  # 12 bits at the upper end of 16
+        >>> print(codes.converter().step)
+        16.0
+    """
+
+    _whole: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    _by_spread: dict[int, np.ndarray] = field(default_factory=dict)  # octave of the deviation
+    _broken: np.ndarray = field(default_factory=lambda: np.zeros((2, 0)))  # values, their counts
+    _continuous: bool = False
+
+    def add(self, frame: np.ndarray) -> None:
+        """One more frame.
+
+        Args:
+            frame: numbers as stored, not negative; NaN is passed over.
+        """
+        values = np.asarray(frame, float).ravel()
+        values = values[np.isfinite(values)]
+        if not values.size or self._continuous:
+            return
+        if np.array_equal(values, np.floor(values)) and 0 <= values.min() <= values.max() < 2**17:
+            counts = np.bincount(values.astype(np.int64))
+            self._whole = _sum(self._whole, counts)
+            octave = int(np.log2(max(values.std(), 1.0)))
+            self._by_spread[octave] = _sum(self._by_spread.get(octave, counts[:0]), counts)
+            return
+        both = [self._broken, np.unique(values, return_counts=True)]
+        different, place = np.unique(np.concatenate([x[0] for x in both]), return_inverse=True)
+        counts = np.bincount(place, np.concatenate([x[1] for x in both]))
+        self._broken = np.stack([different, counts])
+        self._continuous = different.size > MOST_VALUES
+
+    def converter(self) -> Converter:
+        """The grid of all frames so far."""
+        if self._continuous:
+            return Converter(step=0.0)
+        used = np.flatnonzero(self._whole).astype(float)
+        counts = self._whole[self._whole > 0]
+        if self._broken.size:
+            values = np.union1d(self._broken[0], used)
+            grid = _grid(values, FLOAT32 * np.abs(values).max())
+            clips_at = _clips_at(*self._broken)
+            return Converter(step=0.0) if grid is None else Converter(*grid, clips_at=clips_at)
+        clips_at = _clips_at(used, counts)
+        common = _common_step(used)
+        if common is not None and common[0] > 1:
+            step, origin = common
+            inner = self._smooth(step)[int(origin) :: int(step)]
+            return Converter(step, origin, True, 0.0, _imbalance(inner), clips_at)
+        scaled = _grid(used, 0.5 + 1e-3)
+        if scaled is not None and scaled[0] > COARSE:
+            return Converter(*scaled, clips_at=clips_at)
+        smooth = self._smooth(1.0)
+        missing = _missing(smooth)
+        if missing:
+            return Converter(even=False, missing=missing, clips_at=clips_at)
+        return Converter(imbalance=_imbalance(smooth), clips_at=clips_at)
+
+    def _smooth(self, step: float) -> np.ndarray:
+        """Counts of the frames whose histograms are smooth on a grid of this step."""
+        found = np.zeros(0, np.int64)
+        for octave, counts in self._by_spread.items():
+            if 2.0**octave >= SMOOTH * step:
+                found = _sum(found, counts)
+        return found
+
+
+def converter_of(frames: Iterable[np.ndarray]) -> Converter:
+    """The grid on which the numbers of some frames lie.
+
+    Args:
+        frames: numbers as stored.
+
+    Returns:
+        The converter.
+    """
+    codes = Codes()
+    for frame in frames:
+        codes.add(frame)
+    return codes.converter()
+
+
+def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Of two counts that begin at 0."""
+    size = max(one.size, other.size)
+    return np.pad(one, (0, size - one.size)) + np.pad(other, (0, size - other.size))
+
+
+def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | None:
+    """Greatest common divisor of the distances of whole numbers, and their remainder; None where
+    so few numbers share it by chance."""
+    if used.size < 2:
+        return None
+    step = int(np.gcd.reduce(np.diff(used).astype(np.int64)))
+    if step > 1 and float(step) ** (1.0 - used.size) > CHANCE:
+        return None
+    return float(step), float(used[0] % step)
+
+
+def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, float] | None:
+    """Step and a code of the grid on which numbers lie, each within `error`; None without one."""
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 2 * error] if error < 0.5 else gaps
+    if gaps.size < 5:
+        return None
+    finest = float(gaps.min())
+    if finest <= 1 and error >= 0.5:
+        return None
+    near = gaps[gaps < 4.4 * finest]
+    step = float(near.sum() / np.round(near / finest).sum())
+    for _ in range(3):
+        place = np.cumsum(np.round(np.diff(values, prepend=values[0]) / step))
+        if place[-1] < 5:
+            return None
+        step, origin = (float(x) for x in np.polyfit(place, values, 1))
+    if np.abs(values - origin - step * place).max() > 2 * error:
+        return None
+    # That numbers of step 1 happen to keep such distances.
+    if error >= 0.5 and np.exp(-(values.size**2) / np.ptp(values)) > CHANCE:
+        return None
+    origin %= step
+    if step < 1 and abs(1 / step - round(1 / step)) < 1e-4 / step:
+        step = 1 / round(1 / step)
+    return step, 0.0 if min(origin, step - origin) <= max(2 * error, 1e-3 * step) else origin
+
+
+def _missing(counts: np.ndarray) -> float:
+    """Share of codes that do not occur where many pixels are expected."""
+    if counts.size < 2 * WIDTH:
+        return 0.0
+    expected = np.convolve(counts, np.ones(WIDTH), "same") / WIDTH
+    dense = expected > EXPECTED
+    dense[:WIDTH] = dense[-WIDTH:] = False
+    empty = int(np.sum((counts == 0) & dense))
+    chance = float(np.sum(np.exp(-expected[dense])))
+    if empty < SIGNIFICANT + chance + SIGNIFICANT * np.sqrt(chance):
+        return 0.0
+    return empty / int(dense.sum())
+
+
+def _imbalance(counts: np.ndarray) -> float:
+    """Half of the relative difference of neighbouring steps, of a smooth histogram."""
+    total = int(counts.sum())
+    if counts.size < 2 * WIDTH or not total:
+        return 0.0
+    odd = float(np.sum(counts[1::2])) / total - 0.5
+    found = 2 * abs(odd)
+    return found if found > SIGNIFICANT / np.sqrt(total) else 0.0
+
+
+def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
+    """The largest number, where far more pixels have it than the numbers below."""
+    below = counts[:-1][-16:]
+    # Of darks that are a few codes wide the largest number may be the most frequent, too.
+    if below.size < 16 or counts[-1] < max(PILE, STEEP * float(below.mean())):
+        return None
+    return float(values[-1])
