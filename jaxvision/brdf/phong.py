@@ -98,7 +98,8 @@ def phong_lobe(log_cos_mirror: Scalars, exponent: Scalars) -> Scalars:
         The lobe, not normalised, (...) in [0, 1], no unit.
 
     Raises:
-        ValueError: for the cosine itself in place of its logarithm.
+        ValueError: for a cosine above 0 in place of its logarithm. A cosine below 0 is a valid
+            logarithm and passes: take the logarithm by `log_cos_between`.
 
     Source: Szeliski, Computer Vision, section 2.2.2.
 

@@ -17,6 +17,7 @@ from typing import get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
@@ -31,7 +32,16 @@ from .._numerics import (
     smallest_divisor,
 )
 from .._quadrature import gauss_legendre
-from .._types import AMOUNT, Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
+from .._types import (
+    AMOUNT,
+    Colour,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_choice,
+    check_fields,
+    is_known,
+)
 from .._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import reflected
@@ -59,6 +69,8 @@ from .microfacet import (
     visibility,
 )
 
+ROUGHEST = 3.0  # alpha: facets inclined by 72 degrees; measured surfaces stay below 1.5
+
 
 class TorranceSparrow(Material):
     """k_d plus k_s times the microfacet lobe.
@@ -75,7 +87,8 @@ class TorranceSparrow(Material):
         shadowing: "smith" or "v-cavity"; static.
 
     Raises:
-        ValueError: if the interface has neither one band nor as many as the others.
+        ValueError: if the interface has neither one band nor as many as the others; for a roughness
+            above 3, which no surface has: degrees or per cent were meant.
 
     Example:
         >>> gloss, up = jv.TorranceSparrow([0.0], [1.0], 0.5), jnp.array([0.0, 0.0, 1.0])
@@ -94,6 +107,11 @@ class TorranceSparrow(Material):
 
     def __check_init__(self) -> None:
         check_fields(self, diffuse=AMOUNT, specular=AMOUNT, roughness=AMOUNT, ambient=AMOUNT)
+        if is_known(self.roughness) and np.max(self.roughness) > ROUGHEST:
+            raise ValueError(
+                f"TorranceSparrow.roughness is alpha, at most {ROUGHEST:g}, neither degrees nor "
+                f"per cent, got {float(np.max(self.roughness)):g}."
+            )
         counts = [jnp.size(x) for x in (self.diffuse, self.specular)]
         counts += [jnp.size(x) for x in jax.tree.leaves(self.interface)]
         if len(set(counts) - {1}) > 1:

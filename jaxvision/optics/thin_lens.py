@@ -20,6 +20,7 @@ from .._arguments import in_range, takes_numbers
 from .._numerics import divide, or_one, smallest_divisor
 from .._types import AMOUNT, Scalars, is_known
 
+LONGEST = 10.0  # m: lenses as weak as this are not made, telescopes look at what is far
 NARROWEST_BLUR = 1e-6  # rad: what is said to be less was meant in another unit
 
 
@@ -36,11 +37,16 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     Returns:
         (...) m from the lens, negative for a virtual image; huge but finite at z_o = f.
 
+    Raises:
+        ValueError: for a focal length of 10 m or more with an object inside it, as by 50 for 50 mm;
+            so in all functions here that take a distance and a focal length.
+
     Example:
         >>> z_i = jv.image_distance(jnp.array(1.0), jnp.array(0.05))
         >>> round(float(1 / 1.0 + 1 / z_i), 6)  # 1 / f
         20.0
     """
+    _check_metres("image_distance", object_distance, focal_length)
     z, f = object_distance, focal_length
     near = _is_near(z, f)
     close = jnp.where(near, z, 0) * f * _reciprocal(jnp.where(near, z, 0) - f)
@@ -62,6 +68,7 @@ def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
         >>> print(f"{1000 / jv.optics.image_vergence(2.0, 0.05):.2f} mm")  # behind the lens
         51.28 mm
     """
+    _check_metres("image_vergence", object_distance, focal_length)
     return vergence_difference(focal_length, object_distance)
 
 
@@ -103,6 +110,7 @@ def magnification(object_distance: Scalars, focal_length: Scalars) -> Scalars:
         >>> round(float(jv.optics.magnification(2 * f, f)), 6)
         -1.0
     """
+    _check_metres("magnification", object_distance, focal_length)
     return -focal_length * _reciprocal(object_distance - focal_length)
 
 
@@ -129,6 +137,7 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
         >>> round(float(jv.optics.working_f_number(jnp.array(8.0), 2 * f, f)), 6)  # 1 : 1
         16.0
     """
+    _check_metres("working_f_number", focus_distance, focal_length)
     return f_number * _reciprocal(image_vergence(focus_distance, focal_length) * focal_length)
 
 
@@ -223,6 +232,7 @@ def circle_of_confusion(
         >>> round(float(c) * 1e3, 4)  # f^2 / (N (z_f - f)), in mm
         1.3158
     """
+    _check_metres("circle_of_confusion", focus_distance, focal_length)
     image = image_distance(focus_distance, focal_length)
     blur = image * vergence_difference(object_distance, focus_distance)
     return focal_length / f_number * (jnp.sign(blur) * blur)
@@ -257,6 +267,7 @@ def depth_of_field(
         0.666667
     """
     _check_blur("depth_of_field", focal_length, allowed_blur)
+    _check_metres("depth_of_field", focus_distance, focal_length)
     focused = _reciprocal(focus_distance)
     image = image_vergence(focus_distance, focal_length)
     tolerance = jnp.abs(allowed_blur * f_number * image / focal_length)
@@ -289,6 +300,19 @@ def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: 
     """
     _check_blur("hyperfocal_distance", focal_length, allowed_blur)
     return focal_length + _positive_reciprocal(f_number * allowed_blur / focal_length**2)
+
+
+def _check_metres(name: str, distance: Scalars, focal_length: Scalars) -> None:
+    """`ValueError` for a focal length that was not meant in m, where both are known."""
+    if not (is_known(distance) and is_known(focal_length)):
+        return
+    distances, lengths = np.broadcast_arrays(np.asarray(distance), np.asarray(focal_length))
+    odd = (lengths >= LONGEST) & (lengths < np.inf) & (distances > 0) & (distances < lengths)
+    if odd.any():
+        raise ValueError(
+            f"{name}: focal_length must be in m (50 mm are 0.05), got {lengths[odd][0]:g} with an "
+            f"object at {distances[odd][0]:g} m, inside it."
+        )
 
 
 def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None:

@@ -14,17 +14,20 @@ with z_f the distance in focus: written in reciprocals, infinity is no special c
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import divide, norm, normalize
-from .._types import Scalar, check_kind
+from .._types import Scalar, check_kind, is_known
 from .._vector import Vec, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Orthographic, Pinhole, ThinLens, View
 from .aperture import aperture_point
 from .distortion import distort, undistort
 from .thin_lens import image_vergence
+
+PARALLEL = 1e-7  # sine of the angle between directions that single precision calls one
 
 
 @takes_numbers
@@ -36,10 +39,15 @@ def look_at(
     Args:
         position: (3,) m.
         target: (3,) m.
-        up: (3,) any vector not along the line of sight (along it, right and down are 0), no unit.
+        up: (3,) any vector not along the line of sight, no unit. Traced along it, right and down
+            are 0.
 
     Returns:
         (3, 3), no unit: rows are the unit axes right, down and forward in the world.
+
+    Raises:
+        ValueError: where the position is the target, or up lies along the line of sight: no
+            rotation follows.
 
     Example:
         >>> eye, target, up = jnp.array([0.0, 0.0, 5.0]), jnp.zeros(3), jnp.array([0.0, 1.0, 0.0])
@@ -48,6 +56,19 @@ def look_at(
          [ 0. -1.  0.]
          [ 0.  0. -1.]]
     """
+    if all(map(is_known, (position, target, up))):
+        sight, upward = (
+            np.asarray(target, float) - np.asarray(position, float),
+            np.asarray(up, float),
+        )
+        if not sight.any():
+            raise ValueError(f"look_at: position and target are one point, {position}.")
+        lengths = np.linalg.norm(sight) * np.linalg.norm(upward)
+        if np.linalg.norm(np.cross(sight, upward)) <= PARALLEL * lengths:
+            raise ValueError(
+                "look_at: up must be a vector that is not along the line of sight, got "
+                f"{upward.tolist()} for a sight along {sight.tolist()}."
+            )
     forward = as_array(normalize(target - position))
     right = as_array(normalize(jnp.cross(forward, up)))
     return jnp.stack([right, jnp.cross(forward, right), forward])

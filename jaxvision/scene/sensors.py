@@ -39,6 +39,7 @@ from .noises import (
     TelegraphNoise,
 )
 
+MOST_UNEVEN = 0.5  # relative rms of gains; above, per cent were meant
 LARGEST_PIXEL = 0.1  # m^2; above, a number in um^2 was meant
 
 
@@ -230,7 +231,7 @@ class Sensor(Shown):
             1/4], no unit.
         smear: () time that a row spends under each other row while a CCD shifts its frame, over the
             exposure time; >= 0, no unit.
-        prnu: () relative rms of the pixels' sensitivities, >= 0, no unit.
+        prnu: () relative rms of the pixels' sensitivities, in [0, 0.5], no unit (1 % is 0.01).
         dead_pixels: () fraction of the pixels that see nothing, in [0, 1], no unit.
         dark_current: () e- s^-1 per pixel, >= 0, or its law of temperature. Its electrons are
             counted with those of the light, so they have shot noise if any have.
@@ -241,8 +242,8 @@ class Sensor(Shown):
         blooming: () share of an overfull well's excess that its anti-blooming gate does not drain
             and that spills along the column, in [0, 1], no unit; needs a `full_well`.
         charge_transfer: that of a CCD.
-        conversion_prnu: () relative rms of the pixels' conversion gains, >= 0, no unit: of the
-            amplifier (source follower) in each pixel of a CMOS sensor. Unlike `prnu` it acts on
+        conversion_prnu: () relative rms of the pixels' conversion gains, in [0, 0.5], no unit: of
+            the amplifier (source follower) in each pixel of a CMOS sensor. Unlike `prnu` it acts on
             counted electrons.
         dsnu: () e- rms of the offsets of pixels, >= 0.
         column_dsnu: () e- rms of the offsets of columns, >= 0.
@@ -252,7 +253,7 @@ class Sensor(Shown):
         telegraph_noise: pixels that switch between two levels.
         row_noise: () e- rms of an offset that each row draws anew in each frame, >= 0.
         banding: an offset that oscillates over the rows.
-        column_prnu: () relative rms of the gains of the column amplifiers, >= 0, no unit.
+        column_prnu: () relative rms of the gains of the column amplifiers, in [0, 0.5], no unit.
         gain: () DN per e-, > 0. A camera's ISO setting is proportional to it (ISO 12232 by
             saturation: 78 over the lx s that just fill the ADC's range).
         offset: () DN added before conversion (the black level).
@@ -310,6 +311,13 @@ class Sensor(Shown):
 
     def __check_init__(self) -> None:
         check_fields(self, **_RANGES)
+        for name in ("prnu", "conversion_prnu", "column_prnu"):
+            spread = getattr(self, name)
+            if spread is not None and is_known(spread) and float(spread) > MOST_UNEVEN:
+                raise ValueError(
+                    f"Sensor.{name} is a share of at most {MOST_UNEVEN:g}, 1 % being 0.01, got "
+                    f"{float(spread):g}."
+                )
         if self.bits is not None:
             check_range("Sensor.bits", self.bits, 1, jnp.finfo(self.bits.dtype).nmant + 1)
             if is_known(self.bits) and not float(self.bits).is_integer():
