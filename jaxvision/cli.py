@@ -194,7 +194,7 @@ def render(
     file = existing_file(scene, "scene")
     _prepare()
     from .effects.certificate import summary
-    from .render_command import pruned_for, render_to_file, with_resolution
+    from .render_command import lacking, pruned_for, render_to_file, with_resolution
     from .scene_files import read_scene
     from .scene_files.schema import overridden
     from .tasks import workers as workers_of
@@ -236,6 +236,8 @@ def render(
         chosen = settings_for(source, tolerance=share, render_seconds=seconds, seconds=measure)
         settings, pruned = chosen.render, chosen.effects
         print(choice_in_words(chosen))
+    for sentence in lacking(source, settings):
+        print(sentence, file=sys.stderr)
     title = f"{source.path.stem}, {settings.integrator}"
     with workers_of(workers, scheduler=scheduler), progress_bar(title) as advance:
         render_to_file(
@@ -363,7 +365,7 @@ def effects(
     _prepare()
     from .camera_files import read_camera
     from .effects import explain, parse
-    from .render_command import inspected, pruned_for
+    from .render_command import inspected, lacking, pruned_for
     from .render_command.pruning import box_of, listed, smaller
     from .scene_files import read_scene
 
@@ -376,6 +378,8 @@ def effects(
     bands: Any = source.wavelengths
     sensor = None if camera_file is None else read_camera(camera_file, wavelengths=bands)
     asked: dict[str, Any] = {"camera": sensor, "free": box_of(free or []), "estimates": estimates}
+    for sentence in lacking(source, source.render):
+        print(sentence, file=sys.stderr)
     if goal is None:
         with progress_bar("measuring programs", shown=timed) as advance:
             found = inspected(source, source.render, time=timed, advance=advance, **asked)

@@ -11,7 +11,7 @@ import numpy as np
 
 from .brdf import is_body
 from .geometry import problems
-from .lights import PointLight, RectangleLight
+from .lights import DirectionalLight, PointLight, RectangleLight, SmallLight
 from .scene import (
     Box,
     Disc,
@@ -93,6 +93,87 @@ def scene_problems(
     if not (scene.lights or scene.ambient is not None or any(map(_shines, scene.surfaces))):
         found.append("the scene has no light; add a [[light]] or an emission.")
     return found
+
+
+def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str]:
+    """One sentence for each lamp that lights no surface, whatever stands between.
+
+    A lamp is idle if it is black, if all surfaces lie behind a flat lamp, or if all of them show it
+    their back. Skies, light fields and lamps of your own are not looked at.
+
+    Args:
+        scene: surfaces and lights, with known numbers.
+        lights: name of each light; None: their places in the scene.
+
+    Returns:
+        The sentences, each beginning with the name of the lamp.
+
+    Example:
+        >>> floor = jv.Surface(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), jv.Lambert([0.25]))
+        >>> lamp = jv.SmallLight([0.5, 0.5, 2.0], [0.0, 0.0, 1.0], [8.0])
+        >>> jv.scene_checks.idle_lamps(jv.Scene(floor, lamp))
+        ['lights[0]: shines away from every surface; turn it round.']
+    """
+    names = lights or [f"lights[{i}]" for i in range(len(scene.lights))]
+    found = []
+    for name, light in zip(names, scene.lights, strict=True):
+        power = [np.asarray(getattr(light, field)).any() for field in light.spectra]
+        if power and not any(power):
+            found.append(f"{name}: has no power.")
+            continue
+        front = _front(light)
+        if front is not None and not any(_reaches(s.shape, *front) for s in scene.surfaces):
+            found.append(f"{name}: shines away from every surface; turn it round.")
+            continue
+        places = _places(light)
+        if isinstance(light, DirectionalLight):
+            places = [_array(light.direction)]
+        far = isinstance(light, DirectionalLight)
+        if places and not any(_faces(surface, places, far) for surface in scene.surfaces):
+            found.append(f"{name}: lies behind every surface, which shows it its back; move it.")
+    return found
+
+
+def _front(light: Light) -> tuple[np.ndarray, np.ndarray] | None:
+    """A point of a flat lamp and the direction to which it shines; None for all others."""
+    match light:
+        case SmallLight():
+            return _array(light.position), _array(light.normal)
+        case RectangleLight():
+            normal = np.cross(_array(light.edge_u), _array(light.edge_v))
+            return _array(light.corner), normal
+    return None
+
+
+def _reaches(shape: Shape, point: np.ndarray, normal: np.ndarray) -> bool:
+    """Whether some of a shape lies before a plane."""
+    if isinstance(shape, Plane):
+        across = np.linalg.norm(np.cross(_array(shape.normal), normal))
+        size = np.linalg.norm(shape.normal) * np.linalg.norm(normal)
+        return bool(across > _ROUNDING * size or (_array(shape.point) - point) @ normal > 0)
+    corners = np.stack(_corners_around(shape))
+    if isinstance(shape, Sphere | Disc):  # the whole ball, of which those are six points
+        centre, radius = _array(shape.centre), float(shape.radius)
+        return bool((centre - point) @ normal > -radius * np.linalg.norm(normal))
+    return bool(((corners - point) @ normal > 0).any())
+
+
+def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
+    """Whether some of a surface is turned to one of a lamp's places in m, or, `far`, directions."""
+    shape = surface.shape
+    match shape:
+        case Plane():
+            start, normal = _array(shape.point), _array(shape.normal)
+        case Disc():
+            start, normal = _array(shape.centre), _array(shape.normal)
+        case Quad():
+            start = _array(shape.corner)
+            normal = np.cross(_array(shape.edge_u), _array(shape.edge_v))
+        case _:
+            return True
+    heights = [(place if far else place - start) @ normal for place in places]
+    both = surface.two_sided or is_body(surface.material)
+    return bool(max(map(abs, heights) if both else heights) > 0)
 
 
 def lost_numbers(exact: object, kept: object) -> list[str]:
@@ -180,7 +261,7 @@ def _is_inside_out(shape: Shape) -> bool:
 def _places(light: Light) -> list[np.ndarray]:
     """Points of a light: its position, or its corners."""
     match light:
-        case PointLight():
+        case PointLight() | SmallLight():
             return [_array(light.position)]
         case RectangleLight():
             corner, u, v = (_array(x) for x in (light.corner, light.edge_u, light.edge_v))

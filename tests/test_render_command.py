@@ -556,3 +556,19 @@ def test_rows_come_out_as_tiles_went_in(tmp_path, tile, at_once):
             part.append(picture[np.minimum(start + np.arange(tile), 34)])
         blocks = list(part.rows(7, 2, 5, at_once=at_once))
     np.testing.assert_array_equal(np.concatenate(blocks), picture.reshape(5, 7, 2))
+
+
+def test_what_the_picture_lacks_is_said_and_stands_in_its_head(tmp_path):
+    """A point lamp over a mirror, by paths, which find none of the light that it throws."""
+    text = SCENE.replace("tile = 100", 'integrator = "path"\nsamples = 1')
+    mirror = '[material.silver]\nfamily = "mirror"\nreflectance = [0.9, 0.9, 0.9]\n'
+    plate = (
+        '[[surface]]\nname = "plate"\nshape = "plane"\npoint = [0, 0, -2]\nnormal = [0, 0, 1]\n'
+        'material = "silver"\n'
+    )
+    (tmp_path / "scene.toml").write_text(text + mirror + plate)
+    status, _, error = run(tmp_path / "scene.toml", "--out", tmp_path / "o.exr", "--no-preview")
+    words = 'Missing: light of light[1] on other surfaces by surface "plate"'
+    assert status == 0
+    assert words in error
+    assert words in head(tmp_path / "o.exr")[1]["jaxvision:lacks"]

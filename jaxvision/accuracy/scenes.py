@@ -15,6 +15,7 @@ from ..colour_spaces import rgb_to_xyz, xyz_to_lab
 from ..errors import InputError
 from ..lights import DirectionalLight, PointLight, SmallLight
 from ..render_command import (
+    lacking,
     linear_srgb,
     seeded_passes_of,
     seeded_pixels_of,
@@ -194,7 +195,7 @@ def scene_problem(
         compiled=None if own.integrator == "light" else known,
         compiling=compiling,
         once=lambda: once,
-        about=_ABOUT,
+        about=" ".join([_ABOUT, *lacking(source, own)]),
         compared=lambda radiance: np.minimum(radiance, brightest),
         alone=dict.fromkeys(OF_LIGHT, partial(prepare, within_pixels=0)),
     )

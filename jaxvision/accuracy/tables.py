@@ -164,7 +164,13 @@ def as_dict(
     Returns:
         Numbers and text; times in s, errors relative.
     """
-    sheet: dict[str, Any] = {"problem": problem.name, **more, "knobs": [], "within": {}}
+    sheet: dict[str, Any] = {
+        "problem": problem.name,
+        "about": problem.about,
+        **more,
+        "knobs": [],
+        "within": {},
+    }
     together = all_together(problem, curves) if together is None else together
     sheet["notes"] = notes(curves, together=together)
     for curve in curves:

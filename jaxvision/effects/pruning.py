@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..rendering import PixelSamples, render
 from ..scene import Camera, Scene, Sensor, ThinLens, View
+from ..transport import missing_light
 from .boxes import Box, ends_of, refuse_tracers, unbounded
 from .certificate import Effect, Pruned, Tolerance, parse
 from .choice import Chain, Choice, concerns, finished
@@ -281,9 +282,11 @@ def prune(
     if goal.unit == "relative":
         level = _level(scene, own.view) if level is None else float(level)
         if level == 0:
+            why = " ".join(["", *missing_light(scene, integrator="direct", view=own.view)])
             raise InputError(
-                "the picture is dark, so that there is no light to take a share of; leave the "
-                "tolerance out, or give a level above 0 or a tolerance in DN."
+                "the small picture by direct light from which a relative tolerance takes its level "
+                "is black; leave the tolerance out, or give a level above 0 or a tolerance in DN."
+                + why
             )
         if not 0 < level < np.inf:
             raise InputError(

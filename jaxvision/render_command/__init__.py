@@ -6,13 +6,14 @@ pruning      the scene without what does not matter
 tiles        the unfinished picture on disk
 """
 
-from .integrators import seeded_passes_of, seeded_pixels_of
+from .integrators import lacking, seeded_passes_of, seeded_pixels_of
 from .job import band_names, linear_srgb, render_to_file, with_resolution
 from .pruning import inspected, left_of, pruned_for
 
 __all__ = [
     "band_names",
     "inspected",
+    "lacking",
     "left_of",
     "linear_srgb",
     "pruned_for",

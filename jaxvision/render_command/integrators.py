@@ -20,9 +20,10 @@ from ..errors import InputError
 from ..lights import Balanced, MonteCarlo, Quadrature, Rule
 from ..rendering import Along, PixelSamples, direct_along, photograph
 from ..scene import Scene, ThinLens, View
+from ..scene_checks import idle_lamps
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
-from ..transport import Paths, light_traced, path_along, ray_tree_along
+from ..transport import Paths, light_traced, missing_light, path_along, ray_tree_along
 from ..transport.radiosity import (
     Plan,
     Solution,
@@ -119,6 +120,30 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
             return np.asarray(one(key, source.scene, source.view))
 
     return compute
+
+
+def lacking(source: SceneFile, settings: RenderEntry) -> list[str]:
+    """What the picture of a scene file lacks: lamps that light nothing, and light that the
+    integrator cannot find.
+
+    Args:
+        source: the scene and its view.
+        settings: integrator, depth and the rest of `[render]`.
+
+    Returns:
+        One sentence each, with the names of the file; empty where nothing is known to lack.
+    """
+    return [
+        *idle_lamps(source.scene, lights=source.lights),
+        *missing_light(
+            source.scene,
+            integrator=settings.integrator,
+            depth=settings.depth,
+            view=source.view,
+            surfaces=source.surfaces,
+            lights=source.lights,
+        ),
+    ]
 
 
 def _compiled_in(settings: RenderEntry) -> RenderEntry:
@@ -280,16 +305,28 @@ def _rule(settings: RenderEntry, key: Key) -> Rule:
             return Balanced(key, settings.order)
 
 
+def in_words_of(source: SceneFile, text: str) -> str:
+    """A text in which surfaces and lights have the names of their scene file.
+
+    Args:
+        source: the scene and its view.
+        text: with names as `surfaces[0]`; no unit.
+
+    Returns:
+        The text.
+    """
+    names = {"surfaces": source.surfaces, "lights": source.lights}
+    return re.sub(
+        r"(?:Scene\.)?\b(surfaces|lights)\[(\d+)\]",
+        lambda found: names[found[1]][int(found[2])],
+        text,
+    )
+
+
 @contextmanager
 def _in_words_of(source: SceneFile) -> Iterator[None]:
     """A refusal by the library, rephrased with the names of the scene file."""
-    names = {"surfaces": source.surfaces, "lights": source.lights}
     try:
         yield
     except ValueError as error:
-        sentence = re.sub(
-            r"Scene\.(surfaces|lights)\[(\d+)\]",
-            lambda found: names[found[1]][int(found[2])],
-            str(error),
-        )
-        raise InputError(f"{source.path}: {sentence}") from error
+        raise InputError(f"{source.path}: {in_words_of(source, str(error))}") from error

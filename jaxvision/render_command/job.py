@@ -33,7 +33,7 @@ from ..scene_files import SceneFile
 from ..scene_files.bands import colours_of
 from ..scene_files.schema import RenderEntry
 from ..tasks import PROGRAMS, in_order
-from .integrators import BY_PIXEL, passes_of, pixels_of
+from .integrators import BY_PIXEL, lacking, passes_of, pixels_of
 from .pruning import left_of
 from .tiles import PartialImage, PartialSum
 
@@ -266,6 +266,7 @@ def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dic
 def _attributes(
     source: SceneFile, settings: RenderEntry, pruned: Pruned | None
 ) -> dict[str, str | int]:
+    lacks = " ".join(lacking(source, settings))
     unit = "W m^-2 sr^-1" if source.wavelengths is None else "W m^-2 sr^-1 per m"
     return {
         "Software": f"jaxvision {__version__}",
@@ -274,6 +275,7 @@ def _attributes(
         "jaxvision:scene": source.path.name,
         "jaxvision:sceneSha256": source.digest,
         **{f"jaxvision:{name}": value for name, value in settings.model_dump().items()},
+        **({"jaxvision:lacks": lacks} if lacks else {}),
         **({} if pruned is None else {"jaxvision:certificate": explain(pruned.certificate)}),
     }
 

@@ -17,6 +17,7 @@ from ..rendering import PixelSamples
 from ..scene import Camera, View
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
+from .integrators import in_words_of
 
 CUT = "path", "light"  # integrators whose paths may be cut to fewer pieces
 _ENDLESS = 400  # pieces of paths that radiosity follows to their end
@@ -114,7 +115,10 @@ def pruned_for(
     seen = _seen_by(source, camera)
     asked = _asked(settings)
     asked |= {"free": free, "level": level, "estimates": estimates}
-    return effects.prune(source.scene, seen, tolerance, **asked)
+    try:
+        return effects.prune(source.scene, seen, tolerance, **asked)
+    except InputError as error:
+        raise InputError(in_words_of(source, str(error))) from error
 
 
 def left_of(

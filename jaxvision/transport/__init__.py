@@ -5,6 +5,7 @@
     ray_tree     ray tracing: direct light, mirrors and glass, without chance
     light_paths  light tracing, from the sources: caustics and small lights
     radiosity    diffuse surfaces in patches
+    missing      what each of them cannot find in a scene
 
 Each has its own reach and cost, which its file states.
 """

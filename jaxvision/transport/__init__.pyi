@@ -2,6 +2,7 @@
 
 from . import radiosity as radiosity
 from .light_paths import light_traced as light_traced
+from .missing import missing_light as missing_light
 from .paths import (
     Paths as Paths,
     Traced as Traced,

@@ -59,6 +59,9 @@ def light_traced(
 ) -> Traced:
     """The picture in radiance, by paths from what shines.
 
+    Mirrors and glass are black, and all that the camera sees in or through them:
+    `transport.missing_light` names them.
+
     The numbers of a path are a function of the key and its own number.
 
     Args:

@@ -6,9 +6,10 @@ At every surface one emitter is drawn on purpose and one direction is drawn as t
 reflects; where both find the same light, each counts by a weight, and the weights sum to 1 (Veach
 and Guibas, SIGGRAPH 1995). Unbiased but for what lies beyond `depth`, and for light that reaches a
 surface by way of mirrors or glass from points and directions: neither aim nor chance finds those,
-and they are missing; `light_paths` has them. The numbers of a sample are a function of its pixel
-and its number alone (`_random`), so a picture does not depend on how it is cut. `Scene.ambient`,
-which stands for light that bounces, is not added to the light that does.
+and they are missing; `light_paths` has them, and `missing` says so of a scene. The numbers of a
+sample are a function of its pixel and its number alone (`_random`), so a picture does not depend on
+how it is cut. `Scene.ambient`, which stands for light that bounces, is not added to the light that
+does.
 Radiance in W m^-2 sr^-1, lengths in m.
 
 Gradients by reverse mode reach emission, reflectances, roughnesses, indices, the lights and the
@@ -369,6 +370,9 @@ def path_traced_pixels(
 @takes_numbers
 def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     """The picture in radiance.
+
+    Light of points and directions that mirrors or glass throw onto other surfaces is missing, and
+    no error tells of it: `transport.missing_light` names it.
 
     Args:
         key: random key.

@@ -1,0 +1,371 @@
+"""Light that an integrator cannot find, said in sentences.
+
+What each integrator finds of a path from a lamp to the eye, written from the lamp: L a lamp with a
+size, P one at a place (a point or a direction), D a surface with a BRDF, S a mirror or glass, E the
+eye; S* stands for any number of them, S+ for one or more.
+
+    direct      L D E and P D E, L E, L S E by an opaque mirror; glass is black and throws shadows
+    rays        the same, and (L | P) D S* E, L S* E
+    path        all paths of L; those of P whose first surface is a D
+    light       all paths whose last surface is a D, and L E
+    radiosity   all paths of D alone; it refuses S
+
+Hence P S+ D S+ E, a point lamp behind a window through which the camera looks too, is found by none
+of them.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._numerics import norm, normalize
+from .._types import check_choice
+from .._vector import as_array, as_vec, where
+from ..brdf import is_body, is_delta
+from ..geometry import Ray, ball_around, has_area, surface_area
+from ..lights import EnvironmentMap, RectangleLight, can_be_seen, incident
+from ..optics import view_ray
+from ..scene import Light, Plane, Quad, Scene, Shape, Surface, TriangleMesh, View
+from ._vertices import Surfaces, branches, leave, meet, surfaces_of
+
+Integrator = Literal["direct", "rays", "path", "light", "radiosity"]
+RARE = 1e-3  # share of paths that find a lamp by chance; below, few pictures have enough of them
+_FACES = 24  # of mirrors and glass in a row that are counted
+_SIDE = 24  # rays along each side of the picture that are followed to count them
+_NAMED = 3  # objects that a sentence names
+
+
+def missing_light(
+    scene: Scene,
+    *,
+    integrator: Integrator,
+    depth: int | None = None,
+    view: View | None = None,
+    surfaces: Sequence[str] | None = None,
+    lights: Sequence[str] | None = None,
+) -> list[str]:
+    """One sentence for each kind of light of a scene that an integrator leaves out.
+
+    Mirrors and glass hide lamps without a size (points, directions) from `path`, what they throw
+    onto other surfaces from `direct` and `rays`, and themselves from `light`. The rules look at the
+    kinds of lamps and materials, not at where they stand: the light that a sentence names may be
+    little. Light that bounces between matt surfaces, which `direct` and `rays` leave out by their
+    nature, is not told.
+
+    Args:
+        scene: surfaces and lights, with known numbers.
+        integrator: "direct" (`render`), "rays" (`ray_traced`), "path" (`path_traced`), "light"
+            (`light_traced`) or "radiosity".
+        depth: a count (no unit), the most pieces of a path, of "rays" the rays of a tree; with
+            `view` it is compared with the faces of glass and mirrors in a row. None: not looked at.
+        view: of the camera, or None: then it is taken to see every mirror and glass.
+        surfaces: name of each surface; None: their places in the scene.
+        lights: name of each light; None: their places in the scene.
+
+    Returns:
+        The sentences, each with the integrator that has the light if one has; empty where all light
+        is found.
+
+    Example:
+        >>> floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.2]))
+        >>> pane = jv.Surface(jv.Box([0, 0, 1], [2, 2, 0.05]), jv.Glass(1.5))
+        >>> scene = jv.Scene([floor, pane], [jv.PointLight([0, 0, 2], [4.0])])
+        >>> for sentence in jv.transport.missing_light(scene, integrator="path"):
+        ...     print(sentence[:72])
+        Missing: light of lights[0] on other surfaces by surfaces[1], since no p
+    """
+    check_choice("missing_light: integrator", integrator, get_args(Integrator))
+    named = surfaces or [f"surfaces[{i}]" for i in range(len(scene.surfaces))]
+    lamps = lights or [f"lights[{i}]" for i in range(len(scene.lights))]
+    own = list(zip(named, scene.surfaces, strict=True))
+    turning = [name for name, surface in own if is_delta(surface.material)]
+    shining = [name for name, surface in own if _emits(surface)]
+    placed = [n for n, light in zip(lamps, scene.lights, strict=True) if not can_be_seen(light)]
+    sized = [n for n, light in zip(lamps, scene.lights, strict=True) if can_be_seen(light)]
+    found = []
+    if integrator == "direct" and shining:
+        found.append(
+            f"Missing: light of {_list(shining)} on other surfaces, whose emission is only seen; "
+            "integrator = 'path' has it."
+        )
+    if not turning or integrator == "radiosity":
+        return found
+    matt = len(turning) < len(own)
+    faces = _list(turning)
+    clear = [name for name, surface in own if is_body(surface.material)]
+    opaque = [name for name in turning if name not in clear]
+    before = behind = np.zeros(0, int)
+    if view is not None:
+        before, behind = (np.asarray(x) for x in _counted(scene, view, *_grid(view)))
+    elsewhere = f"light of {_list([*placed, *sized, *shining])} on other surfaces"
+    match integrator:
+        case "direct":
+            if clear:
+                found.append(
+                    f"Missing: all light through {_list(clear)}, black here and with full shadows; "
+                    "integrator = 'rays' shows what is behind."
+                )
+            if opaque:
+                found.append(
+                    f"Missing: the surfaces that {_list(opaque)} would show; integrator = 'rays' "
+                    "has them."
+                )
+            if matt:
+                found.append(f"Missing: {elsewhere} by {faces}: {_cure(placed, sized + shining)}")
+        case "rays" if matt:
+            found.append(
+                f"Missing: {elsewhere} by {faces} (caustics, and all light behind glass): "
+                f"{_cure(placed, sized + shining)}"
+            )
+        case "path" if placed and matt:
+            found.append(
+                f"Missing: light of {_list(placed)} on other surfaces by {faces}, since no path "
+                f"that leaves a mirror or glass meets a lamp without a size: {_cure(placed, [])}"
+            )
+        case "light" if view is None or before.any():
+            found.append(
+                f"Missing: what the camera sees in or through {faces}, black here; integrator = "
+                "'path' has it, but for light of lamps without a size by mirrors or glass."
+            )
+    if integrator == "path" and matt:
+        found += _rarely_found(scene, lamps, own, faces)
+    found += [
+        f"{name}: this mesh of glass is not closed, {gaps} of its edges belonging to one triangle: "
+        "a ray that passes there is taken to stay inside; close the mesh."
+        for name, surface in own
+        if is_body(surface.material) and (gaps := _open_edges(surface))
+    ]
+    if depth is not None and view is not None:
+        found += _cut_short(integrator, depth, faces, before, behind)
+    return found
+
+
+def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
+    """Which integrator has light that mirrors and glass throw onto other surfaces."""
+    if not placed:
+        return "integrator = 'path' has it."
+    of_sized = f"'path' has that of {_list(sized)}, " if sized else ""
+    them = "it" if len(placed) == 1 else "them"
+    return (
+        f"integrator = {of_sized}'light' has it on surfaces that the camera sees neither in "
+        f"mirrors nor through glass; for others give {_list(placed)} a size, and trace {them} by "
+        "'path'."
+    )
+
+
+def _list(names: Sequence[str]) -> str:
+    """Names as the end of a sentence takes them."""
+    if len(names) > _NAMED + 1:
+        names = [*names[:_NAMED], f"{len(names) - _NAMED} more"]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _emits(surface: Surface) -> bool:
+    return surface.emission is not None and bool(np.asarray(surface.emission).any())
+
+
+def _rarely_found(
+    scene: Scene, lamps: Sequence[str], own: Sequence[tuple[str, Surface]], faces: str
+) -> list[str]:
+    """A sentence for each lamp with a size that paths beyond mirrors and glass hardly ever meet."""
+    matt = [surface for _, surface in own if not is_delta(surface.material)]
+    chances = [
+        (name, _chance(light, matt)) for name, light in zip(lamps, scene.lights, strict=True)
+    ]
+    chances += [
+        (name, _share(float(surface_area(surface.shape)), _corners(surface.shape), matt))
+        for name, surface in own
+        if _emits(surface) and has_area(surface.shape)
+    ]
+    return [
+        f"Rare: light of {name} on other surfaces by {faces} is met by chance alone, by at most "
+        f"one path in {round(1 / chance):,}: few samples show noise or nothing, and errors that "
+        "are too small; integrator = 'light' finds it on purpose."
+        for name, chance in chances
+        if 0 < chance < RARE
+    ]
+
+
+def _chance(light: Light, matt: Sequence[Surface]) -> float:
+    """The largest share of paths from a matt surface that meet a light; 1 where it is not known."""
+    match light:
+        case RectangleLight():
+            corner, u, v = (
+                np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v)
+            )
+            area = float(np.linalg.norm(np.cross(u, v)))
+            corners = np.stack([corner, corner + u, corner + v, corner + u + v])
+            return _share(area, corners, matt)
+        case EnvironmentMap():  # the least solid angle that half of its light comes from
+            density, rows = np.asarray(light.density, float), light.density.shape[0]
+            edges = np.cos(np.linspace(0, np.pi, rows + 1))
+            solid = np.repeat((edges[:-1] - edges[1:])[:, None], density.shape[1], 1)
+            solid *= 2 * np.pi / density.shape[1]
+            order = np.argsort(density, axis=None)[::-1]
+            light_within = np.cumsum((density * solid).flat[order])
+            half = int(np.searchsorted(light_within, 0.5 * light_within[-1]))
+            return float(min(solid.flat[order][: half + 1].sum() / np.pi, 1))
+    return 1.0
+
+
+def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
+    """area / (pi d^2), at most 1, with d from the nearest matt surface's own box to the corners'
+    box."""
+    nearest = np.inf
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    for surface in matt:
+        own = _corners(surface.shape)
+        if isinstance(surface.shape, Plane):  # along its normal
+            heights = (corners - np.asarray(surface.shape.point, float)) @ _unit(
+                surface.shape.normal
+            )
+            nearest = min(nearest, float(np.abs(heights).min()))
+            continue
+        apart = np.maximum(np.maximum(own.min(axis=0) - high, low - own.max(axis=0)), 0)
+        if apart.any():  # a lamp does not light itself
+            nearest = min(nearest, float(np.linalg.norm(apart)))
+        elif not np.array_equal(own, corners):
+            return 1.0
+    return min(area / (np.pi * nearest**2), 1.0) if nearest > 0 else 1.0
+
+
+def _unit(direction: Array) -> np.ndarray:
+    vector = np.asarray(direction, float)
+    return vector / np.linalg.norm(vector)
+
+
+def _corners(shape: Shape) -> np.ndarray:
+    """(n, 3) m, points whose box holds a shape; none of a plane."""
+    match shape:
+        case Plane():
+            return np.zeros((0, 3))
+        case Quad():
+            corner, u, v = (
+                np.asarray(x, float) for x in (shape.corner, shape.edge_u, shape.edge_v)
+            )
+            return np.stack([corner, corner + u, corner + v, corner + u + v])
+        case TriangleMesh():
+            return np.asarray(shape.vertices, float)
+    ball = ball_around([shape])
+    assert ball is not None  # only a plane has none
+    return np.stack(
+        [np.asarray(ball.centre, float) + sign * float(ball.radius) for sign in (-1, 1)]
+    )
+
+
+def _open_edges(surface: Surface) -> int:
+    """Edges of a mesh that belong to one triangle only."""
+    if not isinstance(surface.shape, TriangleMesh):
+        return 0
+    corners = np.asarray(surface.shape.vertices)[np.asarray(surface.shape.faces)].reshape(-1, 3)
+    _, faces = np.unique(corners, axis=0, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return int((counts == 1).sum())
+
+
+def _cut_short(
+    integrator: Integrator, depth: int, faces: str, before: np.ndarray, behind: np.ndarray
+) -> list[str]:
+    """A sentence where mirrors and glass in a row take more pieces than `depth` allows."""
+    match integrator:
+        case "path":  # to the surface, to the lamp, and a piece for each face between
+            needed = before + 2 + np.where(behind >= 0, behind, 0)
+        case "rays":
+            needed = before + 1
+        case "light":
+            needed = 2 + np.where(behind >= 0, behind, 0)
+        case _:
+            return []
+    cut = (needed > depth) & (before + np.maximum(behind, 0) > 0)
+    if not cut.any():
+        return []
+    most = "at least " if needed.max() >= _FACES else "up to "
+    return [
+        f"Cut: depth = {depth} ends light on its way by {faces} in {cut.mean():.0%} of the pixels, "
+        f"where {most}{needed.max()} pieces lie between eye and lamp; set depth to "
+        f"{needed.max()} or more."
+    ]
+
+
+def _grid(view: View) -> tuple[Array, Array]:
+    """Rows and columns of the pixels of a coarse grid."""
+    axes = (
+        (np.arange(min(size, _SIDE)) + 0.5) * size / min(size, _SIDE) - 0.5
+        for size in view.resolution
+    )
+    rows, columns = np.meshgrid(*axes, indexing="ij")
+    dtype = view.pixel_pitch.dtype
+    return jnp.asarray(rows.ravel(), dtype), jnp.asarray(columns.ravel(), dtype)
+
+
+@eqx.filter_jit
+def _counted(
+    scene: Scene, view: View, rows: Float[Array, " n"], columns: Float[Array, " n"]
+) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
+    """Faces of mirrors and glass that a pixel's ray meets before another surface; and the most of
+    glass on the straight way from there to a lamp, -1 where each is hidden."""
+    surfaces = surfaces_of(scene)
+    turning = jnp.asarray([is_delta(surface.material) for surface in scene.surfaces])
+    glass = jnp.asarray([is_body(surface.material) for surface in scene.surfaces])
+
+    def of_pixel(row: Array, column: Array) -> tuple[Array, Array]:
+        ray = view_ray(view, row, column)
+        everywhere = jnp.full_like(row, jnp.inf)
+        ray, _, before = _followed(surfaces, ray, everywhere, turning, bent=True)
+        met = meet(surfaces, ray)
+        behind = jnp.full((), -1, jnp.int32)
+        for light in scene.lights:
+            if isinstance(light, RectangleLight):
+                middle = light.corner + (light.edge_u + light.edge_v) / 2
+                toward = as_vec(middle) - met.hit.point
+                direction, distance = normalize(toward), norm(toward)
+            elif not can_be_seen(light):
+                arriving = incident(light, as_array(met.hit.point))
+                direction = as_vec(arriving.direction)
+                distance = everywhere if arriving.distance is None else arriving.distance
+            else:
+                continue
+            away = leave(met, ray, direction, met.surface >= 0)
+            last, left, count = _followed(surfaces, away, distance, glass, bent=False)
+            ahead = meet(surfaces, last)
+            free = (met.surface >= 0) & ((ahead.surface < 0) | (ahead.hit.distance >= left))
+            behind = jnp.maximum(behind, jnp.where(free, count, -1))
+        return before, behind
+
+    return jax.vmap(of_pixel)(rows, columns)
+
+
+def _followed(
+    surfaces: Surfaces, ray: Ray, distance: Array, through: Array, *, bent: bool
+) -> tuple[Ray, Array, Int[Array, ""]]:
+    """The ray after all surfaces of `through` in a row within a distance, m, by its brighter way or
+    straight on; the distance that is left, and their number."""
+
+    def step(state: tuple[Ray, Array, Array], _: None) -> tuple[tuple[Ray, Array, Array], None]:
+        ray, left, count = state
+        met = meet(surfaces, ray)
+        goes = (met.surface >= 0) & through[jnp.maximum(met.surface, 0)]
+        goes &= met.hit.distance < left
+        direction = as_vec(ray.direction)
+        if bent:
+            ways = branches(surfaces, met, -direction, bands=1)
+            bright = ways.mirrored_weight.max() > ways.refracted_weight.max()
+            direction = as_vec(where(bright, ways.mirrored, ways.refracted))
+        left = jnp.where(goes, left - met.hit.distance, left)
+        return (
+            leave(met, ray, as_vec(direction), goes),
+            left,
+            count + goes.astype(jnp.int32),
+        ), None
+
+    ray = Ray(as_vec(ray.origin), as_vec(ray.direction))
+    start = ray, distance, jnp.zeros((), jnp.int32)
+    found, _ = jax.lax.scan(step, start, None, length=_FACES)
+    return found

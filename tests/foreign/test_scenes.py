@@ -1,0 +1,139 @@
+"""Scenes, lenses and cameras as others write them: what cannot be meant is refused, and what a
+picture lacks is said."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from jaxvision.scene_checks import idle_lamps
+from jaxvision.transport import Paths, light_traced, missing_light, path_traced, ray_traced
+
+DOWN = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+GREY = jv.Lambert([0.5 / np.pi])
+FLOOR = jv.Surface(jv.Quad([-2.0, -2, 0], [4.0, 0, 0], [0.0, 4, 0]), GREY)
+PANE = jv.Surface(jv.Box([0.0, 0, 0.6], [2.0, 2, 0.05]), jv.Glass(1.5))
+LAMP = jv.PointLight([0.0, 0, 2], [4.0])
+PANEL = jv.RectangleLight([-0.25, -0.25, 2], [0.0, 0.5, 0], [0.5, 0.0, 0], [4 / 0.25])
+BELOW = jv.Orthographic([0.0, 0, 0.45], DOWN, 0.01, resolution=(9, 9))
+BEHIND_GLASS = jv.Scene([FLOOR, PANE], [LAMP])
+# At the centre below the pane: one face transmits 0.96, the pane (1 - R) / (1 + R) of all orders,
+# and the lamp seems nearer by t (1 - 1 / n).
+THROUGH = 0.5 / np.pi * 4 / (2 - 0.1 * (1 - 1 / 1.5)) ** 2 * (0.96 / 1.04)
+
+
+@pytest.mark.parametrize("integrator", ["direct", "rays", "path"])
+def test_light_of_a_point_behind_a_window_is_named(integrator):
+    said = " ".join(missing_light(BEHIND_GLASS, integrator=integrator, view=BELOW))
+    assert "lights[0]" in said
+    assert "surfaces[1]" in said
+    assert "'light' has it" in said
+
+
+def test_what_finds_all_light_says_nothing():
+    assert missing_light(BEHIND_GLASS, integrator="light", depth=6, view=BELOW) == []
+    area = replace(BEHIND_GLASS, lights=(PANEL,))
+    assert missing_light(area, integrator="path", depth=6, view=BELOW) == []
+    for integrator in ("direct", "rays", "path", "light", "radiosity"):
+        assert missing_light(jv.Scene([FLOOR], [LAMP]), integrator=integrator) == []
+
+
+def test_the_camera_behind_glass_is_black_by_light_tracing():
+    above = jv.Orthographic([0.0, 0, 1.5], DOWN, 0.01, resolution=(9, 9))
+    (said,) = missing_light(BEHIND_GLASS, integrator="light", depth=6, view=above)
+    assert "sees in or through surfaces[1]" in said
+
+
+@pytest.mark.long
+def test_the_sentences_agree_with_pictures():
+    """What is said to be missing is black, and what is said to have it shows the closed form."""
+    key = jax.random.key(0)
+    wide = replace(BELOW, pixel_pitch=jnp.asarray(0.03))
+    found = light_traced(key, BEHIND_GLASS, wide, paths=400_000, depth=6).radiance.mean()
+    assert abs(found / THROUGH - 1) < 0.1
+    for picture in (
+        jv.render(BEHIND_GLASS, BELOW),
+        ray_traced(BEHIND_GLASS, BELOW, rays=8),
+        path_traced(key, BEHIND_GLASS, BELOW, method=Paths(16, 6)).radiance,
+    ):
+        assert float(picture.mean()) < 0.02 * THROUGH
+    area = replace(BEHIND_GLASS, lights=(PANEL,))
+    by_path = path_traced(key, area, wide, method=Paths(1024, 6)).radiance.mean()
+    assert abs(by_path / THROUGH - 1) < 0.1
+
+
+def test_glass_that_takes_more_pieces_than_depth_is_named():
+    area = replace(BEHIND_GLASS, lights=(PANEL,))
+    assert any(
+        "depth = 3" in s and "to 4" in s
+        for s in missing_light(area, integrator="path", depth=3, view=BELOW)
+    )
+    assert missing_light(area, integrator="path", depth=4, view=BELOW) == []
+    panes = [
+        jv.Surface(jv.Box([0.0, 0, z], [2.0, 2, 0.05]), jv.Glass(1.5)) for z in (0.6, 0.8, 1.0)
+    ]
+    three = jv.Scene([FLOOR, *panes], [PANEL])
+    above = jv.Orthographic([0.0, 0, 1.5], DOWN, 0.01, resolution=(9, 9))
+    (said,) = missing_light(three, integrator="path", depth=8, view=above)
+    assert "up to 14 pieces" in said  # 6 faces twice, the floor and the lamp
+
+
+def test_lamps_that_paths_behind_glass_hardly_meet_are_named():
+    chip = jv.RectangleLight([-0.005, -0.005, 2], [0.0, 0.01, 0], [0.01, 0.0, 0], [4e4])
+    (said,) = missing_light(jv.Scene([FLOOR, PANE], [chip]), integrator="path")
+    assert "one path in 125,664" in said  # pi 2^2 / 1e-4
+    sky = np.full((64, 128, 1), 1e-3)
+    sky[10, 20] = 1e4  # a sun in one pixel of a night sky
+    (said,) = missing_light(jv.Scene([FLOOR, PANE], [jv.environment_map(sky)]), integrator="path")
+    assert "lights[0]" in said
+    even = jv.environment_map(np.ones((8, 16, 1)))
+    assert missing_light(jv.Scene([FLOOR, PANE], [even]), integrator="path") == []
+
+
+def test_an_open_mesh_of_glass_is_named():
+    corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    said = []
+    for some in (faces, faces[:3]):
+        glass = jv.Surface(jv.TriangleMesh(corners, some), jv.Glass(1.5))
+        said.append(missing_light(jv.Scene([FLOOR, glass], [PANEL]), integrator="path"))
+    assert said[0] == []
+    assert "not closed, 3 of its edges" in said[1][0]
+
+
+def test_lamps_that_light_nothing_are_named():
+    away = jv.RectangleLight([-0.25, -0.25, 2], [0.5, 0.0, 0], [0.0, 0.5, 0], [16.0])  # faces up
+    under = jv.PointLight([0.0, 0, -1], [4.0])
+    below = jv.DirectionalLight([0.0, 0, -1], [4.0])
+    dark = jv.PointLight([0.0, 0, 2], [0.0])
+    said = idle_lamps(jv.Scene([FLOOR], [LAMP, away, PANEL, under, below, dark]))
+    assert [s[:9] for s in said] == [f"lights[{i}]" for i in (1, 3, 4, 5)]
+    both = replace(FLOOR, two_sided=True)
+    assert [s[:9] for s in idle_lamps(jv.Scene([both], [away, under, below]))] == ["lights[0]"]
+
+
+REFUSED = {
+    "degrees for alpha": (lambda: jv.TorranceSparrow([0.0], [1.0], 30.0), "alpha, at most 3"),
+    "per cent for a share": (lambda: jv.Sensor(prnu=1.0), "1 % being 0.01"),
+    "two equal points": (lambda: jv.look_at(np.ones(3), np.ones(3), [0, 0, 1.0]), "one point"),
+    "up along the sight": (lambda: jv.look_at([0, 0, 1.0], [0, 0, 0], [0, 0, 2.0]), "up must be"),
+    "mm for m": (lambda: jv.image_distance(2.0, 50.0), r"in m \(50 mm are 0.05\)"),
+    "mm for m in blur": (lambda: jv.circle_of_confusion(3.0, 2.0, 50.0, 2.0), "in m"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_meant_is_refused(case):
+    call, words = REFUSED[case]
+    with pytest.raises(ValueError, match=words):
+        call()
+
+
+def test_what_can_be_meant_is_kept():
+    assert jv.TorranceSparrow([0.0], [1.0], 1.5).roughness == 1.5
+    assert float(jv.Sensor(prnu=0.3).prnu) == pytest.approx(0.3)
+    assert float(jv.image_distance(jnp.inf, 57.6)) == pytest.approx(57.6)  # a telescope
+    assert float(jv.image_distance(0.03, 0.05)) == pytest.approx(-0.075)  # a magnifier
