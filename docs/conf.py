@@ -28,7 +28,7 @@ extensions = [
     "sphinx_design",
     "site_pages",
 ]
-exclude_patterns = ["_build", "jupyter_execute"]
+exclude_patterns = ["_build", "jupyter_execute", "how-to/_*.md"]  # included by pages
 myst_enable_extensions = ["colon_fence", "html_image"]
 myst_heading_anchors = 3
 suppress_warnings = ["ref.python"]  # a name quoted in an annotation, of two modules

@@ -164,7 +164,7 @@ def line_of(module):
 
 def submodule_page(page, submodule, own):
     """A page beside the contents, which would be too long with it."""
-    text = [":orphan:", "", *headed(submodule, "=")]
+    text = [":orphan:", ":nosearch:", "", *headed(submodule, "=")]
     text += explained(inspect.getdoc(importlib.import_module(submodule)) or "")
     text += [f"A part of :doc:`{page} </reference/{page}>`, whose page has what users import.", ""]
     return "\n".join([*text, *(directive(name, value) for name, value in own.items())])

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from docutils import nodes
+from file_keys import key_pages
 from reference_pages import reference_pages
 from site_text import escaped, plain_type, write
 from sphinx.domains.python import PyXRefRole
@@ -164,6 +165,7 @@ def find_entry(app, env, node, content):
 def setup(app):
     notebook_pages(HERE / "notebooks")
     gallery_pages(HERE / "gallery")
+    key_pages(HERE / "how-to")
     pages = reference_pages(HERE / "reference")
     places = {id(value): name for page in pages.values() for name, value in page.items()}
 

@@ -31,6 +31,8 @@ def explained(docstring):
         lines = block.splitlines()
         if all(line.startswith("    ") for line in lines):
             text += [".. code-block:: text", "", *(line.rstrip() for line in lines), ""]
+        elif len(lines) > 1 and all(re.match(r"\S+ {2,}\S", line) for line in lines):  # a table
+            text += [".. code-block:: text", "", *(f"    {line.rstrip()}" for line in lines), ""]
         elif len(lines) > 1 and all(line.startswith("    ") for line in lines[1:]):
             if not lines[0].endswith(":"):
                 text += [escaped(lines[0]), ""]

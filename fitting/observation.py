@@ -146,7 +146,7 @@ def read_frame(
         )
     if stored.dtype == np.uint8 and camera.bits > 8:
         raise InputError(
-            f"{path}: 8-bit data, but the rig declares a {camera.bits}-bit camera; "
+            f"{path}: 8-bit data, but the rig declares {camera.bits} bits; "
             "save the frames with 16 bits or correct camera.bits."
         )
     if stored.ndim == 3 and stored.shape[2] == 1:  # as a sensor of one band gives it
@@ -172,8 +172,8 @@ def read_frame(
             raise InputError(f"{path}: {bad} pixels are NaN or infinite; repair or mask them.")
     if frame.max() > camera.full_scale or frame.min() < 0:
         raise InputError(
-            f"{path}: values from {frame.min():g} to {frame.max():g} do not fit a "
-            f"{camera.bits}-bit camera (0 to {camera.full_scale}); correct camera.bits."
+            f"{path}: values from {frame.min():g} to {frame.max():g} do not fit "
+            f"{camera.bits} bits (0 to {camera.full_scale}); correct camera.bits."
         )
     return frame
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from . import __version__
 from .errors import DISTRIBUTION, InputError, check_utf8, nearest, unwritable
@@ -45,8 +45,29 @@ Scheduler = Annotated[
 ]
 
 
+def _without_type_of_flags(params: Any) -> Any:
+    """Parameters of a command whose help says no type beside a flag, which takes no value."""
+    for param in params:
+        if getattr(param, "is_flag", False) and param.metavar is None:
+            param.metavar = ""
+    return params
+
+
+class _Command(TyperCommand):
+    """A sub-command whose usage line names its arguments without braces."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+    def get_params(self, ctx: Any) -> Any:
+        return _without_type_of_flags(super().get_params(ctx))
+
+
 class _Group(TyperGroup):
     """Sub-commands whose words, paths among them, and whose working folder are text."""
+
+    def get_params(self, ctx: Any) -> Any:
+        return _without_type_of_flags(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         try:
@@ -96,7 +117,6 @@ def command_app(
         name=name,
         cls=_Group,
         help=about,
-        add_completion=False,
         no_args_is_help=True,
         context_settings={"obj": elsewhere},
         pretty_exceptions_enable=False,
@@ -140,7 +160,7 @@ def sub_command(
     def added(function: Callable[..., None]) -> Callable[..., None]:
         sentences = " ".join((function.__doc__ or "").split())
         shown = "\n\n".join(f"Example: {line}" for line in examples)  # a paragraph each
-        app.command(function.__name__, help=sentences, epilog=shown)(function)
+        app.command(function.__name__, cls=_Command, help=sentences, epilog=shown)(function)
         return function
 
     return added

@@ -24,6 +24,7 @@ EAGER = {
     "jaxvision.plots.light",
     "jaxvision.plots.summary",
     "jaxvision.errors",
+    "jaxvision.plain_arrays",
     "jaxvision.lazy_names",
     "jaxvision.memory",
     "jaxvision.programs",

@@ -22,6 +22,7 @@ from jaxvision.sensor import (
     pattern_variance,
     photon_rate,
     raw_image,
+    signal_to_noise,
     signal_variance,
 )
 
@@ -120,6 +121,8 @@ def test_the_whole_linear_sensor_counts_quantisation_once(level):
     one = jnp.asarray([level / 0.05])
     np.testing.assert_allclose(expected_signal(sensor, one), [0.5 * (level + 2) + 100], rtol=1e-14)
     np.testing.assert_allclose(signal_variance(sensor, one), [variance], rtol=1e-14)
+    ratio = 0.5 * level / np.sqrt(variance)
+    np.testing.assert_allclose(signal_to_noise(sensor, one), [ratio], rtol=1e-12)
 
 
 def test_pattern_variance_is_that_of_a_noiseless_frame():

@@ -36,6 +36,7 @@ from .moments import (
     clipped_moments as clipped_moments,
     expected_signal as expected_signal,
     pattern_variance as pattern_variance,
+    signal_to_noise as signal_to_noise,
     signal_variance as signal_variance,
 )
 from .raw import collect as collect, raw_image as raw_image

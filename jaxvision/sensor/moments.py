@@ -10,6 +10,7 @@ Under the brighter-fatter effect variances are those of even light of each pixel
 Blooming has no closed form and is left out.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -139,6 +140,36 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     if sensor.column_prnu is not None:
         variance = variance + sensor.column_prnu**2 * (variance + mean**2)
     return variance if sensor.gain is None else variance * sensor.gain**2
+
+
+@takes_numbers
+def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
+    """Signal-to-noise ratio of one pixel: its signal above dark over its temporal noise, unclipped.
+
+        SNR = eta mu_p / sqrt(eta mu_p + mu_d + sigma_read^2 + 1 / (12 K^2))
+
+    `pattern_variance` has the differences between pixels, which a flat field removes.
+
+    Args:
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
+
+    Returns:
+        (..., bands) no unit; 20 log10 of it is in dB. Infinite where light has no noise, NaN where
+        there is neither light nor noise.
+
+    Source:
+        EMVA Standard 1288, Release 3.1, equation 21.
+
+    Example:
+        >>> sensor = jv.Sensor(quantum_efficiency=0.5, shot_noise=jv.PoissonShotNoise())
+        >>> float(jv.sensor.signal_to_noise(sensor, jnp.array([20_000.0]))[0])  # of 1e4 electrons
+        100.0
+    """
+    dark = jnp.zeros_like(irradiance)
+    lit, unlit = (_read(sensor, _charge(sensor, light)) for light in (irradiance, dark))
+    signal = amplified(replace(sensor, offset=None), lit.mean - unlit.mean)
+    return signal / jnp.sqrt(_signal(sensor, lit).variance)
 
 
 @takes_numbers

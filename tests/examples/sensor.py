@@ -97,6 +97,7 @@ EXAMPLES = {
     "sensor.moments.censored": ((Moments(ELECTRONS, 3 * ELECTRONS),), {"high": jnp.asarray(700.0)}),
     "sensor.moments.clipped_moments": ((MOMENTS_OF, ELECTRONS), {}),
     "sensor.moments.expected_signal": ((SENSOR, X), {}),
+    "sensor.moments.signal_to_noise": ((SENSOR, X), {}),
     "sensor.moments.signal_variance": ((SENSOR, X), {}),
     # a finite difference's step is no small share of the kernel of charges that repel each other
     "sensor.moments.pattern_variance": ((replace(SENSOR, brighter_fatter=None), X), {}),

@@ -87,6 +87,7 @@ def covered_names(group: Elsewhere) -> tuple[str, ...]:
 
 
 ELSEWHERE = (
+    Elsewhere(CHOICES, "test_plain_arrays", "plain_arrays: plain_array"),
     Elsewhere(
         FILES,
         "test_camera_files test_record_files",

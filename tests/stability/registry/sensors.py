@@ -100,6 +100,10 @@ def variance_of(photons, read, gain):
     return signal_variance(a_sensor(read, gain, 0 * gain), photons[None])[0]
 
 
+def ratio_of(photons, read, gain):
+    return sensor.signal_to_noise(a_sensor(read, gain, 0 * gain), photons[None])[0]
+
+
 def widths(m, w):
     first, second = w[:, 1] - w[:, 0], w[:, 2] - w[:, 1]
     return first, (first + second) / 2, second
@@ -237,6 +241,12 @@ ENTRIES = [
         "sensor.moments.signal_variance",
         variance_of,
         lambda m, p, r, k: k * k * (p + r * r),
+        (Range(1e-2, 1e6), Range(0.1, 100), Range(0.01, 10)),
+    ),
+    Entry(
+        "sensor.moments.signal_to_noise",
+        ratio_of,
+        lambda m, p, r, k: p / m.sqrt(p + r * r),
         (Range(1e-2, 1e6), Range(0.1, 100), Range(0.01, 10)),
     ),
     Entry(
