@@ -1,4 +1,4 @@
-"""Copies of an image are refused by name; images that may be equal are not."""
+"""Copies of an image are named; images that may be equal are not."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from fitting.rig import Camera
 from jaxvision.errors import InputError
 
 
-def flats(levels=(200, 900, 1600, 2200, 2900, 5000)):
+def flats(levels=(200, 900, 1600, 1900, 2200, 2900, 5000)):
     """Two frames a level, photons, and darks, of 12 bits and 1 DN an electron."""
     rng = np.random.default_rng(0)
     lit = [np.clip(64 + rng.poisson(level, (2, 24, 24)), 0, 4095) for level in levels]
@@ -23,12 +23,20 @@ def photon_transfer(lit, dark, levels):
     )
 
 
-def test_a_copied_flat_is_refused_by_name_and_saturated_ones_are_not():
+def test_a_copied_flat_is_left_out_by_name_and_saturated_ones_are_not():
     lit, dark, levels = flats()
     assert np.ptp(lit[-1]) == 0  # saturated: equal frames, which are read
-    photon_transfer(lit, dark, levels)
+    assert photon_transfer(lit, dark, levels).bright.left_out == ()
     lit[2][1] = lit[2][0]
-    with pytest.raises(InputError, match=r"flat.*2.*: is flat.*2.* in every pixel.*copy"):
+    left_out = photon_transfer(lit, dark, levels).bright.left_out
+    assert left_out[0].startswith("flats[2][1] was left out: equal to flats[2][0] in every pixel")
+    assert left_out[1].startswith("flats[2][0] was left out: it is the only frame")
+
+
+def test_a_flat_of_another_level_is_refused_by_name():
+    lit, dark, levels = flats((200, 900, 1600, 1600, 2200, 2900, 5000))
+    lit[2][1] = lit[3][0]
+    with pytest.raises(InputError, match=r"flats\[3\]\[0\]: is flats\[2\]\[1\] in every pixel"):
         photon_transfer(lit, dark, levels)
 
 
@@ -36,9 +44,8 @@ def test_frames_without_light_may_be_equal():
     lit, dark, levels = flats((50, 200, 900, 1600, 2200, 2900, 5000))
     die = np.arange(24 * 24).reshape(24, 24) % 3 + 63.0
     lit[0][:] = die
-    photon_transfer(lit, dark, (0, *levels[1:]))
-    with pytest.raises(InputError, match="in every pixel"):
-        photon_transfer(lit, dark, levels)
+    assert photon_transfer(lit, dark, (0, *levels[1:])).bright.left_out == ()
+    assert "in every pixel" in photon_transfer(lit, dark, levels).bright.left_out[0]
 
 
 def test_a_copied_exposure_is_refused_by_name():

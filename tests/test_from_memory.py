@@ -75,7 +75,7 @@ def test_what_does_not_fit_together_is_said_in_one_sentence():
     with pytest.raises(InputError, match="vary the exposure"):
         from_frames(flats, flats, times, None, camera=CAMERA)
     small = Camera(bits=8)
-    with pytest.raises(InputError, match=r"arrays/flats\[0\]\[0\]: values .* do not fit 8 bits"):
+    with pytest.raises(InputError, match=r"arrays/darks\[2\]\[0\]: values .* do not fit 8 bits"):
         from_frames([f + 300 for f in flats], flats, times, PHOTONS, camera=small)
     with pytest.raises(InputError, match=r"arrays/images\[1\]: holds fractions"):
         from_stack([np.ones((9, 9)), np.full((9, 9), 1.5)], [1, 2], camera=CAMERA)

@@ -22,14 +22,18 @@ FAR = 3.0  # standard errors between two figures that should agree
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
+    measurement = calibration.measurement
+    left_out = (*measurement.bright.left_out, *measurement.dark.left_out)
     if flicker := extra_in_flats(calibration):
         return (
+            *left_out,
             *flicker_in_words(flicker),
             *_near_black(calibration),
             *_shared(calibration, None),
-            *calibration.measurement.remarks,
+            *measurement.remarks,
         )
     return (
+        *left_out,
         *_efficiency(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),
@@ -41,7 +45,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *_shared(calibration, _shown(calibration, "system_gain")[0]),
         *_pattern(calibration),
         *_solver(calibration),
-        *calibration.measurement.remarks,
+        *measurement.remarks,
     )
 
 
@@ -92,9 +96,8 @@ def _misfit(calibration: NoiseCalibration) -> list[str]:
         return []
     return [
         f"{_linear_model(calibration)} does not explain the measurement: chi-square per degree of "
-        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}; its K of "
-        f"{float(linear.values['system_gain']):.5g} DN/e⁻ and the small error it would claim are "
-        "not to be used."
+        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}, so its gain and "
+        "the small error that it would claim are not used."
     ]
 
 
@@ -256,8 +259,9 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
 def _saturation(calibration: NoiseCalibration) -> list[str]:
     within = calibration.within
     if within.saturation is None or within.saturation_width is None:
+        which = "No level that is left" if calibration.measurement.bright.left_out else "No level"
         return [
-            "No level saturates the camera, so nothing that needs its capacity is determined, and "
+            f"{which} saturates the camera, so nothing that needs its capacity is determined, and "
             "the ranges of the standard end at the brightest level; add brighter flats."
         ]
     unit = "photons" if calibration.measurement.photons_known else "s"

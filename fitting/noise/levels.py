@@ -40,6 +40,7 @@ class Levels(eqx.Module):
         covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
             and columns, the variance at (0, 0), DN^2; None where pixels are not known, or not next
             to each other.
+        left_out: frames that do not belong, and why, in sentences.
     """
 
     light: Float[Array, " levels"]
@@ -51,6 +52,7 @@ class Levels(eqx.Module):
     spatial_variance: Float[Array, " levels"] | None = None
     shared: SharedVariance | None = None
     covariances: Float[Array, "levels lags lags"] | None = None
+    left_out: tuple[str, ...] = eqx.field(static=True, default=())
 
 
 class PhotonTransfer(eqx.Module):

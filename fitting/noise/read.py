@@ -1,19 +1,21 @@
 """Reading photon transfer: frames of a rig reduced one at a time, or a table of sums."""
 
 import os
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
 from ..copies import Copies
+from ..frame_checks import ALONE, Odd, Shown, Stated, odd_frames, odd_heads, refuse_half, shown
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
@@ -72,6 +74,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     """
     require(rig, "photon transfer")
     require_one_setting(rig, "read them with fitting.noise.read_by_setting")
+    rig, odd, remarks = _without_odd_heads(rig)
     flats = sorted(rig.flat, key=lambda flat: (_light(rig, flat) or flat.exposure, flat.exposure))
     darks = _pooled(rig.dark)
     light = [_light(rig, flat) for flat in flats]
@@ -88,18 +91,16 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
             "photons (or irradiance) for every [[flat]], or vary the exposure."
         )
     channel = channel or _first_site(rig.camera)
-    bright = _reduced(rig, flats, channel, load)
-    dark = _reduced(rig, darks, channel, load)
+    dark = _reduced(rig, darks, channel, load, odd=odd["dark"])
+    amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
+    bright = _reduced(rig, flats, channel, load, odd=odd["flat"], light=amounts, dark=dark)
     if float(bright.pixels) != float(dark.pixels):
         raise InputError(f"{rig.folder}: flats and darks differ in size; crop them alike.")
-    amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
-    bright = replace(bright, light=jnp.asarray(amounts))
-    remarks = []
     if rig.camera.pattern is not None:
         remarks.append(f"Of the {rig.camera.pattern} mosaic the {channel} sites were used.")
     elif len(rig.camera.sites) > 1:
         remarks.append(f"Of the {len(rig.camera.sites)} taps the pixels of {channel} were used.")
-    gap = jnp.abs(dark.exposure[None, :] / bright.exposure[:, None] - 1)
+    gap = _gaps(bright, dark)
     if float(gap.min(axis=1).max()) > DARK_MATCH:
         remarks.append(
             "Some flats have no dark frames of their own exposure; the nearest were subtracted, so "
@@ -109,7 +110,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         bright=bright,
         dark=dark,
         dark_of=jnp.argmin(gap, axis=1),
-        light_step=jnp.asarray(rounding_step(amounts) if all(known) else 0.0),
+        light_step=jnp.asarray(rounding_step(np.asarray(bright.light)) if all(known) else 0.0),
         photons_known=all(known),
         full_scale=rig.camera.at(channel).clip_level,
         remarks=tuple(remarks),
@@ -130,8 +131,9 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     Raises:
         InputError: for frames that do not belong together.
     """
+    rig, odd, _ = _without_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
-    return _reduced(rig, _pooled(rig.dark), channel, load)
+    return _reduced(rig, _pooled(rig.dark), channel, load, odd=odd["dark"])
 
 
 def _first_site(camera: Camera) -> str:
@@ -163,25 +165,86 @@ def _light(rig: Rig, flat: Flat) -> float | None:
     return float(photon_rate(irradiance, wavelength, area)[0]) * flat.exposure
 
 
-def _reduced(
-    rig: Rig, entries: Sequence[Flat] | Sequence[Dark], channel: str, load: Load
-) -> Levels:
-    copies = Copies()
-    rows = [
-        _level(rig, entry.files, channel, load, copies if _is_lit(rig, entry) else None)
-        for entry in entries
+def _gaps(bright: Levels, dark: Levels) -> Float[Array, "levels darks"]:
+    """How far each dark's exposure is from each flat's, relative to that."""
+    longest = jnp.maximum(jnp.max(bright.exposure), jnp.max(dark.exposure))
+    scale = jnp.where(bright.exposure > 0, bright.exposure, jnp.where(longest > 0, longest, 1.0))
+    return jnp.abs(dark.exposure[None, :] - bright.exposure[:, None]) / scale[:, None]
+
+
+def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[Odd]], list[str]]:
+    """A rig without the frames whose heads speak against it; those of flats and of darks; and
+    remarks."""
+    entries = {"flat": rig.flat, "dark": rig.dark}
+    stated = [
+        Stated(name, rig.path(name), entry.exposure, group)
+        for group, entry in enumerate((*rig.flat, *rig.dark))
+        for name in entry.files
     ]
+    found, remarks = odd_heads(rig.folder, stated)
+    gone = {name for one in found for name in one.names}
+    kept: dict[str, list[Any]] = {}
+    odd: dict[str, list[Odd]] = {}
+    for kind, of_kind in entries.items():
+        names = {name for entry in of_kind for name in entry.files}
+        odd[kind] = [one for one in found if names.intersection(one.names)]
+        refuse_half(rig.folder, odd[kind], len(names))
+        kept[kind] = []
+        for entry in of_kind:
+            files = tuple(name for name in entry.files if name not in gone)
+            if len(files) == 1:
+                odd[kind].append(Odd(files, ALONE))
+            if len(files) > 1:
+                kept[kind].append(entry.model_copy(update={"files": files}))
+    return rig.model_copy(update={k: tuple(own) for k, own in kept.items()}), odd, remarks
+
+
+def _reduced(
+    rig: Rig,
+    entries: Sequence[Flat] | Sequence[Dark],
+    channel: str,
+    load: Load,
+    *,
+    odd: Sequence[Odd],
+    light: Float[np.ndarray, " levels"] | None = None,
+    dark: Levels | None = None,
+) -> Levels:
+    """Levels of frames that belong together; `odd` is what was left out before."""
+    gone = list(odd)
+    count = sum(len(entry.files) for entry in entries)
+    found = [_level(rig, entry.files, channel, load, gone) for entry in entries]
+    _leave_out_sizes(rig, found, gone)
+    shows = [() if level is None else level.shown for level in found]
+    times = np.array([entry.exposure for entry in entries])
+    amounts, black = np.zeros(len(found)) if light is None else light, None
+    if dark is not None:
+        nearest = np.abs(times[:, None] - np.asarray(dark.exposure)).argmin(axis=1)
+        black = np.asarray(dark.mean)[nearest]
+    compared = odd_frames(shows, light=times if dark is None else amounts, black=black)
+    gone += compared
+    refuse_half(rig.folder, gone, count)
+    names = {name for one in compared for name in one.names}
+    copies = Copies()
+    for i, entry in enumerate(entries):
+        kept = [frame for frame in shows[i] if frame.name not in names]
+        if len(kept) < len(shows[i]):
+            left = [frame.name for frame in kept]
+            found[i] = _level(rig, left, channel, load, []) if left else None
+        for frame in kept if _is_lit(rig, entry) else ():
+            copies.add(frame.name, frame.sample)
     copies.refuse(rig.folder)
-    if len({row.shape for row in rows}) > 1:
-        raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
+    there = [i for i, level in enumerate(found) if level is not None]
+    if not there:
+        raise InputError(f"{rig.folder}: no level has two frames; {gone[0].sentence}")
+    rows = [level for level in found if level is not None]
     shape, of_lines = rows[0].shape, np.array([row.lines for row in rows]).T
     mean, variance, spatial, frames = np.array([row[:4] for row in rows], float).T
     # In a mosaic the nearest sites of one colour are two pixels apart.
     adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
     covariances = jnp.asarray([row.covariances for row in rows]) if adjacent else None
     return Levels(
-        light=jnp.zeros(len(rows)),
-        exposure=jnp.asarray([entry.exposure for entry in entries]),
+        light=jnp.asarray(amounts[there]),
+        exposure=jnp.asarray(times[there]),
         mean=jnp.asarray(mean),
         variance=jnp.asarray(variance),
         frames=jnp.asarray(frames),
@@ -189,11 +252,28 @@ def _reduced(
         spatial_variance=jnp.asarray(spatial),
         shared=shared_variance(of_lines, shape),
         covariances=covariances,
+        left_out=tuple(one.sentence for one in gone),
     )
 
 
+def _leave_out_sizes(rig: Rig, found: "list[_Level | None]", gone: list[Odd]) -> None:
+    """Levels of another size than that of most."""
+    sizes = Counter(level.shape for level in found if level is not None)
+    if len(sizes) < 2:
+        return
+    shape, count = sizes.most_common(1)[0]
+    if 2 * count <= sizes.total():
+        raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
+    for i, level in enumerate(found):
+        if level is not None and level.shape != shape:
+            names = tuple(frame.name for frame in level.shown)
+            gone.append(Odd(names, f"they are {level.shape}, the frames of other levels {shape}"))
+            found[i] = None
+
+
 class _Level(NamedTuple):
-    """Statistics of the frames of one level, as `Levels` holds them of all."""
+    """Statistics of the frames of one level, as `Levels` holds them of all, and what is kept of
+    each frame."""
 
     mean: float
     variance: float
@@ -202,6 +282,7 @@ class _Level(NamedTuple):
     lines: tuple[float, ...]
     covariances: np.ndarray
     shape: tuple[int, ...]
+    shown: tuple[Shown, ...]
 
 
 def _is_lit(rig: Rig, entry: Flat | Dark) -> bool:
@@ -210,48 +291,111 @@ def _is_lit(rig: Rig, entry: Flat | Dark) -> bool:
 
 
 def _level(
-    rig: Rig, files: Sequence[str], channel: str, load: Load, copies: Copies | None
-) -> _Level:
-    # Deviations from the first frame keep S2 and S1^2 small: little cancels in their difference.
-    first = _plane(rig, files[0], channel, load)
-    total, squares, shifts = np.zeros_like(first), np.zeros_like(first), [0.0]
-    lines, neighbours = Moments(first), Neighbours(first.shape)
-    if copies is not None:
-        copies.add(files[0], first)
-    for name in files[1:]:
-        frame = _plane(rig, name, channel, load)
-        if copies is not None:
-            copies.add(name, frame)
-        if frame.shape != first.shape:
-            raise InputError(
-                f"{rig.path(name)}: is {frame.shape}, but {files[0]} is {first.shape}; all frames "
-                "of one level need the same size."
-            )
-        deviation = frame - first
-        total += deviation
-        squares += deviation**2
-        lines.add(deviation)
-        neighbours.add(deviation)
-        shifts.append(float(deviation.mean()))
-    count, pixels = len(files), first.size
-    if pixels < FEWEST_PIXELS:
+    rig: Rig, files: Sequence[str], channel: str, load: Load, odd: list[Odd]
+) -> _Level | None:
+    """The statistics of a level, None where fewer than two frames are left; what cannot be used is
+    added to `odd`."""
+    sums, others = None, {}
+    for name in files:
+        try:
+            stored = load(rig.path(name))
+        except InputError as error:
+            reason = str(error).removeprefix(f"{rig.path(name)}: ").removesuffix(".")
+            odd.append(Odd((name,), f"it cannot be read ({reason})"))
+            continue
+        frame = _plane(rig, name, channel, stored)
+        sums = sums or _Sums(frame, rig.camera.at(channel).clip_level)
+        if frame.shape != sums.first.shape:
+            others[name] = frame.shape
+        else:
+            sums.add(name, frame)
+    if sums is None:
+        return None
+    if 2 * len(others) >= len(sums.shown) + len(others):
+        return _of_most(rig, files, sums, others, channel, load, odd)
+    for name, shape in others.items():
+        odd.append(Odd((name,), f"it is {shape}, the others of its level {sums.first.shape}"))
+    if len(sums.shown) < 2:
+        odd.append(Odd((sums.shown[0].name,), ALONE))
+        return None
+    if sums.first.size < FEWEST_PIXELS:
         raise InputError(
-            f"{rig.path(files[0])}: has {pixels} pixels; a variance needs at least {FEWEST_PIXELS}."
+            f"{rig.path(files[0])}: has {sums.first.size} pixels; a variance needs at least "
+            f"{FEWEST_PIXELS}."
         )
-    average = first + total / count
-    temporal = (count * squares - total**2) / (count * (count - 1))
-    # Light that drifts between the frames moves all pixels together, which is not pixel noise.
-    parts = lines.temporal(float(temporal.mean()), float(np.var(shifts, ddof=1)))
-    variance = parts.of_a_pixel
-    shared = (parts.rows, parts.columns, *lines.fixed(average, parts), parts.frames)
-    spatial = float(average.var(ddof=1))
-    covariances = neighbours.covariances(total, variance, parts.frames)
-    mean = float(average.mean())
-    return _Level(mean, variance, spatial, float(count), shared, covariances, first.shape)
+    return sums.level()
 
 
-def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:
-    frame = read_frame(rig.path(name), rig.camera, load=load)
+def _of_most(
+    rig: Rig,
+    files: Sequence[str],
+    sums: "_Sums",
+    others: dict[str, tuple[int, ...]],
+    channel: str,
+    load: Load,
+    odd: list[Odd],
+) -> _Level | None:
+    """The level of the size that most of its frames have, where the first has another."""
+    shape, count = Counter(others.values()).most_common(1)[0]
+    if 2 * count <= len(others) + len(sums.shown):
+        name = next(iter(others))
+        raise InputError(
+            f"{rig.path(name)}: is {others[name]}, but {sums.shown[0].name} is "
+            f"{sums.first.shape}; all frames of one level need the same size."
+        )
+    for name in files:
+        if name in {one.name for one in sums.shown} or others.get(name, shape) != shape:
+            size = others.get(name, sums.first.shape)
+            odd.append(Odd((name,), f"it is {size}, the others of its level {shape}"))
+    return _level(rig, [name for name in files if others.get(name) == shape], channel, load, odd)
+
+
+class _Sums:
+    """Sums over the frames of a level. Deviations from the first frame keep S2 and S1^2 small:
+    little cancels in their difference."""
+
+    def __init__(self, first: np.ndarray, top: float) -> None:
+        self.first, self._top = first, top
+        self.shown: list[Shown] = []
+        self._total, self._squares = np.zeros_like(first), np.zeros_like(first)
+        self._shifts: list[float] = []
+        self._lines, self._neighbours = Moments(first), Neighbours(first.shape)
+
+    def add(self, name: str, frame: np.ndarray) -> None:
+        """One more frame, or the first."""
+        self.shown.append(shown(name, frame, top=self._top))
+        deviation = frame - self.first
+        self._shifts.append(float(deviation.mean()))
+        if len(self.shown) == 1:
+            return
+        self._total += deviation
+        self._squares += deviation**2
+        self._lines.add(deviation)
+        self._neighbours.add(deviation)
+
+    def level(self) -> _Level:
+        """The statistics of two frames or more."""
+        count, total = len(self.shown), self._total
+        average = self.first + total / count
+        temporal = (count * self._squares - total**2) / (count * (count - 1))
+        # Light that drifts between the frames moves all pixels together: no noise of pixels.
+        wandering = float(np.var(self._shifts, ddof=1))
+        parts = self._lines.temporal(float(temporal.mean()), wandering)
+        variance = parts.of_a_pixel
+        return _Level(
+            mean=float(average.mean()),
+            variance=variance,
+            spatial=float(average.var(ddof=1)),
+            frames=float(count),
+            lines=(parts.rows, parts.columns, *self._lines.fixed(average, parts), parts.frames),
+            covariances=self._neighbours.covariances(total, variance, parts.frames),
+            shape=self.first.shape,
+            shown=tuple(self.shown),
+        )
+
+
+def _plane(rig: Rig, name: str, channel: str, stored: np.ndarray) -> np.ndarray:
+    frame = read_frame(rig.path(name), rig.camera, load=lambda path: stored)
     if frame.ndim == 3:
         raise InputError(
             f"{rig.path(name)}: is a colour picture {frame.shape}; photon transfer needs raw data, "
@@ -273,14 +417,24 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
     Raises:
         InputError: for what is missing or wrong.
     """
+    try:
+        _check(file, measurement)
+    except InputError as error:
+        left_out = (*measurement.bright.left_out, *measurement.dark.left_out)
+        raise InputError(" ".join([str(error), *left_out[:3]])) from None
+
+
+def _check(file: Path, measurement: PhotonTransfer) -> None:
     bright, dark = measurement.bright, measurement.dark
     for name, levels in (("flat", bright), ("dark", dark)):
-        if bool(jnp.any(levels.exposure <= 0)):
-            raise InputError(f"{file}: a {name} has no positive exposure; give it in seconds.")
+        if bool(jnp.any(levels.exposure < 0)):
+            raise InputError(f"{file}: a {name} has a negative exposure; give it in seconds.")
         if bool(jnp.any(levels.frames < 2)):
             raise InputError(f"{file}: a {name} level has one frame; a variance needs two or more.")
         if bool(jnp.any(levels.variance < 0)):
             raise InputError(f"{file}: a {name} level has a negative variance; check its column.")
+    if not bool(jnp.any(bright.exposure > 0)):
+        raise InputError(f"{file}: no flat has a positive exposure; give it in seconds.")
     if bool(jnp.any(bright.light < 0)):
         raise InputError(f"{file}: a flat has negative light; correct its photons.")
     if measurement.photons_known and float(bright.light.max()) > MOST_PHOTONS:

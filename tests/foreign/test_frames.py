@@ -1,0 +1,158 @@
+"""Frames that do not belong are named and left out, and what remains gives the camera."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from fitting.noise import Camera, calibrate, from_frames
+from jaxvision.errors import InputError
+
+GAIN, BLACK, READ_NOISE, FULL = 0.4, 64.0, 2.3, 4095
+ELECTRONS = np.linspace(250, 9000, 14)
+TIMES = np.linspace(0.0005, 0.02, 14)
+
+
+def frame(electrons, seed):
+    """(64, 64) of 12 bits."""
+    rng = np.random.default_rng(seed)
+    counted = rng.poisson(electrons, (64, 64)) + rng.normal(0, READ_NOISE, (64, 64))
+    return np.clip(np.round(GAIN * counted + BLACK), 0, FULL).astype(np.uint16)
+
+
+FLATS = [[frame(x, 2 * i), frame(x, 2 * i + 1)] for i, x in enumerate(ELECTRONS)]
+DARKS = [[frame(0, 100 + 2 * i), frame(0, 101 + 2 * i)] for i in range(14)]
+
+
+def read(flats=FLATS, darks=DARKS):
+    return from_frames(flats, darks, list(TIMES), ELECTRONS / 0.6, camera=Camera(bits=12))
+
+
+def put(frames, **by_place):
+    """The frames with those of `l6_1` and the like changed."""
+    changed = [list(level) for level in frames]
+    for place, image in by_place.items():
+        level, i = place[1:].split("_")
+        changed[int(level)][int(i)] = image
+    return changed
+
+
+WHITE = np.full((64, 64), FULL, np.uint16)
+
+
+def hand(image):
+    """Covered by a hand in a corner; no pixel brighter."""
+    covered = image.astype(float)
+    covered[:16, :20] = BLACK + 0.4 * (covered[:16, :20] - BLACK)
+    return covered.round().astype(np.uint16)
+
+
+def averaged(level):
+    return np.mean([frame(ELECTRONS[level], 500 + i) for i in range(16)], 0).round().astype(int)
+
+
+def test_frames_that_belong_are_all_used():
+    measured = read()
+    assert measured.bright.left_out == measured.dark.left_out == ()
+
+
+@pytest.mark.parametrize("spread", [0.01, 0.05])
+def test_a_flickering_lamp_is_no_bad_frame(spread):
+    rng = np.random.default_rng(3)
+    light = ELECTRONS[:, None] * (1 + spread * rng.standard_normal((14, 2)))
+    flickering = [[frame(x, 300 + i), frame(y, 320 + i)] for i, (x, y) in enumerate(light)]
+    assert read(flickering).bright.left_out == ()
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (WHITE, "100 % of its pixels are saturated"),
+        (np.zeros((64, 64), np.uint16), "100 % of its pixels are 0 DN"),
+        (frame(0, 7), "its mean is 6"),
+        (frame(1.1 * ELECTRONS[6], 7), "its mean is 19"),
+        (hand(FLATS[6][1]), "left out: it"),
+        (FLATS[6][0], "equal to flats[6][0] in every pixel"),
+        (FLATS[7][1], "its mean is"),
+    ],
+)
+def test_a_flat_that_does_not_belong_is_named_and_its_level_goes(image, words):
+    measured = read(put(FLATS, l6_1=image))
+    first, second = measured.bright.left_out
+    assert first.startswith("flats[6][1] was left out: ")
+    assert words in first
+    assert second == "flats[6][0] was left out: it is the only frame that is left of its level."
+    np.testing.assert_allclose(measured.bright.light, np.delete(ELECTRONS, 6) / 0.6)
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (WHITE, "saturated"),
+        (frame(1.1 * ELECTRONS[6], 7), "its mean"),
+        (hand(FLATS[6][1]), "its mean"),
+        (averaged(6), "times the variance"),
+        (FLATS[6][0], "equal to flats[6][0]"),
+    ],
+)
+def test_of_five_frames_the_others_of_the_level_stay(image, words):
+    five = [
+        [*level, *(frame(x, 900 + 3 * i + k) for k in range(3))]
+        for i, (level, x) in enumerate(zip(FLATS, ELECTRONS, strict=True))
+    ]
+    told, *others = read(put(five, l6_3=image)).bright.left_out
+    assert others == []
+    assert told.startswith("flats[6][3] was left out: ")
+    assert words in told
+
+
+def test_gain_without_the_frame_is_the_camera_s():
+    found = calibrate(read(put(FLATS, l6_1=WHITE))).shown["system_gain"]
+    assert abs(found.value - GAIN) < 3 * found.standard_error
+    assert found.standard_error < 0.004
+
+
+def test_a_level_that_saturates_between_others_is_named():
+    measured = read(put(FLATS, l6_0=WHITE, l6_1=WHITE))
+    (told,) = measured.bright.left_out
+    assert told.startswith("flats[6][0] and flats[6][1] were left out: 100 % of the pixels are sat")
+
+
+@pytest.mark.parametrize("pair", [(6, 9), (6, 7), (1, 13)])
+def test_levels_whose_light_is_exchanged_are_named(pair):
+    swapped = list(FLATS)
+    swapped[pair[0]], swapped[pair[1]] = swapped[pair[1]], swapped[pair[0]]
+    (told,) = read(swapped).bright.left_out
+    assert all(f"flats[{i}][0]" in told for i in pair)
+    assert "fit the other levels where their light is exchanged" in told
+
+
+def test_two_averaged_frames_are_named_by_the_levels_beside_them():
+    (told,) = read(put(FLATS, l6_0=averaged(6), l6_1=averaged(6)[::-1])).bright.left_out
+    assert told.startswith("flats[6][0] and flats[6][1] were left out: they differ")
+
+
+def test_a_dark_with_light_is_named():
+    first, second = read(darks=put(DARKS, l3_1=frame(100, 7))).dark.left_out
+    assert first.startswith("darks[3][1] was left out: its mean is 10")
+    assert second.startswith("darks[3][0] was left out: it is the only frame")
+
+
+def test_frames_of_which_half_disagree_are_the_user_s_to_decide():
+    bad = [[a, np.full_like(a, FULL)] for a, _ in FLATS]
+    with pytest.raises(InputError, match=r"half of its 28 frames.*flats\[0\].*decide which"):
+        read(bad)
+
+
+def test_saturating_levels_at_the_end_are_not_left_out():
+    rng = np.random.default_rng(0)
+    light = np.geomspace(100, 40000, 14)
+
+    def saturating(x):
+        electrons = np.minimum(rng.poisson(x, (64, 64)), 9000) + rng.normal(0, 2.3, (64, 64))
+        return np.clip(np.round(GAIN * electrons + BLACK), 0, FULL).astype(np.uint16)
+
+    flats = [[saturating(x), saturating(x)] for x in light]
+    measured = from_frames(flats, DARKS, list(TIMES), light, camera=Camera(bits=12))
+    assert measured.bright.left_out == ()
+    assert all(a < b for a, b in pairwise(measured.bright.light.tolist()))
