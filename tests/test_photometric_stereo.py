@@ -81,6 +81,128 @@ def test_leaving_out_what_contradicts_keeps_intervals_right(lights, highlight):
     assert np.mean(found.used == lights - broken) > (0.75 if broken and lights == 6 else 0.98)
 
 
+def hemisphere(count):
+    """Unit directions, evenly over the upper hemisphere down to 6 degrees."""
+    i = np.arange(count) + 0.5
+    z, turn = 0.1 + 0.9 * i / count, np.pi * (1 + np.sqrt(5)) * i
+    return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+
+
+def normals_within(degrees, count):
+    """Unit normals, evenly over a cap about +z."""
+    rng = np.random.default_rng(1)
+    z, turn = rng.uniform(np.cos(np.radians(degrees)), 1, count), rng.uniform(0, 2 * np.pi, count)
+    return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+
+
+def power(lights, normals, exponent):
+    return np.maximum(lights @ normals.T, 0) ** exponent
+
+
+def rough(lights, normals, sigma):
+    """Oren & Nayar (1994), equation 30, times pi over the albedo; the viewer in +z."""
+    cosine = lights @ normals.T
+    a, b = 1 - 0.5 * sigma**2 / (sigma**2 + 0.33), 0.45 * sigma**2 / (sigma**2 + 0.09)
+    incident, seen = np.arccos(np.clip(cosine, -1, 1)), np.arccos(normals[:, 2])
+    along = lights[:, None] - cosine[..., None] * normals
+    view = np.array([0, 0, 1.0]) - normals[:, 2:] * normals
+    across = np.linalg.norm(along, axis=-1) * np.linalg.norm(view, axis=-1)
+    azimuth = np.maximum(np.einsum("lnc,nc->ln", along, view) / np.maximum(across, 1e-9), 0)
+    wide, narrow = np.maximum(incident, seen), np.minimum(incident, seen)
+    return np.maximum(cosine, 0) * (a + b * azimuth * np.sin(wide) * np.tan(narrow))
+
+
+def glossy(lights, normals, amplitude):
+    """Lambert's and a Blinn lobe of exponent 20; the viewer in +z."""
+    half = lights + np.array([0, 0, 1.0])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    lit = lights @ normals.T > 0
+    return power(lights, normals, 1) + amplitude * lit * np.maximum(half @ normals.T, 0) ** 20
+
+
+@pytest.mark.parametrize("spread", [20, 60])
+@pytest.mark.parametrize(
+    ("surface", "shape", "widest"),
+    [
+        (power, 1.0, 0.1),
+        (power, 1.1, 3.0),
+        (power, 0.9, 3.0),
+        (rough, 0.5, 8.0),
+        (rough, 0.2, 4.0),
+        (glossy, 0.1, 4.0),
+    ],
+)
+def test_the_cone_of_the_normal_covers_what_is_not_lamberts(surface, shape, widest, spread):
+    """The 95 % cone, of 2.448 standard deviations; before, 0 to 30 % off exponent 1."""
+    lights, normals = hemisphere(64), normals_within(spread, 400)
+    readings = 1000 * surface(lights, normals, shape)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    found = photometric_stereo(readings.reshape(64, 20, 20), lights)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    inside = np.mean(off < 2.448 * found.normal_sd.ravel())
+    matt = (surface, shape) == (power, 1.0)
+    assert 0.9 < inside < 0.975 if matt else inside > 0.9
+    assert np.degrees(np.median(found.normal_sd)) < widest
+    assert ("not Lambert's" in str(found)) != matt
+    assert (np.median(found.misfit) > 0) != matt
+
+
+def test_few_lights_learn_of_a_departure_from_neighbouring_pixels():
+    """Of eight lights no pixel tells a rough surface from noise; a smooth ball's pixels do."""
+    lights = hemisphere(10)
+    normals = NORMALS[3:14, 3:14].reshape(-1, 3)
+    readings = 1000 * rough(lights, normals, 0.5)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    found = photometric_stereo(readings.reshape(10, 11, 11), lights)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    assert np.mean(off < 2.448 * found.normal_sd.ravel()) > 0.85
+
+
+@pytest.mark.parametrize("robust", [True, False])
+def test_noise_does_not_choose_the_readings_in_the_shadow(robust):
+    """In attached shadows half of the noise is above 0: kept, it turned normals by 4 degrees."""
+    lights, normals = hemisphere(64), normals_within(60, 400)
+    readings = 1000 * power(lights, normals, 1)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    found = photometric_stereo(readings.reshape(64, 20, 20), lights, robust=robust)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    assert np.degrees(np.median(off)) < 0.06
+    clipped = np.minimum(readings, 600)
+    found = photometric_stereo(clipped.reshape(64, 20, 20), lights, highest=600, robust=robust)
+    z = (found.albedo - 1000) / found.albedo_sd
+    assert abs(np.nanmean(z)) < 0.25
+    assert np.nanmean(np.abs(z) < 2) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (lambda r: r.__setitem__(10, 3 + 0 * r[10]), {10}),
+        (lambda r: r.__setitem__([10, 40], r[[40, 10]]), {10, 40}),
+        (lambda r: r.__setitem__(10, r[10] / 2), {10}),
+        (lambda r: None, set()),
+    ],
+)
+@pytest.mark.parametrize("exponent", [1.0, 1.1])
+def test_an_image_that_does_not_belong_is_named_and_left_out(spoil, named, exponent):
+    lights, normals = hemisphere(64), normals_within(60, 400)
+    readings = 1000 * power(lights, normals, exponent)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    spoil(readings)
+    found = photometric_stereo(readings.reshape(64, 20, 20), lights)
+    told = {i for i in range(64) if any(f"images[{i}] contradicts" in s for s in found.findings)}
+    assert told == named
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    assert np.mean(off < 2.448 * found.normal_sd.ravel()) > 0.9
+
+
+def test_copies_are_named():
+    readings = READ + RNG.normal(0, 2, READ.shape)
+    readings[7] = readings[2]
+    found = photometric_stereo(readings, LIGHTS, intensities=E)
+    assert "images[2] and images[7] hold equal numbers" in str(found)
+
+
 def test_pixels_with_too_few_lights_are_nan_and_three_have_no_error():
     dark = READ.copy()
     dark[2:, 0, 0] = 0

@@ -19,13 +19,22 @@ from jaxvision.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.plain_arrays import plain_array
 from jaxvision.plots import pictures
 
-from ..inference.formatting import format_spread
+from ..copies import Copies
+from ..inference.diagnostics import listed
+from ..inference.formatting import format_percent, format_spread
+from .stereo_misfit import departures
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
 NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
 CHANCE = 0.01  # that a pixel without broken readings leaves one out
 RETURNS = 5  # rounds in which readings come back, each by the scatter of those before
+CLEAR = 3.0  # standard deviations of a reading between its prediction and a limit
+PASSES = 8  # at most, of a fit and the readings that it predicts between the limits
+CONTRADICTED, USUAL = 0.5, 0.25  # share of an image's pixels; the most that the median image may
+APART = 8.0  # times the median image's median residual, from which an image stands apart
+FEWEST = 30  # pixels by which an image is judged
+NEGLIGIBLE = 1e-6  # of the albedo: a departure from Lambert's law that is rounding
 HEADS = ("", "median", "90 % of pixels in", "unit")
 FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
 
@@ -41,6 +50,10 @@ class Stereo:
             over the two ways it may tilt; NaN where only three lights count: no residual is left.
         albedo_sd: (h, w) likewise, in the albedo's unit.
         used: (h, w) how many lights count.
+        misfit: (h, w) how far the readings depart from Lambert's law by an amount that neighbouring
+            lights share, standard deviation relative to the albedo; 0 where none is seen. The
+            standard deviations of normal and albedo allow for it.
+        findings: sentences on images that do not belong and on a surface that is not Lambert's.
     """
 
     normals: Float[np.ndarray, "h w 3"]
@@ -48,13 +61,15 @@ class Stereo:
     normal_sd: Float[np.ndarray, "h w"]
     albedo_sd: Float[np.ndarray, "h w"]
     used: Int[np.ndarray, "h w"]
+    misfit: Float[np.ndarray, "h w"]
+    findings: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         rows = [
             f"  {name}: median {middle}, 90 % of pixels in {ends} {unit}".rstrip()
             for name, middle, ends, unit in self._rows()
         ]
-        return "\n".join([self._heading(), *rows])
+        return "\n".join([self._heading(), *rows, *(f"  {told}" for told in self.findings)])
 
     def _heading(self) -> str:
         found = int(np.isfinite(self.albedo).sum())
@@ -76,7 +91,7 @@ class Stereo:
 
     def _repr_html_(self) -> str:
         """The maps that a notebook shows, beside their table."""
-        table = record_html(HEADS, self._rows(), title=self._heading())
+        table = record_html(HEADS, self._rows(), title=self._heading(), notes=self.findings)
         known = self.albedo[np.isfinite(self.albedo)]
         if not known.size:
             return table
@@ -103,7 +118,8 @@ def photometric_stereo(
         lights: (lights, 3) unit vectors toward the lights, in any axes.
         intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
             None for 1.
-        lowest: readings at or below count as shadow and are left out, in the unit of the images.
+        lowest: readings at or below count as shadow and are left out, in the unit of the images; so
+            are those that the others predict less than three standard deviations above.
         highest: readings at or above count as clipped and are left out, likewise.
         robust: also leave out what the other readings contradict, as highlights and cast shadows:
             those beyond 2.5 standard deviations of the fit of least absolute residuals that the
@@ -111,10 +127,14 @@ def photometric_stereo(
             pixels. It takes six lights that count: of five, whose one residual tells little,
             hardly any is left out, and the errors are as large as the contradiction. With two
             broken readings among six, as at the rim of a body, a broken one may be kept and the
-            normal be off by .25 rad.
+            normal be off by .25 rad. An image that the others contradict in most pixels is left out
+            as a whole, and named.
 
     Returns:
-        Normals, albedo, and standard deviations from the residuals of each pixel.
+        Normals, albedo, and standard deviations from the residuals of each pixel. Where these
+        show that the surface is not Lambert's, or the readings not linear, the standard deviations
+        allow for what neighbouring lights then share, and a sentence says so. From fewer than about
+        16 lights a departure that is as large may go unseen.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
@@ -131,24 +151,96 @@ def photometric_stereo(
     stack, directions, irradiance = _checked(images, lights, intensities)
     rows = directions * irradiance[:, None]
     readings = stack.reshape(len(stack), -1)
-    counts = (readings > lowest) & (readings < highest)
-    if robust:
-        counts = _consistent(rows, readings, counts)
-    g, spread, used = _least_squares(rows, readings, counts.astype(float))
+    between = (readings > lowest) & (readings < highest)
+    counts = _counted(rows, readings, between, (lowest, highest), robust=robust)
+    apart, findings = _images_apart(rows, readings, counts, (lowest, highest))
+    if robust and apart.any():
+        between[apart] = False
+        counts = _counted(rows, readings, between, (lowest, highest), robust=robust)
+    g, inverse = _solved(rows, readings, counts.astype(float))
+    residuals = np.where(counts, readings - rows @ g.T, 0).reshape(stack.shape)
+    found = departures(rows, directions, residuals, counts.reshape(stack.shape), inverse)
     albedo = np.linalg.norm(g, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         normals = g / albedo[:, None]
-        along = np.einsum("pi,pij,pj->p", normals, spread, normals)
-        aside = (np.trace(spread, axis1=-2, axis2=-1) - along) / 2
-        normal_sd, albedo_sd = np.sqrt(aside) / albedo, np.sqrt(along)
+        normal_sd, albedo_sd = _deviations(normals, albedo, found.covariance)
+        misfit = np.where(np.isfinite(albedo), found.size / albedo, np.nan)
+        alone = _deviations(normals, albedo, inverse * found.noise[:, None, None])[0]
+    if found.seen and np.nanmedian(misfit) > NEGLIGIBLE:
+        findings += (_of_misfit(misfit, normal_sd / alone),)
     shape = stack.shape[1:]
     return Stereo(
         normals.reshape(*shape, 3),
         albedo.reshape(shape),
         normal_sd.reshape(shape),
         albedo_sd.reshape(shape),
-        used.reshape(shape),
+        counts.sum(axis=0).reshape(shape),
+        misfit.reshape(shape),
+        (*_copies(stack), *findings),
     )
+
+
+def _deviations(
+    normals: Float[np.ndarray, "pixels 3"],
+    albedo: Float[np.ndarray, " pixels"],
+    covariance: Float[np.ndarray, "pixels 3 3"],
+) -> tuple[Float[np.ndarray, " pixels"], Float[np.ndarray, " pixels"]]:
+    """Of the normal, rad, and of the albedo, from the covariance of g."""
+    along = np.einsum("pi,pij,pj->p", normals, covariance, normals)
+    aside = (np.trace(covariance, axis1=-2, axis2=-1) - along) / 2
+    return np.sqrt(aside) / albedo, np.sqrt(along)
+
+
+def _of_misfit(misfit: Float[np.ndarray, " pixels"], wider: Float[np.ndarray, " pixels"]) -> str:
+    return (
+        "The surface is not Lambert's, or the readings are not linear: neighbouring lights depart "
+        f"from m = E rho n.l alike, by {format_percent(np.nanmedian(misfit), decimals=1)} of the "
+        f"albedo (median over pixels). The standard deviations of normals allow for it and are "
+        f"{np.nanmedian(wider):.1f} times what noise alone makes them."
+    )
+
+
+def _copies(stack: Float[np.ndarray, "lights h w"]) -> tuple[str, ...]:
+    copies = Copies()
+    for i, image in enumerate(stack):
+        copies.add(f"images[{i}]", image)
+    return tuple(
+        f"{listed(list(files))} hold equal numbers: they are copies of one exposure, under "
+        "lights of which all but one are wrong or counted twice; keep one of them."
+        for files in copies.found
+    )
+
+
+def _images_apart(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    counts: Bool[np.ndarray, "lights pixels"],
+    limits: tuple[float, float],
+) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
+    """Images that the others contradict in most pixels that these predict between the limits, and
+    sentences that name them."""
+    g, _, used = _least_squares(rows, readings, counts.astype(float))
+    scatter = _scatter(rows, readings, counts, g, used)
+    expected = _between(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)
+    total = np.maximum(expected.sum(axis=1), 1)
+    share = (expected & ~counts).sum(axis=1) / total
+    miss = np.where(expected, np.abs(readings - rows @ g.T), np.nan)
+    size = np.array([np.median(m[~np.isnan(m)]) if (~np.isnan(m)).any() else 0.0 for m in miss])
+    size /= np.linalg.norm(rows, axis=1)
+    apart = (share > CONTRADICTED) & (size > APART * np.median(size)) & (total >= FEWEST)
+    if not apart.any() or np.median(share) > USUAL or apart.sum() > len(rows) - 4:
+        return np.zeros(len(rows), bool), ()
+    return apart, tuple(
+        f"images[{i}] contradicts the other images in {format_percent(share[i])} of the pixels "
+        f"that these predict to be lit under it (by {format_percent(size[i] / _typical(g))} of "
+        "the albedo in the median), and was left out: a wrong file, direction or intensity of the "
+        "light, a black frame, or a highlight over all of them."
+        for i in np.flatnonzero(apart)
+    )
+
+
+def _typical(g: Float[np.ndarray, "pixels 3"]) -> float:
+    return float(np.nanmedian(np.linalg.norm(g, axis=1)))
 
 
 def _checked(
@@ -180,11 +272,13 @@ def _solved(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Weighted least squares of each pixel: g, and the inverse of the normal matrix; NaN where the
     lights that count do not determine g."""
-    matrix = np.einsum("kp,ki,kj->pij", weights, rows, rows)
-    known = np.linalg.cond(matrix) < FLAT**-2
+    products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
+    matrix = (weights.T @ products).reshape(-1, 3, 3)
+    sizes = np.linalg.eigvalsh(matrix)
+    known = sizes[:, 0] > FLAT**2 * sizes[:, 2]
     inverse = np.full_like(matrix, np.nan)
     inverse[known] = np.linalg.inv(matrix[known])
-    right = np.einsum("kp,ki,kp->pi", weights, rows, np.where(weights > 0, readings, 0))
+    right = np.where(weights > 0, weights * readings, 0).T @ rows
     return np.einsum("pij,pj->pi", inverse, right), inverse
 
 
@@ -209,6 +303,63 @@ def _scatter(
     """Variance of a reading about g; NaN where no residual is left."""
     residuals = np.where(near, readings - rows @ g.T, 0)
     return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
+
+
+def _between(
+    rows: Float[np.ndarray, "lights 3"],
+    g: Float[np.ndarray, "pixels 3"],
+    scatter: Float[np.ndarray, " pixels"],
+    limits: tuple[float, float],
+) -> Bool[np.ndarray, "lights pixels"]:
+    """Which readings a fit predicts clear of both limits."""
+    predicted, margin = rows @ g.T, CLEAR * np.sqrt(np.nan_to_num(scatter))
+    return (predicted - margin > limits[0]) & (predicted + margin < limits[1])
+
+
+def _counted(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    between: Bool[np.ndarray, "lights pixels"],
+    limits: tuple[float, float],
+    *,
+    robust: bool,
+) -> Bool[np.ndarray, "lights pixels"]:
+    """The readings of the fit: those that it predicts between the limits, where they leave three
+    lights, and which no other contradicts."""
+
+    near = _consistent(rows, readings, between) if robust else between.copy()
+    moving = np.arange(readings.shape[1])
+    for _ in range(PASSES):
+        own, own_near, own_between = readings[:, moving], near[:, moving], between[:, moving]
+        g, _ = _solved(rows, own, own_near.astype(float))
+        chosen = own_near
+        for spread in (0 * own[0], _usual_residual(rows, own, own_near, g)):
+            narrower = own_between & _between(rows, g, spread**2, limits)
+            known = np.isfinite(_solved(rows, own, narrower.astype(float))[1][:, 0, 0])
+            chosen = np.where(known, narrower, chosen)
+        if robust:
+            chosen = _consistent(rows, own, chosen)
+        changed = (chosen != own_near).any(axis=0)
+        near[:, moving] = chosen
+        moving = moving[changed]
+        if not moving.size:
+            break
+    return near
+
+
+def _usual_residual(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    near: Bool[np.ndarray, "lights pixels"],
+    g: Float[np.ndarray, "pixels 3"],
+) -> Float[np.ndarray, " pixels"]:
+    """Standard deviation of a reading about g by the median residual, which readings in the shadow
+    do not widen; 0 where no residual is left."""
+    used = near.sum(axis=0)
+    ordered = np.sort(np.where(near, np.abs(readings - rows @ g.T), np.inf), axis=0)
+    middle = np.take_along_axis(ordered, np.maximum(used - 1, 0)[None] // 2, axis=0)[0]
+    middle = np.where((used > 3) & np.isfinite(middle), middle, 0)
+    return NORMAL_MAD * middle * np.sqrt(used / np.maximum(used - 3, 1))
 
 
 def _consistent(
