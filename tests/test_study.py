@@ -2,6 +2,7 @@
 
 import datetime
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,9 @@ from fitting import folders
 from fitting.cli import app
 from fitting.inference.estimates import Estimate
 from fitting.report.section import Section
-from fitting.study.compare import compared, drifts
+from fitting.study.compare import Compared, compared, drifts
 from fitting.study.outcomes import Outcome, Settings, digest_of
+from fitting.study.page import _unlike
 from fitting.study.run import study
 from fitting.study.table import table
 from jaxvision.errors import InputError
@@ -73,6 +75,25 @@ def test_a_camera_unlike_the_others_is_named_and_like_ones_seldom_are():
     assert one.outliers == ("c7",)
     few = compared(table([outcome(n, v) for n, v in zip(names[:4], (1, 1, 1, 9), strict=True)]))
     assert few[0].outliers == ()
+
+
+def test_one_outlier_does_not_decide_how_the_others_differ():
+    values = 5 + 0.2 * np.random.default_rng(3).standard_normal(12)
+    names = [f"c{n}" for n in range(12)]
+    values[4] = 50.0
+    (one,) = compared(table([outcome(n, v, 0.2) for n, v in zip(names, values, strict=True)]))
+    assert (one.outliers, one.values) == (("c4",), (50.0,))
+    others = np.delete(values, 4)
+    np.testing.assert_allclose(one.scatter**2, np.var(others, ddof=1) - 0.2**2, rtol=1e-12)
+    assert not one.differ
+
+
+def test_a_camera_is_unlike_in_few_words():
+    one = Compared("gain", "", "DN/e-", 0.25, 0.0, False, ("c4",), (0.5,))
+    several = [replace(one, quantity=f"q{i}", values=(0.5 + i / 100,)) for i in range(8)]
+    said = _unlike([one, *several])["c4"]
+    assert said.startswith("q7 0.57 DN/e- (median 0.25); q6")
+    assert said.endswith("; 6 more quantities, below")
 
 
 def test_drift_is_the_regression_line_where_it_is_not_chance():

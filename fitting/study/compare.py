@@ -32,9 +32,11 @@ class Compared:
         channel: "" for none.
         unit: of values.
         median: over the cameras.
-        scatter: standard deviation among the cameras beyond their errors, or NaN.
-        differ: whether errors alone explain the scatter in fewer than one of 1000 such studies.
-        outliers: names of cameras that are unlike the others.
+        scatter: standard deviation among the cameras beyond their errors, without the outliers, or
+            NaN.
+        differ: whether errors alone explain that scatter in fewer than one of 1000 such studies.
+        outliers: names of cameras that are unlike the others, the furthest first.
+        values: of the outliers, in the unit.
     """
 
     quantity: str
@@ -44,6 +46,7 @@ class Compared:
     scatter: float
     differ: bool
     outliers: tuple[str, ...]
+    values: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,13 +79,16 @@ def compared(found: xr.Dataset) -> tuple[Compared, ...]:
     """
     result = []
     for quantity, channel, unit, cameras, x, errors in _quantities(found):
-        known = np.isfinite(errors) & (errors > 0)
+        median = float(np.median(x))
+        unlike = _unlike(x, errors)
+        known = np.isfinite(errors) & (errors > 0) & ~unlike
         scatter, differ = np.nan, False
         if np.count_nonzero(known) > 1:
             scatter, differ = _scatter(x[known], errors[known])
-        outliers = tuple(str(name) for name in cameras[_unlike(x, errors)])
-        median = float(np.median(x))
-        result.append(Compared(quantity, channel, unit, median, scatter, differ, outliers))
+        furthest = sorted(np.flatnonzero(unlike), key=lambda i: -abs(x[i] - median))
+        outliers = tuple(str(cameras[i]) for i in furthest)
+        values = tuple(float(x[i]) for i in furthest)
+        result.append(Compared(quantity, channel, unit, median, scatter, differ, outliers, values))
     return tuple(result)
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST = 12  # figures, those with outliers first
+MOST_NAMED = 3  # quantities in which a camera is unlike the others
 TALLEST = 60  # cameras that are named beside an axis
 
 
@@ -52,21 +53,39 @@ def page(
         trim_blocks=True,
     )
     drawn = sorted(quantities, key=lambda one: (not one.outliers, not one.differ))[:MOST]
-    unlike: dict[str, list[str]] = {}
-    for one in quantities:
-        for camera in one.outliers:
-            unlike.setdefault(camera, []).append(f"{one.quantity} {one.channel}".strip())
     return environment.get_template("study.html.j2").render(
         title=title,
         outcomes=outcomes,
         quantities=quantities,
         drifting=drifting,
         shown=shown,
-        unlike=unlike,
+        unlike=_unlike(quantities),
         figures=[(one, Markup(_svg(one, found))) for one in drawn],
         left_out=max(len(quantities) - MOST, 0),
         version=__version__,
     )
+
+
+def _unlike(quantities: Sequence[Compared]) -> dict[str, str]:
+    """In which quantities each camera is unlike the others, those with the largest ratio first.
+
+    One cause shows in many quantities, so that a few are named and the others counted.
+    """
+    found: dict[str, list[tuple[float, str]]] = {}
+    for one in quantities:
+        name = f"{one.quantity} {one.channel}".strip()
+        unit = "" if one.unit == "1" else f" {one.unit}"
+        for camera, value in zip(one.outliers, one.values, strict=True):
+            ratio = value / one.median if one.median else np.inf
+            words = f"{name} {value:.4g}{unit} (median {one.median:.4g})"
+            found.setdefault(camera, []).append((-abs(np.log(abs(ratio) or 1e-300)), words))
+    named = {}
+    for camera, several in found.items():
+        words = [text for _, text in sorted(several)]
+        more = len(words) - MOST_NAMED
+        rest = [f"{more} more quantities, below"] if more > 1 else words[MOST_NAMED:]
+        named[camera] = "; ".join([*words[:MOST_NAMED], *rest])
+    return named
 
 
 def _svg(one: Compared, found: xr.Dataset) -> str:
