@@ -13,7 +13,8 @@ import numpy as np
 
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.image_settings import read_settings
+from jaxvision.io import INTEGER_FORMATS, READ_ONLY_FORMATS, read_image
 from jaxvision.plain_arrays import plain_array
 from jaxvision.toml_files import checked
 
@@ -21,6 +22,7 @@ from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
 
 Load = Callable[[Path], np.ndarray]  # an image by its path
 
+TELL_DEPTH = (*INTEGER_FORMATS, *READ_ONLY_FORMATS)  # formats whose head has the bits of a sample
 MEMORY = Path("arrays")  # where messages say that images in memory lie
 
 
@@ -144,9 +146,15 @@ def read_frame(
             f"{path}: holds {stored.dtype} of shape {stored.shape}, not an image; "
             "give (h, w) or (h, w, channels) numbers."
         )
-    if stored.dtype == np.uint8 and camera.bits > 8:
+    said = (
+        read_settings(path).bits
+        if load is read_image and path.suffix.lower() in TELL_DEPTH
+        else None
+    )
+    depth = said or (8 if stored.dtype == np.uint8 else 16)
+    if depth < min(camera.bits, 16):
         raise InputError(
-            f"{path}: 8-bit data, but the rig declares {camera.bits} bits; "
+            f"{path}: {depth}-bit data, but the rig declares {camera.bits} bits; "
             "save the frames with 16 bits or correct camera.bits."
         )
     if stored.ndim == 3 and stored.shape[2] == 1:  # as a sensor of one band gives it

@@ -16,6 +16,7 @@ from jaxvision.io import (
     FLOAT_FORMATS,
     INTEGER_FORMATS,
     JPEG_FORMATS,
+    READ_ONLY_FORMATS,
     read_image,
     replaced_on_success,
 )
@@ -23,7 +24,10 @@ from jaxvision.raw_files import FITS_FORMATS, RAW_FORMATS
 
 from .rig import RIG_FILE
 
-SUFFIXES = INTEGER_FORMATS + JPEG_FORMATS + RAW_FORMATS + FITS_FORMATS + (*FLOAT_FORMATS, ".npy")
+SUFFIXES = (
+    *(*INTEGER_FORMATS, *JPEG_FORMATS, *READ_ONLY_FORMATS, *RAW_FORMATS, *FITS_FORMATS),
+    *(*FLOAT_FORMATS, ".npy"),
+)
 BITS = (8, 10, 12, 14, 16)  # of usual converters
 APART = 2.0  # K, between temperatures that are two settings
 MOST_READ = 9  # images whose pixels are read, for the depth
@@ -251,6 +255,9 @@ def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str
     patterns = {one.pattern for one in said if one.pattern}
     if len(patterns) == 1:
         lines.append(f'pattern = "{patterns.pop()}"')
+    elif patterns:
+        listed = ", ".join(sorted(patterns))
+        found.missing.append(f"The files differ in the phase of their mosaic ({listed}).")
     dates = [one.taken for one in said if one.taken]
     if dates:
         lines.append(f"date = {min(dates).date().isoformat()}")
@@ -300,10 +307,16 @@ def _warmth(images: Sequence[_Image]) -> dict[str, float]:
 
 
 def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
-    """The line of `bits`, from the type of the samples or from the largest number in some."""
+    """The line of `bits`, as the files say or from the largest number in some."""
     picks = np.unique(np.linspace(0, len(images) - 1, min(MOST_READ, len(images))).astype(int))
     read = [read_image(folder / images[i].name) for i in picks]
     saturations = [image.settings.saturation for image in images if image.settings.saturation]
+    depths = sorted({image.settings.bits for image in images if image.settings.bits})
+    if len(depths) > 1:
+        listed = " and ".join(map(str, depths))
+        found.missing.append(f"The files differ in depth ({listed} bits); export them alike.")
+    elif depths and depths[0] < 16:
+        return f"bits = {depths[0]}"
     if all(one.dtype == np.uint8 for one in read):
         return "bits = 8"
     top = max([float(np.nanmax(one)) for one in read] + saturations)

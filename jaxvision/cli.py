@@ -53,7 +53,9 @@ app = command_app(
 def inspect(
     file: Annotated[
         Path,
-        typer.Argument(help="PNG, TIFF, JPEG, EXR, HDR, NPY, raw or FITS image.", metavar="FILE"),
+        typer.Argument(
+            help="PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, TGA, NPY, raw or FITS image.", metavar="FILE"
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -67,25 +69,30 @@ def inspect(
     ] = "",
     white: Annotated[
         float | None,
-        typer.Option("--white", help="Value of saturation (default: top code; 1 if floating)."),
+        typer.Option(
+            "--white", help="Value of saturation (default: top code of the file; 1 if floating)."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Print range, moments and saturation of each channel. With --out, draw the picture,
     histograms, a scan line, a grid of values and the surface in one figure."""
-    from .io import read_image, replaced_on_success
+    from .image_settings import read_settings
+    from .io import read_channels, replaced_on_success
 
     pixel = _pair("--at", at) if at else None
     if out is not None and out.suffix.lower() not in FIGURE_SUFFIXES:
         known = ", ".join(FIGURE_SUFFIXES)
         raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
-    image = read_image(file)
+    image, names = read_channels(file)
+    bits = read_settings(file).bits if white is None else None
+    white = 2.0**bits - 1 if bits else white
     _prepare()
     from . import plots
 
     try:
-        bands = plots.summarise(image, white=white)
-        figure = plots.inspect(image, row=row, at=pixel, white=white, title=file.name)
+        bands = plots.summarise(image, white=white, names=names)
+        figure = plots.inspect(image, row=row, at=pixel, white=white, title=file.name, names=names)
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     if out is not None:

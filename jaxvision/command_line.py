@@ -6,6 +6,7 @@ import os
 import re
 import sys
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -228,7 +229,8 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     """Context in which errors that a user can correct end the command with one line.
 
     Input errors and file errors end with exit status 2, an interrupt with 130; a warning becomes
-    one line. Output that nobody reads any more ends it without one, with 141.
+    one line, of like ones about several files the first and a count. Output that nobody reads any
+    more ends it without one, with 141.
 
     Args:
         command: name of the command, the beginning of each line.
@@ -241,13 +243,24 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
         typer.Exit: in place of `InputError`, `OSError` and `KeyboardInterrupt`.
     """
     say_if_interrupted(interrupted)
+    alike: Counter[str] = Counter()
+
+    def one_line(message: Warning | str, *_: Any) -> None:
+        about = str(message).partition(": ")[2] or str(message)  # the file stands before
+        alike[about] += 1
+        if alike[about] == 1:
+            print(f"{command}: {message}", file=sys.stderr)
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy: what it means is a finding
-            warnings.showwarning = lambda message, *_: print(
-                f"{command}: {message}", file=sys.stderr
-            )
-            yield
+            warnings.showwarning = one_line
+            try:
+                yield
+            finally:
+                for about, times in alike.items():
+                    if times > 1:
+                        print(f"{command}: {times - 1} more files: {about}", file=sys.stderr)
     except InputError as error:
         leave(command, str(error), 2)
     except BrokenPipeError:  # who reads the output, such as `head`, has read enough

@@ -1,8 +1,9 @@
-"""What an image file says of its making: exposure, sensitivity, date, camera. EXIF of JPEG, TIFF
-and PNG by OpenImageIO, of raw files by exifread, headers of FITS by astropy."""
+"""What an image file says of its making: exposure, sensitivity, date, camera, depth. EXIF of JPEG,
+TIFF and PNG by OpenImageIO, of raw files by exifread, headers of FITS by astropy."""
 
 import datetime
 import os
+import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,10 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from ._netpbm_files import NETPBM_FORMATS, netpbm_head
+from ._png_chunks import png_chunks
+from ._tiff_tags import COLOUR_MAP, PALETTE, PHOTOMETRIC, tiff_pictures
 from .errors import InputError, check_utf8
 from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
+_CODES = "bits of codes"  # beside the names of OpenImageIO
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,9 @@ class ImageSettings:
         camera: maker's name of it.
         black_level: DN.
         saturation: DN.
-        pattern: phase of a Bayer mosaic, such as "RGGB".
+        pattern: phase of a Bayer mosaic, such as "RGGB", counted from the first pixel of the file.
+        bits: of the codes that `jaxvision.io.read_image` gives, by the file's own depth: a 12-bit
+            TIFF has 12. The camera's converter may have fewer, not more.
         kind: IMAGETYP of FITS, such as "Flat Field".
     """
 
@@ -44,6 +51,7 @@ class ImageSettings:
     saturation: float | None = None
     pattern: str | None = None
     kind: str | None = None
+    bits: int | None = None
 
 
 def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
@@ -64,8 +72,11 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
     if suffix in RAW_FORMATS:
         return _of_raw(file)
     if suffix in FITS_FORMATS:
-        return _of_fits(fits_header(file))
-    return _of_exif(_attributes(file))
+        return _of_fits(file, fits_header(file))
+    if suffix in NETPBM_FORMATS:
+        head = netpbm_head(file)
+        return ImageSettings(bits=head.bits, saturation=head.saturation)
+    return _of_exif(file, _attributes(file))
 
 
 def _attributes(file: Path) -> dict[str, Any]:
@@ -82,12 +93,13 @@ def _attributes(file: Path) -> dict[str, Any]:
         for attribute in source.spec().extra_attribs:
             with suppress(UnicodeDecodeError):  # its name or value, damaged, is no text
                 found[attribute.name] = attribute.value
+        found[_CODES] = {"uint8": 8, "uint16": 16}.get(str(source.spec().format))
     finally:
         source.close()
     return found
 
 
-def _of_exif(said: Mapping[str, Any]) -> ImageSettings:
+def _of_exif(file: Path, said: Mapping[str, Any]) -> ImageSettings:
     sensitivity = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
     return ImageSettings(
         exposure=_seconds(said.get("ExposureTime"), said.get("Exif:ShutterSpeedValue")),
@@ -95,7 +107,23 @@ def _of_exif(said: Mapping[str, Any]) -> ImageSettings:
         f_number=_f_number(said.get("FNumber"), said.get("Exif:ApertureValue")),
         taken=_time(said.get("Exif:DateTimeOriginal") or said.get("DateTime")),
         camera=_name(said.get("Make"), said.get("Model")),
+        pattern=next((page.pattern for page in tiff_pictures(file) if page.pattern), None),
+        bits=_depth(file, said),
     )
+
+
+def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
+    """Bits of the codes of a PNG, TIFF, JPEG or TGA file; None where they are no codes."""
+    whole = said.get(_CODES)
+    if whole is None:
+        return None
+    if chunks := png_chunks(file, head=True):
+        return chunks.bits
+    pages = [page for page in tiff_pictures(file) if not page.is_copy]
+    if pages and pages[0].first(PHOTOMETRIC) == PALETTE:
+        colours = np.array(pages[0].values.get(COLOUR_MAP, (1,)))
+        return 8 if not (colours % 257).any() or not (colours % 256).any() else 16
+    return min(said.get("tiff:BitsPerSample") or said.get("oiio:BitsPerSample") or whole, whole)
 
 
 def _of_raw(file: Path) -> ImageSettings:
@@ -109,6 +137,10 @@ def _of_raw(file: Path) -> ImageSettings:
         letters = raw.color_desc.decode()
         colours = raw.raw_colors_visible[:2, :2].ravel() if raw.num_colors > 1 else []
         pattern = "".join(letters[i] for i in colours)
+        sites = raw.raw_pattern
+        if raw.num_colors > 1 and not (_is_bayer(pattern) and np.shape(sites) == (2, 2)):
+            _warn_of_mosaic(file, "x".join(map(str, np.shape(sites))) + f", {letters}")
+            pattern = ""
         blacks = [float(level) for level in raw.black_level_per_channel]
         saturation = float(raw.white_level)
     return ImageSettings(
@@ -119,7 +151,7 @@ def _of_raw(file: Path) -> ImageSettings:
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
         black_level=float(np.mean(blacks)),
         saturation=saturation,
-        pattern=pattern if sorted(pattern) == ["B", "G", "G", "R"] else None,
+        pattern=pattern or None,
     )
 
 
@@ -138,19 +170,55 @@ def _raw_tags(file: Path) -> dict[str, Any]:
     }
 
 
-def _of_fits(header: Mapping[str, Any]) -> ImageSettings:
+def _of_fits(file: Path, header: Mapping[str, Any]) -> ImageSettings:
     celsius = _number(header.get("CCD-TEMP", header.get("SET-TEMP")))
-    pattern = str(header.get("BAYERPAT", "")).strip().upper()
+    pedestal = _number(header.get("PEDESTAL"))
     return ImageSettings(
         exposure=_positive(header.get("EXPTIME", header.get("EXPOSURE"))),
         iso=_positive(header.get("ISOSPEED")),
         taken=_time(header.get("DATE-OBS")),
         temperature=None if celsius is None else celsius - ABSOLUTE_ZERO,
         camera=_name(header.get("INSTRUME")),
-        black_level=_number(header.get("PEDESTAL")),
+        black_level=None if pedestal is None else abs(pedestal),  # or what to add to come to 0
         saturation=_positive(header.get("SATURATE")),
-        pattern=pattern if sorted(pattern) == ["B", "G", "G", "R"] else None,
+        pattern=_fits_pattern(file, header),
         kind=_name(header.get("IMAGETYP")),
+    )
+
+
+def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
+    """Phase of the mosaic at the first pixel of the file.
+
+    BAYERPAT tells that of the upright image, from the pixel XBAYROFF, YBAYROFF on. A file of the
+    order BOTTOM-UP begins with the lowest row, of the other parity if the rows are even in number.
+    """
+    names = ("BAYERPAT", "COLORTYP")
+    said = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
+    known = [word for word in said if _is_bayer(word)]
+    if not known:
+        if said[0] and said[0] not in ("NONE", "MONO"):
+            _warn_of_mosaic(file, said[0])
+        return None
+    right = int(_number(header.get("XBAYROFF", header.get("BAYOFFX"))) or 0)
+    down = int(_number(header.get("YBAYROFF", header.get("BAYOFFY"))) or 0)
+    from_below = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
+    down += from_below and header.get("NAXIS2", 1) % 2 == 0
+    return "".join(
+        known[0][2 * ((row + down) % 2) + (column + right) % 2]
+        for row in (0, 1)
+        for column in (0, 1)
+    )
+
+
+def _is_bayer(letters: str) -> bool:
+    """Whether that is a phase of Bayer's mosaic, its greens across from each other."""
+    return letters in ("RGGB", "BGGR", "GRBG", "GBRG")
+
+
+def _warn_of_mosaic(file: Path, name: str) -> None:
+    warnings.warn(
+        f"{file}: its mosaic ({name}) is not used: it is none of RGGB, BGGR, GRBG and GBRG.",
+        stacklevel=4,
     )
 
 

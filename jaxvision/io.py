@@ -1,15 +1,20 @@
-"""Image files: 8- and 16-bit PNG and TIFF, JPEG, EXR and Radiance HDR, NumPy arrays; raw files of
-cameras and FITS, which are read only.
+"""Image files: PNG, TIFF, JPEG, EXR and Radiance HDR, NumPy arrays; and, read only, PGM, PPM, TGA,
+raw files of cameras and FITS.
 
 This is the edge of the library: eager, with NumPy in and out, through OpenImageIO, which is loaded
-on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their bit depth (uint8,
-uint16); floating files come as float32. Every failure is an `InputError` of one sentence.
+on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their codes, of 1 to 16 bits
+(uint8, uint16); floating files come as float32. What a decoder does to the codes on the way is
+undone. What a file holds beyond one picture is named by a warning of one sentence, or the file is
+refused. Every failure is an `InputError` of one sentence.
 """
 
 import errno
 import logging
 import os
+import re
+import shutil
 import tempfile
+import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,8 +25,23 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ._png_chunks import png_fault
-from .errors import InputError, check_utf8, unwritable
+from ._jpeg_markers import jpeg_extras
+from ._netpbm_files import NETPBM_FORMATS, read_netpbm
+from ._png_chunks import PALETTE as PNG_PALETTE
+from ._png_chunks import PngChunks, png_chunks
+from ._radiance_files import is_radiance, read_radiance
+from ._tiff_tags import (
+    BITS,
+    COLOUR_MAP,
+    INKS,
+    LABS,
+    PALETTE,
+    PHOTOMETRIC,
+    WHITE_IS_ZERO,
+    TiffPicture,
+    tiff_pictures,
+)
+from .errors import InputError, check_utf8, nearest, unwritable
 from .interrupts import removed_if_interrupted
 from .plain_arrays import plain_array
 from .raw_files import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
@@ -30,8 +50,13 @@ _LOG = logging.getLogger("jaxvision.io")
 INTEGER_FORMATS = (".png", ".tif", ".tiff")
 JPEG_FORMATS = (".jpg", ".jpeg")
 FLOAT_FORMATS = (".exr", ".hdr")
+READ_ONLY_FORMATS = (*NETPBM_FORMATS, ".tga")
 LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists each, path and all
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
+# Of OpenImageIO's, those whose codes come back as they are stored, by `_undone`.
+_DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif", "webp")
+_NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}  # as plots call them
+_MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR holds
 
 
 @contextmanager
@@ -99,20 +124,33 @@ def check_writable(path: Path, *, kind: type = np.float32) -> None:
         raise _unwritable(path, error) from error
 
 
-def read_image(path: str | os.PathLike[str]) -> np.ndarray:
+def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -> np.ndarray:
     """The pixels of an image file as they are stored.
 
+    Codes are those of the file: 12-bit samples run from 0 to 4095 and a bitmap's are 0 and 1, of
+    which `image_settings.read_settings` gives the bits. Rows and columns are those of the file,
+    too: a tag of orientation is not applied, and a warning says so. A palette becomes its colours;
+    where white is stored as zero, numbers are reversed, so that more is brighter. An EXR is the
+    picture of its display window, black outside its data window; its channels R, G, B and A, or Y,
+    are found by their names. An HDR is radiance as it was before EXPOSURE.
+
+    A warning, one sentence each, names what a file holds beside the picture that is read: further
+    pictures, channels, pixels outside the window.
+
     Args:
-        path: a PNG, TIFF, JPEG, EXR, HDR or `.npy` file; DNG and other raw files with the `raw`
-            extra, FITS with the `fits` extra.
+        path: a PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, PFM, TGA or `.npy` file; DNG and other raw
+            files with the `raw` extra, FITS with the `fits` extra.
+        part: of a file of several pictures, the one to read: its number, from 0, or the name of an
+            EXR part, an EXR layer or a FITS extension. None: the first picture.
 
     Returns:
-        (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF and JPEG,
-        the mosaic's uint16 for a raw file, float32 for EXR and HDR, the array itself for `.npy` and
-        FITS.
+        (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF, JPEG,
+        PGM, PPM and TGA, the mosaic's uint16 for a raw file, float32 for EXR, HDR and PFM, the
+        array itself for `.npy` and FITS.
 
     Raises:
-        InputError: for a missing, unreadable or truncated file, and for samples of another type.
+        InputError: for a missing, unreadable or truncated file, for samples of another type, for
+            colours that are no light (CMYK, Lab), and for a part that the file does not have.
 
     Example:
         >>> from tempfile import mkdtemp
@@ -122,25 +160,84 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
         >>> print(codes.shape, codes.dtype, codes.max())
         (2, 3) uint16 1000
     """
+    return read_channels(path, part=part)[0]
+
+
+def read_channels(
+    path: str | os.PathLike[str], *, part: int | str | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The pixels of an image file, and what its channels are.
+
+    Args:
+        path: as for `read_image`.
+        part: as for `read_image`.
+
+    Returns:
+        The pixels, and the channels by name: grey, red, green, blue, alpha, or the file's own word;
+        none for a file that does not name them.
+
+    Raises:
+        InputError: as `read_image` does.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/grey.png"
+        >>> jv.write_image(file, np.full((2, 3), 1000, np.uint16))
+        >>> print(jv.io.read_channels(file)[1])
+        ('grey',)
+    """
     file = Path(path)
     check_utf8(file)
     if not file.is_file():
         raise InputError(f"{file}: no such image file; check the name and the folder.")
-    special = {
-        ".npy": _read_npy,
-        **dict.fromkeys(RAW_FORMATS, read_raw),
-        **dict.fromkeys(FITS_FORMATS, read_fits),
-    }
-    pixels = special.get(file.suffix.lower(), _read_by_openimageio)(file)
+    suffix = file.suffix.lower()
+    names: tuple[str, ...] = ()
+    if suffix in FITS_FORMATS:
+        pixels = read_fits(file, part=part)
+    elif suffix in (".npy", ".hdr", *RAW_FORMATS, *NETPBM_FORMATS) or is_radiance(file):
+        special = {
+            ".npy": _read_npy,
+            **dict.fromkeys(RAW_FORMATS, read_raw),
+            **dict.fromkeys(NETPBM_FORMATS, read_netpbm),
+        }
+        if part not in (None, 0):
+            raise InputError(f"{file}: holds one picture, not a part {part!r}; leave part out.")
+        pixels = special.get(suffix, read_radiance)(file)
+    else:
+        pixels, names = _read_by_openimageio(file, part)
     _LOG.info("read %s: %s %s", file, "x".join(map(str, pixels.shape)), pixels.dtype)
-    return pixels
+    return pixels, names
 
 
-def _read_by_openimageio(file: Path) -> np.ndarray:
+def _read_by_openimageio(
+    file: Path, part: int | str | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    chunks = png_chunks(file)
+    if chunks and chunks.fault:
+        raise _damaged(file, chunks.fault)
+    pages = tiff_pictures(file)
+    with _opened(file) as source:
+        number, layer = _place(file, source, pages, part)
+        page = pages[number] if number < len(pages) else None
+        spec = source.spec(number, 0)
+        _refuse_unlike_pictures(file, spec, page)
+        chosen, names = _channels(file, spec, layer)
+        sample = _sample(file, spec, chosen)
+        if page and page.first(PHOTOMETRIC) == PALETTE:
+            pixels = _from_palette(file, number, page)
+        else:
+            pixels = _pixels(file, source, number, chosen, sample)
+            pixels = _undone(file, pixels, spec, chunks, page)
+        _name_unused(file, source.format_name(), spec, chunks)
+    pixels = _in_display_window(file, pixels, spec)
+    return pixels[..., 0] if pixels.shape[2] == 1 else pixels, names
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Any]:
+    """A file as OpenImageIO gives it, alpha not multiplied into colours."""
     import OpenImageIO as oiio
 
-    if fault := png_fault(file):
-        raise _damaged(file, fault)
     as_stored = oiio.ImageSpec()
     as_stored.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(file), as_stored)
@@ -150,19 +247,269 @@ def _read_by_openimageio(file: Path) -> np.ndarray:
             "export it again as PNG, TIFF, EXR or HDR."
         )
     try:
-        spec = source.spec()
-        sample = str(spec.format)
-        if sample not in _DTYPES:
+        kind = source.format_name()
+        if kind not in _DECODED:
             raise InputError(
-                f"{file}: samples are of type {sample}; save it as uint8, uint16 or float."
+                f"{file}: is a file of {kind}, whose codes do not come back as they are stored; "
+                "export it again as PNG, TIFF, EXR or HDR."
             )
-        pixels = source.read_image(0, 0, 0, spec.nchannels, "float" if sample == "half" else sample)
-        if pixels is None:
-            raise _damaged(file, _reason(source))
+        yield source
     finally:
         source.close()
-    pixels = np.asarray(pixels, _DTYPES[sample]).reshape(spec.height, spec.width, spec.nchannels)
-    return pixels[..., 0] if spec.nchannels == 1 else pixels
+
+
+def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample: str) -> np.ndarray:
+    """(h, w, channels) of one of its pictures, in the order of `chosen`."""
+    first, last = min(chosen), max(chosen) + 1
+    spec = source.spec(number, 0)
+    wanted = "float" if sample == "half" else sample
+    pixels = source.read_image(number, 0, first, last, wanted)
+    if pixels is None:
+        raise _damaged(file, _reason(source))
+    pixels = np.asarray(pixels, _DTYPES[sample]).reshape(spec.height, spec.width, last - first)
+    order = [i - first for i in chosen]
+    return pixels if order == [*range(last - first)] else np.ascontiguousarray(pixels[..., order])
+
+
+def _place(
+    file: Path, source: Any, pages: Sequence[TiffPicture], part: int | str | None
+) -> tuple[int, str | None]:
+    """The number of the picture to read, and of the layer in it; warns of all others."""
+    titles = []
+    while source.seek_subimage(len(titles), 0):
+        spec = source.spec(len(titles), 0)
+        titles.append(spec.get_string_attribute("oiio:subimagename") or f"number {len(titles)}")
+        if source.format_name() not in ("openexr", "tiff", "gif"):
+            break
+    source.geterror()  # that there is no further one
+    plain = [i for i in range(len(titles)) if i >= len(pages) or not pages[i].is_copy]
+    if not plain and pages:
+        raise InputError(
+            f"{file}: its main pictures are small copies or masks, the picture itself lies deeper; "
+            "a raw file of a camera needs its own suffix, such as .dng."
+        )
+    if isinstance(part, int) or part in titles:
+        number = part if isinstance(part, int) else titles.index(part)
+        if not 0 <= number < len(titles):
+            raise InputError(f"{file}: has no picture {number}; it has {len(titles)}, from 0.")
+        return number, None
+    others = [titles[i] for i in plain[1:]]
+    if part is None and others:
+        warnings.warn(
+            f"{file}: holds {len(plain)} pictures; {titles[plain[0]]} is read, and "
+            f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (part chooses one).",
+            stacklevel=5,
+        )
+    promised = re.match(
+        r"ImageJ=.*\nimages=(\d+)", source.spec(0, 0).get_string_attribute("ImageDescription")
+    )
+    if promised and int(promised[1]) > len(titles):  # a stack behind one tag, beyond 4 GiB
+        warnings.warn(
+            f"{file}: holds {promised[1]} pictures of ImageJ; only the first is read.", stacklevel=5
+        )
+    return plain[0], part
+
+
+def _listed(words: Sequence[str], most: int = 6) -> str:
+    shown = ", ".join(words[:most])
+    return shown if len(words) <= most else f"{shown} and {len(words) - most} more"
+
+
+def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> None:
+    """`InputError` for what is no picture of light in rows and columns."""
+    inks = spec.get_string_attribute("jpeg:ColorSpace") in ("CMYK", "YCCK")
+    photometric = page.first(PHOTOMETRIC, 1) if page else 1
+    if inks or photometric == INKS:
+        raise InputError(f"{file}: holds amounts of ink (CMYK), not light; convert it to RGB.")
+    if photometric in LABS:
+        raise InputError(f"{file}: holds CIE Lab, not light; convert it to RGB.")
+    if spec.deep:
+        raise InputError(f"{file}: holds several depths a pixel; flatten it.")
+    if spec.depth > 1:
+        raise InputError(f"{file}: holds a volume of {spec.depth} layers; save one of them.")
+
+
+def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tuple[str, ...]]:
+    """The channels that make the picture, by their names, and what these are called."""
+    layers: dict[str, dict[str, int]] = {}
+    for i, name in enumerate(spec.channelnames):
+        above, _, own = name.rpartition(".")
+        layers.setdefault(above, {})[own] = i
+    if layer is None:
+        layer = "" if "" in layers else next(iter(layers))
+        if layer and len(layers) > 1:
+            raise InputError(
+                f"{file}: holds the layers {_listed(sorted(layers))}, none of which is the "
+                "picture; choose one by part."
+            )
+    if layer not in layers:
+        raise InputError(f"{file}: has no part {layer!r}; {nearest(layer, filter(None, layers))}.")
+    own = layers[layer]
+    known: dict[str, int] = {}
+    for name, i in own.items():
+        known.setdefault({"red": "r", "green": "g", "blue": "b"}.get(name.lower(), name.lower()), i)
+    if {"y", "ry", "by"} <= set(known):
+        raise InputError(f"{file}: holds luminance and chroma (Y, RY, BY); convert it to R, G, B.")
+    picture = next((c for c in ("rgb", "xyz", "y") if set(c) <= set(known)), "")
+    chosen = [known[letter] for letter in picture]
+    rest = [name for name in own if own[name] not in chosen]
+    unnamed = all(re.fullmatch(r"channel\d+|A", name) for name in rest)
+    if not chosen or (picture == "rgb" and unnamed):  # by position, as arrays are written
+        chosen = [*own.values()]
+    elif "a" in known:
+        chosen.append(known["a"])
+    unused = [spec.channelnames[i] for i in range(spec.nchannels) if i not in chosen]
+    if unused:
+        warnings.warn(
+            f"{file}: its channel{'s' if len(unused) > 1 else ''} {_listed(unused)} "
+            f"{'are' if len(unused) > 1 else 'is'} not used.",
+            stacklevel=5,
+        )
+    own_names = [spec.channelnames[i].rpartition(".")[2] for i in chosen]
+    if picture not in ("rgb", "y"):
+        return chosen, tuple(own_names)
+    return chosen, tuple(_NAMES.get(name.lower()) or name for name in own_names)
+
+
+def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
+    """The type of the samples, one that an array here can hold."""
+    formats = spec.channelformats or [spec.format] * spec.nchannels
+    for kind in {str(formats[i]) for i in chosen}:
+        if kind not in _DTYPES:
+            raise InputError(
+                f"{file}: samples are of type {kind}; save it as uint8, uint16 or float."
+            )
+    return str(spec.format) if str(spec.format) in _DTYPES else "float"
+
+
+def _undone(
+    file: Path, pixels: np.ndarray, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
+) -> np.ndarray:
+    """The codes of the file, which its decoder stretches to 8 or 16 bits."""
+    if not np.issubdtype(pixels.dtype, np.integer):
+        if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO:
+            raise InputError(f"{file}: floating numbers with white as zero; save it the other way.")
+        return pixels
+    full = 8 * pixels.dtype.itemsize
+    bits = full
+    if chunks:
+        bits = 8 if chunks.colour_type == PNG_PALETTE else chunks.depth
+    elif page:
+        bits = page.first(BITS, full)
+    elif spec.get_int_attribute("oiio:BitsPerSample"):
+        bits = spec.get_int_attribute("oiio:BitsPerSample")
+    if bits < full:
+        pixels = pixels >> (full - bits)  # the last bits repeat the first, or nearly so
+    if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO and full == 16:
+        pixels = (2**bits - 1) - pixels  # which the decoder does itself up to 8 bits
+    return _significant(file, pixels, bits, chunks) if chunks else pixels
+
+
+def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
+    """The codes that a PNG's writer has stretched to the depth of the file, where sBIT says so."""
+    if chunks.colour_type == PNG_PALETTE or all(bits == n for n in chunks.significant):
+        return pixels
+    source = chunks.bits
+    codes, added = pixels >> (bits - source), bits - source
+    stretched = [codes << added, _repeated(codes, source, bits)]
+    stretched.append(np.round(codes * ((2**bits - 1) / (2**source - 1))).astype(pixels.dtype))
+    if source < bits and any(np.array_equal(pixels, way) for way in stretched):
+        return codes
+    said = ", ".join(map(str, chunks.significant))
+    warnings.warn(
+        f"{file}: its sBIT ({said} significant bits) is not used: the numbers are as stored, of "
+        f"{bits} bits.",
+        stacklevel=6,
+    )
+    return pixels
+
+
+def _repeated(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
+    """Codes whose bits are repeated until they fill a larger depth."""
+    whole, left = np.zeros_like(codes), bits
+    while left > 0:
+        left -= source
+        whole |= codes << left if left >= 0 else codes >> -left
+    return whole
+
+
+def _from_palette(file: Path, number: int, page: TiffPicture) -> np.ndarray:
+    """(h, w, 3) colours of a TIFF's palette at its own depth, of which the decoder keeps 8 bits.
+
+    The indices come from a copy of the file that calls itself grey.
+    """
+    bits = page.first(BITS, 1)
+    colours = np.array(page.values.get(COLOUR_MAP, ()))
+    if len(colours) != 3 << bits:
+        raise _damaged(file, f"its palette holds {len(colours)} numbers where {3 << bits} belong")
+    with tempfile.TemporaryDirectory() as folder:
+        grey = Path(folder) / "grey.tif"
+        shutil.copyfile(file, grey)
+        with grey.open("r+b") as stream:
+            order = "little" if stream.read(2) == b"II" else "big"
+            stream.seek(page.places[PHOTOMETRIC])
+            stream.write((1).to_bytes(2, order))
+        with _opened(grey) as source:
+            indices = _pixels(file, source, number, [0], str(source.spec(number, 0).format))
+            indices = _undone(file, indices, source.spec(number, 0), None, page)[..., 0]
+    colours = colours.reshape(3, -1).T.astype(np.uint16)[indices]
+    for step in (257, 256):  # 8 bits, as they are written in one of two ways
+        if not (colours % step).any():
+            return (colours // step).astype(np.uint8)
+    return colours
+
+
+def _name_unused(file: Path, kind: str, spec: Any, chunks: PngChunks | None) -> None:
+    """Warns of what the head says and no array holds."""
+    said = []
+    orientation = spec.get_int_attribute("Orientation", 1)
+    if orientation not in (0, 1):
+        said.append(f"its orientation (tag {orientation}): rows and columns are as stored")
+    aspect = spec.get_float_attribute("PixelAspectRatio", 1.0)
+    if not 0.99 < aspect < 1.01:
+        said.append(f"its pixels' aspect of {aspect:g}: they are taken as square")
+    if chunks and chunks.frames > 1:
+        said.append(f"its animation of {chunks.frames} frames: the still picture is read")
+    if kind == "jpeg":
+        said += jpeg_extras(file)
+    if said:
+        warnings.warn(f"{file}: not used: {'; '.join(said)}.", stacklevel=5)
+
+
+def _in_display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
+    """The picture of an EXR's display window, or of the whole that a cropped TIFF belongs to, black
+    where the file holds nothing."""
+    rows, columns = spec.full_height, spec.full_width
+    top, left = spec.y - spec.full_y, spec.x - spec.full_x
+    height, width = pixels.shape[:2]
+    whole = (top, left, rows, columns) == (0, 0, height, width)
+    if whole or not spec.get_string_attribute("openexr:lineOrder"):
+        return pixels
+    inside_rows = range(max(top, 0), min(top + height, rows))
+    inside_columns = range(max(left, 0), min(left + width, columns))
+    if not inside_rows or not inside_columns:
+        raise InputError(
+            f"{file}: none of its pixels lies within its display window; correct its windows."
+        )
+    if rows * columns - height * width > _MOST_ADDED:
+        raise InputError(
+            f"{file}: holds {height} x {width} pixels of a display window of {rows} x {columns}; "
+            "correct its windows."
+        )
+    outside = height * width - len(inside_rows) * len(inside_columns)
+    if outside:
+        warnings.warn(
+            f"{file}: {outside} pixels outside its display window of {rows} x {columns} are not "
+            "used.",
+            stacklevel=5,
+        )
+    made = np.zeros((rows, columns, pixels.shape[2]), pixels.dtype)
+    to_rows, to_columns = (slice(r.start, r.stop) for r in (inside_rows, inside_columns))
+    made[to_rows, to_columns] = pixels[
+        inside_rows.start - top : inside_rows.stop - top,
+        inside_columns.start - left : inside_columns.stop - left,
+    ]
+    return made
 
 
 def _damaged(file: Path, reason: str) -> InputError:
@@ -175,7 +522,8 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
     """A latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
 
     Args:
-        path: the file; an alpha channel is left out.
+        path: the file; an alpha channel is left out. An EXR that its writer cropped is black
+            outside what it holds.
 
     Returns:
         (h, 2 h, bands) float32, W m^-2 sr^-1 or relative.
@@ -185,13 +533,13 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
             holds no radiance), for a picture that is not twice as wide as high, and for values that
             are negative or not finite.
     """
-    picture = read_image(path)
+    picture, names = read_channels(path)
     if not np.issubdtype(picture.dtype, np.floating):
         raise InputError(
             f"{path}: {picture.dtype} samples hold no radiance; an environment is an EXR or HDR."
         )
     picture = np.atleast_3d(picture).astype(np.float32)
-    picture = picture[..., :3] if picture.shape[2] == 4 else picture
+    picture = picture[..., [i for i in range(picture.shape[2]) if names[i : i + 1] != ("alpha",)]]
     height, width, _ = picture.shape
     if width != 2 * height:
         raise InputError(
@@ -348,7 +696,7 @@ def _write(
 
 def _reads_back(file: Path, written: np.ndarray) -> bool:
     try:
-        read = _read_by_openimageio(file)
+        read, _ = _read_by_openimageio(file)
     except InputError:
         return False
     return read.dtype == written.dtype and np.array_equal(read.reshape(written.shape), written)

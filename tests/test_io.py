@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxvision import io
-from jaxvision._png_chunks import png_fault
+from jaxvision._png_chunks import png_chunks
 from jaxvision.errors import InputError
 from jaxvision.io import LONGEST_REASON, check_writable, read_image, write_exr, write_image
 
@@ -100,7 +100,9 @@ def test_files_cut_short_are_named(tmp_path, suffix):
 def test_a_damaged_png_is_one_sentence_and_no_line_of_libpng(tmp_path, capfd, damage):
     file = tmp_path / "a.png"
     write_image(file, RNG.integers(0, 255, (40, 40), np.uint8))
-    assert png_fault(file) is None
+    chunks = png_chunks(file)
+    assert chunks is not None
+    assert chunks.fault is None
     whole = file.read_bytes()
     if damage == "name":
         file.write_bytes(whole.replace(b"IDAT", b"IDA\n"))

@@ -105,7 +105,9 @@ def test_fits_files_give_their_numbers_and_header(tmp_path, codes):
     assert said.taken.date() == datetime.date(2026, 5, 4)
     cube = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
     fits.writeto(tmp_path / "b.fit", cube)
-    np.testing.assert_array_equal(read_image(tmp_path / "b.fit"), np.moveaxis(cube, 0, -1))
+    with pytest.warns(UserWarning, match="2 planes of its third axis are taken as channels"):
+        read = read_image(tmp_path / "b.fit")
+    np.testing.assert_array_equal(read, np.moveaxis(cube, 0, -1))
 
 
 def test_raw_files_whose_pixels_or_head_are_damaged(tmp_path, codes):

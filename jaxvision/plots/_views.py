@@ -9,7 +9,7 @@ import numpy as np
 from ..histogram import exact_histogram
 from ..point_ops import srgb_encode
 from ._pixels import colours_of
-from .summary import BandSummary, band_names
+from .summary import BandSummary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,9 +71,9 @@ def draw_picture(
     axis.set(xlabel="column", ylabel="row", title=f"picture ({how})")
 
 
-def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float) -> None:
+def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequence[str]) -> None:
     """Counts in equal bins: of codes, of values, or of log10 of the values (high dynamic range)."""
-    bands, names = pixels.shape[-1], band_names(pixels.shape[-1])
+    bands = pixels.shape[-1]
     values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
     finite = values[np.isfinite(values)]
     positive = finite[finite > 0]
@@ -128,8 +128,8 @@ def _counts(values: np.ndarray, value_range: tuple[float, float]) -> tuple[np.nd
     return np.asarray(histogram.counts), np.asarray(histogram.edges)
 
 
-def draw_scan_line(axis: "Axes", pixels: np.ndarray, line: int) -> None:
-    for i, name in enumerate(band_names(pixels.shape[-1])):
+def draw_scan_line(axis: "Axes", pixels: np.ndarray, line: int, names: Sequence[str]) -> None:
+    for i, name in enumerate(names):
         values = pixels[line, :, i].astype(float)
         axis.plot(
             np.where(np.isfinite(values), values, np.nan),
@@ -147,7 +147,12 @@ def draw_scan_line(axis: "Axes", pixels: np.ndarray, line: int) -> None:
 
 
 def draw_numbers(
-    axis: "Axes", pixels: np.ndarray, picture: np.ndarray, rows: range, columns: range
+    axis: "Axes",
+    pixels: np.ndarray,
+    picture: np.ndarray,
+    rows: range,
+    columns: range,
+    names: Sequence[str],
 ) -> None:
     """Each pixel its own cell, its values printed one below the other."""
     cells = [[_printed(pixels[i, j]) for j in columns] for i in rows]
@@ -173,7 +178,6 @@ def draw_numbers(
             )
     axis.set_xticks(list(columns))
     axis.set_yticks(list(rows))
-    names = band_names(pixels.shape[-1])
     order = "" if len(names) == 1 else f" ({', '.join(names[:4])} from above)"
     axis.set(xlabel="column", ylabel="row", title=f"values{order}")
 

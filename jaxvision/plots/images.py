@@ -9,6 +9,7 @@ from ..errors import InputError
 from . import _views as views
 from ._axes import new_axes
 from ._pixels import checked, white_level
+from .summary import band_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -182,7 +183,8 @@ def histogram(
     """
     pixels = checked(image)
     axes = new_axes(axes)
-    views.draw_histogram(axes, pixels, white_level(pixels, white))
+    names = band_names(pixels.shape[-1])
+    views.draw_histogram(axes, pixels, white_level(pixels, white), names)
     axes.set_title("")
     if 1 < pixels.shape[2] <= views.MOST_NOTES and not axes.texts:  # which name the bands, too
         axes.legend(fontsize=8)

@@ -1,5 +1,6 @@
 """Five views of an image in one figure."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ def inspect(
     at: tuple[int, int] | None = None,
     white: float | None = None,
     title: str = "",
+    names: Sequence[str] = (),
 ) -> "Figure":
     """One figure with five views of an image.
 
@@ -30,6 +32,7 @@ def inspect(
         at: (row, column) of the pixel whose surroundings are printed; None takes the middle.
         white: the value from which a pixel counts as saturated, as for `summarise`.
         title: of the figure.
+        names: of the bands; empty: those of `band_names`.
 
     Returns:
         The figure, to be saved or shown.
@@ -58,11 +61,13 @@ def inspect(
     figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08, wspace=0.04, hspace=0.05)  # type: ignore[union-attr]
     grid = figure.add_gridspec(2, 3, width_ratios=(1.05, 1, 1))
     views.draw_picture(figure.add_subplot(grid[0, 0]), picture, how, line, rows, columns)
-    views.draw_histogram(figure.add_subplot(grid[0, 1]), pixels, limit)
-    views.draw_scan_line(figure.add_subplot(grid[0, 2]), pixels, line)
-    views.draw_numbers(figure.add_subplot(grid[1, 0]), pixels, picture, rows, columns)
+    bands = summarise(pixels, white=limit, names=names)
+    called = [band.name for band in bands]
+    views.draw_histogram(figure.add_subplot(grid[0, 1]), pixels, limit, called)
+    views.draw_scan_line(figure.add_subplot(grid[0, 2]), pixels, line, called)
+    views.draw_numbers(figure.add_subplot(grid[1, 0]), pixels, picture, rows, columns, called)
     views.draw_surface(figure.add_subplot(grid[1, 1], projection="3d"), pixels)  # type: ignore[arg-type]
-    views.draw_summary(figure.add_subplot(grid[1, 2]), summarise(pixels, white=limit), limit)
+    views.draw_summary(figure.add_subplot(grid[1, 2]), bands, limit)
     shape = f"{height} × {width}" + (f" × {pixels.shape[2]}" if pixels.shape[2] > 1 else "")
     figure.suptitle(f"{title}   {shape}, {pixels.dtype}".strip(), fontsize=12)
     return figure

@@ -1,9 +1,11 @@
 """The channels of an image in numbers: DN (integer images) or relative (floating images)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ._pixels import checked, white_level
 
 
@@ -55,23 +57,28 @@ def band_names(bands: int) -> tuple[str, ...]:
     return known.get(bands) or tuple(f"band {i}" for i in range(bands))
 
 
-def summarise(image: np.ndarray, *, white: float | None = None) -> tuple[BandSummary, ...]:
+def summarise(
+    image: np.ndarray, *, white: float | None = None, names: Sequence[str] = ()
+) -> tuple[BandSummary, ...]:
     """Range, moments and the counts of black, saturated and undefined values of each channel.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative.
         white: the value from which a pixel counts as saturated, in the image's unit. None takes the
             largest code of the integer type, or 1 for floating images.
+        names: of the channels; empty: those of `band_names`.
 
     Returns:
         One summary a channel.
 
     Raises:
-        InputError: for an array that is no image.
+        InputError: for an array that is no image, and for another number of names.
     """
     pixels = checked(image)
     limit = white_level(pixels, white)
-    names = band_names(pixels.shape[-1])
+    names = tuple(names) or band_names(pixels.shape[-1])
+    if len(names) != pixels.shape[-1]:
+        raise InputError(f"{len(names)} names for {pixels.shape[-1]} channels; give one for each.")
     return tuple(_summary(name, pixels[..., i], limit) for i, name in enumerate(names))
 
 

@@ -1,0 +1,100 @@
+"""The tags of a TIFF file that its decoder uses up or leaves out. Sources: TIFF 6.0 (Adobe, 1992);
+BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_SIZES = {1: 1, 3: 2, 4: 4, 5: 8, 7: 1, 13: 4, 16: 8}  # bytes of a value, by the type of its tag
+_LETTERS = {1: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q"}
+SUBFILE, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 258, 262, 320, 330
+CFA_SIZE, CFA_COLOURS = 33421, 33422
+WHITE_IS_ZERO, PALETTE, INKS, MOSAIC = 0, 3, 5, 32803  # photometric interpretations
+LABS = (8, 9, 10)
+REDUCED, MASK = 1, 4  # bits of SUBFILE: a smaller copy, a mask of another picture
+_MOST_VALUES = 3 << 16  # of a colour map
+_MOST_PICTURES = 1 << 16
+
+
+@dataclass(frozen=True)
+class TiffPicture:
+    """The tags of one picture.
+
+    Attributes:
+        values: whole numbers by tag.
+        places: of the first value of each tag, bytes from the beginning of the file.
+    """
+
+    values: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    places: Mapping[int, int] = field(default_factory=dict)
+
+    def first(self, tag: int, otherwise: int = 0) -> int:
+        """The first value of a tag."""
+        return next(iter(self.values.get(tag, ())), otherwise)
+
+    @property
+    def is_copy(self) -> bool:
+        """Whether it is a smaller copy, or a mask, of another picture of the file."""
+        return bool(self.first(SUBFILE) & (REDUCED | MASK))
+
+    @property
+    def pattern(self) -> str | None:
+        """Phase of a Bayer mosaic, such as "RGGB"; None of any other picture."""
+        if self.first(PHOTOMETRIC) != MOSAIC or self.values.get(CFA_SIZE) != (2, 2):
+            return None
+        letters = "".join("RGB"[i] if i < 3 else "?" for i in self.values.get(CFA_COLOURS, ()))
+        return letters if sorted(letters) == ["B", "G", "G", "R"] else None
+
+
+def tiff_pictures(file: Path) -> list[TiffPicture]:
+    """Reads the tags of all pictures of the main chain of a file.
+
+    Args:
+        file: any.
+
+    Returns:
+        One entry a picture, in order; none for a file that is not TIFF. A damaged chain ends where
+        the damage is: its decoder says more.
+    """
+    with file.open("rb") as stream:
+        head = stream.read(16)
+        order = {b"II": "<", b"MM": ">"}.get(head[:2])
+        version = struct.unpack(f"{order}H", head[2:4])[0] if order and len(head) >= 8 else 0
+        if version not in (42, 43):
+            return []
+        big = version == 43
+        word, count_letter, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
+        at = struct.calcsize(word)
+        (here,) = struct.unpack(f"{order}{word}", head[8:16] if big else head[4:8])
+        found: list[TiffPicture] = []
+        seen: set[int] = set()
+        try:
+            while here and here not in seen and len(found) < _MOST_PICTURES:
+                seen.add(here)
+                stream.seek(here)
+                (count,) = struct.unpack(
+                    f"{order}{count_letter}", stream.read(struct.calcsize(count_letter))
+                )
+                entries = stream.read(entry * min(count, 4096))
+                (following,) = struct.unpack(f"{order}{word}", stream.read(at))
+                values, places = {}, {}
+                for start in range(0, len(entries), entry):
+                    tag, kind = struct.unpack_from(f"{order}HH", entries, start)
+                    (number,) = struct.unpack_from(f"{order}{word}", entries, start + 4)
+                    size = _SIZES.get(kind, 0) * number
+                    if kind not in _LETTERS or not 0 < number <= _MOST_VALUES:
+                        continue
+                    place = here + struct.calcsize(count_letter) + start + 4 + at
+                    if size > at:
+                        (place,) = struct.unpack_from(f"{order}{word}", entries, start + 4 + at)
+                    stream.seek(place)
+                    values[tag] = struct.unpack(
+                        f"{order}{number}{_LETTERS[kind]}", stream.read(size)
+                    )
+                    places[tag] = place
+                found.append(TiffPicture(values, places))
+                here = following
+        except (struct.error, OSError, OverflowError):
+            pass
+        return found
