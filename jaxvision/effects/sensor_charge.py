@@ -35,7 +35,7 @@ def shot_noise(pixel: Pixel) -> Bound:
 def exact_counting(pixel: Pixel) -> Bound:
     """Poisson draws by inversion instead of by rejection: `sensor.count` states their accuracy,
     measured; here as an estimate."""
-    return Bound(pixel.read(INVERSION), "measured up to 1e5 e-", rank="estimate")
+    return Bound(pixel.read(INVERSION), "measured up to 2^31 e-", rank="estimate")
 
 
 def whole_electrons(pixel: Pixel) -> Bound:

@@ -138,27 +138,33 @@ def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
     Accurate to 5e-7 up to |z| = 5.3 and to 4e-4 at its end, 6.3, in every dtype, so that float32
     and float64 draw the same numbers.
     """
-    above = bits < jnp.uint32(2**31)
-    nearer = jnp.where(above, bits, ~bits)
-    probability = tail_probability(nearer, dtype)
-    from_median = (jnp.uint32(2**31) - nearer).astype(dtype) - jnp.asarray(0.5, dtype)
-    x = from_median * jnp.asarray(2.0**-31, dtype)  # 1 - 2 probability, keeping its digits
+    centred, probability = from_middle(bits, dtype)
     w = -jnp.log(4 * probability * (1 - probability))
     centre = polynomial(_CENTRE, w - 2.5)
     tail = polynomial(_TAIL, jnp.sqrt(jnp.maximum(w, 5)) - 3)
-    z = 2**0.5 * x * jnp.where(w < 5, centre, tail)
-    return jnp.where(above, z, -z)
+    return 2**1.5 * centred * jnp.where(w < 5, centre, tail)
+
+
+def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
+    """1/2 less `tail_probability(bits)`, and what that is away from the nearer of 0 and 1; both
+    keep their digits near 0.
+    """
+    above = bits < jnp.uint32(2**31)
+    nearer = jnp.where(above, bits, ~bits)
+    from_median = (jnp.uint32(2**31) - nearer).astype(dtype) - jnp.asarray(0.5, dtype)
+    centred = from_median * jnp.asarray(2.0**-32, dtype)
+    return jnp.where(above, centred, -centred), tail_probability(nearer, dtype)
 
 
 def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:
     """32 random bits for each entry of `shape`; two uses share one hash, which yields two words."""
     seed = seed_of(needed(key, use))
     place = jax.lax.iota(jnp.uint32, int(np.prod(shape))).reshape(shape)
-    return _threefry(seed, place, jnp.uint32(use // 2))[use % 2]
+    return threefry(seed, place, jnp.uint32(use // 2))[use % 2]
 
 
 @jax.jit
-def _threefry(seed: UInt32[Array, "2"], first: Words, second: Words) -> tuple[Words, Words]:
+def threefry(seed: UInt32[Array, "2"], first: Words, second: Words) -> tuple[Words, Words]:
     """Threefry-2x32 of 20 rounds: the block cipher of the counter (first, second)."""
     keys = seed[0], seed[1], seed[0] ^ seed[1] ^ jnp.uint32(_PARITY)
     x, y = first + keys[0], jnp.broadcast_to(second + keys[1], first.shape)

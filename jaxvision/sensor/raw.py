@@ -9,7 +9,7 @@ are shared along them. Frames of one die are a `vmap` over keys.
 import jax.numpy as jnp
 
 from .._arguments import takes_numbers
-from .._types import Key
+from .._types import Key, Scalar
 from ..scene import Sensor
 from ._draws import Frame, needed
 from .adc import digitise
@@ -18,7 +18,7 @@ from .ccd import bloomed, transfer_noise, transferred
 from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
 from .fixed_pattern import conversion_gains, hot_rates, offsets, sensitivity
 from .read_out import read_out_noise
-from .shot_noise import count
+from .shot_noise import MOST_ELECTRONS, count
 
 
 @takes_numbers
@@ -49,7 +49,9 @@ def collect(
         (..., bands) electrons, or (..., h, w, 1) under a colour filter.
 
     Raises:
-        ValueError: a key is None and needed, or `irradiance` does not suit the sensor.
+        ValueError: a key is None and needed, `irradiance` does not suit the sensor, or more
+            electrons are expected than `count` draws; in a full well without blooming these are
+            not drawn.
 
     Example:
         >>> sensor = jv.Sensor(quantum_efficiency=0.5, full_well=100.0)
@@ -79,6 +81,8 @@ def collect(
             full_well=sensor.full_well,
         )
     elif sensor.shot_noise is not None:
+        if sensor.full_well is not None and sensor.blooming is None:
+            electrons = _surely_full(electrons, sensor.full_well)
         electrons = count(needed(key, Frame.SHOT), electrons, sensor.shot_noise)
     if sensor.full_well is not None and sensor.blooming is not None:
         electrons = bloomed(electrons, sensor.full_well, sensor.blooming)
@@ -99,6 +103,11 @@ def collect(
         if added is not None:
             electrons = electrons + added
     return electrons
+
+
+def _surely_full(mean: Counts, full_well: Scalar) -> Counts:
+    """The mean, at most what `count` draws where that is twice the well: it is full either way."""
+    return jnp.where(full_well <= MOST_ELECTRONS / 2, jnp.minimum(mean, MOST_ELECTRONS), mean)
 
 
 @takes_numbers
