@@ -12,18 +12,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammainc, gammaincc, gammaln, logsumexp, ndtr
+from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float
 
-from jaxvision import Sensor
+from jaxvision import PoissonShotNoise, Sensor
 from jaxvision.errors import InputError
-from jaxvision.sensor import expected_signal, read_out_variance, signal_variance
+from jaxvision.sensor import count, expected_signal, read_out_variance, signal_variance
 from jaxvision.sensor.adc import largest_number
 from jaxvision.sensor.moments import QUANTISATION_VARIANCE
 
 from .inference.given import is_concrete
-from .inference.likelihoods import Censored, Numbers, numerics
-from .inference.tails import log_ndtr
+from .inference.likelihoods import Censored, Numbers
+from .inference.tails import log_ndtr, ndtri_exp
+from .poisson import log_poisson, log_poisson_tails
 
 FAR = 1e9  # standard deviations, for an end without limit: more than any code lies from any other
 ROUNDING = 0.5  # DN between a code and the ends of its interval
@@ -201,35 +202,37 @@ class SensorCounts(eqx.Module):
         mean, counts, log_count = self._counted(prediction, data)
         low, high = self._ends(data, counts)
         masses = logsumexp(log_count + _log_interval(low, high), axis=-1)
-        fewest, most = counts[..., 0], counts[..., -1]
-        dark = jnp.where(fewest > 0, gammaincc(jnp.maximum(fewest, 1), mean), 0)
-        bright = gammainc(most + 1, mean)
+        dark, bright = _beyond(counts, mean)
         black, white = self._ends_beyond(data, counts)
-        beyond = jnp.where(black, dark, jnp.where(white, bright, 0))
-        some = beyond > 0
-        return jnp.where(some, jnp.logaddexp(masses, jnp.log(jnp.where(some, beyond, 1))), masses)
+        beyond = jnp.where(black, dark, jnp.where(white, bright, -jnp.inf))
+        some = beyond > -jnp.inf
+        return jnp.where(some, jnp.logaddexp(masses, jnp.where(some, beyond, 0)), masses)
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
-        """Normal deviates of a place, picked by chance, in each code's share of probability."""
-        data = jnp.asarray(data)
-        mean, counts, log_count = self._counted(jnp.asarray(prediction), data)
+        """Normal deviates of a place, picked by chance, in each code's share of probability; from
+        the logarithm of the smaller tail, so that they are finite however far a code lies."""
+        data, prediction = jnp.asarray(data), jnp.asarray(prediction)
+        share = self.log_density(prediction, data)
+        mean, counts, log_count = self._counted(prediction, data)
         low, high = self._ends(data, counts)
-        fewest = counts[..., 0]
-        darker = (fewest > 0) & (fewest <= self._of_code(data))
-        dark = jnp.where(darker, gammaincc(jnp.maximum(fewest, 1), mean), 0)
-        weight = jnp.exp(log_count)
-        below = jnp.sum(weight * ndtr(low), axis=-1) + jnp.where(self._is_black(data), 0, dark)
-        upto = jnp.sum(weight * ndtr(high), axis=-1) + dark
-        upto = jnp.where(self._is_white(data), 1, upto)
-        xp, special = numerics(below, upto)
-        below, upto = (xp.asarray(part, jnp.result_type(float)) for part in (below, upto))
-        return special.ndtri(below + chance * (upto - below))
+        code, dark, bright = self._of_code(data), *_beyond(counts, mean)
+        dark = jnp.where(counts[..., 0] <= code, dark, -jnp.inf)
+        bright = jnp.where(counts[..., -1] >= code, bright, -jnp.inf)
+        below = jnp.logaddexp(logsumexp(log_count + log_ndtr(low), axis=-1), dark)
+        above = jnp.logaddexp(logsumexp(log_count + log_ndtr(-high), axis=-1), bright)
+        below = jnp.where(self._is_black(data), -jnp.inf, below)
+        above = jnp.where(self._is_white(data), -jnp.inf, above)
+        chance = jnp.asarray(chance, share.dtype)
+        lower = jnp.logaddexp(below, share + jnp.log(chance))
+        upper = jnp.logaddexp(above, share + jnp.log1p(-chance))
+        deviate = ndtri_exp(jnp.minimum(lower, upper))
+        return jnp.where(lower < upper, deviate, -deviate)
 
     def draw(self, key: Array, prediction: Array) -> Array:
         """Codes as they might have been."""
         counted, read = jax.random.split(key)
         mean = self._electrons(prediction)
-        electrons = jax.random.poisson(counted, mean).astype(mean.dtype)
+        electrons = count(counted, mean, PoissonShotNoise())
         noise = self._read_noise() * jax.random.normal(read, mean.shape, mean.dtype)
         codes = jnp.round(self._gain() * (electrons + noise) + self._offset())
         return jnp.clip(codes, *self._range())
@@ -239,7 +242,7 @@ class SensorCounts(eqx.Module):
 
     def _offset(self) -> Array:
         offset = _record(self.sensor).offset
-        return jnp.zeros(()) if offset is None else offset
+        return jnp.zeros_like(self._gain()) if offset is None else offset
 
     def _electrons(self, prediction: Array) -> Array:
         light = _light("SensorCounts", prediction)
@@ -265,9 +268,7 @@ class SensorCounts(eqx.Module):
         centre = jax.lax.stop_gradient(self._likeliest(mean, data))
         about = jnp.arange(-self.reach, self.reach + 1.0, dtype=mean.dtype)
         counts = centre[..., None] + about.reshape(*[1] * centre.ndim, -1)
-        possible = counts >= 0
-        n, mu = jnp.where(possible, counts, 0), jnp.maximum(mean, 1e-30)[..., None]
-        return mean, counts, jnp.where(possible, n * jnp.log(mu) - mu - gammaln(n + 1), -jnp.inf)
+        return mean, counts, log_poisson(counts, jnp.maximum(mean, 1e-30)[..., None])
 
     def _of_code(self, data: Array) -> Array:
         return jnp.round((data - self._offset()) / self._gain())
@@ -308,6 +309,14 @@ class SensorCounts(eqx.Module):
         low = jnp.where(self._is_black(data)[..., None], -FAR, (centre - ROUNDING) / noise)
         high = jnp.where(self._is_white(data)[..., None], FAR, (centre + ROUNDING) / noise)
         return low, high
+
+
+def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
+    """ln of the probabilities of fewer and of more electrons than those (..., n) summed."""
+    mean = jnp.maximum(mean, 1e-30)
+    fewer, _ = log_poisson_tails(jnp.maximum(counts[..., 0], 1), mean)
+    _, more = log_poisson_tails(counts[..., -1] + 1, mean)
+    return jnp.where(counts[..., 0] > 0, fewer, -jnp.inf), more
 
 
 def _light(likelihood: str, prediction: Array) -> Array:

@@ -350,6 +350,54 @@ def test_a_code_far_from_the_mean_has_its_probability(light, code):
     assert np.isfinite(slope)
 
 
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize(
+    ("light", "code"), [(0.5, 40.0), (0.5, 900.0), (0.5, 1.0), (2000.0, 3000.0), (2000.0, 6000.0)]
+)
+def test_residuals_of_outliers_are_as_large_on_both_sides(light, code, dtype):
+    """Against mpmath: from 3 to 90 standard deviations, where one less a probability is 1."""
+    camera = jax.tree.map(
+        lambda x: jnp.asarray(x, dtype), sensor(read_noise=0.2, gain=2.0, offset=0.0, bits=13)
+    )
+    likelihood = SensorCounts(camera, reach=16)
+    with mp.workdps(40):
+
+        def chance(n):
+            return mp.exp(n * mp.log(light) - light - mp.loggamma(n + 1))
+
+        about = range(max(int(code / 2) - 30, 0), int(code / 2) + 31)
+        edges = [(code + half) / 2 for half in (-0.5, 0.5)]
+        inside, beneath, beyond = (mp.mpf(0) for _ in range(3))
+        for n in about:
+            low, high = ((edge - n) / mp.mpf(0.2) for edge in edges)
+            beneath += chance(n) * mp.ncdf(low)
+            beyond += chance(n) * mp.ncdf(-high)
+            inside += chance(n) * (mp.ncdf(-low) - mp.ncdf(-high))
+        beneath += mp.gammainc(about[0], light, mp.inf, regularized=True) if about[0] else 0
+        beyond += mp.gammainc(about[-1] + 1, 0, light, regularized=True)
+        tail, side = min((beneath + inside / 2, -1), (beyond + inside / 2, 1))
+        start = mp.sqrt(-2 * mp.log(tail))
+        truth = side * float(mp.findroot(lambda z: mp.log(mp.ncdf(-z)) - mp.log(tail), start))
+    found = likelihood.residuals(jnp.asarray([light], dtype), jnp.asarray([code], dtype), 0.5)
+    assert found.dtype == dtype
+    np.testing.assert_allclose(found, truth, rtol=1e-4 if dtype == jnp.float32 else 1e-9)
+
+
+@pytest.mark.parametrize("electrons", [5e4, 1e6, 1e7])
+def test_codes_of_bright_light_keep_their_digits_in_float32(electrons):
+    """ln P of the code of every electron, and residuals, where n ln mu - ln n! cancels."""
+    camera = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), sensor(read_noise=0.1, gain=1.0))
+    likelihood = SensorCounts(camera, reach=4)
+    codes = np.round(electrons + np.linspace(-4, 4, 9) * np.sqrt(electrons)).astype(np.float32)
+    light = jnp.full(9, electrons, jnp.float32)
+    found = likelihood.log_density(light, jnp.asarray(codes))
+    np.testing.assert_allclose(found, stats.poisson.logpmf(codes, electrons), atol=3e-5)
+    deviates = likelihood.residuals(light, jnp.asarray(codes), 0.5)
+    law = stats.poisson(electrons)
+    middle = law.cdf(codes) - law.pmf(codes) / 2
+    np.testing.assert_allclose(deviates, stats.norm.ppf(middle), atol=3e-4)
+
+
 @pytest.mark.parametrize(
     ("options", "reach", "expected"),
     [

@@ -1,4 +1,5 @@
-"""Logarithms of distribution functions, normal and Student's, that hold in their far tails."""
+"""Logarithms of distribution functions, normal and Student's, that hold in their far tails, and
+the inverse of the first."""
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,8 @@ _BETWEEN = np.polynomial.legendre.leggauss(16)  # nodes in (-1, 1), and weights
 _BEYOND = np.polynomial.laguerre.laggauss(32)
 _HALF_STEP = (-1 / 8, 1 / 192, -1 / 640, 17 / 14336, -31 / 18432, 691 / 180224)
 _STEPS = 8
+_RARE = -20.0  # ln of a probability below which `ndtri_exp` begins with the tail's asymptote
+_REFINED = 4  # steps of Newton from there
 HALF_LOG_PI = float(np.log(np.pi)) / 2
 
 
@@ -59,6 +62,31 @@ def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
     near = jnp.where(far, 0, z)
     ratio = jnp.exp(-near * near / 2 - _log_ndtr(near)) / float(np.sqrt(2 * np.pi))
     return jnp.where(far, fraction, ratio)
+
+
+@jax.custom_jvp
+def ndtri_exp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The z with log Phi(z) = `log_p`.
+
+    Args:
+        log_p: (...) of a probability, at most 1/2 for all digits.
+
+    Returns:
+        (...) standard deviations; -inf for a probability of 0.
+    """
+    rare = log_p < _RARE
+    square = -2 * jnp.where(rare & jnp.isfinite(log_p), log_p, _RARE)
+    z = -jnp.sqrt(square - jnp.log(2 * np.pi * square))
+    for _ in range(_REFINED):
+        z = z - (_log_ndtr(z) + square / 2) / _hazard(z)
+    z = jnp.where(log_p == -jnp.inf, -jnp.inf, z)
+    return jnp.where(rare, z, special.ndtri(jnp.exp(jnp.where(rare, _RARE, log_p))))
+
+
+@ndtri_exp.defjvp
+def _ndtri_exp_jvp(primals, tangents):
+    z = ndtri_exp(*primals)
+    return z, tangents[0] / _hazard(z)
 
 
 @jax.custom_jvp

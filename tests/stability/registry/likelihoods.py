@@ -3,10 +3,13 @@
 import jax.numpy as jnp
 from oracle_numbers import MP, special
 
-from fitting import Censored, Gaussian, StudentT
-from fitting.inference.tails import log_ndtr
+from fitting import Censored, Gaussian, SensorCounts, StudentT
+from fitting.inference.tails import log_ndtr, ndtri_exp
+from fitting.poisson import log_poisson, log_poisson_tails
+from jaxvision import PoissonShotNoise, Sensor
+from jaxvision.sensor.shot_noise import poisson_deviance, stirling_remainder
 
-from .entry import Entry, Range
+from .entry import Entry, Range, Whole
 
 SIGMAS = Range(-40.0, 40.0, log=False)
 mp_log_ndtr = special(lambda z: MP.log(MP.ncdf(z)) if z < 0 else MP.log1p(-MP.ncdf(-z)))
@@ -20,6 +23,92 @@ def gaussian(m, z, sd):
 def student(m, z, scale, dof):
     norm = gamma_part(dof) - m.log(dof * m.pi) / 2
     return norm - m.log(scale) - (dof + 1) / 2 * m.log1p((z / scale) ** 2 / dof)
+
+
+log_gamma = special(lambda x: MP.loggamma(x))
+quantile = special(lambda p: _quantile(p))
+phi = special(lambda x: MP.ncdf(x))
+fewer = special(lambda n, x: MP.gammainc(max(n, 1), x, MP.inf, regularized=True) * (n > 0))
+more = special(lambda n, x: MP.gammainc(n, 0, x, regularized=True))
+AWAY = Whole(-30, 30)  # counts from the mean
+
+
+def _quantile(log_p):
+    start = -MP.sqrt(max(-2 * log_p - MP.log(1 - 2 * log_p) - 2, MP.mpf(0)))
+    return MP.findroot(lambda z: MP.log(MP.ncdf(z)) - log_p, (start, start - MP.mpf("0.1")))
+
+
+def _many(function):
+    """Of `function(counts, mean)` one of the mean and of how far the counts are from it."""
+    return lambda mean, away: function(jnp.maximum(_about(mean, away), 1), mean)
+
+
+def _about(mean, away):
+    return jnp.floor(mean) + jnp.floor(away + 0.5)
+
+
+def _counts(m, mean, away):
+    """At least one; steps of both, so that only the mean has a slope."""
+    return m.maximum(m.floor(mean) + m.floor(away + m.c("0.5")), 0 * mean + 1)
+
+
+def poisson(m, n, mean):
+    return n * m.log(mean) - mean - log_gamma(n + 1)
+
+
+def tails(m, mean, away):
+    n = _counts(m, mean, away)
+    below, above = fewer(n, mean), more(n, mean)
+    return tuple(
+        m.where(one > other, m.log1p(-other), m.log(one))
+        for one, other in ((below, above), (above, below))
+    )
+
+
+NOISE, REACH = 0.2, 5
+
+
+def _counted(mean):
+    """A sensor of two DN an electron, in the dtype of the mean."""
+    one = jnp.ones_like(mean)
+    sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=NOISE * one, gain=2 * one)
+    return SensorCounts(sensor, reach=REACH)
+
+
+def code_density(mean, away):
+    code = 2 * jnp.maximum(_about(mean, away), 0)
+    return _counted(mean).log_density(mean[None], code[None])[0]
+
+
+def code_deviate(mean, away):
+    code = 2 * jnp.maximum(_about(mean, away), 0)
+    return _counted(mean).residuals(mean[None], code[None], 0.5)[0]
+
+
+def _shares(m, mean, away):
+    """What lies in the interval of a code, below and above it: sums over electrons about it."""
+    code = m.maximum(m.floor(mean) + m.floor(away + m.c("0.5")), 0 * mean)
+    sums = [0 * mean, 0 * mean, 0 * mean]
+    noise = m.c(str(NOISE))
+    for k in range(-4, 5):
+        n = m.maximum(code + k, 0 * mean)
+        chance = m.where(code + k < 0, 0 * mean, m.exp(poisson(m, n, mean)))
+        low, high = ((half / 2 - k) / noise for half in (m.c("-0.5"), m.c("0.5")))
+        for i, share in enumerate((phi(high) - phi(low), phi(low), phi(-high))):
+            sums[i] = sums[i] + chance * share
+    least, most = code - 4, code + 5
+    fewer = special(
+        lambda n, x: MP.gammainc(n, x, MP.inf, regularized=True) if n > 0 else MP.mpf(0)
+    )
+    more = special(lambda n, x: MP.gammainc(n, 0, x, regularized=True))
+    return sums[0], sums[1] + fewer(least, mean), sums[2] + more(most, mean)
+
+
+def mp_code_deviate(m, mean, away):
+    inside, below, above = _shares(m, mean, away)
+    low, high = below + inside / 2, above + inside / 2
+    z = quantile(m.log(m.minimum(low, high)))
+    return m.where(low < high, z, -z)
 
 
 ENTRIES = [
@@ -70,5 +159,77 @@ ENTRIES = [
         precisions=("float64",),
         conditioned=True,
         of_digits=True,
+    ),
+    Entry(
+        "fitting.inference.tails.ndtri_exp",
+        lambda p: ndtri_exp(-p),
+        lambda m, p: quantile(-p),
+        (Range(0.7, 1e30),),
+        ((0.7,), (19.999,), (20.001,), (1e30,)),
+        bound=1e5,
+        conditioned=True,
+        of_digits=True,
+    ),
+    Entry(
+        "sensor.shot_noise.poisson_deviance",
+        lambda n, mean: poisson_deviance(n, n - mean, mean),
+        lambda m, n, mean: n * m.log(n / mean) - (n - mean),
+        (Range(1.0, 1e9), Range(1e-2, 1e9)),
+        ((1e9, 1.001e9), (1e6, 1e6 + 1), (10.0, 12.2), (10.0, 12.3)),
+        conditioned=True,
+        of_digits=True,
+    ),
+    Entry(
+        "sensor.shot_noise.stirling_remainder",
+        stirling_remainder,
+        lambda m, n: log_gamma(n + 1) - (n + 1 / m.c("2")) * m.log(n) + n - m.log(2 * m.pi) / 2,
+        (Range(30.0, 1e9),),
+        ((30.0,), (1e9,)),
+        of_digits=True,
+    ),
+    Entry(
+        "fitting.poisson.log_poisson",
+        _many(log_poisson),
+        lambda m, mean, away: poisson(m, _counts(m, mean, away), mean),
+        (Range(1e-2, 1e7), AWAY),
+        ((1e7, 0.0), (31.5, 0.0), (32.5, 0.0), (1e-2, 30.0), (5e4, 3.0)),
+        bound=50,
+        of_digits=True,
+        note="at counts about the mean",
+    ),
+    Entry(
+        "fitting.poisson.log_poisson_tails",
+        _many(log_poisson_tails),
+        tails,
+        (Range(1e-2, 1e4), AWAY),
+        ((99.5, 0.0), (100.5, 0.0), (1e4, -30.0), (1e4, 30.0), (1e-2, 30.0)),
+        parts=("below", "above"),
+        bound=1e5,
+        conditioned=True,
+        of_digits=True,
+        gradient=3e-3,
+        note="of the incomplete gamma function; 1e-10 in float64 beyond 1e5 counts",
+    ),
+    Entry(
+        "fitting.sensor_likelihoods.SensorCounts.log_density",
+        code_density,
+        lambda m, mean, away: m.log(_shares(m, mean, away)[0]),
+        (Range(1.0, 1e4), AWAY),
+        ((1e4, 0.0), (0.5, 20.0), (0.5, 30.0), (5e3, -30.0)),
+        bound=300,
+        of_digits=True,
+        gradient=1e-3,
+    ),
+    Entry(
+        "fitting.sensor_likelihoods.SensorCounts.residuals",
+        code_deviate,
+        mp_code_deviate,
+        (Range(1.0, 1e3), AWAY),
+        ((0.5, 20.0), (0.5, 30.0), (900.0, -30.0), (3.0, 30.0)),
+        bound=1e5,
+        of_digits=True,
+        gradient=None,
+        conditioned=True,
+        note="finite in both tails",
     ),
 ]

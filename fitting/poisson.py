@@ -1,0 +1,93 @@
+"""Logarithms of Poisson's probabilities and of their sums, of any number of counts."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.special import gammainc, gammaincc
+from jaxtyping import Array, Float
+
+from jaxvision.sensor.shot_noise import poisson_deviance, stirling_remainder
+
+from .inference.likelihoods import HALF_LOG_2PI
+from .inference.tails import log_ndtr
+
+# counts from which the saddle point has more digits than XLA's gammainc, by the size of a number
+_COUNTS = {4: 100.0, 8: 1e5}
+_ALIKE = 0.03  # deviance's root below which its series in it has all digits
+# of Stirling's formula, for 1, 2, ... counts
+_REMAINDERS = [
+    math.lgamma(n + 1) - (n + 0.5) * math.log(n) + n - HALF_LOG_2PI for n in range(1, 32)
+]
+
+
+def log_poisson(n: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ln P(N = n) of Poisson's distribution, without the digits that n ln mean - mean - ln n!
+    loses (Loader 2000).
+
+    Args:
+        n: (...) counts, whole numbers.
+        mean: (...) electrons, > 0.
+
+    Returns:
+        (...) no unit; -inf for n < 0.
+    """
+    some = jnp.maximum(n, 1)
+    few = jnp.asarray(_REMAINDERS, some.dtype)[jnp.minimum(some, 31).astype(jnp.int32) - 1]
+    remainder = jnp.where(some < 32, few, stirling_remainder(some))
+    likely = -poisson_deviance(some, some - mean, mean) - remainder
+    likely = likely - jnp.log(some) / 2 - HALF_LOG_2PI
+    return jnp.where(n > 0, likely, jnp.where(n == 0, -mean, -jnp.inf))
+
+
+@jax.custom_jvp
+def log_poisson_tails(
+    n: Float[Array, "..."], mean: Float[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """ln P(N < n) and ln P(N >= n) of Poisson's distribution; their slopes are those by the mean.
+
+    From the incomplete gamma function; of many counts, for which XLA's has few digits or none, from
+    the saddle point (Barndorff-Nielsen's r*), which is then right to 1e-6 in float32 and 1e-10 in
+    float64, as in far tails of few.
+
+    Args:
+        n: (...) counts, whole numbers, at least 1.
+        mean: (...) electrons, > 0.
+
+    Returns:
+        Two arrays (...), no unit.
+    """
+    excess = mean - n
+    eta = jnp.sign(excess) * jnp.sqrt(2 * poisson_deviance(n, -excess, mean) / n)
+    alike = jnp.abs(eta) < _ALIKE
+    off = jnp.where(alike, 1, eta)
+    shift = jnp.where(
+        alike,
+        1 / 3 - eta / 36 - eta**2 / 1620 + 7 * eta**3 / 6480,
+        jnp.log(jnp.where(alike, 1, excess / n / off)) / off,
+    )
+    star = eta * jnp.sqrt(n) + shift / jnp.sqrt(n)
+    limit = _COUNTS[8 if star.dtype == jnp.float64 else 4]
+    few = jnp.minimum(n, limit)
+
+    below, above = gammaincc(few, mean), gammainc(few, mean)
+
+    def of(
+        tail: Float[Array, "..."], other: Float[Array, "..."], deviate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        summed = (n < limit) & (tail > jnp.finfo(tail.dtype).tiny)
+        large = tail > 0.5
+        small = jnp.log(jnp.where(summed & ~large, tail, 1))
+        directly = jnp.where(large, jnp.log1p(-jnp.where(large, other, 0)), small)
+        return jnp.where(summed, directly, log_ndtr(deviate))
+
+    return of(below, above, -star), of(above, below, star)
+
+
+@log_poisson_tails.defjvp
+def _log_poisson_tails_jvp(primals, tangents):
+    n, mean = primals
+    below, above = log_poisson_tails(n, mean)
+    last = log_poisson(n - 1, mean)
+    slopes = -jnp.exp(last - below), jnp.exp(last - above)
+    return (below, above), tuple(slope * tangents[1] for slope in slopes)
