@@ -24,6 +24,9 @@ def install(extra: str) -> str:
     return f"pip install '{DISTRIBUTION}[{extra}]'"
 
 
+LONGEST = 900  # characters of a message
+
+
 class InputError(ValueError):
     """Input that cannot be used. The message is one sentence: what, where, and what to do.
 
@@ -34,6 +37,12 @@ class InputError(ValueError):
         ...     print(error)
         emva1289: neither a file nor a shipped camera; the nearest is 'emva1288'.
     """
+
+    def __init__(self, message: object = "") -> None:
+        text = str(message)  # which may quote a damaged file
+        if len(text) > LONGEST:
+            text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 3 :]}"
+        super().__init__(text)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

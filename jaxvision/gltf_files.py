@@ -17,6 +17,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from ._plain_content import check_content
 from .errors import InputError
 
 Value = TypeVar("Value")
@@ -93,6 +94,7 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: not a glTF file (no JSON in it); export it again.") from error
+    check_content(str(file), content)
     asset = content.get("asset") if isinstance(content, dict) else None
     version = asset.get("version") if isinstance(asset, dict) else None
     if not str(version).startswith("2."):

@@ -14,7 +14,15 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ._plain_content import DEEPEST, check_content, check_size
 from .errors import InputError, nearest
+
+# The beginning of a key of more parts than tables may be nested, which costs the parser gigabytes.
+_LONG_KEY = re.compile(
+    r"(?:^[ \t]*\[{0,2}|[{,])[ \t]*+"
+    rf"(?:(?:[A-Za-z0-9_-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}",
+    re.MULTILINE,
+)
 
 
 class Entry(BaseModel):
@@ -57,10 +65,21 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such {kind} file; check the name and the folder.")
+    check_size(file)
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        text = file.read_text(encoding="utf-8")
+        if found := _LONG_KEY.search(text):
+            line = text.count("\n", 0, found.end()) + 1
+            raise InputError(f"{file}: line {line} has a key of more than {DEEPEST} parts.")
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{file}: is nested more than {DEEPEST} deep; flatten it.") from None
+    except InputError:
+        raise
+    except ValueError as error:  # not TOML, not UTF-8, or a number of thousands of digits
         raise InputError(f"{file}: not a TOML file ({error}); correct that line.") from error
+    check_content(str(file), content)
+    return content
 
 
 def checked(
@@ -133,11 +152,11 @@ def _first_mistake(
             known = [word.strip(" '") for word in context["expected_tags"].split(",")]
             hint = nearest(context["tag"], known)
             key = context["discriminator"].strip("'")
-            return f"{where}: {key} = {context['tag']!r} is unknown; {hint}"
+            return f"{where}: {key} = {_short(context['tag'])} is unknown; {hint}"
         case "literal_error":
             known = context["expected"].replace(" or ", ", ").split(", ")
             hint = nearest(str(mistake["input"]), [word.strip("'") for word in known])
-            return f"{where} = {mistake['input']!r} is unknown; {hint}"
+            return f"{where} = {_short(mistake['input'])} is unknown; {hint}"
         case "tuple_type" if isinstance(mistake["input"], dict):
             return f"{where} is one of several tables; head it [[{where}]]"
         case "model_type" | "model_attributes_type" | "dict_type":

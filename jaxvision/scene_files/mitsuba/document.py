@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..._plain_content import DEEPEST, check_size
 from ...errors import InputError, nearest
 from .transforms import transform_of
 
@@ -47,6 +48,7 @@ class Node:
         label: what messages call it.
         values: by name.
         parts: objects within, each with its own or its reference's name.
+        old: whether the file is of a version before 2, whose defaults differ.
     """
 
     tag: str
@@ -54,6 +56,7 @@ class Node:
     label: str
     values: dict[str, Any] = field(default_factory=dict)
     parts: list[tuple[str, "Node"]] = field(default_factory=list)
+    old: bool = False
     _taken: set[str] = field(default_factory=set)
 
     def take(self, name: str, kinds: type | tuple[type, ...], otherwise: Any = None) -> Any:
@@ -136,10 +139,23 @@ def root_of(file: Path) -> Node:
 
 
 def _parsed(file: Path) -> xml.Element:
+    check_size(file)
     try:
-        return xml.parse(file).getroot()
+        return _shallow(xml.parse(file).getroot())
+    except InputError:
+        raise
     except (xml.ParseError, UnicodeError, ValueError, LookupError) as error:
         raise InputError(f"{file.name}: not an XML file ({error}); correct that line.") from error
+
+
+def _shallow(root: xml.Element) -> xml.Element:
+    """The root of a tree that is not too deep."""
+    level, depth = [root], 0
+    while level:
+        level, depth = [child for element in level for child in element], depth + 1
+        if depth > DEEPEST:
+            raise InputError(f"<{root.tag}> is nested more than {DEEPEST} deep; flatten it.")
+    return root
 
 
 def _is_old(root: xml.Element) -> bool:
@@ -161,7 +177,7 @@ class _Reader:
 
     def node(self, element: xml.Element, label: str) -> Node:
         kind = self._attributes(element).get("type", "")
-        made = Node(element.tag, kind, label)
+        made = Node(element.tag, kind, label, old=self._old)
         for child in self._flattened(element):
             given = self._attributes(child)
             match child.tag:
