@@ -96,6 +96,9 @@ def test_shapes_stand_where_their_corners_are(tmp_path):
         ('<float name="fov" value="40"/><string name="fov_axis" value="smaller"/>', 51.7732),
         ('<float name="fov" value="40"/><string name="fov_axis" value="diagonal"/>', 32.4686),
         ('<string name="focal_length" value="50mm"/>', 38.1848),
+        ("", 38.1848),  # the default
+        ('<string name="fov_axis" value="y"/>', 38.1848),  # of a fov alone
+        ('<float name="fov" value="40"/><float name="principal_point_offset_y" value="-0.0"/>', 40),
     ],
 )
 def test_fields_of_view(settings, degrees, tmp_path):
@@ -104,6 +107,25 @@ def test_fields_of_view(settings, degrees, tmp_path):
     view = read(tmp_path, sensor, BALL).view
     half = view.pixel_pitch * view.resolution[1] / 2 / view.focal_length
     assert 2 * np.degrees(np.arctan(half)) == pytest.approx(degrees, rel=1e-4)
+
+
+def test_an_old_file_has_the_defaults_of_its_version(tmp_path):
+    """Before version 2, a scene without an integrator has direct light only, and a metal without a
+    name is copper."""
+    sky = '<emitter type="constant"/>'
+    whole = f'<scene version="0.5.0">{SENSOR}{BALL}{sky}</scene>'
+    (tmp_path / "old.xml").write_text(whole)
+    assert read_scene(tmp_path / "old.xml").render.depth == 2
+    (tmp_path / "new.xml").write_text(whole.replace("0.5.0", "2.0.0"))
+    with pytest.warns(UserWarning, match="max_depth has no limit"):
+        assert read_scene(tmp_path / "new.xml").render.depth > 2
+    metal = '<shape type="sphere"><bsdf type="conductor"/></shape>'
+    (tmp_path / "new.xml").write_text(f'<scene version="3.0.0">{SENSOR}{metal}{sky}</scene>')
+    with pytest.warns(UserWarning, match="max_depth has no limit"):
+        read_scene(tmp_path / "new.xml")
+    (tmp_path / "old.xml").write_text(f'<scene version="0.5.0">{SENSOR}{metal}{sky}</scene>')
+    with pytest.raises(InputError, match="give eta and k of 'Cu'"):
+        read_scene(tmp_path / "old.xml")
 
 
 def test_an_old_file_is_read_with_its_names(tmp_path):
@@ -228,9 +250,27 @@ def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
             ],
             "at most 1",
         ),
-        (['<sensor type="perspective"/>', BALL], "needs a fov"),
+        (
+            [
+                mitsuba_pictures.camera(
+                    *("perspective", '<float name="principal_point_offset_x" value=".1"/>')
+                ),
+                BALL,
+            ],
+            "principal_point_offset_x is not read, only 0",
+        ),
+        (
+            [
+                mitsuba_pictures.camera(
+                    "perspective",
+                    '<float name="fov" value="4"/><string name="focal_length" value="50mm"/>',
+                ),
+                BALL,
+            ],
+            "has a fov and a focal_length",
+        ),
         ([SENSOR.replace('value="16"', 'value="0"'), BALL], "at least 1"),
-        ([SENSOR.replace('"fov"', '"fov_"'), BALL], "needs a fov"),
+        ([SENSOR.replace('"fov"', '"fov_"'), BALL], "'fov_' is not read"),
         (
             [SENSOR, BALL, '<emitter type="point"><point name="to_world" x="1"/></emitter>'],
             "to_world is of an unexpected kind",

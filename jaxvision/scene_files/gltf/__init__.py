@@ -67,6 +67,11 @@ def scene_of(file: Path) -> dict[str, Any]:
         raise InputError("has no camera in its scene; add one.")
     if len(cameras) > 1:
         warnings.warn(f"has {len(cameras)} cameras; the first is taken.", stacklevel=2)
+    if len(content.scenes) > 1:
+        warnings.warn(
+            f"has {len(content.scenes)} scenes; scene {content.scene}, counted from 0, is taken.",
+            stacklevel=2,
+        )
     if not surfaces:
         raise InputError("has no mesh in its scene; add one.")
     return {

@@ -51,7 +51,7 @@ def scene_of(file: Path) -> dict[str, Any]:
     camera, samples = camera_of(sensors[0])
     content: dict[str, Any] = {
         "camera": camera,
-        "render": _render(root.only("integrator"), samples),
+        "render": _render(root.only("integrator"), samples, old=root.old),
         "material": {},
         "surface": [],
         "light": [light_entry(node) for node in root.within("emitter")],
@@ -94,8 +94,11 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
     return made | {"two_sided": two_sided}
 
 
-def _render(node: Node | None, samples: int) -> dict[str, Any]:
-    """The integrator, as ours counts: its segments are as many as Mitsuba's `max_depth`."""
+def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
+    """The integrator, as ours counts: its segments are as many as Mitsuba's `max_depth`. Without
+    one, versions before 2 render direct light, later ones all."""
+    if node is None and old:
+        return {"integrator": "path", "samples": samples, "depth": 2}
     if node is None:
         return _paths("integrator", -1, samples)
     kind = node.must_be("path", "volpath", "volpathmis", "direct", "ptracer")

@@ -27,7 +27,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
         InputError: a camera that has no counterpart.
     """
     kind = node.must_be(*SENSORS)
-    rows, columns = _resolution(node.only("film"))
+    rows, columns = _resolution(node.only("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     if kind == "orthographic":  # how far its axis is stretched changes no picture
         across, along = lengths_of_axes(to_world)[[0, 2]]
@@ -47,6 +47,9 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
     sampler, count = node.only("sampler"), 4
     if sampler is not None:
         count = sampler.take("sample_count", int, count)
+    for name in ("principal_point_offset_x", "principal_point_offset_y"):
+        if kind != "orthographic" and node.take(name, float, 0.0):
+            raise InputError(f"{node.label}: {name} is not read, only 0; centre the picture.")
     node.must_be_read(tags=("film", "sampler"), without=_UNUSED)
     return made, count
 
@@ -62,22 +65,23 @@ def _pose(to_world: Affine) -> dict[str, Any]:
     }
 
 
-def _resolution(film: Node | None) -> tuple[int, int]:
-    if film is None:
-        return 576, 768
-    film.must_be("hdrfilm", "ldrfilm")
-    columns, rows = film.take("width", int, 768), film.take("height", int, 576)
-    if min(rows, columns) < 1:
-        raise InputError(f"{film.label}: width and height must be at least 1; correct them.")
-    kernel = film.only("rfilter")
+def _resolution(film: Node | None, label: str) -> tuple[int, int]:
+    rows, columns, kernel = 576, 768, None
+    if film is not None:
+        label = film.label
+        film.must_be("hdrfilm", "ldrfilm")
+        columns, rows = film.take("width", int, columns), film.take("height", int, rows)
+        if min(rows, columns) < 1:
+            raise InputError(f"{label}: width and height must be at least 1; correct them.")
+        kernel = film.only("rfilter")
+        formats = ("pixel_format", "component_format", "file_format", "sample_border", "banner")
+        film.must_be_read(tags=("rfilter",), without=formats)
     if kernel is None or kernel.kind != "box":
         warnings.warn(
-            f"{film.label}: pixels are means over their area; Mitsuba's "
+            f"{label}: pixels are means over their area; Mitsuba's "
             f"{'gaussian' if kernel is None else kernel.kind} filter blurs beyond it.",
             stacklevel=2,
         )
-    formats = ("pixel_format", "component_format", "file_format", "sample_border", "banner")
-    film.must_be_read(tags=("rfilter",), without=formats)
     return rows, columns
 
 
@@ -86,7 +90,10 @@ def _half_width(node: Node, rows_per_column: float) -> float:
     axis = node.take("fov_axis", str, "x")
     focal_length = node.take("focal_length", str)
     degrees = node.take("fov", float)
-    if focal_length is not None:
+    if focal_length is not None and degrees is not None:
+        raise InputError(f"{node.label}: has a fov and a focal_length; leave one of them.")
+    if degrees is None:
+        focal_length = focal_length or "50mm"
         try:
             millimetres = float(focal_length.removesuffix("mm"))
         except ValueError:
@@ -94,7 +101,7 @@ def _half_width(node: Node, rows_per_column: float) -> float:
         if not 0 < millimetres < np.inf:
             raise InputError(f"{node.label}: focal_length must be above 0, as in '50mm'.")
         tangent, axis = _DIAGONAL / 2 / millimetres, "diagonal"
-    elif degrees is None or not 0 < degrees < 180:
+    elif not 0 < degrees < 180:
         raise InputError(f"{node.label}: needs a fov in degrees, above 0 and below 180.")
     else:
         tangent = np.tan(np.radians(degrees) / 2)

@@ -112,7 +112,8 @@ _FAMILIES = {
 
 def _reflects_all(node: Node) -> bool:
     """Whether a metal is given neither by its index nor by its name."""
-    name = node.take("material", str, "none")
+    given = {"eta", "k"} <= set(node.values)
+    name = node.take("material", str, "Cu" if node.old and not given else "none")
     if name != "none":
         raise InputError(f"{node.label}: metals by name are not read; give eta and k of {name!r}.")
     return not {"eta", "k"} & set(node.values)
