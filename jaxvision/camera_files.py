@@ -19,6 +19,7 @@ of a `transmission`; `[bands]` then gives the wavelengths, `first`, `last` and `
 """
 
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,12 @@ def read_camera(
         require_metres("read_camera: wavelength", np.asarray(wavelengths, float))
     elif "bands" in content:
         wavelengths = _wavelengths(place, content["bands"])
+    colours = content["sensor"].get("colour_filter")
+    if "bands" in content and not (isinstance(colours, Mapping) and "sensitivities" in colours):
+        warnings.warn(
+            f"{place}: bands has no effect without sensor.colour_filter.sensitivities.",
+            stacklevel=2,
+        )
     tables = {name: content[name] for name in _TABLES if name in content}
     tables["view"] = {"position": [0, 0, 0], "rotation": np.eye(3)} | dict(content["view"])
     tables["sensor"] = _with_sensitivities(place, content["sensor"], wavelengths)

@@ -8,6 +8,7 @@ mistyped option answer at once.
 import json
 import sys
 import time
+import warnings
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,6 +34,7 @@ from .programs import keep_programs
 from .progress import progress_bar
 
 PERCENT_MEANT = 100.0  # a bare number from 1 to this was meant in per cent
+MEASURED = 240.0  # s before --accuracy or --seconds choose, by default
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 SceneArgument = Annotated[
     str,
@@ -81,6 +83,8 @@ def inspect(
     from .io import read_channels, replaced_on_success
 
     pixel = _pair("--at", at) if at else None
+    if row is not None and out is None:
+        warnings.warn("--row has no effect without --out, which draws it.", stacklevel=2)
     if out is not None and out.suffix.lower() not in FIGURE_SUFFIXES:
         known = ", ".join(FIGURE_SUFFIXES)
         raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
@@ -187,9 +191,11 @@ def render(
         typer.Option(help="Choose settings by measurement: the most accurate in this time."),
     ] = None,
     measure: Annotated[
-        float,
-        typer.Option(help="Time to measure in before --accuracy or --seconds choose, s."),
-    ] = 240.0,
+        float | None,
+        typer.Option(
+            help="Time to measure in before --accuracy or --seconds choose, s (default: 240)."
+        ),
+    ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start again and discard what an earlier render left.")
     ] = False,
@@ -224,6 +230,10 @@ def render(
         source = replace(source, view=with_resolution(source.view, wanted))
     pruned = None if tolerance is None else pruned_for(source, settings, tolerance)
     chosen = None
+    if measure is not None and not accuracy and seconds is None:
+        warnings.warn("--measure has no effect without --accuracy or --seconds.", stacklevel=2)
+    if no_preview and preview is not None:
+        raise InputError("--preview and --no-preview exclude each other; give one.")
     if accuracy or seconds is not None:
         refused = {"samples": samples, "depth": depth, "gather": gather, "tolerance": tolerance}
         taken = [f"--{name}" for name, value in refused.items() if value]
@@ -233,6 +243,7 @@ def render(
         from .accuracy import settings as settings_for
         from .accuracy.tables import choice_in_words
 
+        measure = MEASURED if measure is None else measure
         if not measure > 0:
             raise InputError(f"--measure {measure:g}: give a time above 0.")
         share = _share(accuracy) if accuracy else None
@@ -377,6 +388,8 @@ def effects(
     from .scene_files import read_scene
 
     goal = None
+    if place is not None and tolerance is None:
+        warnings.warn("--place has no effect without --tolerance.", stacklevel=2)
     if tolerance is not None:
         goal = parse(tolerance, place=place)
         if timed:

@@ -32,7 +32,7 @@ from .bands import Bands, bands_of, in_bands
 from .folder import Folder
 from .materials import material_of
 from .records import light_of, shape_of, view_of
-from .schema import RenderEntry, SceneEntry
+from .schema import RenderEntry, SceneEntry, without_effect
 
 _LOG = logging.getLogger("jaxvision.scene_files")
 
@@ -116,7 +116,8 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         (512, 512) ('surface "floor"', 'surface "ceiling"', 'surface "back wall"')
     """
     file = existing_file(path, "scene")
-    entry = checked(file, _content(file), SceneEntry, "scene")
+    content = _content(file)
+    entry = checked(file, content, SceneEntry, "scene")
     folder = Folder(file)
     with _named(file, ""):
         bands = bands_of(entry.bands, entry.wavelengths)
@@ -147,6 +148,8 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         raise InputError(f"{file}: {problem}")
     kept, kept_view = _in_dtype(file, (scene, view), entry.render.dtype)
     _check_rounded(file, names, light_names, (scene, view), (kept, kept_view))
+    for idle in without_effect(content, entry):
+        warnings.warn(f"{file}: {idle}.", stacklevel=2)
     read = SceneFile(
         file,
         kept,

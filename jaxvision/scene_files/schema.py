@@ -30,6 +30,16 @@ _USUAL = {
 }
 
 
+# Keys that change nothing with an integrator.
+_IDLE = {
+    "direct": ("depth", "patches", "gather"),
+    "rays": ("patches", "gather"),
+    "path": ("rule", "order", "patches", "gather"),
+    "light": ("rule", "order", "patches", "gather", "tile"),
+    "radiosity": ("depth",),
+}
+
+
 class RenderEntry(Entry):
     """How the scene is rendered unless the command says otherwise.
 
@@ -72,6 +82,26 @@ class RenderEntry(Entry):
         integrator = given.get("integrator", "direct")
         usual = _USUAL.get(integrator, {}) if isinstance(integrator, str) else {}
         return {**usual, **given}
+
+
+def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]:
+    """The materials and the keys of `[render]` in a file that change no picture.
+
+    Args:
+        content: of the file.
+        entry: the same, checked.
+
+    Returns:
+        A sentence each, without its stop.
+    """
+    integrator = entry.render.integrator
+    given = content.get("render", {})
+    idle = [f"render.{name}" for name in _IDLE[integrator] if name in given]
+    used = {surface.material for surface in entry.surface}
+    return [
+        *(f"{name} has no effect with the integrator {integrator!r}" for name in idle),
+        *(f"material {name!r} is on no surface" for name in entry.material if name not in used),
+    ]
 
 
 def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:

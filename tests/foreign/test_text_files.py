@@ -1,0 +1,127 @@
+"""Text files that no one writes by hand: nested, long and huge; each ends in one short sentence."""
+
+import json
+import tracemalloc
+
+import pytest
+from scene_texts import BALL
+from typer.testing import CliRunner
+
+from fitting.rig import load_rig
+from jaxvision.camera_files import read_camera, read_sensor
+from jaxvision.cli import app
+from jaxvision.errors import InputError
+from jaxvision.material_files import read_material
+from jaxvision.scene_files import read_scene
+
+DEEP = {
+    "arrays": "a = " + "[" * 400 + "]" * 400,
+    "few arrays": "a = " + "[" * 70 + "]" * 70,
+    "tables": "a = " + "{b = " * 400 + "1" + "}" * 400,
+    "dotted key": ".".join("a" * 1 for _ in range(20_000)) + " = 1",
+    "quoted key": ".".join('"a"' for _ in range(20_000)) + " = 1",
+    "heading": "[" + ".".join("abc" for _ in range(20_000)) + "]\nb = 1",
+    "key in braces": "x = {" + ".".join("a" for _ in range(20_000)) + " = 1}",
+    "long key": "k" * 60_000 + " = 1",
+    "long number": "a = " + "9" * 60_000,
+    "number of 3000 digits": "a = " + "9" * 3_000,
+    "hexadecimal": "a = 0x" + "f" * 60_000,
+    "long string": '[camera]\nkind = "' + "x" * 60_000 + '"',
+    "no equals sign": "x" * 60_000,
+}
+READERS = [read_scene, read_camera, read_sensor, load_rig, read_material]
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.__name__)
+@pytest.mark.parametrize("text", DEEP.values(), ids=DEEP.keys())
+def test_toml_of_any_shape_is_one_short_sentence(tmp_path, reader, text):
+    file = tmp_path / "rig.toml"
+    file.write_text(text)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError) as caught:
+            reader(tmp_path if reader is load_rig else file)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(str(caught.value)) < 1000
+    assert "\n" not in str(caught.value)
+    assert most < 20e6
+
+
+def test_a_file_of_many_parts_that_are_plain_is_read(tmp_path):
+    """What the check of long keys must let pass: numbers, text and comments with many points."""
+    points = ".".join("abc" for _ in range(200))
+    text = f'# {points} = 1\nabout = "{points}"\n[sensor]\ngain = 0.5 # {points}\n'
+    (tmp_path / "sensor.toml").write_text(text)
+    assert float(read_sensor(tmp_path / "sensor.toml").gain) == 0.5
+
+
+def test_a_huge_text_file_is_refused_unread(tmp_path):
+    file = tmp_path / "scene.toml"
+    with file.open("wb") as stream:
+        stream.truncate(1 << 30)  # which takes no space
+    tracemalloc.start()
+    try:
+        for suffix in (".toml", ".xml"):
+            whole = file.rename(file.with_suffix(suffix))
+            with pytest.raises(InputError, match="holds 1024 MiB, more than 16; divide it"):
+                read_scene(whole)
+            whole.rename(file)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 20e6
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "<shape>" * 3000 + "</shape>" * 3000,
+        '<integer name="' + "x" * 60_000 + '" value="1.5"/>',
+        '<float name="x" value="' + "1 " * 60_000 + '"/>',
+        '<ref id="' + "y" * 60_000 + '"/>',
+    ],
+)
+def test_xml_of_any_shape_is_one_short_sentence(tmp_path, body):
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{body}</scene>')
+    with pytest.raises(InputError) as caught:
+        read_scene(tmp_path / "scene.xml")
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"asset": {"version": "2.0"}, "extras": ' + "[" * 200 + "]" * 200 + "}",
+        "[" * 100_000 + "]" * 100_000,
+        json.dumps({"asset": {"version": "1" * 60_000}}),
+        '{"asset": {"version": "2.0"}, "scene": ' + "9" * 60_000 + "}",
+        '{"asset": {"version": "2.0"}, "scene": ' + "9" * 3_000 + "}",
+        json.dumps({"asset": {"version": "2.0"}, "x" * 60_000: 1}),
+    ],
+)
+def test_gltf_of_any_shape_is_one_short_sentence(tmp_path, content):
+    (tmp_path / "scene.gltf").write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_scene(tmp_path / "scene.gltf")
+    assert len(str(caught.value)) < 1000
+
+
+def test_what_changes_no_picture_is_named(tmp_path):
+    """A material on no surface, and keys of another integrator."""
+    gold = '[material.gold]\nfamily = "lambert"\nalbedo = 0.3\n'
+    file = tmp_path / "scene.toml"
+    file.write_text(BALL + gold)
+    with pytest.warns(UserWarning, match=r"scene\.toml: material 'gold' is on no surface\.$"):
+        read_scene(file)
+    file.write_text(BALL + '[render]\nintegrator = "path"\npatches = 50\nsamples = 2\n')
+    with pytest.warns(UserWarning, match="patches has no effect with the integrator 'path'"):
+        read_scene(file)
+
+
+@pytest.mark.filterwarnings("default")
+def test_options_without_effect_are_named(tmp_path):
+    (tmp_path / "a.pgm").write_bytes(b"P5 2 2 255\n" + bytes(4))
+    said = CliRunner().invoke(app, ["inspect", str(tmp_path / "a.pgm"), "--row", "1"]).output
+    assert "jaxvision: --row has no effect without --out" in said
