@@ -351,12 +351,17 @@ def read_mask(
         load: how an image is had by its path.
 
     Returns:
-        (h, w), true where any channel of the image is non-zero.
+        (h, w), true where any channel of the image but alpha is non-zero.
 
     Raises:
-        InputError: for another size.
+        InputError: for another size, and for an alpha channel that varies.
     """
-    mask = in_region(load(path), camera, path).astype(bool)
+    stored = in_region(load(path), camera, path)
+    if stored.ndim == 3 and stored.shape[2] in (2, 4):  # its last channel is alpha
+        if (stored[..., -1] != stored[0, 0, -1]).any():
+            raise InputError(f"{path}: has an alpha channel that varies; save the mask as grey.")
+        stored = stored[..., :-1]
+    mask = stored.astype(bool)
     mask = np.asarray(mask.any(axis=-1)) if mask.ndim == 3 else mask
     if shape is not None and mask.shape != shape:
         raise InputError(f"{path}: the mask is {mask.shape}, the images are {shape}; resize it.")

@@ -80,9 +80,11 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
 
 
 def _attributes(file: Path) -> dict[str, Any]:
-    """EXIF by OpenImageIO's names."""
+    """EXIF by OpenImageIO's names, values of one number or word."""
     import OpenImageIO as oiio
 
+    if (chunks := png_chunks(file)) and chunks.fault:  # of which libpng prints complaints
+        return {}
     source = oiio.ImageInput.open(str(file))
     if source is None:
         with suppress(UnicodeDecodeError):  # it quotes the file
@@ -92,7 +94,8 @@ def _attributes(file: Path) -> dict[str, Any]:
     try:
         for attribute in source.spec().extra_attribs:
             with suppress(UnicodeDecodeError):  # its name or value, damaged, is no text
-                found[attribute.name] = attribute.value
+                if isinstance(attribute.value, str | int | float):
+                    found[attribute.name] = attribute.value
         found[_CODES] = {"uint8": 8, "uint16": 16}.get(str(source.spec().format))
     finally:
         source.close()

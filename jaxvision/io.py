@@ -52,6 +52,7 @@ JPEG_FORMATS = (".jpg", ".jpeg")
 FLOAT_FORMATS = (".exr", ".hdr")
 READ_ONLY_FORMATS = (*NETPBM_FORMATS, ".tga")
 LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists each, path and all
+NOT_TEXT = "it holds bytes that are not text where its format has text"
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
 # Of OpenImageIO's, those whose codes come back as they are stored, by `_undone`.
 _DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif", "webp")
@@ -204,7 +205,10 @@ def read_channels(
             raise InputError(f"{file}: holds one picture, not a part {part!r}; leave part out.")
         pixels = special.get(suffix, read_radiance)(file)
     else:
-        pixels, names = _read_by_openimageio(file, part)
+        try:
+            pixels, names = _read_by_openimageio(file, part)
+        except UnicodeDecodeError:  # of a name in its head
+            raise _damaged(file, NOT_TEXT) from None
     _LOG.info("read %s: %s %s", file, "x".join(map(str, pixels.shape)), pixels.dtype)
     return pixels, names
 
@@ -741,7 +745,7 @@ def _reason(teller: Any) -> str:
     try:
         words = _one_line(teller.geterror())
     except UnicodeDecodeError:  # it quotes the file
-        return "it holds bytes that are not text where its format has text"
+        return NOT_TEXT
     return "of no format of images that is known" if "find a format reader" in words else words
 
 

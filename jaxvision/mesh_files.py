@@ -1,8 +1,9 @@
 """Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
 
-Eager; trimesh (the extra `mesh`) is loaded on first use. A file of several meshes
-becomes one, each placed as in the file's scene; polygons are split into triangles. Lengths are
-taken as metres. Every failure is an `InputError` of one sentence.
+Eager; trimesh (the extra `mesh`) is loaded on first use. A file of several meshes becomes one, each
+placed as in the file's scene; polygons are split into triangles. Lengths are taken as metres;
+colours, textures and materials of the file are not read. Every failure is an `InputError` of one
+sentence.
 """
 
 import os
@@ -44,7 +45,8 @@ def read_mesh(
 
     Args:
         path: the file.
-        scale: m per unit of the file, 1 if it is in m.
+        scale: m per unit of the file, 1 if it is in m; a warning names another unit that the file
+            itself gives.
         rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
         position: (3,) m.
         matrix: (3, 4) rows of an affine map of the file's points, as columns, to m in the world,
@@ -67,6 +69,13 @@ def read_mesh(
     if not file.is_file():
         raise InputError(f"{file}: no such mesh file; check the name and the folder.")
     loaded = _load(file) if primitive is None else _primitive(file, *primitive)
+    unit = getattr(loaded, "units", None)
+    if unit not in (None, "m", "meter", "meters") and scale == 1 and matrix is None:
+        warnings.warn(
+            f"{file}: says that its unit is {unit}, which is not used: lengths are taken as m "
+            "times scale.",
+            stacklevel=2,
+        )
     loaded.apply_transform(_to_world(file, scale, rotation, position, matrix))
     vertices = np.asarray(loaded.vertices, float)
     with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
@@ -158,7 +167,10 @@ def _load(file: Path):
             "OBJ, PLY or GLB."
         )
     try:
-        mesh = trimesh.load_scene(file, process=False).to_mesh()
+        scene = trimesh.load_scene(file, process=False)
+        mesh = scene.to_mesh()
+        if scene.units is not None:
+            mesh.units = scene.units
     except Exception as error:  # each format's reader fails in its own way
         reason = _in_plain_words(error)
         raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error

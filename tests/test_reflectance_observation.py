@@ -118,7 +118,7 @@ def test_colour_images_need_one_intensity_or_one_a_channel(tmp_path):
         ({"held_out": [1] * 5}, "every light is held out"),
         ({"radius": 3.0}, "leave 1. pixels"),
         ({"directions": [[0.0, 0.0, -1.0]] * 5}, "reaches no visible pixel"),
-        ({"camera": CAMERA | {"bits": 8}}, "8-bit camera"),
+        ({"camera": CAMERA | {"bits": 8}}, "do not fit 8 bits"),
         ({"camera": CAMERA | {"pattern": '"RGGB"'}}, "mosaic"),
     ],
 )

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.observation import read_frame
+from fitting.observation import read_frame, read_mask
 from fitting.rig import Camera
 from fitting.rig_from_folder import rig_of
+from jaxvision.camera_files import read_camera
 from jaxvision.errors import InputError
 from jaxvision.image_settings import read_settings
 from jaxvision.io import read_channels, read_environment, read_image, write_image
+from jaxvision.mesh_files import read_mesh
 
 oiio = pytest.importorskip("OpenImageIO")
 
@@ -543,3 +545,34 @@ def test_inspect_heads_channels_by_what_they_are(tmp_path, capsys):
     write_tiff(tmp_path / "c.tif", [[0, 4095, 9]], 12)
     said = CliRunner().invoke(app, ["inspect", str(tmp_path / "c.tif"), "--json"]).output
     assert '"saturated": 1' in said
+
+
+def test_an_opaque_alpha_makes_no_mask(tmp_path):
+    colours = np.zeros((2, 3, 4), np.uint8)
+    colours[..., 3] = 255
+    colours[1, 2, :3] = 255
+    write_image(tmp_path / "mask.png", colours)
+    mask = read_mask(tmp_path / "mask.png", Camera(bits=8))
+    np.testing.assert_array_equal(mask, colours[..., 0] > 0)
+    colours[0, 0, 3] = 0
+    write_image(tmp_path / "mask.png", colours)
+    with pytest.raises(InputError, match="alpha channel that varies"):
+        read_mask(tmp_path / "mask.png", Camera(bits=8))
+
+
+def test_the_unit_of_a_mesh_is_named(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box()
+    box.units = "mm"
+    box.export(tmp_path / "a.glb")
+    with pytest.warns(UserWarning, match="says that its unit is mm, which is not used"):
+        read_mesh(tmp_path / "a.glb")
+    assert float(read_mesh(tmp_path / "a.glb", scale=1e-3).vertices.max()) == pytest.approx(5e-4)
+
+
+def test_bands_that_no_filter_uses_are_named(tmp_path):
+    text = "[view]\nkind = 'Pinhole'\nfocal_length = 8e-3\npixel_pitch = 5e-6\n"
+    text += "resolution = [4, 6]\n[sensor]\n[bands]\nfirst = 4e-7\nlast = 7e-7\nstep = 1e-8\n"
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.warns(UserWarning, match="bands has no effect without"):
+        read_camera(tmp_path / "a.toml")
