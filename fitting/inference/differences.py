@@ -67,7 +67,8 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
     """The lowest place that Gauss and Newton's steps by differences, and steps along the axes,
     lead to."""
     dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
-    vector, settled, begun = np.asarray(optimum.vector, np.float64), False, None
+    vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
+    cost, decrement, information = np.nan, optimum.decrement, optimum.information
     for _ in range(STEPS):
         _, gradient, information = (
             on_host(x, dtype=np.float64)
@@ -81,7 +82,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
         ways = [np.zeros((1, len(step))), _SHARES[:, None] * step, np.diag(sizes), -np.diag(sizes)]
         tried = vector + np.concatenate(ways)
         cost, *costs = on_host(_costs(jnp.asarray(tried, dtype), problem), dtype=np.float64)
-        begun = cost if begun is None else begun
+        begun = cost if np.isnan(begun) else begun
         lowest = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
         if settled := not costs[lowest] < cost - FALL:
             break
