@@ -301,7 +301,8 @@ def _place(
     if part is None and others:
         warnings.warn(
             f"{file}: holds {len(plain)} pictures; {titles[plain[0]]} is read, and "
-            f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (part chooses one).",
+            f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (the argument part "
+            "chooses one).",
             stacklevel=5,
         )
     promised = re.match(
