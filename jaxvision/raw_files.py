@@ -37,6 +37,10 @@ def read_raw(file: Path) -> np.ndarray:
             raise InputError(
                 f"{file}: holds several colours a pixel, no mosaic; develop it and save a TIFF."
             )
+        if raw.sizes.flip:
+            warnings.warn(
+                f"{file}: not used: its orientation: rows and columns are as stored.", stacklevel=3
+            )
         return np.array(raw.raw_image_visible)
 
 
