@@ -51,13 +51,17 @@ class Converter:
     clips_at: float | None = None
 
     @property
+    def width(self) -> float:
+        """Mean distance of the codes that occur, DN."""
+        return self.step / (1 - self.missing) if self.missing < 1 else self.step
+
+    @property
     def rounding(self) -> float:
         """Variance of rounding, DN^2."""
         if not self.step:
             return 0.0
-        wider = 1 / (1 - self.missing) if self.missing < 1 else 1.0
         # Of steps 1 + d and 1 - d a signal sees the first more often: the mean of w^3.
-        one = (self.step * wider) ** 2 * (1 + 3 * self.imbalance**2) / 12
+        one = self.width**2 * (1 + 3 * self.imbalance**2) / 12
         again = 0.0 if self._whole else 1 / 12
         return one + again
 
@@ -156,6 +160,57 @@ def converter_of(frames: Iterable[np.ndarray]) -> Converter:
     return codes.converter()
 
 
+def converter_in_words(converter: Converter, full_scale: float | None) -> list[str]:
+    """What a reader has to know of a converter whose numbers are not 0, 1, 2 and so on.
+
+    Args:
+        converter: of some frames.
+        full_scale: their largest possible number, DN; None where unknown.
+
+    Returns:
+        Sentences.
+
+    Example:
+        >>> from fitting.codes import Converter, converter_in_words
+        >>> print(converter_in_words(Converter(step=16.0), 65520.0)[0])
+        Every number is a multiple of 16: the converter has 12 bits, and its rounding counts as \
+16²/12 DN². Figures in DN are in the file's numbers.
+    """
+    step, origin = converter.step, converter.origin
+    if not step:
+        return [
+            "The numbers lie on no grid, as those of frames do that were corrected or averaged: "
+            "nothing is subtracted for rounding, and averages hide noise; give raw frames."
+        ]
+    if not converter.even:
+        return [
+            f"{100 * converter.missing:.2g} % of the codes do not occur, as after a stretched "
+            f"histogram or a table (gamma): steps are {converter.width:.3g} DN on average, and "
+            "rounding counts as theirs; where they are unequal, read noise is off. Give raw frames."
+        ]
+    if step < 1:
+        parts = f"{1 / step:.4g}"
+        return [
+            f"Every number is a multiple of 1/{parts}: the frames were divided by {parts}, or are "
+            f"averages of {parts}. The gain of an average is {parts} times too small and its "
+            f"quantum efficiency {parts} times too large, so give single frames."
+        ]
+    if step == 1:
+        return []
+    bits = "" if full_scale is None else f"{np.log2((full_scale - origin) / step + 1):.3g}"
+    has = f"the converter has {bits} bits, and its" if bits else "the"
+    if step != round(step):
+        return [
+            f"The numbers lie {step:.5g} apart, scaled and rounded again: {has} rounding counts as "
+            f"{step:.5g}²/12 DN². Figures in DN are in the file's numbers."
+        ]
+    grid = f"{step:g}" if not origin else f"{step:g}, plus {origin:g}"
+    return [
+        f"Every number is a multiple of {grid}: {has} rounding counts as {step:g}²/12 DN². Figures "
+        "in DN are in the file's numbers."
+    ]
+
+
 def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Of two counts that begin at 0."""
     size = max(one.size, other.size)
@@ -184,6 +239,7 @@ def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, fl
         return None
     near = gaps[gaps < 4.4 * finest]
     step = float(near.sum() / np.round(near / finest).sum())
+    origin, place = float(values[0]), np.zeros_like(values)
     for _ in range(3):
         place = np.cumsum(np.round(np.diff(values, prepend=values[0]) / step))
         if place[-1] < 5:

@@ -213,7 +213,7 @@ def test_quantised_moments_are_those_of_the_summed_distribution(mu, gain, read, 
     found = quantised_moments(*arguments, own)
     np.testing.assert_allclose(found[0], expected[0], rtol=1e-8)
     scale = expected[1]
-    for power, value, true in zip((1, 1.5, 2), found[1:], expected[1:], strict=True):
+    for power, value, true in zip((1, 1.5, 2), found[1:4], expected[1:], strict=True):
         np.testing.assert_allclose(value, true, atol=1e-6 * max(scale, 0.05) ** power)
 
 

@@ -23,7 +23,7 @@ from ..noise.fit import (
 from ..noise.levels import PhotonTransfer, linear_levels
 from ..noise.model import cost, log_density
 from ..noise.read import check, reduce_rig
-from ..noise.window import needed_window, window_of
+from ..noise.window import needed_window, offset_data, window_of
 from ..observation import Load
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
@@ -65,9 +65,10 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         window = None if exact is False else needed_window(measured, usable)[0]
         if exact and window is None:
             window = window_of(measured, usable)
-        data = noise_data(measured, usable, window=window)
+        offsets = None if window is None else offset_data(measured, usable)
+        data = noise_data(measured, usable, window=window, offsets=offsets)
         standard = eqx.filter_jit(evaluate)(measured, within).values
-        space = base_space(measured, within)
+        space = base_space(measured, within, offsets=offsets)
         vector = fit_space(space, data, standard).vector
         linearity = jnp.zeros(data.mean.size, bool)
         args = (space, data, linearity)

@@ -8,13 +8,17 @@ An undetermined direction is reported, never inverted away by a pseudo-inverse.
 
 from dataclasses import dataclass
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from .parameters import ParameterSpace, names
+from .parameters import ParameterSpace, names, scaled_ends, to_natural
 
 UNDETERMINED = 1e-10  # scaled eigenvalue below which rounding, not data, fills a direction
 CONFUSED = 5.0  # sqrt(VIF) from which a reader is told
+KNOWN_WELL = 0.05  # relative error of a parameter up to which nothing is gained by knowing others
 PARTNER = 0.3  # share of a direction from which a parameter is named in it
 OPEN = 1.0  # standard deviation of a log parameter from which it counts as not determined
 
@@ -39,6 +43,7 @@ def identifiability(
     information: Float[np.ndarray, "parameters parameters"],
     *,
     rounding: float = UNDETERMINED,
+    vector: Float[ArrayLike, " parameters"] | None = None,
 ) -> Identifiability:
     """Judges an information matrix.
 
@@ -46,6 +51,8 @@ def identifiability(
         space: the P parameters.
         information: (P, P) on the unconstrained scale.
         rounding: scaled eigenvalue up to which a direction counts as open.
+        vector: (P,) unconstrained best fit; None where only the errors of logarithms say whether
+            they matter.
 
     Returns:
         Variance inflation, and sentences.
@@ -71,7 +78,22 @@ def identifiability(
         words = tuple(_undetermined(labels, direction) for direction in directions[:, open_].T)
         return Identifiability(inflation, False, words)
     inflation = np.sqrt(np.sum(directions**2 / eigenvalues, axis=1))
-    return Identifiability(inflation, True, _confused(labels, directions[:, 0], inflation))
+    errors = inflation / size
+    relative = errors * _relative_slopes(space, vector)
+    told = np.where(relative > KNOWN_WELL, inflation, 0.0)
+    return Identifiability(inflation, True, _confused(labels, directions[:, 0], told, relative))
+
+
+def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndarray:
+    """By what share a parameter changes with its unconstrained value; infinite where nobody
+    knows."""
+    if vector is None:
+        free = [p.transform == "log" and scaled_ends(p) == (-np.inf, np.inf) for p in space]
+        return np.where(free, 1.0, np.inf)
+    at = jnp.asarray(vector)
+    value, slope = jax.jvp(lambda x: to_natural(space, x), (at,), (jnp.ones_like(at),))
+    size = np.maximum(np.abs(np.asarray(value)), np.finfo(float).tiny)
+    return np.abs(np.asarray(slope)) / size
 
 
 def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
@@ -85,13 +107,16 @@ def _undetermined(labels: tuple[str, ...], direction: np.ndarray) -> str:
     )
 
 
-def _confused(labels: tuple[str, ...], worst: np.ndarray, inflation: np.ndarray) -> tuple[str, ...]:
+def _confused(
+    labels: tuple[str, ...], worst: np.ndarray, inflation: np.ndarray, relative: np.ndarray
+) -> tuple[str, ...]:
     if inflation.max() < CONFUSED:
         return ()
     most = int(np.argmax(inflation))
     others = [name for name in _partners(labels, worst) if name != labels[most]]
+    known = f" to {100 * relative[most]:.2g} %," if np.isfinite(relative[most]) else ""
     return (
-        f"{labels[most]} is known {inflation[most]:.0f} times less well than it would be if "
+        f"{labels[most]} is known{known} {inflation[most]:.0f} times less well than it would be if "
         f"{listed(others or ['the others'])} were known: the data largely confuse them.",
     )
 

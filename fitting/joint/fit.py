@@ -141,7 +141,7 @@ def fit_channel(
         grid=grid,
         vector=np.asarray(solution.vector, np.float64),
         information=np.asarray(solution.information, np.float64),
-        identifiability=identifiability(data.space, by_data),
+        identifiability=identifiability(data.space, by_data, vector=solution.vector),
         chi_square=chi_square,
         cells=cells,
         unexplained=unexplained,

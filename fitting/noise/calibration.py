@@ -6,7 +6,7 @@ gain and efficiency at zero signal. Every figure has a standard error and interv
 measurement cannot give says why.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ from jaxvision import as_dtype
 
 from ..inference.compiled import compiled_briefly
 from ..inference.emcee_run import SamplingOptions
-from ..inference.estimates import Estimate, gaussian_estimate, sampled_estimate
+from ..inference.estimates import Estimate, gaussian_estimate, not_determined, sampled_estimate
 from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.left_out import LeftOut
@@ -30,13 +30,16 @@ from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
 from .fit import LikelihoodFit, likelihood_sheet, noise_data
+from .flicker import extra_in_flats, without_flicker
 from .levels import PhotonTransfer, linear_levels
 from .model import log_density, negative_log_density, predicted_moments
-from .pattern import PatternVariance, fitted_pattern, standard_pattern
-from .quantities import QUANTITIES, SCATTERS, Quantity
+from .parts import Part
+from .pattern import PatternVariance, Spread, fitted_pattern, standard_pattern
+from .quantised import FINEST_READ_NOISE
+from .quantities import OFFSET_SPREAD, QUANTITIES, READ_NOISE, SCATTERS, Quantity
 from .regressions import through_origin
-from .shared import shared_noise
-from .window import needed_window
+from .shared import Found, shared_noise
+from .window import needed_window, offset_data
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
@@ -62,6 +65,8 @@ class NoiseCalibration(ShownInNotebooks):
         patterns: DSNU and PRNU by the standard and by the fit to all levels; None where only
             temporal sums are known.
         left_out: what the likelihood does without, as no fit can tell.
+        flicker: noise of rows and columns that the flats have beyond the darks, which was taken out
+            of the measurement.
     """
 
     measurement: PhotonTransfer
@@ -75,6 +80,7 @@ class NoiseCalibration(ShownInNotebooks):
     standard_of_chosen: float
     patterns: tuple[PatternVariance, PatternVariance] | None
     left_out: tuple[LeftOut, ...]
+    flicker: dict[str, Found]
 
     @property
     def shown(self) -> dict[str, Estimate]:
@@ -114,18 +120,22 @@ def calibrate(
     """
     require_kind("noise.calibrate: measurement", measurement, PhotonTransfer, source="from_frames")
     measurement = as_dtype(measurement, np.float64)  # of a caller in float32
+    flicker = extra_in_flats(measurement, linear_levels(measurement))
+    measurement = without_flicker(measurement, flicker)
     within = ranges(measurement)
     usable = linear_levels(measurement)
     dark = measurement.dark
     shared = shared_noise(dark.shared, dark.variance, dark.frames)
     standard = _evaluated(measurement, within, shared=shared)
     window, gone = needed_window(measurement, usable)
-    data = noise_data(measurement, usable, window=window)
+    offsets = None if window is None else offset_data(measurement, usable)
+    data = noise_data(measurement, usable, window=window, offsets=offsets)
     linear, chosen = choose_model(measurement, within, data, standard.values)
     posterior = _posterior(chosen, sampling, seed)
     patterns = None
     if measurement.bright.spatial_variance is not None:
-        patterns = standard_pattern(measurement, within), fitted_pattern(measurement, usable)
+        fit_to_all = _behind_rounding(fitted_pattern(measurement, usable), posterior)
+        patterns = standard_pattern(measurement, within), fit_to_all
     return NoiseCalibration(
         measurement=measurement,
         within=within,
@@ -134,11 +144,25 @@ def calibrate(
         linear=linear,
         chosen=chosen,
         posterior=posterior,
-        sheet=_likelihood_estimates(chosen, posterior, within, usable),
+        sheet=_with_limits(_likelihood_estimates(chosen, posterior, within, usable), chosen),
         standard_of_chosen=_standard_gain_of(chosen, within, usable),
         patterns=patterns,
         left_out=gone,
+        flicker=flicker,
     )
+
+
+def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
+    """The pattern with the offsets that the likelihood finds where rounding distorts them."""
+    labels = names(posterior.space)
+    if OFFSET_SPREAD.name not in labels:
+        return pattern
+    place = labels.index(OFFSET_SPREAD.name)
+    variance = float(posterior.mode[place]) ** 2
+    noise = 2 * variance * float(np.sqrt(posterior.covariance[place, place]))
+    scale = variance / max(pattern.dark.variance, np.finfo(float).tiny)
+    parts = tuple(Part(scale * part.variance, part.degrees) for part in pattern.dark.parts)
+    return replace(pattern, dark=Spread(variance, noise, parts))
 
 
 def _posterior(fit: LikelihoodFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
@@ -152,9 +176,7 @@ def _posterior(fit: LikelihoodFit, sampling: SamplingOptions | None, seed: int) 
             vector, covariance = found.vector, np.linalg.inv(np.asarray(found.information))
     if sampling is not None:
         return sample(log_density, fit.space, vector, covariance, args, options=sampling, seed=seed)
-    return laplace_where_it_holds(
-        log_density, fit.space, vector, covariance, args, seed=seed, by_chain=False
-    )
+    return laplace_where_it_holds(log_density, fit.space, vector, covariance, args, seed=seed)
 
 
 def _likelihood_estimates(
@@ -175,6 +197,27 @@ def _likelihood_estimates(
             variance += float(at_saturation[name] * within.saturation_width) ** 2 / 24
         error = float(np.sqrt(variance))
         found.append(sheet_estimate(BY_NAME[name], float(value), error, LIKELIHOOD))
+    return tuple(found)
+
+
+def finest_read_noise(fit: LikelihoodFit) -> float:
+    """Read noise below which the shape of the rounding tells its limit alone, e-; 0 where it is
+    not asked."""
+    if fit.data.window is None:
+        return 0.0
+    return FINEST_READ_NOISE * fit.data.converter.step / float(fit.values["system_gain"])
+
+
+def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estimate, ...]:
+    """The sheet, a read noise that the converter hides in its place a limit."""
+    finest, found = finest_read_noise(fit), []
+    for one in sheet:
+        low, high = one.interval_95 or (0.0, 0.0)
+        if one.name == READ_NOISE.name and low < finest:
+            most = max(finest, high)
+            why = f"below {most:.3g} {one.unit}: perhaps finer than {FINEST_READ_NOISE:g} of a code"
+            one = not_determined(BY_NAME[one.name], why, method=LIKELIHOOD)
+        found.append(one)
     return tuple(found)
 
 

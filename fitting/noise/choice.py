@@ -82,7 +82,7 @@ def choose_model(
     Returns:
         (linear camera, chosen model); the same fit twice where the linear camera does.
     """
-    linear = fitted(base_space(measurement, within), data, standard)
+    linear = fitted(base_space(measurement, within, offsets=data.offsets), data, standard)
     if linear.p_value >= MISFIT:
         return linear, linear
     bright_levels = int(jnp.sum(data.lit))

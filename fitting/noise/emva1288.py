@@ -27,8 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxvision.sensor import QUANTISATION_VARIANCE
-
+from ..codes import Converter
 from .levels import PhotonTransfer, linear_levels, saturation_index
 from .quantities import NEED_PHOTONS
 from .regressions import chi_square, line, line_misfit, surprise, through_origin
@@ -37,7 +36,8 @@ from .shared import SharedNoise
 
 SENSITIVITY_TOP = 0.7
 LINEARITY_RANGE = (0.05, 0.95)
-LEAST_DARK_VARIANCE = 0.24  # DN^2; below, the standard says, rounding rules and sigma_d is a bound
+# Of the square of a converter's step; below it, the standard says, rounding rules.
+LEAST_DARK_VARIANCE = 0.24
 UNLIKELY = 0.01  # p-value of a chi-square from which scatter is believed
 
 Sheet = dict[str, Float[Array, ""]]
@@ -177,22 +177,53 @@ def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> She
     signal = _signal(stats, measurement)
     gain = through_origin(signal, _shot_variance(stats, measurement), within.sensitivity)
     responsivity = through_origin(measurement.bright.light, signal, within.sensitivity)
-    mean_slope, variance_slope, dark_variance = 0.0, 0.0, stats.dark_variance[0]
+    dark_variance, variance_slope = _dark_variance(stats, measurement, within)
+    mean_slope = 0.0
     if within.dark_exposures > 2:
         _, mean_slope = line(measurement.dark.exposure, stats.dark_mean)
-        dark_variance, variance_slope = line(measurement.dark.exposure, stats.dark_variance)
     figures = derived_figures(
         gain,
         responsivity,
-        jnp.maximum(dark_variance, LEAST_DARK_VARIANCE),
+        jnp.maximum(dark_variance, least_dark_variance(measurement)),
         stats.saturation,
         photons_known=measurement.photons_known,
+        converter=measurement.converter,
     )
     if within.dark_exposures > 2:
         figures["dark_current_mean"] = mean_slope / gain
         figures["dark_current_variance"] = variance_slope / gain**2
     low, high = linearity_errors(measurement.bright.light, signal, within.linearity)
     return figures | {"linearity_error_min": low, "linearity_error_max": high}
+
+
+def _dark_variance(
+    stats: Statistics, measurement: PhotonTransfer, within: Ranges
+) -> tuple[Array, Array | float]:
+    """sigma_y.dark^2 without exposure, and how it grows with it."""
+    if within.dark_exposures > 2:
+        return line(measurement.dark.exposure, stats.dark_variance)
+    return stats.dark_variance[0], 0.0
+
+
+def is_floored(measurement: PhotonTransfer, within: Ranges) -> bool:
+    """Whether the standard's floor stands in place of the dark noise, of which it is a bound.
+
+    Args:
+        measurement: bright and dark levels.
+        within: the standard's ranges.
+    """
+    found, _ = _dark_variance(statistics(measurement, None), measurement, within)
+    return float(found) < least_dark_variance(measurement)
+
+
+def least_dark_variance(measurement: PhotonTransfer) -> float:
+    """The standard's floor of sigma_y.dark^2, DN^2.
+
+    Args:
+        measurement: whose converter has a step.
+    """
+    converter = measurement.converter
+    return max(LEAST_DARK_VARIANCE * converter.width**2, 1.2 * converter.rounding)
 
 
 def derived_figures(
@@ -202,15 +233,17 @@ def derived_figures(
     saturation: Array | None,
     *,
     photons_known: bool,
+    converter: Converter,
 ) -> Sheet:
     """What follows from gain, responsivity, dark noise and saturation.
 
     Args:
         gain: K, DN/e-.
         responsivity: R, DN per unit of light.
-        dark_variance: sigma_y.dark^2, DN^2, above 1/12.
+        dark_variance: sigma_y.dark^2, DN^2, above that of rounding.
         saturation: light at saturation; None to leave out what needs it.
         photons_known: whether light is counted in photons; what needs them is left out otherwise.
+        converter: that rounds.
 
     Returns:
         Figures by name.
@@ -223,7 +256,7 @@ def derived_figures(
         "quantum_efficiency": 100 * efficiency,
         "responsivity": responsivity,
         "temporal_dark_noise": jnp.sqrt(dark_variance),
-        "read_noise": jnp.sqrt(dark_variance - QUANTISATION_VARIANCE) / gain,
+        "read_noise": jnp.sqrt(dark_variance - converter.rounding) / gain,
         "threshold_photons": threshold / efficiency,
         "threshold_electrons": threshold,
     }

@@ -1,15 +1,18 @@
 """What a noise calibration has to say, in sentences: misfit first, then what was done about it."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from ..codes import converter_in_words
 from ..inference.diagnostics import identifiability
 from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
-from .emva1288 import LEAST_DARK_VARIANCE
+from .emva1288 import is_floored, least_dark_variance
 from .fit import gain_drop
-from .flicker import extra_in_flats, flicker_in_words
+from .flicker import flicker_in_words
 from .misfit import MISFIT
 from .neighbours import are_known
 from .parts import Part, deviation_quantiles
@@ -23,18 +26,12 @@ FAR = 3.0  # standard errors between two figures that should agree
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
     measurement = calibration.measurement
-    left_out = (*measurement.bright.left_out, *measurement.dark.left_out)
-    if flicker := extra_in_flats(calibration):
-        return (
-            *left_out,
-            *flicker_in_words(flicker),
-            *_near_black(calibration),
-            *_shared(calibration, None),
-            *measurement.remarks,
-        )
     return (
-        *left_out,
+        *measurement.bright.left_out,
+        *measurement.dark.left_out,
+        *flicker_in_words(measurement, calibration.flicker),
         *_efficiency(calibration),
+        *_converter(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),
         *_standard_scatter(calibration),
@@ -42,7 +39,8 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *_saturation(calibration),
         *_dark_current(calibration),
         *_linearity_errors(calibration),
-        *_shared(calibration, _shown(calibration, "system_gain")[0]),
+        *_shared(calibration),
+        *_drift(calibration),
         *_pattern(calibration),
         *_solver(calibration),
         *measurement.remarks,
@@ -79,6 +77,25 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
         "not per area or second), or the images were smoothed or interpolated, which lowers the "
         "variance and the gain read off it. No sensor is made from it."
     ]
+
+
+def _converter(calibration: NoiseCalibration) -> list[str]:
+    """What the numbers say of the converter; unequal steps only where they move the read noise."""
+    measurement = calibration.measurement
+    converter = measurement.converter
+    told = converter_in_words(converter, measurement.full_scale)
+    read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
+    if converter.imbalance and read is not None and read.value and read.standard_error:
+        gain = _shown(calibration, "system_gain")[0]
+        more = converter.rounding - replace(converter, imbalance=0.0).rounding
+        moved = more / (2 * gain**2 * read.value)
+        if moved > read.standard_error / 2:
+            told.append(
+                f"Even and odd codes differ by {100 * converter.imbalance:.2g} % in how often they "
+                "occur, as where the converter's steps are unequal; rounding counts as theirs, "
+                f"which lowers read noise by {moved:.2g} e⁻."
+            )
+    return told
 
 
 def _linear_model(calibration: NoiseCalibration) -> str:
@@ -179,8 +196,7 @@ def _light_offset(calibration: NoiseCalibration) -> str:
         )
     bright = np.asarray(data.lit) > 0
     exposure, light = np.asarray(data.exposure)[bright], np.asarray(data.light)[bright]
-    timed = exposure > 0
-    rate = np.median(light[timed] / exposure[timed])
+    rate = np.median(light / exposure)
     late = "" if np.ptp(exposure) == 0 else f", as if the shutter were off by {offset / rate:.2g} s"
     return (
         f"Every exposure gets {format_with_error(abs(offset), error)} photons {way} than recorded "
@@ -245,14 +261,15 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
     window = calibration.chosen.data.window
     if window is not None:
         told.append(
-            f"Black is clipped or read noise is too small to smooth the rounding: at "
-            f"{len(window.levels)} levels the likelihood uses the exact moments of the clipped, "
-            "rounded signal; the standard's figures are biased there and are not to be trusted."
+            "Black is clipped or read noise is too small to smooth the rounding: at "
+            f"{len(np.unique(window.levels))} levels the likelihood uses the exact moments of the "
+            "clipped, rounded signal; the standard's figures are biased there."
         )
-    if float(calibration.measurement.dark.variance.min()) < LEAST_DARK_VARIANCE:
+    least = least_dark_variance(calibration.measurement)
+    if is_floored(calibration.measurement, calibration.within):
         told.append(
-            f"Dark variance is below {LEAST_DARK_VARIANCE} DN², where rounding rules: the "
-            "standard's read noise is an upper bound."
+            f"Dark variance is below {least:.3g} DN², where rounding rules: of dark noise the "
+            "standard gives an upper bound."
         )
     return told
 
@@ -300,14 +317,13 @@ def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
     ]
 
 
-def _shared(calibration: NoiseCalibration, gain: float | None) -> list[str]:
-    """What rows, columns and frames of the darks share, in electrons; in DN where there is no gain
-    to be used."""
+def _shared(calibration: NoiseCalibration) -> list[str]:
+    """What rows and columns of the darks share, in electrons."""
     dark = calibration.measurement.dark
     if dark.shared is None:
         return []
     variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
-    scale, unit = (1.0, "DN") if gain is None else (gain, "e⁻")
+    scale, unit = _shown(calibration, "system_gain")[0], "e⁻"
     told = []
     for axis, name in enumerate(("rows", "columns")):
         found = temporal_lines(dark.shared, variance, frames, axis)
@@ -329,13 +345,20 @@ def _shared(calibration: NoiseCalibration, gain: float | None) -> list[str]:
                 f"{format_with_error(stays.deviation / scale, error / scale)} {unit} rms, the same "
                 "in every frame: banding, part of DSNU."
             )
-    wander = drift(dark.shared, variance, frames)
-    if wander.believed:
-        told.append(
-            f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms; it is "
-            "left out of the temporal noise, and the errors of the levels' means know of it."
-        )
     return told
+
+
+def _drift(calibration: NoiseCalibration) -> list[str]:
+    dark = calibration.measurement.dark
+    if dark.shared is None:
+        return []
+    wander = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
+    if not wander.believed:
+        return []
+    return [
+        f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms; it is "
+        "left out of the temporal noise, and the errors of the levels' means know of it."
+    ]
 
 
 def _with_interval(found: Found) -> str:
@@ -374,7 +397,11 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
 
 def _solver(calibration: NoiseCalibration) -> list[str]:
     chosen = calibration.chosen
-    told = list(identifiability(chosen.space, np.asarray(chosen.solution.information)).sentences)
+    solution = chosen.solution
+    judged = identifiability(
+        chosen.space, np.asarray(solution.information), vector=np.asarray(solution.vector)
+    )
+    told = list(judged.sentences)
     if not bool(chosen.solution.converged):
         told.insert(0, "The likelihood fit did not converge; its figures are not to be used.")
     return [*told, convergence_in_words(calibration.posterior)]

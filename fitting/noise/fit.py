@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxvision.errors import InputError
-from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import ParameterSpace, names, to_unconstrained
@@ -18,17 +17,20 @@ from .levels import PhotonTransfer
 from .misfit import inflation, p_value
 from .model import (
     NoiseData,
+    OffsetData,
     Residuals,
     compressed,
     cost,
     log_likelihood_terms,
     named,
+    predicted_moments,
 )
 from .neighbours import are_known, neighbour_data
 from .quantised import FINEST_READ_NOISE, Window
 from .quantities import (
     DARK_CURRENT,
     OFFSET,
+    OFFSET_SPREAD,
     READ_NOISE,
     RESPONSIVITY,
     SIGNAL_RATE,
@@ -37,7 +39,9 @@ from .quantities import (
 from .shared import shared_noise
 
 START_NOISES = 12  # read noises tried where a likelihood has several optima
-START_SHIFTS = (-0.3, 0.0, 0.3)  # DN, of the black level tried with each
+START_SHIFTS = (-0.3, 0.0, 0.3)  # codes, of the black level tried with each
+START_SPREADS = (0.8, 1.0, 1.3)  # times the observed spread of the offsets, likewise
+FINEST_SPREAD = 1e-3  # DN
 LOG_NONE = -25.0  # logarithm of a scatter that is none
 SCATTER_STARTS = {"light_scatter": 3e-3, "variance_scatter": 5e-3}
 
@@ -93,7 +97,11 @@ class LikelihoodFit:
 
 
 def noise_data(
-    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], *, window: Window | None = None
+    measurement: PhotonTransfer,
+    usable: Int[np.ndarray, " usable"],
+    *,
+    window: Window | None = None,
+    offsets: OffsetData | None = None,
 ) -> NoiseData:
     """Bright levels and all darks in one row.
 
@@ -101,6 +109,7 @@ def noise_data(
         measurement: bright and dark levels.
         usable: indices of the bright levels to use.
         window: of the levels that need exact moments.
+        offsets: of the pixels, where rounding needs to know of them.
 
     Returns:
         The data of a fit.
@@ -111,7 +120,9 @@ def noise_data(
     def row(name: str) -> Array:
         return jnp.concatenate([getattr(bright, name)[index], getattr(dark, name)])
 
-    step = measurement.light_step
+    step, unsteady = measurement.light_step, bright.unsteady
+    if unsteady is not None:
+        unsteady = jnp.concatenate([unsteady[index], jnp.zeros_like(dark.mean)])
     dtype = bright.mean.dtype
     lit = jnp.concatenate([jnp.ones(index.size, dtype), jnp.zeros(dark.mean.size, dtype)])
 
@@ -129,21 +140,29 @@ def noise_data(
         photons_known=measurement.photons_known,
         shared=shared_noise(dark.shared, dark.variance, dark.frames),
         neighbours=neighbour_data(measurement, usable),
+        offsets=offsets,
+        unsteady=unsteady,
+        converter=measurement.converter,
     )
 
 
-def base_space(measurement: PhotonTransfer, within: Ranges) -> ParameterSpace:
+def base_space(
+    measurement: PhotonTransfer, within: Ranges, *, offsets: OffsetData | None = None
+) -> ParameterSpace:
     """The parameters of a linear camera.
 
     Args:
         measurement: whose light is counted in photons or in seconds.
         within: whose number of dark exposures decides on a dark current.
+        offsets: of the pixels, whose spread is then one of them.
 
     Returns:
         The space.
     """
     responsivity = RESPONSIVITY if measurement.photons_known else SIGNAL_RATE
     space = (SYSTEM_GAIN, responsivity, OFFSET, READ_NOISE)
+    if offsets is not None:
+        space = (*space, OFFSET_SPREAD)
     return (*space, DARK_CURRENT) if within.dark_exposures > 2 else space
 
 
@@ -170,6 +189,9 @@ def start_vector(space: ParameterSpace, standard: Sheet, data: NoiseData) -> Flo
         "dark_current": jnp.asarray(0.0, gain.dtype),
         "black_scatter": jnp.std(data.mean, where=dark),
     }
+    if data.offsets is not None:
+        spatial = jnp.mean(data.offsets.spatial, where=dark)
+        starts["offset_spread"] = jnp.sqrt(jnp.maximum(spatial, FINEST_SPREAD**2))
     natural = [
         starts.get(p.name, jnp.asarray(SCATTER_STARTS.get(p.name, 0.0), gain.dtype)) for p in space
     ]
@@ -243,15 +265,20 @@ def _best_start(space: ParameterSpace, data: NoiseData, start: Array) -> Array:
     noise, black = labels.index(READ_NOISE.name), labels.index(OFFSET.name)
     largest = 2 * jnp.sqrt(jnp.max(jnp.where(data.lit == 0, data.variance, 0)))
     shares = jnp.linspace(0, 1, START_NOISES, dtype=start.dtype)
-    log_noise = jnp.log(FINEST_READ_NOISE) * (1 - shares) + jnp.log(largest + 1) * shares
+    step = data.converter.step
+    finest = jnp.log(FINEST_READ_NOISE * step)
+    log_noise = finest * (1 - shares) + jnp.log(largest + step) * shares
     log_gain = start[labels.index(SYSTEM_GAIN.name)]
-    shifts = jnp.asarray(START_SHIFTS, start.dtype)
+    starts = start[None].at[:, noise].set(-log_gain)
 
-    def moved(log_read_noise: Array, shift: Array) -> Array:
-        return start.at[noise].set(log_read_noise - log_gain).at[black].add(shift)
+    def moved(starts: Array, place: int, by: Array) -> Array:
+        return jax.vmap(lambda x: starts.at[:, place].add(x))(by).reshape(-1, start.size)
 
-    starts = jax.vmap(lambda x: jax.vmap(lambda shift: moved(x, shift))(shifts))(log_noise)
-    starts = starts.reshape(-1, start.size)
+    starts = moved(starts, noise, log_noise)
+    starts = moved(starts, black, step * jnp.asarray(START_SHIFTS, start.dtype))
+    if OFFSET_SPREAD.name in labels:
+        factors = jnp.log(jnp.asarray(START_SPREADS, start.dtype))
+        starts = moved(starts, labels.index(OFFSET_SPREAD.name), factors)
     costs = jax.lax.map(lambda vector: cost(vector, (space, data)), starts)
     return starts[jnp.nanargmin(costs)]
 
@@ -307,11 +334,12 @@ def observations(data: NoiseData) -> int:
         data: of a fit.
 
     Returns:
-        A mean and a variance of each level, and the covariances with neighbours of the bright ones
-        where they are known.
+        A mean and a variance of each level, the covariances with neighbours of the bright ones
+        where they are known, and the spread of the pixels of the dark ones where it is fitted.
     """
     of_neighbours = int(jnp.sum(data.lit)) if are_known(data.neighbours) else 0
-    return 2 * data.mean.size + of_neighbours
+    of_offsets = int(jnp.sum(data.lit == 0)) if data.offsets is not None else 0
+    return 2 * data.mean.size + of_neighbours + of_offsets
 
 
 @eqx.filter_jit
@@ -341,10 +369,17 @@ def likelihood_sheet(
     values = named(space, vector)
     gain = values["system_gain"]
     responsivity = values["responsivity" if data.photons_known else "signal_rate"]
-    dark_variance = (gain * values["read_noise"]) ** 2 + QUANTISATION_VARIANCE
+    dark_variance = (gain * values["read_noise"]) ** 2 + data.converter.rounding
     figures = derived_figures(
-        gain, responsivity, dark_variance, saturation, photons_known=data.photons_known
+        *(gain, responsivity, dark_variance, saturation),
+        photons_known=data.photons_known,
+        converter=data.converter,
     )
+    if (
+        data.window is not None
+    ):  # what the darks show, not what reads into a well-dithered converter
+        shown = predicted_moments(values, data, data.light).variance[jnp.argmin(data.lit)]
+        figures["temporal_dark_noise"] = jnp.sqrt(shown)
     if "compression" in values:
         curve = compressed(values, responsivity * data.light, data.top_signal)
         low, high = linearity_errors(data.light, curve, linearity)

@@ -1,34 +1,36 @@
-"""Noise that rows or columns of the flats share and those of the darks do not, as light has it that
-flickers while a shutter rolls: no model of the calibration knows of it, and it passes for light's.
+"""Noise that rows or columns of the flats share beyond those of the darks, as light has it that
+flickers while a shutter rolls. No model knows of it, and in a variance it passes for light's; the
+analysis of variance that finds it takes it out again, row by row, so that the rest is pixels' own.
 """
 
 from dataclasses import replace
 
-import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from ..inference.formatting import format_with_error
-from .calibration import NoiseCalibration
-from .shared import Found, extra_lines
-
-WHY = "the flats share noise that the darks do not have, which passes for light's"
+from .levels import Levels, PhotonTransfer
+from .shared import Found, extra_lines, temporal_lines
 
 
-def extra_in_flats(calibration: NoiseCalibration) -> dict[str, Found]:
-    """Noise that rows or columns share in flats alone.
+def extra_in_flats(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> dict[str, Found]:
+    """Noise that rows or columns share in flats beyond that of the darks.
 
     Args:
-        calibration: of a camera.
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
 
     Returns:
         What is believed, by "rows" and "columns".
     """
-    bright, dark = calibration.measurement.bright, calibration.measurement.dark
+    bright, dark = measurement.bright, measurement.dark
     if bright.shared is None or dark.shared is None:
         return {}
-    usable = calibration.usable
-    lit = jax.tree.map(lambda x: x[usable], replace(bright.shared, shape=None))
-    lit = replace(lit, shape=bright.shared.shape)
+    own = bright.shared
+    lit = replace(own, rows=own.rows[usable], columns=own.columns[usable])
     of_bright = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
     of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
     found = {
@@ -38,21 +40,57 @@ def extra_in_flats(calibration: NoiseCalibration) -> dict[str, Found]:
     return {name: one for name, one in found.items() if one.believed}
 
 
-def flicker_in_words(flicker: dict[str, Found]) -> list[str]:
+def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
+    """The measurement whose flats have no more noise of rows and columns than the darks.
+
+    Args:
+        measurement: bright and dark levels.
+        flicker: as `extra_in_flats` finds it.
+
+    Returns:
+        With what was taken out of each variance, by which the means are less well known.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    if not flicker or bright.shared is None or dark.shared is None:
+        return measurement
+    of_dark = np.asarray(dark.variance), np.asarray(dark.frames)
+    extra = np.zeros((2, bright.mean.size))
+    for axis, (name, own) in enumerate(
+        (("rows", bright.shared.rows), ("columns", bright.shared.columns))
+    ):
+        if name in flicker:
+            unlit = temporal_lines(dark.shared, *of_dark, axis)
+            extra[axis] = np.asarray(own) - (unlit.variance if unlit.believed else 0.0)
+    variance = np.maximum(np.asarray(bright.variance) - extra.sum(axis=0), 0.0)
+    steady: Levels = replace(
+        bright, variance=jnp.asarray(variance), flicker=jnp.asarray(np.maximum(extra, 0.0))
+    )
+    return replace(measurement, bright=steady)
+
+
+def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> list[str]:
     """A sentence for each.
 
     Args:
-        flicker: as `extra_in_flats` finds it.
+        measurement: without the flicker.
+        flicker: that was taken out.
 
     Returns:
         The sentences.
     """
-    return [
-        f"The {name} of a flat share noise of "
-        f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms where it is "
-        "plainest, new in every frame, that the darks do not have: no model here knows of it, and "
-        "where it is part of the variance it passes for light's. Gain, efficiency and what follows "
-        "from them are not given, and no sensor is made: look for a flickering lamp or "
-        "interference, or take darks and flats in the same state of the camera."
-        for name, one in flicker.items()
-    ]
+    told = []
+    bright = measurement.bright
+    for axis, name in enumerate(("rows", "columns")):
+        if name not in flicker or bright.flicker is None:
+            continue
+        one, out = flicker[name], np.asarray(bright.flicker)[axis]
+        share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
+        told.append(
+            f"The {name} of a flat share noise of "
+            f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms where it "
+            f"is plainest, new in every frame, beyond that of the darks: up to {100 * share:.2g} % "
+            f"of a flat's variance, as of a flickering lamp or of interference. It was taken out, "
+            f"{name[:-1]} by {name[:-1]}; gain and efficiency rest on what pixels have of their "
+            "own, and the means of the flats are less well known by it."
+        )
+    return told

@@ -12,9 +12,11 @@ the digital number; exposures are seconds; light is counted in photons per pixel
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..codes import Converter
 from .shared import SharedVariance
 
 FEWEST_PIXELS = 100
@@ -37,6 +39,9 @@ class Levels(eqx.Module):
         spatial_variance: (levels,) measured over the pixels' means, DN^2; None where only sums over
             the pixels are known.
         shared: by rows, columns and whole frames; None where only sums over the pixels are known.
+        flicker: (2, levels) noise of rows and of columns that was taken out of `variance`, DN^2;
+            None where none was.
+        converter: the grid on which the numbers lie.
         covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
             and columns, the variance at (0, 0), DN^2; None where pixels are not known, or not next
             to each other.
@@ -53,6 +58,15 @@ class Levels(eqx.Module):
     shared: SharedVariance | None = None
     covariances: Float[Array, "levels lags lags"] | None = None
     left_out: tuple[str, ...] = eqx.field(static=True, default=())
+    flicker: Float[Array, "2 levels"] | None = None
+    converter: Converter = eqx.field(static=True, default=Converter())
+
+    @property
+    def unsteady(self) -> Float[Array, " levels"] | None:
+        """Variance of a frame's mean by `flicker`, DN^2."""
+        if self.flicker is None or self.shared is None:
+            return None
+        return jnp.sum(self.flicker / self.shared.shape[:, None], axis=0)
 
 
 class PhotonTransfer(eqx.Module):
@@ -75,6 +89,11 @@ class PhotonTransfer(eqx.Module):
     photons_known: bool = eqx.field(static=True, default=True)
     full_scale: float | None = eqx.field(static=True, default=None)
     remarks: tuple[str, ...] = eqx.field(static=True, default=())
+
+    @property
+    def converter(self) -> Converter:
+        """The grid on which the numbers of flats and darks lie."""
+        return self.bright.converter
 
 
 def saturation_index(levels: Levels) -> int | None:

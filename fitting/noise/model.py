@@ -3,7 +3,7 @@
     electrons  mu  = R / K (mu_p + delta) + D t
     signal     x   = K mu
     mean       y   = offset + h(x)
-    variance   s^2 = h'(x)^2 K^2 V(mu) + K^2 sigma_d^2 + 1/12
+    variance   s^2 = h'(x)^2 K^2 V(mu) + K^2 sigma_d^2 + q^2 / 12
     neighbours T   = h'(x)^2 K^2 (mu - V(mu))       sum of the covariances of all others with one
     h(x)           = x (1 - c_1 x / X - c_2 (x / X)^2)
     V(mu)          = mu, or (1 - kappa) C_00(mu)
@@ -11,10 +11,11 @@
 K: DN per electron and R: DN per photon, both at zero signal; the means know R a hundred times
 better than the variances know K, so that these two, unlike K and the efficiency R / K, are hardly
 correlated. mu_p: photons per pixel; t: s. h: a compression behind the gain, X being the brightest
-level's signal. 1/12: rounding, counted once. Read noise enters behind the compression. C_00: of
-charges that repel each other (Astier 2019, `jaxvision.sensor.flat_covariances`), with a_00 = -beta
-K / X, so that beta is the share of the brightest level's variance that is lost, to first order; the
-shape of a is that of the measured covariances. kappa: share of a pixel's signal variance that
+level's signal. q: step of the converter, DN; q^2 / 12: rounding, counted once. Read noise enters
+behind the compression. C_00: of charges that repel each other (Astier 2019,
+`jaxvision.sensor.flat_covariances`), with a_00 = -beta K / X, so that beta is the share of the
+brightest level's variance that is lost, to first order; the shape of a is that of the measured
+covariances. kappa: share of a pixel's signal variance that
 linear mixing with its neighbours takes. Neither loses any of the noise of sums over many pixels.
 
 The observed mean of L frames of n pixels is Normal with variance s^2 / (n L); the observed variance
@@ -24,21 +25,41 @@ which correlates the two by kappa_3 / (n L). Two random effects can join, each w
 light of a level is off by tau_H mu_p, and its black level by tau_0.
 
 An effect that the space does not name is not traced. Where black is clipped or read noise does not
-smooth the rounding (`window`), the named levels take their moments from `quantised_moments`.
+smooth the rounding (`window`), the named levels take their moments from `quantised_moments`. Where
+the offsets of the pixels are seen to differ there, their spread is a parameter, and the spatial
+variance of each dark level, which rounding changes, too, joins the data (`OffsetData`).
 """
+
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxvision.sensor import QUANTISATION_VARIANCE
-
+from ..codes import Converter
 from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
 from .neighbours import NeighbourData, own_variance
 from .quantised import Window, quantised_moments
 from .quantities import RESPONSIVITY, SCATTERS, SIGNAL_RATE
 from .shared import SharedNoise
+
+
+class OffsetData(eqx.Module):
+    """How the pixels of the dark levels differ.
+
+    Attributes:
+        spatial: (levels,) variance of the pixels' means that temporal noise does not explain, DN^2;
+            0 of bright levels.
+        noise: (levels,) its variance by temporal noise, DN^4; 0 of bright levels.
+        darks: how many levels show the same die.
+        pixels: as how many independent ones those of the die count.
+    """
+
+    spatial: Float[Array, " levels"]
+    noise: Float[Array, " levels"]
+    darks: Float[Array, ""]
+    pixels: Float[Array, ""]
 
 
 class NoiseData(eqx.Module):
@@ -58,6 +79,9 @@ class NoiseData(eqx.Module):
         photons_known: whether light is counted in photons.
         shared: noise of rows, columns or frames; None without.
         neighbours: what is known of the pixels around one.
+        offsets: how the pixels of the darks differ; None where rounding makes nothing of it.
+        unsteady: (levels,) variance of a frame's mean by light that flickers, DN^2; None without.
+        converter: the grid on which the numbers lie.
     """
 
     light: Float[Array, " levels"]
@@ -73,22 +97,31 @@ class NoiseData(eqx.Module):
     photons_known: bool = eqx.field(static=True, default=True)
     shared: SharedNoise | None = None
     neighbours: NeighbourData | None = None
+    offsets: OffsetData | None = None
+    unsteady: Float[Array, " levels"] | None = None
+    converter: Converter = eqx.field(static=True, default=Converter())
 
 
 class Moments(eqx.Module):
-    """Cumulants of one pixel's digital number.
+    """Cumulants of one pixel's digital number, averaged over the pixels.
 
     Attributes:
         mean: DN.
         variance: DN^2.
         third: DN^3.
         fourth: DN^4.
+        spatial: variance of the pixels' means, DN^2; None where rounding makes nothing of it.
+        uneven: variance of the pixels' variances, DN^4; likewise.
+        die: (3, 3) as `QuantisedMoments` has it, DN; likewise.
     """
 
     mean: Float[Array, "..."]
     variance: Float[Array, "..."]
     third: Float[Array, "..."]
     fourth: Float[Array, "..."]
+    spatial: Float[Array, "..."] | None = None
+    uneven: Float[Array, "..."] | None = None
+    die: Float[Array, "... 3 3"] | None = None
 
 
 class Residuals(eqx.Module):
@@ -98,11 +131,13 @@ class Residuals(eqx.Module):
         mean: (levels,) of the means.
         variance: (levels,) of the temporal variances.
         neighbours: (levels,) of T, 0 of the darks; None where it is not known.
+        spatial: (levels,) of the pixels' offsets, 0 of bright levels; None without `OffsetData`.
     """
 
     mean: Float[Array, " levels"]
     variance: Float[Array, " levels"]
     neighbours: Float[Array, " levels"] | None = None
+    spatial: Float[Array, " levels"] | None = None
 
 
 def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
@@ -148,7 +183,7 @@ def level_moments(
         mean=values["black_level"] + h,
         variance=step**2 * own_variance(values, data.neighbours, electrons, data.top_signal)
         + (gain * read) ** 2
-        + QUANTISATION_VARIANCE,
+        + data.converter.rounding,
         third=step**3 * electrons,
         fourth=step**4 * electrons,
     )
@@ -221,14 +256,28 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
     electrons = jax.vmap(lambda p, lit, t: expected_electrons(values, data, p, lit, t))(
         light[index], data.lit[index], data.exposure[index]
     )
+    step, origin = data.converter.step, data.converter.origin
+    gain, black = values["system_gain"] / step, (values["black_level"] - origin) / step
+    spread = values["offset_spread"] / step if "offset_spread" in values else None
     exact = jax.vmap(
-        lambda mu, own: quantised_moments(
-            mu, values["system_gain"], values["read_noise"], values["black_level"], own
-        )
+        lambda mu, own: quantised_moments(mu, gain, values["read_noise"], black, own, spread=spread)
     )(electrons, window)
-    return jax.tree.map(
-        lambda all_levels, low: all_levels.at[index].set(low), moments, Moments(*exact)
-    )
+    low = Moments(*(step**power * one for power, one in enumerate(exact[:4], start=1)))
+    low = replace(low, mean=low.mean + origin)
+    if exact.spatial is not None and exact.uneven is not None and exact.die is not None:
+        powers = jnp.asarray([1, 2, 2])
+        of_step = step ** (powers[:, None] + powers[None]).astype(exact.die.dtype)
+        low = replace(
+            low,
+            spatial=step**2 * exact.spatial,
+            uneven=step**4 * exact.uneven,
+            die=of_step[None] * exact.die,
+        )
+        none = jnp.zeros_like(moments.mean)
+        moments = replace(
+            moments, spatial=none, uneven=none, die=jnp.zeros((none.size, 3, 3), none.dtype)
+        )
+    return jax.tree.map(lambda all_levels, own: all_levels.at[index].set(own), moments, low)
 
 
 def log_likelihood_terms(
@@ -267,6 +316,8 @@ def log_likelihood_terms(
     mean_variance = model.variance / (n * frames) + light_mean
     if data.shared is not None:
         mean_variance = mean_variance + data.shared.of_mean / frames
+    if data.unsteady is not None:
+        mean_variance = mean_variance + data.unsteady / frames
     if "black_scatter" in values:
         mean_variance = mean_variance + values["black_scatter"] ** 2
     covariance = model.third / (n * frames) + light_both
@@ -274,6 +325,14 @@ def log_likelihood_terms(
 
     if data.shared is not None:
         spread = spread + data.shared.of_variance / (frames - 1)
+    die = None
+    if data.offsets is not None and model.die is not None and model.uneven is not None:
+        # What the die has in common in all darks counts as new in each, as many times as large.
+        shown = jnp.where(data.lit > 0, 1.0, data.offsets.darks) / data.offsets.pixels
+        die = shown[:, None, None] * model.die
+        mean_variance = mean_variance + die[:, 0, 0]
+        covariance = covariance + die[:, 0, 1]
+        spread = spread + die[:, 1, 1] + 2 * model.uneven / (frames - 1) / n
     if "variance_scatter" in values:
         spread = spread + (values["variance_scatter"] * model.variance) ** 2
     deviation = data.mean - model.mean
@@ -291,6 +350,24 @@ def log_likelihood_terms(
         variance=jnp.sign(excess) * jnp.sqrt(2 * shape * jnp.maximum(deviance, 0)),
     )
     terms = log_normal + log_gamma
+    if data.offsets is not None and die is not None and model.spatial is not None:
+        assert model.uneven is not None  # known where `die` is
+        with_mean = die[:, 0, 2] / mean_variance
+        # Temporal noise that is subtracted from the spatial variance.
+        common = die[:, 1, 2] - 2 * model.variance**2 / (frames * (frames - 1) * n)
+        with_rest = (common - with_mean * covariance) / (spread - slope * covariance)
+        expected_spatial = (
+            model.spatial + with_mean * deviation + with_rest * (data.variance - expected)
+        )
+        of_spatial = data.offsets.noise + die[:, 2, 2]
+        of_spatial = of_spatial + 2 * model.uneven / (frames * (frames - 1)) / n
+        of_spatial = of_spatial - with_mean**2 * mean_variance
+        of_spatial = of_spatial - with_rest**2 * (spread - slope * covariance)
+        dark = data.lit == 0
+        safe = jnp.where(dark, of_spatial, 1.0)
+        missed = jnp.where(dark, data.offsets.spatial - expected_spatial, 0.0) / jnp.sqrt(safe)
+        terms = terms - jnp.where(dark, missed**2 + jnp.log(safe), 0.0) / 2
+        residuals = replace(residuals, spatial=missed)
     around = data.neighbours
     if around is None or around.total is None or around.spread is None:
         return terms, residuals
@@ -298,7 +375,7 @@ def log_likelihood_terms(
     spread = around.spread * (model.variance + covariance) ** 2
     missed = jnp.where(data.lit > 0, around.total - covariance, 0)
     log_covariance = jnp.where(data.lit > 0, -(missed**2 / spread + jnp.log(spread)) / 2, 0)
-    residuals = Residuals(residuals.mean, residuals.variance, missed / jnp.sqrt(spread))
+    residuals = replace(residuals, neighbours=missed / jnp.sqrt(spread))
     return terms + log_covariance, residuals
 
 

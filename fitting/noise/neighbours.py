@@ -146,7 +146,7 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
 
 def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
     """Whether covariances are known and are those of pixels: noise that rows or columns share is a
-    covariance too, larger than that of charges, and not the same in two frames.
+    covariance too, larger than that of charges, and not the same in two frames; so is flicker.
 
     Args:
         measurement: bright and dark levels.
@@ -155,7 +155,7 @@ def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
         True where they can be used.
     """
     bright, dark = measurement.bright, measurement.dark
-    if bright.covariances is None or dark.covariances is None:
+    if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
         return False
     return not believed_lines(dark.shared, dark.variance, dark.frames)
 

@@ -86,6 +86,8 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     measured, temporal, frames = (
         np.asarray(x) for x in (levels.spatial_variance, levels.variance, levels.frames)
     )
+    if levels.flicker is not None:  # an average over few frames keeps a share of it
+        temporal = temporal + np.asarray(levels.flicker).sum(axis=0)
     # Of h rows' noise, a variance over the pixels of a frame has (h - 1) / h.
     common = sum(varying / count for _, varying, count in _lines(levels))
     n, rest = float(levels.pixels), (temporal - common) / frames

@@ -16,12 +16,23 @@ know the clipping but no parameter:
     E[(z - r)^p] = sum_k phi(2 pi k / M) w_p(k),
     w_p(k) = 1/M sinc(k / M) sum_c (max(c, 0) - r)^p exp(-2 pi i k c / M).
 
-No sum over electrons is needed, and light may be bright or dim. The usual moments, a variance of
+No sum over electrons is needed, and light may be bright or dim.
+
+Pixels whose offsets differ meet the grid of codes at different places. Where their offsets are
+Normal with standard deviation s, moments of one pixel become averages over d ~ N(0, s^2) of those
+at offset + d: a trapezoidal sum over J nodes, which for functions as smooth as these is exact. The
+variance of a pixel is averaged given its offset; how its mean varies with the offset is what DSNU
+becomes behind the rounding. The n pixels of a die are a sample of that law: given the mean and the
+spread of their own offsets, averages over them still scatter, by what mean, variance and squared
+deviation of a pixel have that is neither linear nor quadratic in d.
+
+The usual moments, a variance of
 1/12 for rounding, fail where read noise is small and where black is clipped: `window` says whether
 the data can tell.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -30,6 +41,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxvision.errors import InputError
 
+REACHED = 6.0  # standard deviations of the offsets on either side
+WIDEST = 1.0  # codes: of offsets that spread more, all places on the grid are alike
+WIDEST_CLIPPED = 3.0  # the same, where black is clipped, which is no periodic matter
 SPREAD = 8.0  # standard deviations on either side that a window holds
 DECAY = 6.5  # phi is negligible where K sigma_d u exceeds this
 PADDED = 4  # levels of a window come in multiples of it, the last repeated
@@ -48,14 +62,43 @@ class Window(eqx.Module):
             conjugate frequencies are folded in.
         sine: the imaginary part.
         levels: their indices; one may occur more than once.
+        known_spread: (levels,) of the pixels' offsets, beside that which is fitted: codes^2.
+        nodes: (levels, J) places d / s of the offsets; None where all pixels are alike.
         size: M.
+        widest: largest s.
     """
 
     centre: Float[Array, " levels"]
     cosine: Float[Array, "levels orders frequencies"]
     sine: Float[Array, "levels orders frequencies"]
     levels: Int[Array, " levels"]
-    size: int = eqx.field(static=True)
+    known_spread: Float[Array, " levels"]
+    nodes: Float[Array, "levels nodes"] | None = None
+    size: int = eqx.field(static=True, default=0)
+    widest: float = eqx.field(static=True, default=WIDEST)
+
+
+class QuantisedMoments(NamedTuple):
+    """Of one pixel's code, averaged over the pixels.
+
+    Attributes:
+        mean: codes.
+        variance: of a pixel from frame to frame.
+        third: cumulant.
+        fourth: cumulant.
+        spatial: variance of the pixels' means; None where all pixels are alike.
+        uneven: variance of the pixels' variances; likewise.
+        die: (3, 3) covariance over the pixels of mean, variance and squared deviation of the mean,
+            beyond what is linear or quadratic in the offset; likewise.
+    """
+
+    mean: Array
+    variance: Array
+    third: Array
+    fourth: Array
+    spatial: Array | None = None
+    uneven: Array | None = None
+    die: Array | None = None
 
 
 def window_for(
@@ -64,6 +107,9 @@ def window_for(
     *,
     deviation: float,
     read_noise: float,
+    spread: float = 0.0,
+    known_spread: Float[np.ndarray, " levels"] | None = None,
+    widest: float = WIDEST,
 ) -> Window:
     """Weights for levels of given means.
 
@@ -72,6 +118,9 @@ def window_for(
         mean: (levels,) DN.
         deviation: largest standard deviation among them, DN.
         read_noise: about as large, DN.
+        spread: about that of the pixels' offsets, DN; 0 where all are alike.
+        known_spread: (levels,) beside that which is fitted, DN^2; None for none.
+        widest: spread beyond which it does not matter.
 
     Returns:
         The window.
@@ -81,7 +130,9 @@ def window_for(
     """
     again = np.pad(np.arange(len(levels)), (0, -len(levels) % PADDED), mode="edge")
     levels, mean = np.asarray(levels)[again], mean[again]
-    size = 2 ** int(np.ceil(np.log2(2 * SPREAD * max(deviation, 0.5) + 2)))
+    known_spread = np.zeros(len(levels)) if known_spread is None else known_spread[again]
+    reached = min(1.5 * np.hypot(spread, np.sqrt(known_spread.max())), widest)
+    size = 2 ** int(np.ceil(np.log2(2 * SPREAD * max(np.hypot(deviation, reached), 0.5) + 2)))
     finest = max(read_noise / 2, FINEST_READ_NOISE)
     octaves = np.log2(size * DECAY / (2 * np.pi * finest))
     frequencies = int(2 ** (np.ceil(FINER * octaves) / FINER)) + 1
@@ -103,8 +154,20 @@ def window_for(
         jnp.asarray(weights.real),
         jnp.asarray(weights.imag),
         jnp.asarray(levels),
+        jnp.asarray(known_spread),
+        jnp.tile(_nodes(reached, finest), (len(levels), 1)) if reached else None,
         size,
+        widest,
     )
+
+
+def _nodes(spread: float, finest: float) -> Float[Array, " nodes"]:
+    """Places, of offsets of a given spread, that are closer than any harmonic of the rounding that
+    the finest read noise lets through."""
+    harmonics = DECAY / (2 * np.pi * finest)
+    half = REACHED * (spread * 2 * harmonics + 1.2)
+    half = int(2 ** (np.ceil(FINER * np.log2(half)) / FINER))  # of few sizes, as the frequencies
+    return jnp.asarray(np.linspace(-REACHED, REACHED, 2 * half + 1))
 
 
 def quantised_moments(
@@ -113,7 +176,9 @@ def quantised_moments(
     read_noise: Float[Array, ""],
     offset: Float[Array, ""],
     window: Window,
-) -> tuple[Array, Array, Array, Array]:
+    *,
+    spread: Float[Array, ""] | None = None,
+) -> QuantisedMoments:
     """First four cumulants of the digital number at ONE level (vmap it over the window).
 
     Args:
@@ -122,9 +187,10 @@ def quantised_moments(
         read_noise: e- rms.
         offset: DN.
         window: of that level.
+        spread: standard deviation of the pixels' offsets, DN; None where they are alike.
 
     Returns:
-        Mean (DN), variance (DN^2), third and fourth cumulant.
+        The moments.
     """
     frequencies = window.cosine.shape[-1]
     u = 2 * jnp.pi * jnp.arange(frequencies, dtype=gain.dtype) / window.size
@@ -133,8 +199,37 @@ def quantised_moments(
     phase = u * (offset - window.centre) + electrons * jnp.sin(u * gain)
     size = jnp.exp(log_size)
     real, imaginary = size * jnp.cos(phase), size * jnp.sin(phase)
-    first, second, third, fourth = window.cosine @ real - window.sine @ imaginary
+    if window.nodes is None:
+        first, variance, skew, tail = _cumulants(window.cosine @ real - window.sine @ imaginary)
+        return QuantisedMoments(window.centre + first, variance, skew, tail)
+    square = window.known_spread + (0.0 if spread is None else spread**2)
+    width = jnp.sqrt(jnp.minimum(square, window.widest**2))
+    share = jnp.exp(-(window.nodes**2) / 2)
+    share = share / jnp.sum(share)
+    turned = jnp.outer(u, width * window.nodes)
+    cosine, sine = jnp.cos(turned), jnp.sin(turned)
+    real, imaginary = real[None], imaginary[None]
+    of_cosine = window.cosine * real - window.sine * imaginary
+    of_sine = window.cosine * imaginary + window.sine * real
+    each = _cumulants(of_cosine @ cosine - of_sine @ sine)  # (nodes,) each
+    first, variance, skew, tail = (moment @ share for moment in each)
+    away = each[0] - first
+    narrow = away**2 @ share
+    rest = jnp.stack([away, each[1] - variance, away**2 - narrow])
+    linear, quadratic = window.nodes, (window.nodes**2 - 1) / jnp.sqrt(2.0)
+    explained = rest @ jnp.stack([linear * share, quadratic * share], axis=1)
+    die = (rest * share[None]) @ rest.T
+    spatial = narrow + jnp.maximum(square - width**2, 0)
+    return QuantisedMoments(
+        *(window.centre + first, variance, skew, tail, spatial, die[1, 1]),
+        die=die - explained @ explained.T,
+    )
+
+
+def _cumulants(raw: Array) -> tuple[Array, Array, Array, Array]:
+    """From the first four moments, one in each row."""
+    first, second, third, fourth = raw
     variance = second - first**2
     skew = third - 3 * first * second + 2 * first**3
     tail = fourth - 4 * first * third + 6 * first**2 * second - 3 * first**4
-    return window.centre + first, variance, skew, tail - 3 * variance**2
+    return first, variance, skew, tail - 3 * variance**2

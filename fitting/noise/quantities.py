@@ -70,6 +70,7 @@ SIGNAL_RATE = Parameter("signal_rate", symbol="R_t", unit="DN/s", transform="log
 OFFSET = Parameter("black_level", symbol="μ_y.dark", unit="DN")
 READ_NOISE = Parameter("read_noise", symbol="σ_d", unit="e⁻", transform="log")
 DARK_CURRENT = Parameter("dark_current", symbol="μ_I", unit="e⁻/s")
+OFFSET_SPREAD = Parameter("offset_spread", symbol="s_dark", unit="DN", transform="log")
 COMPRESSION = Parameter("compression", symbol="c₁", unit="1")
 COMPRESSION_2 = Parameter("compression_2", symbol="c₂", unit="1")
 BRIGHTER_FATTER = Parameter("brighter_fatter", symbol="β", unit="1")

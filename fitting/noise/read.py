@@ -3,6 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from jaxvision.errors import InputError
 from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
+from ..codes import Codes, Converter
 from ..copies import Copies
 from ..frame_checks import ALONE, Odd, Shown, Stated, odd_frames, odd_heads, refuse_half, shown
 from ..inference.precision import in_double
@@ -29,9 +31,6 @@ from .variance_parts import Moments
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
 SEEN = 3.0  # standard errors by which a level must vary more than its darks
-FEWEST_FOR_BLACK = 6  # levels from which a parabola tells the flats' own black level
-SURE_OF_BLACK = 6.0  # standard errors by which it must differ from the darks
-MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
 
 
@@ -94,15 +93,24 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
             "photons (or irradiance) for every [[flat]], or vary the exposure."
         )
     channel = channel or _first_site(rig.camera)
-    dark = _reduced(rig, darks, channel, load, odd=odd["dark"])
+    codes = Codes()
+    dark = _reduced(rig, darks, channel, load, codes, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
-    bright = _reduced(rig, flats, channel, load, odd=odd["flat"], light=amounts, dark=dark)
+    bright = _reduced(rig, flats, channel, load, codes, odd=odd["flat"], light=amounts, dark=dark)
+    converter = codes.converter()
+    bright, dark = (replace(levels, converter=converter) for levels in (bright, dark))
     if float(bright.pixels) != float(dark.pixels):
         raise InputError(f"{rig.folder}: flats and darks differ in size; crop them alike.")
     if rig.camera.pattern is not None:
         remarks.append(f"Of the {rig.camera.pattern} mosaic the {channel} sites were used.")
     elif len(rig.camera.sites) > 1:
         remarks.append(f"Of the {len(rig.camera.sites)} taps the pixels of {channel} were used.")
+    stated = rig.camera.at(channel).clip_level
+    if converter.clips_at is not None and converter.clips_at < stated - max(converter.step, 1.0):
+        remarks.append(
+            f"No number is above {converter.clips_at:g}, at which pixels pile up: it counts as the "
+            f"end of the scale in place of {stated:g}; correct camera.bits, or give saturation."
+        )
     gap = _gaps(bright, dark)
     if float(gap.min(axis=1).max()) > DARK_MATCH:
         remarks.append(
@@ -115,7 +123,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         dark_of=jnp.argmin(gap, axis=1),
         light_step=jnp.asarray(rounding_step(np.asarray(bright.light)) if all(known) else 0.0),
         photons_known=all(known),
-        full_scale=rig.camera.at(channel).clip_level,
+        full_scale=_full_scale(stated, converter),
         remarks=tuple(remarks),
     )
 
@@ -136,7 +144,16 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     """
     rig, odd, _ = _without_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
-    return _reduced(rig, _pooled(rig.dark), channel, load, odd=odd["dark"])
+    codes = Codes()
+    darks = _reduced(rig, _pooled(rig.dark), channel, load, codes, odd=odd["dark"])
+    return replace(darks, converter=codes.converter())
+
+
+def _full_scale(stated: float, converter: Converter) -> float:
+    """The largest number that the converter gives, as far as the camera or its frames say."""
+    top = stated if converter.clips_at is None else min(stated, converter.clips_at)
+    step, origin = converter.step, converter.origin
+    return origin + step * float(np.floor((top - origin) / step + 1e-6)) if step else top
 
 
 def _first_site(camera: Camera) -> str:
@@ -207,6 +224,7 @@ def _reduced(
     entries: Sequence[Flat] | Sequence[Dark],
     channel: str,
     load: Load,
+    codes: Codes,
     *,
     odd: Sequence[Odd],
     light: Float[np.ndarray, " levels"] | None = None,
@@ -215,7 +233,7 @@ def _reduced(
     """Levels of frames that belong together; `odd` is what was left out before."""
     gone = list(odd)
     count = sum(len(entry.files) for entry in entries)
-    found = [_level(rig, entry.files, channel, load, gone) for entry in entries]
+    found = [_level(rig, entry.files, channel, load, gone, codes) for entry in entries]
     _leave_out_sizes(rig, found, gone)
     shows = [() if level is None else level.shown for level in found]
     times = np.array([entry.exposure for entry in entries])
@@ -294,10 +312,15 @@ def _is_lit(rig: Rig, entry: Flat | Dark) -> bool:
 
 
 def _level(
-    rig: Rig, files: Sequence[str], channel: str, load: Load, odd: list[Odd]
+    rig: Rig,
+    files: Sequence[str],
+    channel: str,
+    load: Load,
+    odd: list[Odd],
+    codes: Codes | None = None,
 ) -> _Level | None:
     """The statistics of a level, None where fewer than two frames are left; what cannot be used is
-    added to `odd`."""
+    added to `odd`, the numbers that occur to `codes`."""
     sums, others = None, {}
     for name in files:
         try:
@@ -307,6 +330,8 @@ def _level(
             odd.append(Odd((name,), f"it cannot be read ({reason})"))
             continue
         frame = _plane(rig, name, channel, stored)
+        if codes is not None:
+            codes.add(frame)
         sums = sums or _Sums(frame, rig.camera.at(channel).clip_level)
         if frame.shape != sums.first.shape:
             others[name] = frame.shape
@@ -478,7 +503,8 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             "noise is seen, from which the gain is read off; give raw frames, neither averaged nor "
             "smoothed, and more light."
         )
-    if (measurement.full_scale or 0) > 255 and float(bright.mean.max()) <= 255:
+    brightest = float(bright.mean.max()) / min(measurement.converter.step or 1.0, 1.0)
+    if (measurement.full_scale or 0) > 255 and brightest <= 255:
         raise InputError(
             f"{file}: no flat exceeds 255 DN, as in 8-bit data; correct camera.bits, or give more "
             "light."
@@ -489,46 +515,6 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             f"{file}: {len(usable)} levels of light lie below 95 % of saturation; at least "
             f"{FEWEST_LEVELS} are needed, so add flats at lower light."
         )
-    _refuse_other_black(file, measurement, usable)
-
-
-def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
-    """Refuses darks whose black level is not that of the flats: where these have no signal, by
-    their variance and by their light alike."""
-    bright, dark = measurement.bright, measurement.dark
-    levels = usable[np.asarray(bright.light)[usable] > 0]
-    if len(levels) < FEWEST_FOR_BLACK:
-        return
-    mean, variance, light, frames = (
-        np.asarray(x)[levels] for x in (bright.mean, bright.variance, bright.light, bright.frames)
-    )
-    there = np.asarray(measurement.dark_of)[levels]
-    black, noise = float(np.mean(dark.mean[there])), float(np.mean(dark.variance[there]))
-    errors = variance * np.sqrt(2 / (float(bright.pixels) * (frames - 1)))
-    by_variance, slope, error = _at_zero(mean, variance - noise, errors)
-    by_variance, error = -by_variance / slope, np.hypot(error, noise) / abs(slope)
-    by_light, _, light_error = _at_zero(light, mean, np.sqrt(variance))
-    off = np.array([by_variance, by_light]) - black
-    signal = float(mean.min() - by_variance)
-    sure = np.all(np.abs(off) > SURE_OF_BLACK * np.array([error, light_error]))
-    alike = abs(off[0] - off[1]) < 0.5 * np.abs(off).min()
-    if sure and alike and np.abs(off).min() > MOST_OFF_BLACK * abs(signal):
-        raise InputError(
-            f"{file}: without light the flats would read {by_variance:.4g} DN by their variance "
-            f"and {by_light:.4g} DN by their light, but the darks read {black:.4g} DN; give flats "
-            "and darks with the same offset, none of them subtracted."
-        )
-
-
-def _at_zero(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
-    """Value and slope at zero of a parabola, and the error of the value, by how y scatters."""
-    design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
-    scale = np.sqrt(np.sum(design**2, axis=0))
-    found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)
-    covariance = np.linalg.pinv((design / scale).T @ (design / scale))
-    misfit = max(float(rest[0]) / (len(x) - 3), 1.0) if rest.size else 1.0
-    value, slope, _ = found / scale
-    return float(value), float(slope), float(np.sqrt(covariance[0, 0] * misfit) / scale[0])
 
 
 def _most_shot_noise(measurement: PhotonTransfer) -> float:

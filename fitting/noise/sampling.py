@@ -41,6 +41,8 @@ def sampling_errors(
     n, frames = levels.pixels, levels.frames
     mean = levels.variance / (n * frames)
     variance = (2 * levels.variance**2 / (frames - 1) + gain**2 * shot / frames) / n
+    if levels.unsteady is not None:
+        mean = mean + levels.unsteady / frames
     if shared is not None:
         mean = mean + shared.of_mean / frames
         variance = variance + shared.of_variance / (frames - 1)

@@ -11,15 +11,25 @@ from ..report.left_out import left_out_tables
 from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
+from .emva1288 import is_floored, least_dark_variance
 from .figures import noise_pictures
 from .findings import findings, is_impossible
-from .flicker import WHY, extra_in_flats
 from .parts import deviation_quantiles
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
 
-KIND, TITLE, DARK_NOISE = "noise", "Camera noise by photon transfer", "temporal_dark_noise"
+# What dark noise enters, and whether its upper bound is one of theirs.
+FROM_DARK_NOISE = {
+    "temporal_dark_noise": True,
+    "read_noise": True,
+    "threshold_photons": True,
+    "threshold_electrons": True,
+    "dynamic_range": False,
+    "dynamic_range_db": False,
+    "usable_bits": False,
+}
+KIND, TITLE = "noise", "Camera noise by photon transfer"
 
 
 def section(calibration: NoiseCalibration) -> Section:
@@ -31,8 +41,6 @@ def section(calibration: NoiseCalibration) -> Section:
     Returns:
         Estimates by both methods, findings, tables and pictures.
     """
-    if extra_in_flats(calibration):
-        return _of_darks_alone(calibration)
     chosen = calibration.chosen
     return Section(
         kind=KIND,
@@ -63,27 +71,6 @@ def section(calibration: NoiseCalibration) -> Section:
     )
 
 
-def _of_darks_alone(calibration: NoiseCalibration) -> Section:
-    """What is left where light flickers: no model of flats and darks together is right."""
-    known = [one for one in _sheet_estimates(calibration) if one.method == STANDARD]
-    declined = [quantity for quantity in QUANTITIES if quantity.name != DARK_NOISE]
-    return Section(
-        kind=KIND,
-        title=TITLE,
-        estimates=(
-            *(one for one in known if one.name == DARK_NOISE),
-            *(not_determined(quantity, WHY) for quantity in declined),
-        ),
-        findings=findings(calibration),
-        about=_operating_point(calibration),
-        headings=HEADINGS,
-        settings={
-            "dark levels": calibration.measurement.dark.mean.size,
-            "pixels": int(calibration.measurement.bright.pixels),
-        },
-    )
-
-
 def _operating_point(calibration: NoiseCalibration) -> str:
     """What the standard asks to be said with every sheet."""
     measurement = calibration.measurement
@@ -102,6 +89,7 @@ def _operating_point(calibration: NoiseCalibration) -> str:
 def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
     """The sheet line by line, both methods, then the likelihood's own parameters."""
     by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
+    floored = is_floored(calibration.measurement, calibration.within)
     values, errors = calibration.standard.values, calibration.standard.errors
     listed: list[Estimate] = []
     for quantity in QUANTITIES:
@@ -111,7 +99,11 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
             continue
         if name in values:
             value, error = float(values[name]), float(errors[name])
-            listed.append(sheet_estimate(quantity, value, error, STANDARD))
+            if floored and name in FROM_DARK_NOISE:
+                reason = _bound(calibration, quantity, value)
+                listed.append(not_determined(quantity, reason, method=STANDARD))
+            else:
+                listed.append(sheet_estimate(quantity, value, error, STANDARD))
         if name in by_likelihood:
             listed.append(by_likelihood[name])
         missing = _missing_method(name, name in values, name in by_likelihood)
@@ -120,6 +112,16 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
             listed.append(not_determined(quantity, reason, method=missing))
     own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
     return (*listed, *(replace(found, method=LIKELIHOOD) for found in own))
+
+
+def _bound(calibration: NoiseCalibration, quantity: Quantity, value: float) -> str:
+    """What the standard's floor of dark noise says of a figure."""
+    side = "below" if FROM_DARK_NOISE[quantity.name] else "above"
+    floor = np.sqrt(least_dark_variance(calibration.measurement))
+    return (
+        f"{side} {value:.3g} {quantity.unit}: dark noise is under the standard's floor of "
+        f"{floor:.2g} DN, where rounding rules"
+    )
 
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:

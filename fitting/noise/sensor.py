@@ -23,7 +23,8 @@ def fitted_sensor(calibration: NoiseCalibration) -> tuple[Sensor, Sensor]:
     Gain and efficiency are those at zero signal: a compression of the chosen model has no place in
     a `Sensor`, and so has a mixing of pixels. Patterns and the shape of the kernel by which charges
     repel each other are the best fit's in every draw. Exposure is the median of the flats', so
-    that light is a rate, photons per pixel and second.
+    that light is a rate, photons per pixel and second. Where the numbers of the frames are
+    multiples of a step, as left-aligned ones are, the sensor gives the converter's own codes.
 
     Args:
         calibration: of the camera, with an efficiency of at most 1.
@@ -48,6 +49,9 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
     """
     best, draws = fitted_sensor(calibration)
     about = "Fitted by photon transfer; light is photons per pixel and second."
+    converter = calibration.measurement.converter
+    if converter.step not in (0.0, 1.0):
+        about += f" Its codes are the file's numbers divided by {converter.step:.5g}."
     write_sensor(best, path, draws=draws, about=about)
 
 
@@ -60,6 +64,9 @@ def _sensor(
     values = dict(zip(names(space), natural, strict=True))
     gain, measurement = values["system_gain"], calibration.measurement
     photons, scale = measurement.photons_known, measurement.full_scale
+    step, origin = measurement.converter.step or 1.0, measurement.converter.origin
+    if not measurement.converter.step:
+        scale = None
     dark_noise, response = _patterns(calibration)
     return Sensor(
         shot_noise=PoissonShotNoise(),
@@ -68,11 +75,11 @@ def _sensor(
         quantum_efficiency=values["responsivity"] / gain if photons else None,
         read_noise=values["read_noise"],
         dark_current=jnp.maximum(values["dark_current"], 0) if "dark_current" in values else None,
-        gain=gain,
-        offset=values["black_level"],
+        gain=gain / step,
+        offset=(values["black_level"] - origin) / step,
         dsnu=dark_noise,
         prnu=response,
-        bits=None if scale is None else float(np.log2(scale + 1)),
+        bits=None if scale is None else float(np.log2((scale - origin) / step + 1)),
     )
 
 

@@ -14,21 +14,26 @@ codes; and clipped at m below the mean, with z = m / s, phi and Q the normal den
 Both are shifts that all frames have for certain (`inference.left_out`).
 """
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import ndtr
 
-from jaxvision.sensor import QUANTISATION_VARIANCE
-
 from ..inference.left_out import LeftOut, negligible
 from .fit import noise_data
 from .levels import PhotonTransfer
-from .quantised import Window, window_for
+from .model import OffsetData
+from .parts import sampling_variance
+from .pattern import fitted_pattern, pattern_variance
+from .quantised import WIDEST, WIDEST_CLIPPED, Window, window_for
+from .shared import drift
 
+ROUNDING = 1 / 12  # variance of numbers rounded to whole ones
 NAME = "exact rounding and clipping"
 HARMONICS = np.arange(1, 9)
 NEAR_BLACK = 4.5  # standard deviations above 0 DN within which clipping changes the moments
-AFFECTED_DEVIATION = 1.0  # DN; levels noisier than this see rounding as 1/12 in any case
+BETWEEN = 0.25  # of rounding where a signal lies between two codes
+AFFECTED_DEVIATION = 1.0  # codes; levels noisier than this see rounding as 1/12 in any case
 
 
 def usual_moments_error(
@@ -40,19 +45,19 @@ def usual_moments_error(
     """By how much the usual moments miss those of the rounded, clipped signal at most.
 
     Args:
-        mean: (levels,) DN.
-        variance: (levels,) temporal, DN^2.
+        mean: (levels,) codes.
+        variance: (levels,) temporal, codes^2.
         frames: (levels,) of each level.
         pixels: of a frame.
 
     Returns:
         The bound, over all levels.
     """
-    own = np.maximum(variance - QUANTISATION_VARIANCE, 0)
+    own = np.maximum(variance - ROUNDING, 0)
     decay = np.exp(-2 * np.pi**2 * HARMONICS**2 * own[:, None])
     of_mean = (decay / (np.pi * HARMONICS)).sum(1)
     of_variance = 4 * ((own[:, None] + 1 / (2 * np.pi * HARMONICS) ** 2) * decay).sum(1)
-    total = np.maximum(variance, QUANTISATION_VARIANCE)
+    total = np.maximum(variance, ROUNDING)
     deviation, above = np.sqrt(total), np.maximum(mean, 0)
     z = above / deviation
     tail, density = ndtr(-z), np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
@@ -74,8 +79,11 @@ def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
     Returns:
         The bound, over all levels of a fit.
     """
-    data = noise_data(measurement, usable)
+    data, converter = noise_data(measurement, usable), measurement.converter
+    if not converter.step:
+        return LeftOut(NAME, None, 0.0)
     mean, variance, frames = (np.asarray(x) for x in (data.mean, data.variance, data.frames))
+    mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
     return usual_moments_error(mean, variance, frames, float(data.pixels))
 
 
@@ -106,13 +114,72 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
     Returns:
         The window.
     """
-    data = noise_data(measurement, usable)
+    data, converter = noise_data(measurement, usable), measurement.converter
     mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
+    mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
     deviation, dark = np.sqrt(variance), lit == 0
     near_black = mean < NEAR_BLACK * deviation
     affected = near_black | (deviation < AFFECTED_DEVIATION) | dark
     # Clipping hides up to half of a deviation.
     widest = (2 if near_black[dark].any() else 1.2) * float(deviation[affected].max())
-    read_noise = float(np.sqrt(max(variance[dark].max() - QUANTISATION_VARIANCE, 0)))
+    # Between two codes even a noise of nothing has a variance of 1 / 4.
+    least = variance[dark].max() - ROUNDING
+    read_noise = float(np.sqrt(least)) if least > BETWEEN else 0.0
     levels = np.flatnonzero(affected)
-    return window_for(levels, mean[levels], deviation=widest, read_noise=read_noise)
+    offsets = offset_data(measurement, usable)
+    spread, known = 0.0, None
+    if offsets is not None:
+        spread = float(np.sqrt(np.max(np.asarray(offsets.spatial)))) / converter.step
+        known = _known_spread(measurement, usable, mean, lit)[levels] / converter.step**2
+    return window_for(
+        levels,
+        mean[levels],
+        deviation=widest,
+        read_noise=read_noise,
+        spread=spread,
+        known_spread=known,
+        widest=WIDEST_CLIPPED if near_black[dark].any() else WIDEST,
+    )
+
+
+def offset_data(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> OffsetData | None:
+    """How the pixels of the darks differ.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The data; None where only sums over the pixels are known, or temporal noise hides it.
+    """
+    dark = measurement.dark
+    if dark.spatial_variance is None or measurement.bright.spatial_variance is None:
+        return None
+    offsets = fitted_pattern(measurement, usable).dark
+    if not offsets.seen:
+        return None
+    spatial, noise = pattern_variance(dark)
+    unlit = np.zeros(len(usable))
+    return OffsetData(
+        spatial=jnp.asarray(np.concatenate([unlit, spatial])),
+        noise=jnp.asarray(np.concatenate([unlit, noise])),
+        darks=jnp.asarray(float(len(spatial))),
+        pixels=jnp.asarray(2 * offsets.variance**2 / sampling_variance(offsets.parts)),
+    )
+
+
+def _known_spread(
+    measurement: PhotonTransfer, usable: np.ndarray, mean: np.ndarray, lit: np.ndarray
+) -> np.ndarray:
+    """What else moves pixels against the grid: gains of their own, in proportion to the signal, and
+    a black level that drifts from frame to frame, DN^2."""
+    dark = measurement.dark
+    response = fitted_pattern(measurement, usable).response
+    signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)
+    found = lit * signal**2 * (response.variance if response.seen else 0.0)
+    if dark.shared is not None:
+        wander = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
+        found = found + (wander.variance if wander.believed else 0.0)
+    return found

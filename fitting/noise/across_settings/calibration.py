@@ -14,7 +14,6 @@ from ...inference.posterior import Posterior
 from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration, calibrate
-from ..flicker import WHY, extra_in_flats
 from ..levels import Levels, PhotonTransfer
 from ..settings import Setting
 from .fit import SharedFit, fitted
@@ -105,9 +104,7 @@ def calibrate_settings(
         calibrations=tuple(calibrations),
         fit=fit,
         posterior=laplace_where_it_holds(
-            *(log_density, fit.space, fit.solution.vector, fit.covariance, args),
-            seed=seed,
-            by_chain=False,
+            log_density, fit.space, fit.solution.vector, fit.covariance, args, seed=seed
         ),
         full_well=full_well(calibrations),
         dsnu=pattern(calibrations, gains, "dsnu"),
@@ -145,8 +142,6 @@ def _kept(
     for one, own in zip(frames, calibrations, strict=True):
         if isinstance(own, InputError):
             why[one.setting.label] = str(own)
-        elif own is not None and extra_in_flats(own):
-            why[one.setting.label] = f"{WHY}."
     flats = [one for one in frames if isinstance(one.frames, PhotonTransfer)]
     lost = {one.setting.gain for one in flats}
     lost -= {one.setting.gain for one in flats if one.setting.label not in why}

@@ -17,11 +17,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxvision.errors import InputError
-from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ...inference.diagnostics import OPEN
 from ...inference.parameters import names
-from ..calibration import NoiseCalibration
+from ..calibration import NoiseCalibration, finest_read_noise
 from ..levels import Levels, PhotonTransfer
 from ..misfit import inflation
 from ..settings import Setting
@@ -75,7 +74,10 @@ def told_by_calibration(calibration: NoiseCalibration) -> Told:
     labels = names(posterior.space)
     deviation = dict(zip(labels, np.sqrt(np.diagonal(posterior.covariance)), strict=True))
     present = [name for name in FROM_BOTH if name in labels]
-    if deviation["read_noise"] > OPEN:
+    too_fine = float(calibration.chosen.values["read_noise"]) < finest_read_noise(
+        calibration.chosen
+    )
+    if deviation["read_noise"] > OPEN or too_fine:
         present.remove("read_noise")
     index = [labels.index(name) for name in present]
     return Told(
@@ -117,7 +119,7 @@ def told_by_darks(setting: Setting, darks: Levels) -> Told:
     covariance = np.zeros((3, 3))
     covariance[0, 0] = means[1, 1]
     covariance[1:, 1:] = variances
-    values = np.array([rate, fitted[0] - QUANTISATION_VARIANCE, fitted[1]])
+    values = np.array([rate, fitted[0] - darks.converter.rounding, fitted[1]])
     return Told(FROM_DARKS, values, covariance)
 
 
