@@ -14,7 +14,8 @@ import numpy as np
 
 from ._netpbm_files import NETPBM_FORMATS, netpbm_head
 from ._png_chunks import png_chunks
-from ._tiff_tags import COLOUR_MAP, PALETTE, PHOTOMETRIC, tiff_pictures
+from ._targa_head import targa_bits
+from ._tiff_tags import BITS, COLOUR_MAP, PALETTE, PHOTOMETRIC, tiff_pictures
 from .errors import InputError, check_utf8
 from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
@@ -126,7 +127,9 @@ def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
     if pages and pages[0].first(PHOTOMETRIC) == PALETTE:
         colours = np.array(pages[0].values.get(COLOUR_MAP, (1,)))
         return 8 if not (colours % 257).any() or not (colours % 256).any() else 16
-    return min(said.get("tiff:BitsPerSample") or said.get("oiio:BitsPerSample") or whole, whole)
+    if pages:
+        return min(pages[0].first(BITS, whole), whole)
+    return targa_bits(file) if "targa:version" in said else whole
 
 
 def _of_raw(file: Path) -> ImageSettings:

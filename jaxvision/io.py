@@ -30,11 +30,12 @@ from ._netpbm_files import NETPBM_FORMATS, read_netpbm
 from ._png_chunks import PALETTE as PNG_PALETTE
 from ._png_chunks import PngChunks, png_chunks
 from ._radiance_files import is_radiance, read_radiance
+from ._targa_head import targa_bits
 from ._tiff_tags import (
     BITS,
     COLOUR_MAP,
     INKS,
-    LABS,
+    LIGHT,
     PALETTE,
     PHOTOMETRIC,
     WHITE_IS_ZERO,
@@ -325,8 +326,12 @@ def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> 
     photometric = page.first(PHOTOMETRIC, 1) if page else 1
     if inks or photometric == INKS:
         raise InputError(f"{file}: holds amounts of ink (CMYK), not light; convert it to RGB.")
-    if photometric in LABS:
-        raise InputError(f"{file}: holds CIE Lab, not light; convert it to RGB.")
+    if photometric not in LIGHT:
+        raise InputError(
+            f"{file}: holds CIE Lab or other colours ({photometric}), not light; convert it to RGB."
+        )
+    if spec.get_int_attribute("bmp:bitsperpixel") == 16:
+        raise InputError(f"{file}: holds colours of 5 and 6 bits; export it as PNG or TIFF.")
     if spec.deep:
         raise InputError(f"{file}: holds several depths a pixel; flatten it.")
     if spec.depth > 1:
@@ -400,8 +405,8 @@ def _undone(
         bits = 8 if chunks.colour_type == PNG_PALETTE else chunks.depth
     elif page:
         bits = page.first(BITS, full)
-    elif spec.get_int_attribute("oiio:BitsPerSample"):
-        bits = spec.get_int_attribute("oiio:BitsPerSample")
+    elif spec.get_int_attribute("targa:version"):
+        bits = targa_bits(file)
     if bits < full:
         pixels = pixels >> (full - bits)  # the last bits repeat the first, or nearly so
     if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO and full == 16:

@@ -281,6 +281,23 @@ def test_tga_from_any_corner(tmp_path, corner):
     np.testing.assert_array_equal(read_image(tmp_path / "a.tga"), picture)
 
 
+@pytest.mark.parametrize(("depth", "size"), [(16, 2), (24, 3)])
+@pytest.mark.parametrize("palette", [False, True])
+def test_colours_of_a_tga_have_the_bits_of_the_file(tmp_path, palette, depth, size):
+    """5 bits a colour in 16, blue first, and 8 in 24; of pixels or of a palette."""
+    colours = np.array([[0, 1, 2], [31, 0, 7], [4, 31, 31], [9, 8, 30]])  # R, G, B
+    if depth == 16:
+        stored = (colours @ [1 << 10, 1 << 5, 1]).astype("<u2").tobytes()
+    else:
+        stored = colours[:, ::-1].astype("u1").tobytes()
+    kind, mapped = (1, (1, 0, 4, depth)) if palette else (2, (0, 0, 0, 0))
+    head = struct.pack("<BBBHHB", 0, mapped[0], kind, *mapped[1:])
+    head += struct.pack("<HHHHBB", 0, 0, 4, 1, 8 if palette else depth, 0x20)
+    (tmp_path / "a.tga").write_bytes(head + stored + (bytes(range(4)) if palette else b""))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tga")[0], colours)
+    assert read_settings(tmp_path / "a.tga").bits == (5 if depth == 16 else 8)
+
+
 def test_a_folder_of_pgm_makes_a_rig(tmp_path):
     for i in (1, 2, 4, 8):
         codes = np.full((4, 4), 400 * i, ">u2")
