@@ -493,4 +493,5 @@ def test_bands_allow_for_a_ripple_of_exposures_three_stops_apart():
     judged = curve.seen & (curve.codes >= 20) & (curve.codes <= 235)
     assert np.mean(np.abs(gap[judged]) <= curve.half_width[judged] + 1e-9) > 0.95
     assert ripple(three, curve.smoothness) > 0.03
-    assert ripple(four, curve.smoothness) == ripple(three, 1e6) == 0
+    assert ripple(four, curve.smoothness) == 0
+    assert ripple(three, 1e6) < 5e-4

@@ -112,6 +112,8 @@ def _calibrate(
             clip=plane.clip,
             layout=layout,
             least_error=max(STEADIEST, plane.exposure_sd),
+            step=stack.step,
+            origin=stack.origin,
         )
 
     visible = clear_of_clipping(plane.codes, plane.clip, hidden=False)
@@ -158,15 +160,18 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
 
     Returns:
         float32, relative: (h, w, 3) for colour, (h / 2, w / 2, 3) for a mosaic (its greens
-        averaged), (h, w) for grey. A colour that could not be calibrated is NaN.
+        averaged), (h, w) for grey. A colour that could not be calibrated is NaN. Pixels of several
+        taps stand side by side, each tap scaled to the first of its colour.
     """
     images = {}
     for group in dict.fromkeys(channel.plane.group for channel in calibration.channels):
-        maps = {
-            channel.plane.channel: channel.radiance.radiance
-            for channel in calibration.channels
-            if channel.plane.group == group
-        }
+        of_colour: dict[str, list[ChannelResponse]] = {}
+        for channel in calibration.channels:
+            if channel.plane.group == group:
+                name = channel.plane.channel.partition("tap ")[0].strip() or "grey"
+                of_colour.setdefault(name, []).append(channel)
+        names = tuple(of_colour)
+        maps = dict(zip(names, alike([_side_by_side(of_colour[n]) for n in names]), strict=True))
         greens = [maps[site] for site in ("green 1", "green 2") if site in maps]
         if greens:
             maps["green"] = np.mean(greens, axis=0)
@@ -177,3 +182,52 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
             colours = [maps.get(colour, absent) for colour in ("red", "green", "blue")]
             images[group] = np.stack(colours, axis=-1)
     return images
+
+
+def alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Planes cut to the size of the smallest: the sites of a frame of odd size differ by a row or a
+    column."""
+    rows, columns = (min(plane.shape[axis] for plane in planes) for axis in (0, 1))
+    return [plane[:rows, :columns] for plane in planes]
+
+
+def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
+    """One map of the taps of a colour. Their exposures are relative to mid-scale of each, so that
+    neighbours tell how they compare."""
+    first = taps[0]
+    if len(taps) == 1:
+        return first.radiance.radiance
+    (down, across), shape = first.plane.step, [0, 0]
+    for tap in taps:
+        for axis, size in enumerate(tap.radiance.radiance.shape):
+            last = tap.plane.start[axis] + tap.plane.step[axis] * (size - 1) + 1
+            shape[axis] = max(shape[axis], last)
+    whole = np.full(shape, np.nan, np.float32)
+    reference = min(taps, key=lambda tap: tap.plane.start)
+    for tap in taps:
+        row, column = tap.plane.start
+        ahead = (
+            (row - reference.plane.start[0]) / down,
+            (column - reference.plane.start[1]) / across,
+        )
+        one, other = alike([_further(_log_radiance(reference), *ahead), _log_radiance(tap)])
+        known = np.isfinite(one - other)
+        ratio = np.exp(np.median((one - other)[known])) if known.any() else np.nan
+        whole[row::down, column::across] = tap.radiance.radiance * np.float32(ratio)
+    return whole
+
+
+def _log_radiance(channel: ChannelResponse) -> np.ndarray:
+    """NaN where no exposure tells it."""
+    found = channel.radiance
+    known = (found.coverage > 0) & (found.radiance > 0)
+    return np.log(np.where(known, found.radiance, np.nan))
+
+
+def _further(values: np.ndarray, rows: float, columns: float) -> np.ndarray:
+    """Values of places a part of a pixel further, by linear interpolation; 0 to 1 each."""
+    for axis, part in ((0, rows), (1, columns)):
+        if part > 0:
+            one, next_one = np.moveaxis(values, axis, 0)[:-1], np.moveaxis(values, axis, 0)[1:]
+            values = np.moveaxis((1 - part) * one + part * next_one, 0, axis)
+    return values

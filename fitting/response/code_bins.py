@@ -13,7 +13,7 @@ class CodeBins:
     """Intervals of codes.
 
     Attributes:
-        edges: DN, ascending, half-integers.
+        edges: DN, ascending, halfway between codes.
         lookup: (codes,) bin of every code; -1 where it is at or below black or clipped.
         black: DN without light.
     """
@@ -56,7 +56,15 @@ class CodeBins:
         return int(np.searchsorted(self.centres, (self.black + self.edges[-1]) / 2))
 
 
-def code_bins(bits: int, black: float, clip: float, *, count: int = MAX_BINS) -> CodeBins:
+def code_bins(
+    bits: int,
+    black: float,
+    clip: float,
+    *,
+    count: int = MAX_BINS,
+    step: int = 1,
+    origin: int = 0,
+) -> CodeBins:
     """Bins of codes: one per code up to a number; beyond, bins of equal width in sqrt(DN - black),
     which follow shot noise.
 
@@ -65,19 +73,23 @@ def code_bins(bits: int, black: float, clip: float, *, count: int = MAX_BINS) ->
         black: DN without light.
         clip: DN from which a code is saturated.
         count: most bins.
+        step: DN between neighbouring codes: 16 of 12 bits at the upper end of 16.
+        origin: DN of a code, less than a step.
 
     Returns:
         The bins.
     """
-    first, last = int(np.floor(black)) + 1, min(int(np.ceil(clip)), 2**bits - 1) - 1
+    first = int(np.floor((black - origin) / step)) + 1
+    last = min(int(np.ceil((clip - origin) / step)), (2**bits - 1 - origin) // step) - 1
     if last - first + 1 <= count:
         starts = np.arange(first, last + 2)
     else:
         even = np.linspace(0, np.sqrt(last + 1 - first), count + 1)
         starts = np.unique(np.round(first + even**2).astype(int))
-    lookup = np.searchsorted(starts, np.arange(2**bits), side="right") - 1
-    lookup[starts[-1] :] = -1
-    return CodeBins(starts - 0.5, lookup.astype(np.int32), black)
+    edges = origin + (starts - 0.5) * step
+    lookup = np.searchsorted(edges, np.arange(2**bits), side="right") - 1
+    lookup[int(np.ceil(edges[-1])) :] = -1
+    return CodeBins(edges, lookup.astype(np.int32), black)
 
 
 def interval_variance(means: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:

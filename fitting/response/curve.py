@@ -57,7 +57,7 @@ SIGNIFICANCE = 0.95  # of the chi-square test for a shutter error
 UNCORRECTED = 0.05  # of the variance of ln X, the bias that the score may leave
 SAME = 1e-3  # step of ln t below which two exposures are one
 RIPPLE = 0.055  # of g, for each unit of ln t by which a step between exposures exceeds `APART`
-BENT = 100.0  # smoothness below which a ripple may hide: a third of the median of measured curves
+BENT = 100.0  # smoothness up to which a ripple is as large: a third of the median of measured ones
 FALLS = 0.5  # in ln X, of a curve that has gone astray
 DOUBTFUL = 0.5  # of the relative variance, the error of the slope that its correction may be
 
@@ -152,7 +152,7 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
     """Standard deviation of a ripple of g that no pixel tells from the curve, in ln X.
 
     The size is what simulated stacks of S-shaped and sRGB responses are off by: .01 at 2 1/4 stops,
-    .038 at three.
+    .038 at three. A smoother curve leaves less room, as its prior allows: 1 / sqrt(smoothness).
 
     Args:
         exposures: (exposures,) s.
@@ -163,9 +163,10 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
     """
     steps = np.diff(np.unique(np.log(exposures)))
     steps = steps[steps > SAME]
-    if smoothness >= BENT or not steps.size:
+    if not steps.size:
         return 0.0
-    return RIPPLE * max(float(steps.min()) - APART, 0.0)
+    room = min(1.0, float(np.sqrt(BENT / smoothness)))
+    return RIPPLE * max(float(steps.min()) - APART, 0.0) * room
 
 
 def fit_response_curve(
@@ -179,6 +180,8 @@ def fit_response_curve(
     least_error: float = STEADIEST,
     most_bins: int = MAX_BINS,
     rounds: int = MOST_ROUNDS,
+    step: int = 1,
+    origin: int = 0,
 ) -> ResponseCurve:
     """The response curve of one channel.
 
@@ -193,6 +196,8 @@ def fit_response_curve(
         least_error: lowest error of ln t that is believed of the shutter.
         most_bins: at most so many intervals of codes.
         rounds: how often the curve is solved for at most, smoothness and shutter errors between.
+        step: DN between neighbouring codes.
+        origin: DN of a code, less than a step.
 
     Returns:
         The curve.
@@ -203,8 +208,8 @@ def fit_response_curve(
             rising curve.
     """
     clip = 2.0**bits - 1 if clip is None else clip
-    bins = code_bins(bits, black, clip, count=most_bins)
-    coarse = code_bins(bits, black, clip, count=PILOT_BINS)
+    bins = code_bins(bits, black, clip, count=most_bins, step=step, origin=origin)
+    coarse = code_bins(bits, black, clip, count=PILOT_BINS, step=step, origin=origin)
     linked = _well_exposed(codes, bins)
     if linked.sum() < max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1]):
         raise InputError(

@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from jaxvision.point_ops import srgb_encode
 
 from ..inference.formatting import format_value
-from ..report.colours import OF_CHANNEL
-from .calibration import ChannelResponse, ResponseCalibration, radiance_images
-from .findings import DRAWN, PURE, largest_departure
+from ..report.colours import colour_of
+from .calibration import ChannelResponse, ResponseCalibration, alike, radiance_images
+from .findings import DRAWN
+from .shape import shapes
 
 MOST_GROUPS = 9
 MOST_MAPS = 4  # groups whose maps are drawn
@@ -39,7 +40,7 @@ def curve_figure(calibration: ResponseCalibration) -> Figure:
 
 
 def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
-    curve, colour = channel.curve, OF_CHANNEL[channel.plane.channel]
+    curve, colour = channel.curve, colour_of(channel.plane.channel)
     z = curve.codes - curve.bins.black
     g, seen = curve.log_exposure, curve.seen
     rng = np.random.default_rng(0)
@@ -73,9 +74,8 @@ def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
 
 def _gamma_in_words(channel: ChannelResponse) -> str:
     """Gamma with its error; without one where the response is no pure gamma, as its table says."""
-    gamma = channel.gamma.gamma
-    size, _ = largest_departure(channel.curve, channel.gamma.departure)
-    return f"best γ {gamma.value or np.nan:.3g}" if size > PURE else f"γ = {format_value(gamma)}"
+    gamma, (shape,) = channel.gamma.gamma, shapes([channel])
+    return f"γ = {format_value(gamma)}" if shape.pure else f"best γ {gamma.value or np.nan:.3g}"
 
 
 def departure_figure(calibration: ResponseCalibration) -> Figure:
@@ -84,7 +84,7 @@ def departure_figure(calibration: ResponseCalibration) -> Figure:
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     for channel in shown:
-        curve, colour = channel.curve, OF_CHANNEL[channel.plane.channel]
+        curve, colour = channel.curve, colour_of(channel.plane.channel)
         band = np.where(curve.seen, curve.half_width, np.nan)
         judged = curve.standard_error < DRAWN
         for axis, gap in ((left, channel.gamma.departure), (right, channel.gamma.srgb_departure)):
@@ -117,7 +117,7 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
                 fmt="o",
                 ms=4,
                 lw=1,
-                color=OF_CHANNEL[channel.plane.channel],
+                color=colour_of(channel.plane.channel),
                 label=channel.plane.channel,
             )
         axis.axhline(0, color="0.4", lw=0.8)
@@ -177,7 +177,7 @@ def coverage_figure(calibration: ResponseCalibration) -> Figure:
     drawn = None
     most = max(len(channels[0].plane.exposures) for _, channels in groups)
     for axis, (group, channels) in zip(axes, groups, strict=False):
-        worst = np.min([channel.radiance.coverage for channel in channels], axis=0)
+        worst = np.min(alike([channel.radiance.coverage for channel in channels]), axis=0)
         drawn = axis.imshow(worst, vmin=0, vmax=most, cmap="viridis", interpolation="nearest")
         axis.set_title(group, fontsize=10)
     for axis in axes:

@@ -3,69 +3,35 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from scipy.special import stdtrit
 
 from ..inference.formatting import format_percent, format_with_error
 from ..inference.trust import convergence_in_words
 from .calibration import ChannelResponse, ResponseCalibration
-from .curve import ResponseCurve, ripple
+from .curve import ripple
+from .shape import (
+    CHANCE,
+    PURE,
+    SURE,
+    error_of_departure,
+    judged_codes,
+    largest,
+    largest_departure,
+    shapes,
+)
 from .solve import ROUGHEST
 
-PURE = 0.05  # departure in ln exposure up to which a response counts as a pure gamma
-SURE = 0.05  # standard error of ln exposure up to which a departure is judged
-DRAWN = 0.1  # the same, up to which the figure shows it
-QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
-EDGES = 0.05, 0.95  # of the range of codes, between which a departure is judged
+DRAWN = 0.1  # standard error of ln exposure, up to which the figure shows a departure
 CLUSTERED = 2.0  # pixels that count as one, from which it is said
 FEW_FREE = 2  # visible shutter errors below which the prior speaks
-
-
-def largest_departure(
-    curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
-) -> tuple[float, float]:
-    """The largest departure among the codes that are known well.
-
-    Codes count between 5 and 95 % of the range where the curve is known to 5 % and pixels to 10 %.
-
-    Args:
-        curve: measured.
-        departure: (bins,) in ln exposure.
-
-    Returns:
-        (|departure|, code) where it is largest; NaN where no code counts.
-    """
-    return _largest(curve, departure, judged_codes(curve))
-
-
-def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
-    """Codes by which a departure is judged.
-
-    Args:
-        curve: measured.
-
-    Returns:
-        (bins,).
-    """
-    share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
-    central = (share > EDGES[0]) & (share < EDGES[1])
-    known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
-    return central & curve.seen & known
-
-
-def _largest(
-    curve: ResponseCurve, departure: np.ndarray, counted: np.ndarray
-) -> tuple[float, float]:
-    counted = counted & np.isfinite(departure)
-    if not counted.any():
-        return float("nan"), float("nan")
-    size = np.where(counted, np.abs(departure), -1)
-    return float(size.max()), float(curve.codes[np.argmax(size)])
+FELT = 0.5  # share of the variance of a curve that its ripple makes, from which it is said
 
 
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     """What the response and its images say, one sentence a finding."""
     channels = calibration.channels
-    found = [_shape_in_words(channels), _beyond_in_words(channels), *_shutter_in_words(channels)]
+    found = [*calibration.stack.remarks, _shape_in_words(channels), _beyond_in_words(channels)]
+    found += _shutter_in_words(channels)
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
     found += [_near_clipped_in_words(channels), _hidden_in_words(channels)]
     found += [_busy_in_words(channels), _ripple_in_words(channels)]
@@ -75,10 +41,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
         for channel in channels
         if not channel.curve.monotone
     ]
-    black = sorted({channel.plane.black for channel in channels})
-    if black[-1] >= 0.5:
-        levels = " and ".join(f"{level:g}" for level in {black[0]: 0, black[-1]: 0})
-        found.append(f"Black lies at {levels} DN; codes at or below it were left out.")
+    found.append(_black_in_words(channels))
     for channel in channels:
         dropped = len(channel.plane.exposures) - len(channel.curve.exposures)
         if dropped:
@@ -99,31 +62,57 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     return tuple(text for text in found if text)
 
 
+def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
+    names: dict[str, list[str]] = {}
+    for channel in channels:
+        names.setdefault(f"{channel.plane.black:g}", []).append(channel.plane.label or "grey")
+    if max(channel.plane.black for channel in channels) < 0.5:
+        return ""
+    each = [f"{level} ({', '.join(own)})" for level, own in names.items()]
+    levels = next(iter(names)) if len(names) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
+    return f"Black lies at {levels} DN; the curve begins above it."
+
+
 def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
-    sizes = [largest_departure(c.curve, c.gamma.departure) for c in channels]
-    worst = int(np.nanargmax([size for size, _ in sizes])) if np.isfinite(sizes).any() else 0
-    size, code = sizes[worst]
-    where = channels[worst].plane.label or "the grey channel"
-    if not np.isfinite(size):
+    found = shapes(channels)
+    sizes = np.array([shape.size for shape in found])
+    if not np.isfinite(sizes).any():
         return "No code is known well enough to judge how far the response is a pure gamma."
-    if size <= PURE:
+    codes = _judged_in_words(channels)
+    shown = np.array([shape.shown for shape in found])
+    worst = int(np.argmax(shown) if shown.any() else np.nanargmax(sizes))
+    shape, where = found[worst], channels[worst].plane.label or "the grey channel"
+    if not shown.any():
+        size = f"{100 * np.expm1(shape.size):.2g} % in exposure ({where}, code {shape.code:g})"
+        if shape.size > PURE:
+            return (
+                f"A pure gamma explains the response over {codes}: the measured curve departs from "
+                f"it by up to {size}, no more than its errors do by chance; exposures closer to "
+                "each other would tell more."
+            )
         return (
-            f"A pure gamma describes the response over {_judged_in_words(channels)}: the measured "
-            f"curve departs from it by at most {100 * np.expm1(size):.2g} % in exposure ({where}, "
-            f"code {code:g})."
+            f"A pure gamma describes the response over {codes}: the measured curve departs from it "
+            f"by at most {size}, no more than its errors do by chance."
+        )
+    size = (
+        f"by up to {format_percent(np.expm1(shape.shown), decimals=int(shape.pure))} in exposure "
+        f"({where}, code {shape.shown_code:g}, known to {format_percent(shape.shown_error)})"
+    )
+    if shape.pure:
+        return (
+            f"A pure gamma describes the response roughly over {codes}: the measured curve departs "
+            f"from it {size}, more than by chance. Use the curve where that matters."
         )
     srgb, _ = largest_departure(channels[worst].curve, channels[worst].gamma.srgb_departure)
     better = (
         f"; the sRGB curve fits better, to within {100 * np.expm1(srgb):.2g} %"
-        if srgb < size / 2
+        if srgb < shape.shown / 2
         else ""
     )
-    many = sum(s > PURE for s, _ in sizes)
+    many = sum(not one.pure for one in found)
     return (
         f"The response is not a pure gamma in {many} of {len(channels)} channels: the measured "
-        f"curve departs by up to {format_percent(np.expm1(size))} in exposure ({where}, code "
-        f"{code:g})"
-        f"{better}. Use the curve rather than gamma."
+        f"curve departs {size}{better}. Use the curve rather than gamma."
     )
 
 
@@ -137,15 +126,8 @@ def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """What the figure shows outside the judged codes, where that is more."""
-    beyond = [
-        _largest(
-            channel.curve,
-            channel.gamma.departure,
-            channel.curve.seen & (channel.curve.standard_error < DRAWN),
-        )
-        for channel in channels
-    ]
+    """What the figure shows outside the judged codes, where that is more, and more than chance."""
+    beyond = [_beyond_judged(channel) for channel in channels]
     judged = [largest_departure(c.curve, c.gamma.departure)[0] for c in channels]
     sizes = [size for size, _ in beyond]
     if not np.isfinite(sizes).any() or not np.nanmax(sizes) > max(PURE, np.nanmax([0, *judged])):
@@ -158,7 +140,17 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
         "Beyond the codes that are judged, the figure shows a departure of "
         f"{format_percent(np.expm1(size))} "
         f"({channel.plane.label or 'the grey channel'}, code {code:g}, known to "
-        f"{format_percent(channel.curve.standard_error[place])})."
+        f"{format_percent(error_of_departure(channel.curve)[place])})."
+    )
+
+
+def _beyond_judged(channel: ChannelResponse) -> tuple[float, float]:
+    """The largest departure, and its code, of those that no chance explains."""
+    curve, error = channel.curve, error_of_departure(channel.curve)
+    drawn = curve.seen & (curve.standard_error < DRAWN)
+    limit = stdtrit(curve.freedom, 1 - CHANCE / (2 * max(np.count_nonzero(drawn), 1)))
+    return largest(
+        curve, channel.gamma.departure, drawn & (np.abs(channel.gamma.departure) > limit * error)
     )
 
 
@@ -213,7 +205,7 @@ def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
-    sizes = [ripple(c.curve.exposures, c.curve.smoothness) for c in channels]
+    sizes = [_felt_ripple(channel) for channel in channels]
     if not max(sizes) > 0:
         return ""
     names = ", ".join(
@@ -227,13 +219,20 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
     )
 
 
+def _felt_ripple(channel: ChannelResponse) -> float:
+    """The ripple that the bands allow for; 0 where it is a small part of them."""
+    curve = channel.curve
+    size = ripple(curve.exposures, curve.smoothness)
+    return size if size**2 > FELT * np.median(curve.standard_error[curve.seen] ** 2) else 0.0
+
+
 def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
-    largest = {
-        c.plane.label or "grey": _largest(c.curve, c.curve.busy_places, judged_codes(c.curve))
+    each = {
+        c.plane.label or "grey": largest(c.curve, c.curve.busy_places, judged_codes(c.curve))
         for c in channels
         if np.any(c.curve.busy_places)
     }
-    told = {name: (size, code) for name, (size, code) in largest.items() if np.isfinite(size)}
+    told = {name: (size, code) for name, (size, code) in each.items() if np.isfinite(size)}
     if not told:
         return ""
     size, code = max(told.values())

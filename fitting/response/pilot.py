@@ -12,13 +12,15 @@ from jaxvision.errors import InputError
 from .code_bins import CodeBins, interval_variance
 from .code_pairs import PairStatistics, pair_statistics
 from .pixel_noise import NoiseModel
-from .solve import MOST_ROUNDS, STEADIEST, Hyperparameters, Solution, solve
+from .solve import MOST_ROUNDS, SMOOTHEST, STEADIEST, Hyperparameters, Solution, solve
 from .weights import Observations, WeightRule, coarsest, hat_rule, noise_rule, observe
 
 PASSES = 4
 KEPT = 0.3  # share of a class's pixels that its noise model must leave
 FIRST_SMOOTHNESS = 300.0  # the median of the 201 measured curves
 FIRST_ERROR = 0.01  # of the shutter
+SLOWEST = 3.0  # times that a response may rise slower than a linear one
+LOG_ODDS = 10.0  # of a curve that bends over a pure gamma, to be taken for one
 MOST_CELLS, FEWEST_CELLS = 48, 6  # of predicted exposure, for a noise model
 REWEIGHTED = 4  # times that a noise model is fitted
 IN_CELL, FEWEST_IN_CELL = 40, 10  # observations wanted and needed
@@ -58,6 +60,10 @@ def fit_pilot(
 
     A class of which a noise model leaves too few pixels is given up: its errors are no noise.
 
+    The smoothness has two fixed points where what the corrections of the score leave looks like a
+    bend: the last pass looks for it from both sides, and takes the smoother curve unless the
+    images speak for the other one clearly.
+
     Args:
         codes: (exposures, pixels) DN, of some pixels.
         classes: (pixels,).
@@ -85,6 +91,12 @@ def fit_pilot(
         hyper = replace(hyper, design_effect=misfit)
         rounds = MOST_ROUNDS if turn == PASSES - 1 else 1
         found = solve([statistics], log_t, bins, hyper, least_error=least_error, rounds=rounds)
+        if rounds > 1:
+            smooth = replace(hyper, smoothness=SMOOTHEST)
+            other = solve([statistics], log_t, bins, smooth, least_error=least_error, rounds=rounds)
+            rises = min(np.ptp(found.means), np.ptp(other.means)) > np.ptp(x) / SLOWEST
+            if rises and other.log_evidence > found.log_evidence - LOG_ODDS:
+                found = other
         means = rising(found.means, bins)
         offset_t = log_t + found.delta
         hyper = found.suggested if turn else Hyperparameters(FIRST_SMOOTHNESS, FIRST_ERROR)
@@ -129,7 +141,7 @@ def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarra
     Returns:
         (bins,).
     """
-    floor = bins.log_codes / 3
+    floor = bins.log_codes / SLOWEST
     return np.maximum.accumulate(means - floor) + floor
 
 

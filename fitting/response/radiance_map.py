@@ -6,8 +6,13 @@ maximum-likelihood radiance of a pixel is
     E_i = sum_j u_ij X_ij / t_j / sum_j u_ij,    u_ij = E_i^2 t_j^2 / Var(X_ij),
 
 with u at the predicted exposure, so that noise does not choose its own weight. Clipped codes are
-left out, and so are codes within three standard deviations of clipping. A pixel with no such
-observation takes what its unclipped codes say, or the bound that its clipping sets: coverage 0.
+left out, and so are codes within three standard deviations of clipping, and noisy ones where a
+better exposure is there.
+
+A pixel with no such observation takes what all its unclipped codes say together: coverage 0. Its
+noise may carry a code to black or below it. Such a code counts too, as an exposure below zero,
+X(black - d) = -X(black + d): the codes above black alone would be the upper half of the noise. The
+code 0, where a camera cuts noise off, says nothing but a bound, as a clipped one does.
 
 Radiance is relative, per second, with g = 0 at mid-scale.
 """
@@ -19,7 +24,10 @@ from jaxtyping import Float, Int, Integer
 
 from .code_pairs import CHUNK
 from .curve import ResponseCurve
+from .pixel_noise import noise_variance
 from .weights import cells_of, noise_rule, weighted_mean
+
+REWEIGHTED = 3  # times that a pixel which is mostly noise is weighted by what it came out as
 
 
 @dataclass(frozen=True)
@@ -27,9 +35,9 @@ class RadianceMap:
     """A merged map.
 
     Attributes:
-        radiance: relative, per second.
-        relative_error: its standard deviation over it, where the scene is flat.
-        coverage: how many exposures were used (0: a bound, or codes too noisy to weigh).
+        radiance: relative, per second; noise may carry that of a dark pixel below 0.
+        relative_error: its standard deviation over its size, where the scene is flat.
+        coverage: how many exposures were used (0: a bound, or codes that are mostly noise).
     """
 
     radiance: Float[np.ndarray, "*pixels"]
@@ -80,18 +88,66 @@ def _merge(
     cells = cells_of(rule, first + log_t[:, None], np.zeros(codes.shape[1], int))
     weights = np.where(rough > 0, rule.weight[0][cells], 0)
     coverage = np.count_nonzero(weights, axis=0)
-
-    noisy = np.where(usable, np.exp(2 * np.minimum(curve.log_exposure[binned], 0)), 0)
-    weights = np.where(coverage > 0, weights, np.where(rough.any(axis=0), rough, noisy))
     total = weights.sum(axis=0)
     merged = weighted_mean(weights, np.exp(by_each))
     error = np.where(total > 0, 1 / np.sqrt(np.where(total > 0, total, 1)), np.inf)
 
+    faint = np.flatnonzero(coverage == 0)
+    merged[faint], error[faint] = _of_noise(codes[:, faint], np.exp(log_t), curve)
+    return merged, error, coverage
+
+
+def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
+    """X of every code, at black 0 and below it negative.
+
+    Args:
+        curve: of the response.
+
+    Returns:
+        (codes,) relative exposure.
+    """
+    bins = curve.bins
+    away = np.arange(bins.full_scale + 1) - bins.black
+    near, log_z = np.abs(away) > 0, np.log(bins.centres - bins.black)
+    log_away = np.log(np.where(near, np.abs(away), 1))
+    size = np.exp(np.interp(log_away, log_z, curve.log_exposure))
+    exponent = (curve.log_exposure[1] - curve.log_exposure[0]) / (log_z[1] - log_z[0])
+    below = log_away < log_z[0]
+    size = np.where(below, np.exp(curve.log_exposure[0] + exponent * (log_away - log_z[0])), size)
+    return np.where(near, np.sign(away) * size, 0)
+
+
+def _of_noise(
+    codes: np.ndarray, times: np.ndarray, curve: ResponseCurve
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance and relative error of pixels without an exposure clear of noise and clipping."""
+    table, t = exposure_of_codes(curve), times[:, None]
+    x = table[codes]
+    used = (codes > 0) & (codes < curve.bins.edges[-1])
+    above = np.exp(curve.log_exposure)
+    steps = np.gradient(above) / np.gradient(curve.codes)  # X of one code
+    merged, total = _mean_radiance(used * t, t, x)
+    for _ in range(REWEIGHTED):
+        expected = np.maximum(merged * t, above[0])
+        noise = noise_variance(curve.noise, np.log(expected)) * expected**2
+        variance = noise + np.interp(expected, above, steps) ** 2 / 12
+        merged, total = _mean_radiance(used * t / variance, t, x)
+    known = total > 0
+    size = np.abs(np.where(known, merged, 1))
+    error = np.where(
+        known & (size > 0),
+        1 / np.sqrt(np.where(known, total, 1)) / np.where(size > 0, size, 1),
+        np.inf,
+    )
     # Without any usable code the shortest exposure bounds from below, or the longest from above.
     clipped = codes[0] >= curve.bins.edges[-1]
-    bound = np.where(
-        clipped,
-        np.exp(curve.log_exposure[-1] - log_t[0]),
-        np.exp(curve.log_exposure[0] - log_t[-1]),
-    )
-    return np.where(total > 0, merged, bound), error, coverage
+    bound = np.where(clipped, above[-1] / times[0], above[0] / times[-1])
+    return np.where(known, merged, bound), error
+
+
+def _mean_radiance(
+    weights: np.ndarray, times: np.ndarray, exposures: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted mean of X / t, and the sum of its weights."""
+    total = (weights * times).sum(axis=0)
+    return (weights * exposures).sum(axis=0) / np.where(total > 0, total, 1), total

@@ -14,10 +14,12 @@ from jaxtyping import Bool, Float, UInt16
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
+from ..codes import Converter, converter_of
 from ..copies import Copies
+from ..frame_checks import Stated, odd_heads, refuse_half
 from ..inference.formatting import format_percent
 from ..observation import Load, in_region, read_frame, read_stack, split_channels
-from ..rig import Exposure, Rig, SiteCamera, as_rig, require
+from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
 
 LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
 BRIGHTER = 1.9
@@ -43,6 +45,8 @@ class Plane:
         clip: DN from which a pixel is saturated.
         black_sd: DN, with which black is known; 0 for exactly.
         exposure_sd: rms of what is known of the exposures' relative errors; 0 where nothing is.
+        start: row and column of its first pixel among those of its colour.
+        step: rows and columns between its pixels there; more than 1 of several taps.
     """
 
     group: str
@@ -55,6 +59,8 @@ class Plane:
     clip: float
     black_sd: float = 0.0
     exposure_sd: float = 0.0
+    start: tuple[int, int] = (0, 0)
+    step: tuple[int, int] = (1, 1)
 
     @property
     def label(self) -> str:
@@ -68,10 +74,16 @@ class ExposureStack:
     Attributes:
         planes: group by group.
         bits: of the camera.
+        step: DN between neighbouring codes: 16 of 12 bits at the upper end of 16.
+        origin: DN of a code, less than a step.
+        remarks: what was found of the images, in sentences.
     """
 
     planes: tuple[Plane, ...]
     bits: int
+    step: int = 1
+    origin: int = 0
+    remarks: tuple[str, ...] = ()
 
     @property
     def full_scale(self) -> int:
@@ -101,17 +113,63 @@ def read_exposure_stack(
 
     Raises:
         InputError: for a group without two different exposure times, or whose images get darker as
-            they last longer, for images of different size, for values that are not integers, and
-            for a mask of another size or with nothing in it.
+            they last longer, for images of different size, for values that are not integers, for
+            heads that say half of the images were taken otherwise, and for a mask of another size
+            or with nothing in it.
     """
     rig = as_rig(rig)
     require(rig, "a response calibration")
+    rig, remarks = _without_odd_heads(rig)
+    frames = {entry.file: _codes(rig, entry.file, load) for entry in rig.exposure}
+    converter = converter_of(frames.values())
     ordered = sorted(rig.exposure, key=lambda entry: (entry.group, entry.exposure))
     measured_black = _black_levels(rig, load)
     planes: list[Plane] = []
     for group, entries in groupby(ordered, key=lambda entry: entry.group):
-        planes += _planes(rig, group, tuple(entries), mask, measured_black, load)
-    return ExposureStack(tuple(planes), rig.camera.bits)
+        planes += _planes(rig, group, tuple(entries), mask, measured_black, frames, converter)
+    step, origin = _grid_of(converter)
+    remarks += _converter_in_words(converter, step)
+    return ExposureStack(tuple(planes), rig.camera.bits, step, origin, tuple(remarks))
+
+
+def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
+    """A rig without the exposures whose heads speak against it, and what is said of them."""
+    groups = list(dict.fromkeys(entry.group for entry in rig.exposure))
+    stated = [
+        Stated(entry.file, rig.path(entry.file), entry.exposure, groups.index(entry.group))
+        for entry in rig.exposure
+    ]
+    odd, remarks = odd_heads(rig.folder, stated)
+    refuse_half(rig.folder, odd, len(stated))
+    gone = {name for one in odd for name in one.names}
+    kept = tuple(entry for entry in rig.exposure if entry.file not in gone)
+    return rig.model_copy(update={"exposure": kept}), [*remarks, *(one.sentence for one in odd)]
+
+
+def _grid_of(converter: Converter) -> tuple[int, int]:
+    """Step and origin of whole codes; 1 and 0 where the numbers lie on no wider grid."""
+    step = round(converter.step)
+    even = converter.even and step > 1 and step == converter.step
+    return (step, round(converter.origin)) if even else (1, 0)
+
+
+def _converter_in_words(converter: Converter, step: int) -> list[str]:
+    if step > 1:
+        return [
+            f"All numbers are {step} DN from each other or a multiple of that, as of a converter "
+            "of fewer bits than the file: neighbouring codes are that far apart."
+        ]
+    if converter.step > 1:
+        return [
+            f"The numbers lie on a grid of {converter.step:.4g} DN, rounded again, as where a "
+            "reader scaled them; save the codes as the camera gave them."
+        ]
+    if converter.missing:
+        return [
+            f"{format_percent(converter.missing)} of the codes do not occur, as where a picture "
+            "was stretched after it was taken; give the codes as the camera wrote them."
+        ]
+    return []
 
 
 def _planes(
@@ -120,7 +178,8 @@ def _planes(
     entries: tuple[Exposure, ...],
     mask: np.ndarray | None,
     measured_black: dict[str, float],
-    load: Load,
+    images: dict[str, np.ndarray],
+    converter: Converter,
 ) -> list[Plane]:
     times = np.array([entry.exposure for entry in entries])
     where = f"{rig.folder}: the exposures" + (f" of group {group!r}" if group else "")
@@ -130,7 +189,7 @@ def _planes(
         raise InputError(
             f"{where} all last {times[0]:g} s; give at least two different exposure times."
         )
-    frames = [_codes(rig, entry.file, load) for entry in entries]
+    frames = [images[entry.file] for entry in entries]
     copies = Copies()
     for entry, frame in zip(entries, frames, strict=True):
         copies.add(entry.file, frame)
@@ -155,7 +214,10 @@ def _planes(
     )
     masks = split_channels(grid, rig.camera)
     planes = []
-    for name in channels[0]:
+    (step, _), starts = _grid_of(converter), _starts(rig.camera)
+    coarser = 2 if rig.camera.pattern else 1  # colours of a mosaic have half of its pixels
+    apart = (rig.camera.cell[0] // coarser, rig.camera.cell[1] // coarser)
+    for i, name in enumerate(channels[0]):
         codes = np.stack([frame[name] for frame in channels])
         camera = rig.camera.at(name)
         black = camera.black_level if camera.black_level is not None else measured_black.get(name)
@@ -164,8 +226,10 @@ def _planes(
                 f"{rig.folder}: the darks have {', '.join(measured_black)}, the exposures "
                 f"{', '.join(channels[0])}; give darks of the same kind, or camera.black_level."
             )
-        black = floor_level(codes, times, camera) if black is None else black
-        clip = camera.saturation or ceiling_level(codes, times, camera)
+        black = floor_level(codes, times, camera, step=step) if black is None else black
+        clip = camera.saturation or ceiling_level(codes, times, camera, step=step)
+        if camera.saturation is None and converter.clips_at is not None:
+            clip = min(clip, converter.clips_at)
         planes.append(
             Plane(
                 group,
@@ -178,13 +242,26 @@ def _planes(
                 clip,
                 black_sd=camera.black_sd or 0.0,
                 exposure_sd=float(np.sqrt(np.mean([(e.exposure_sd or 0.0) ** 2 for e in entries]))),
+                start=starts[i * len(starts) // len(channels[0])],
+                step=apart,
             )
         )
     return planes
 
 
+def _starts(camera: Camera) -> list[tuple[int, int]]:
+    """Row and column of the first pixel of each site, among those of its colour."""
+    (rows, columns), (top, left) = camera.cell, (camera.region or (0, 0))[:2]
+    coarser = 2 if camera.pattern else 1
+    return [
+        ((row - top) % rows // coarser, (column - left) % columns // coarser)
+        for row in range(rows)
+        for column in range(columns)
+    ]
+
+
 def floor_level(
-    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera
+    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
     """Black level read off the pixels whose code stays within one step while the exposure grows at
     least eightfold.
@@ -193,6 +270,7 @@ def floor_level(
         codes: (exposures, h, w) DN.
         exposures: (exposures,) s, ascending.
         camera: for its clip level.
+        step: DN between neighbouring codes.
 
     Returns:
         DN; 0 where there are too few such pixels.
@@ -201,12 +279,19 @@ def floor_level(
     if not len(longer):
         return 0.0
     before, after = codes[0].astype(int), codes[longer[0]].astype(int)
-    dark = (np.abs(after - before) <= 1) & (after < camera.clip_level / 4)
-    return float(np.median(before[dark])) if dark.sum() > FEWEST_ALIKE * dark.size else 0.0
+    dark = (np.abs(after - before) <= step) & (after < camera.clip_level / 4)
+    if dark.sum() <= FEWEST_ALIKE * dark.size:
+        return 0.0
+    level = float(np.median(before[dark]))
+    # Noise leaves a few pixels of any code alike, but those rise as the exposure grows on; in the
+    # longest, others of their code do.
+    at_level = dark if longer[0] < len(codes) - 1 else np.abs(before - level) <= step
+    risen = (codes[-1].astype(int) - before > step)[at_level]
+    return level if np.mean(risen) < MOSTLY else 0.0
 
 
 def ceiling_level(
-    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera
+    codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
     """Clip level read off the pixels beyond half scale whose code stays within one step while the
     exposure grows by 1.9 at least.
@@ -217,6 +302,7 @@ def ceiling_level(
         codes: (exposures, h, w) DN.
         exposures: (exposures,) s, ascending.
         camera: for its full scale.
+        step: DN between neighbouring codes.
 
     Returns:
         DN; full scale where there are too few such pixels.
@@ -225,10 +311,12 @@ def ceiling_level(
     if not len(shorter):
         return float(camera.full_scale)
     before, after = codes[shorter[-1]].astype(int), codes[-1].astype(int)
-    stuck = (np.abs(after - before) <= 1) & (before > camera.full_scale / 2)
+    stuck = (np.abs(after - before) <= step) & (before > camera.full_scale / 2)
     if stuck.sum() <= FEWEST_ALIKE * stuck.size:
         return float(camera.full_scale)
-    return float(np.quantile(np.minimum(before, after)[stuck], LOWEST_STUCK))
+    level = float(np.quantile(np.minimum(before, after)[stuck], LOWEST_STUCK))
+    risen = (after - before > step)[before >= level]
+    return level if np.mean(risen) < MOSTLY else float(camera.full_scale)
 
 
 def _codes(rig: Rig, name: str, load: Load) -> UInt16[np.ndarray, "h w *channels"]:

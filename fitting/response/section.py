@@ -12,8 +12,9 @@ from ..report.left_out import left_out_tables
 from ..report.section import Columns, Picture, Section, Table
 from . import figures
 from .calibration import ChannelResponse, ResponseCalibration, radiance_images
-from .findings import PURE, findings, largest_departure
+from .findings import findings
 from .gamma import GAMMA, SHUTTER_ERROR
+from .shape import Shape, largest_departure, shapes
 
 UNKNOWN = 1e6  # factor by which a curve may err at a code of which nothing is known
 
@@ -28,8 +29,8 @@ def section(calibration: ResponseCalibration) -> Section:
         Estimates, findings, tables and pictures.
     """
     estimates: list[Estimate] = []
-    for channel in calibration.channels:
-        estimates += _gamma_estimates(channel)
+    for channel, shape in zip(calibration.channels, shapes(calibration.channels), strict=True):
+        estimates += _gamma_estimates(channel, shape)
     for plane, reason in calibration.skipped:
         estimates.append(not_determined(GAMMA, reason, group=plane.label))
     return Section(
@@ -83,15 +84,15 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
     }
 
 
-def _gamma_estimates(channel: ChannelResponse) -> list[Estimate]:
+def _gamma_estimates(channel: ChannelResponse, shape: Shape) -> list[Estimate]:
     """Gamma and the shutter error; neither where the response is not a pure gamma: the misfit
     would pass for one or the other."""
-    size, _ = largest_departure(channel.curve, channel.gamma.departure)
-    if not size > PURE:
+    if shape.pure:
         return [channel.gamma.gamma, channel.gamma.shutter_error]
     reason = (
         f"the response is no pure gamma: the best one, {channel.gamma.gamma.value:.3f}, misses the "
-        f"measured curve by up to {format_percent(np.expm1(size))} in exposure; use the curve"
+        f"measured curve by up to {format_percent(np.expm1(shape.shown))} in exposure; use the "
+        "curve"
     )
     label = channel.plane.label
     return [

@@ -78,6 +78,7 @@ class Solution:
         equations: of each tile.
         prior: (unknowns, unknowns), its precision.
         clustering: phi by the tiles alone.
+        log_evidence: of the hyperparameters used, up to what all of one set of statistics share.
     """
 
     means: Float[np.ndarray, " bins"]
@@ -89,6 +90,7 @@ class Solution:
     equations: tuple[Equations, ...]
     prior: Float[np.ndarray, "unknowns unknowns"]
     clustering: float
+    log_evidence: float
 
     @property
     def delta(self) -> Float[np.ndarray, " exposures"]:
@@ -185,7 +187,22 @@ def solve(
         rounds -= 1
         pace = smoothness / hyper.smoothness
         if rounds <= 0:
-            return Solution(g, d, covariance, basis, hyper, suggested, equations, prior, effect)
+            known_by = matrix / hyper.design_effect + prior
+            held = np.log(known_by.trace() / size)  # what `inverse` adds
+            evidence = mean @ right / hyper.design_effect + held + np.linalg.slogdet(covariance)[1]
+            evidence += (size - 2) * np.log(hyper.smoothness) - 2 * free * np.log(believed)
+            return Solution(
+                g,
+                d,
+                covariance,
+                basis,
+                hyper,
+                suggested,
+                equations,
+                prior,
+                effect,
+                float(evidence / 2),
+            )
         # The fixed point nears its end from one side, by a share of the way: two steps at once.
         ahead = float(np.clip(smoothness * pace, ROUGHEST, SMOOTHEST))
         hyper = replace(suggested, smoothness=ahead) if rounds > 1 else suggested

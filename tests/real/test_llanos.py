@@ -5,9 +5,9 @@ import pytest
 from exposure_rigs import write_bandpass_rig
 
 from fitting.response.calibration import calibrate as calibrate_response
-from fitting.response.findings import largest_departure
 from fitting.response.read import read_exposure_stack
 from fitting.response.section import section as response_section
+from fitting.response.shape import largest_departure
 from fitting.rig import load_rig
 
 LINEARITY = 0.01  # of this camera, rms; published as .1 to 4 %

@@ -1,0 +1,167 @@
+"""Whether a response is a pure gamma, judged by the error of its curve.
+
+The largest departure among hundreds of codes is large by chance wherever the curve is known
+roughly. So the departures of all codes are judged together: d = P g is what a straight line in
+ln (code - black) leaves of the measured curve, P C P^T its covariance, and the largest of
+
+    |d_i| / sqrt((P C P^T)_ii + v_i^2)
+
+is compared with the largest of as many Gaussian numbers of that correlation, drawn. v_i, the
+variance of one pixel's ln X, is the size of the terms of second order that noise leaves in a mean
+of logarithms. A departure that is beyond chance and beyond 5 % makes the response no pure gamma.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import ndtr, stdtrit
+
+from .calibration import ChannelResponse
+from .curve import ResponseCurve
+
+PURE = 0.05  # departure in ln exposure up to which gamma is given
+SURE = 0.05  # standard error of ln exposure up to which a departure is judged
+QUIET = 0.1  # relative noise of one pixel up to which a departure is judged
+EDGES = 0.05, 0.95  # of the range of codes, between which a departure is judged
+CHANCE = 0.01  # of a response that is a pure gamma in all channels
+MOST_CODES, DRAWS = 64, 20000
+SURELY_KNOWN = 1e-3  # standard error below which codes weigh alike
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How far a response departs from the best pure gamma, among the codes that are judged.
+
+    Attributes:
+        size: largest departure, in ln exposure; NaN where no code is judged.
+        code: DN, where it is.
+        shown: largest departure among codes where it is beyond chance; 0 where none is.
+        shown_code: DN, where that is.
+        shown_error: standard error of the departure there, in ln exposure.
+    """
+
+    size: float
+    code: float
+    shown: float = 0.0
+    shown_code: float = float("nan")
+    shown_error: float = 0.0
+
+    @property
+    def pure(self) -> bool:
+        """Whether gamma describes the response, as far as the data tell."""
+        return not self.shown > PURE
+
+
+def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
+    """Codes by which a departure is judged: between 5 and 95 % of the range, where the curve is
+    known to 5 % and pixels to 10 %.
+
+    Args:
+        curve: measured.
+
+    Returns:
+        (bins,).
+    """
+    share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
+    central = (share > EDGES[0]) & (share < EDGES[1])
+    known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
+    return central & curve.seen & known
+
+
+def largest_departure(
+    curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
+) -> tuple[float, float]:
+    """The largest departure among the codes that are judged.
+
+    Args:
+        curve: measured.
+        departure: (bins,) in ln exposure.
+
+    Returns:
+        (|departure|, code) where it is largest; NaN where no code counts.
+    """
+    return largest(curve, departure, judged_codes(curve))
+
+
+def largest(
+    curve: ResponseCurve, departure: Float[np.ndarray, " bins"], counted: Bool[np.ndarray, " bins"]
+) -> tuple[float, float]:
+    """The largest departure among some codes.
+
+    Args:
+        curve: measured.
+        departure: (bins,) in ln exposure.
+        counted: (bins,), which codes.
+
+    Returns:
+        (|departure|, code) where it is largest; NaN where no code counts.
+    """
+    counted = counted & np.isfinite(departure)
+    if not counted.any():
+        return float("nan"), float("nan")
+    size = np.where(counted, np.abs(departure), -1)
+    return float(size.max()), float(curve.codes[np.argmax(size)])
+
+
+def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
+    """Standard error of a departure, with what noise leaves of second order.
+
+    Args:
+        curve: measured.
+
+    Returns:
+        (bins,) ln exposure.
+    """
+    return np.hypot(curve.standard_error, curve.pixel_noise**2)
+
+
+def shapes(channels: Sequence[ChannelResponse]) -> list[Shape]:
+    """The shape of each channel, all judged together.
+
+    Args:
+        channels: of one calibration.
+
+    Returns:
+        One a channel.
+    """
+    chance = CHANCE / max(len(channels), 1)
+    return [_shape(channel.curve, channel.gamma.departure, chance) for channel in channels]
+
+
+def _shape(curve: ResponseCurve, departure: np.ndarray, chance: float) -> Shape:
+    size, code = largest_departure(curve, departure)
+    judged = np.flatnonzero(judged_codes(curve) & np.isfinite(departure))
+    if len(judged) <= 2:
+        return Shape(size, code)
+    places = np.linspace(0, len(judged) - 1, min(MOST_CODES, len(judged)))
+    judged = judged[np.unique(places.astype(int))]
+    beyond, error = _beyond_chance(curve, judged, chance)
+    if not beyond.any():
+        return Shape(size, code)
+    sizes = np.where(beyond, np.abs(departure[judged]), 0)
+    worst = int(np.argmax(sizes))
+    at = float(curve.codes[judged[worst]])
+    return Shape(size, code, float(sizes[worst]), at, float(error[worst]))
+
+
+def _beyond_chance(
+    curve: ResponseCurve, judged: np.ndarray, chance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Codes whose departure from a straight line is larger than that of all codes by chance, and
+    its standard errors."""
+    log_z = np.log(curve.codes[judged] - curve.bins.black)
+    line = np.stack([np.ones(len(judged)), log_z], axis=1)
+    weight = np.maximum(curve.standard_error[judged], SURELY_KNOWN) ** -2
+    weighted = line * weight[:, None]
+    left = np.eye(len(judged)) - line @ np.linalg.solve(line.T @ weighted, weighted.T)
+    covariance = left @ curve.covariance[np.ix_(judged, judged)] @ left.T
+    covariance += np.diag(curve.pixel_noise[judged] ** 4)
+    error = np.sqrt(np.diagonal(covariance))
+    known, axes = np.linalg.eigh(covariance / np.outer(error, error))
+    normal = np.random.default_rng(0).standard_normal((DRAWS, len(judged)))
+    most = np.abs(normal @ (axes * np.sqrt(np.maximum(known, 0))).T).max(axis=1)
+    allowed = 2 * ndtr(-np.quantile(most, 1 - chance))  # of a single code
+    limit = stdtrit(curve.freedom[judged], 1 - allowed / 2)
+    return np.abs(left @ curve.log_exposure[judged]) > limit * error, error
