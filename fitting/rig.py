@@ -47,6 +47,7 @@ def _quotient(text: Any) -> Any:
 
 Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]
 Seconds = Annotated[Positive, BeforeValidator(_quotient)]
+SecondsFromZero = Annotated[NonNegative, BeforeValidator(_quotient)]
 
 UNKNOWN_DIRECTION = 0.5  # rad: lights of which no more is known are not known
 COLDEST = 100.0  # K, of a sensor; a smaller number is one of degrees Celsius
@@ -310,14 +311,14 @@ class Level(Entry):
 
     Attributes:
         files: names.
-        exposure: s, or as "1/8".
+        exposure: s, or as "1/8"; 0 of a bias frame, or where the light comes from a flash.
         iso: the ISO speed that the gain was set to.
         gain_db: the gain that was set, in dB, in place of an ISO speed.
         temperature: K, of the sensor (default: that of the camera).
     """
 
     files: Annotated[tuple[str, ...], Field(min_length=2)]
-    exposure: Seconds
+    exposure: SecondsFromZero
     iso: Positive | None = None
     gain_db: Finite | None = None
     temperature: Kelvin | None = None

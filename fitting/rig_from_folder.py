@@ -22,6 +22,7 @@ from jaxvision.io import (
 )
 from jaxvision.raw_files import FITS_FORMATS, RAW_FORMATS
 
+from .codes import converter_of
 from .rig import RIG_FILE
 
 SUFFIXES = (
@@ -248,11 +249,8 @@ def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str
     cameras = sorted({one.camera for one in said if one.camera})
     lines = [f"# {' '.join(', '.join(cameras).split())}"] if cameras else []
     lines += ["[camera]", _depth(folder, images, found)]
-    for name in ("black_level", "saturation"):
-        values = [getattr(one, name) for one in said if getattr(one, name) is not None]
-        if values:
-            lines.append(f"{name} = {np.median(values):.6g}")
     patterns = {one.pattern for one in said if one.pattern}
+    lines += _levels_of_sites(said, one_pattern=len(patterns) == 1)
     if len(patterns) == 1:
         lines.append(f'pattern = "{patterns.pop()}"')
     elif patterns:
@@ -264,6 +262,21 @@ def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str
     warmth = [one.temperature for one in said if one.temperature]
     if warmth:
         lines.append(f"temperature = {np.mean(warmth):.5g}")
+    return lines
+
+
+def _levels_of_sites(said: Sequence[ImageSettings], *, one_pattern: bool) -> list[str]:
+    """Lines of the black level and of the saturation: one number, or one for each site."""
+    lines = []
+    for name in ("black_level", "saturation"):
+        values = [np.atleast_1d(v) for one in said if (v := getattr(one, name)) is not None]
+        if not values:
+            continue
+        if not one_pattern or len({len(value) for value in values}) > 1:
+            values = [np.atleast_1d(value.mean()) for value in values]
+        numbers = [f"{number:.6g}" for number in np.median(values, axis=0)]
+        several = len(set(numbers)) > 1
+        lines.append(f"{name} = [{', '.join(numbers)}]" if several else f"{name} = {numbers[0]}")
     return lines
 
 
@@ -321,6 +334,13 @@ def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
         return "bits = 8"
     top = max([float(np.nanmax(one)) for one in read] + saturations)
     bits = next((bits for bits in BITS if top < 2**bits), None)
+    step = converter_of(read).step
+    if bits is not None and step > 1:
+        found.missing.append(
+            f"All numbers are multiples of {step:.6g}, or a constant away from that, as of fewer "
+            f"bits at the upper end of {bits}; bits = {bits} holds them as they are stored."
+        )
+        return f"bits = {bits}  # the numbers are {step:.6g} DN from each other"
     if bits is None:
         found.missing.append("Its numbers exceed 16 bits: give images of digital numbers.")
         return "# bits = ?"

@@ -34,7 +34,7 @@ class ImageSettings:
         taken: when, in the camera's own time.
         temperature: K, of the sensor.
         camera: maker's name of it.
-        black_level: DN.
+        black_level: DN; of a mosaic whose sites differ, one for each in the order of `pattern`.
         saturation: DN.
         pattern: phase of a Bayer mosaic, such as "RGGB", counted from the first pixel of the file.
         bits: of the codes that `jaxvision.io.read_image` gives, by the file's own depth: a 12-bit
@@ -48,7 +48,7 @@ class ImageSettings:
     taken: datetime.datetime | None = None
     temperature: float | None = None
     camera: str | None = None
-    black_level: float | None = None
+    black_level: float | tuple[float, ...] | None = None
     saturation: float | None = None
     pattern: str | None = None
     kind: str | None = None
@@ -148,6 +148,7 @@ def _of_raw(file: Path) -> ImageSettings:
             _warn_of_mosaic(file, "x".join(map(str, np.shape(sites))) + f", {letters}")
             pattern = ""
         blacks = [float(level) for level in raw.black_level_per_channel]
+        blacks = [blacks[i] for i in colours] if pattern else blacks[:1]
         saturation = float(raw.white_level)
     return ImageSettings(
         exposure=_seconds(said("ExposureTime"), said("ShutterSpeedValue")),
@@ -155,7 +156,7 @@ def _of_raw(file: Path) -> ImageSettings:
         f_number=_f_number(said("FNumber"), said("ApertureValue")),
         taken=_time(said("DateTimeOriginal") or tags.get("Image DateTime")),
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
-        black_level=float(np.mean(blacks)),
+        black_level=tuple(blacks) if len(set(blacks)) > 1 else blacks[0],
         saturation=saturation,
         pattern=pattern or None,
     )

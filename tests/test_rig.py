@@ -70,7 +70,7 @@ def test_root_expands_environment_variables(tmp_path, monkeypatch):
         ("bits = 12", "bits = 12\ngain_sd = 0.1", r"camera: gain_sd without gain; give both"),
         ("bits = 12", "bits = 12\ngamma_sd = 0.1", r"camera: gamma_sd without gamma; give both"),
         ("exposure = 0.01", "", r"flat\[1\]\.exposure is missing"),
-        ("exposure = 0.01", "exposure = 0.0", r"flat\[1\]\.exposure = 0\.0"),
+        ("exposure = 0.01", "exposure = -1.0", r"flat\[1\]\.exposure = -1\.0"),
         ("exposure = 0.01", "exposure = nan", r"flat\[1\]\.exposure = nan"),
         ("exposure = 0.01", 'exposure = "fast"', r'exposure.*no time; write seconds.*"1/8"'),
         ("exposure = 0.01", 'exposure = "1/0"', r"no time; write seconds"),

@@ -34,6 +34,11 @@ def in_double(function: Callable[P, T]) -> Callable[P, T]:
                 f"{getattr(function, '__name__', 'function')} takes {placed} of its arguments by "
                 f"their place; write {named}."
             )
+        if "mcmc" in kwargs and "mcmc" not in by_name:
+            raise TypeError(
+                f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the "
+                "command has; give sampling=SamplingOptions(), from fitting, for a chain."
+            )
         if jax.dtypes.canonicalize_dtype(np.float64) == np.float64:
             return function(*args, **kwargs)  # a context that changes nothing would compile anew
         with jax.enable_x64(True):

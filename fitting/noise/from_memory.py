@@ -17,7 +17,7 @@ def from_frames(
     flats: Sequence[Sequence[ArrayLike]],
     darks: Sequence[Sequence[ArrayLike]],
     exposures: Sequence[float],
-    photons: Sequence[float] | None,
+    photons: Sequence[float] | None = None,
     *,
     camera: Camera,
     dark_exposures: Sequence[float] | None = None,
@@ -29,7 +29,8 @@ def from_frames(
         flats: of each level of light two or more frames, (h, w) DN.
         darks: of each exposure two or more frames, (h, w) DN.
         exposures: of the levels of light, s.
-        photons: mean photons per pixel and exposure of the levels; None where unknown.
+        photons: mean photons per pixel and exposure of the levels; None where unknown, so that
+            there is no quantum efficiency.
         camera: its bits, and what else is known of it.
         dark_exposures: of the darks, s; None where each level has darks of its own exposure.
         channel: site of a Bayer mosaic; empty for the first green.

@@ -38,8 +38,18 @@ def with_inputs(
         The section.
     """
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
-    found = (*section.findings, *idle)
-    return replace(section, findings=found, inputs=inputs_of(rig, purpose))
+    inputs = inputs_of(rig, purpose)
+    found = (*section.findings, *idle, *_whole_region(rig, inputs[0].files[0]))
+    return replace(section, findings=found, inputs=inputs)
+
+
+def _whole_region(rig: Rig, name: str) -> tuple[str, ...]:
+    """A sentence where the region leaves out nothing."""
+    if rig.camera.region is None or rig.camera.region[:2] != (0, 0):
+        return ()
+    if read_image(rig.path(name)).shape[:2] != rig.camera.region[2:]:
+        return ()
+    return ("Not used of the rig: camera.region; it is the whole image.",)
 
 
 def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:

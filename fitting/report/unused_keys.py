@@ -3,7 +3,7 @@ or it is said that it is not."""
 
 from collections.abc import Iterator
 
-from ..rig import Rig
+from ..rig import BY_SITE, Rig
 
 Unused = Iterator[tuple[tuple[str, ...], str]]  # keys, and why
 
@@ -25,7 +25,7 @@ def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, .
         One sentence a reason, for the keys that the rig gives; of `date` and `temperature`, which
         studies use, and of sections and keys that tell other calibrations nothing, there is none.
     """
-    found = [*REASONS[kind](rig)]
+    found = [*REASONS[kind](rig), *_sites(rig, kind)]
     if fit_gamma:
         found.append((_camera(GAMMA), "the encoding exponent was fitted"))
     told = []
@@ -35,6 +35,17 @@ def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, .
             listed = " and ".join(filter(None, (", ".join(given[:-1]), given[-1])))
             told.append(f"Not used of the rig: {listed}; {why}.")
     return tuple(told)
+
+
+def _sites(rig: Rig, kind: str) -> Unused:
+    camera = rig.camera
+    if camera.taps is None:
+        return
+    if camera.pattern is not None and camera.cell == (2, 2):
+        yield ("camera.taps",), "camera.pattern sets the pixels of each apart already"
+    several = any(isinstance(getattr(camera, name), tuple) for name in BY_SITE)
+    if kind in ("brdf", "joint") and not several:
+        yield ("camera.taps",), "black level and saturation are the same at all of them"
 
 
 def _camera(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -62,6 +73,9 @@ def _response(rig: Rig) -> Unused:
     yield _camera(NOISE), "the noise of pixels is read off the exposures"
     yield _camera(GAMMA), "the response is measured"
     yield _camera(OF_PHOTONS), "exposures are relative"
+    groups = {exposure.group for exposure in rig.exposure}
+    if len(groups) == 1 and groups != {""}:
+        yield ("exposure.group",), "all exposures are of one group"
     if rig.camera.black_level is not None:
         yield ("[[dark]]",), "camera.black_level is given"
 
