@@ -123,13 +123,18 @@ def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any
     return _primitives.one_step(function, *arguments, **named)
 
 
-def bilinear(name: str, function: Callable[..., Array], **rules: Any) -> Callable[..., Array]:
+def bilinear(
+    name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
+) -> Callable[..., Array]:
     """A function that is linear in each of two arrays, with the `rules` of `_primitives.bilinear`
-    for its transposes and batches in place of those that JAX finds in its parts."""
+    for its transposes and batches in place of those that JAX finds in its parts. `opaque`, of the
+    named arguments: whether JAX can find none there, so that an accelerator needs these too."""
     if PLAIN:
         return function
     ours = _primitives.bilinear(name, function, **rules)
-    return lambda *arrays, **named: (ours if _helps() else function)(*arrays, **named)
+    return lambda *arrays, **named: (ours if _helps() or opaque(**named) else function)(
+        *arrays, **named
+    )
 
 
 def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:

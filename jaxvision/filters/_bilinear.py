@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._staging import bilinear
-from ._methods import METHODS, Anchor, Kernel, Result, Stack, by_fft, padded
+from ._methods import METHODS, Anchor, Kernel, Result, Stack, padded
 
 # Inner products, one a tap, up to this many; a transform beyond.
 _MOST_PRODUCTS = 25
@@ -55,7 +55,7 @@ def _kernel_transpose(
         # each image correlated with its own cotangent: images take the place of bands
         together = jnp.moveaxis(read, 0, -2).reshape(1, *read.shape[1:3], -1)
         weights = jnp.moveaxis(cotangent, 0, -2).reshape(h, w, -1)
-        every = by_fft(together, weights, (0, 0), "none")
+        every = correlate_stack(together, weights, anchor=(0, 0), border="none", method="fft")
         products = every.reshape(kh, kw, *jnp.shape(image)[::3]).sum(2)
     else:
         taps = [
@@ -106,4 +106,5 @@ correlate_stack: Callable[..., Result] = bilinear(
     shape=_shape,
     transposes=(_image_transpose, _kernel_transpose),
     batched=_batched,
+    opaque=lambda method, **_: method == "fft",
 )

@@ -1,0 +1,83 @@
+"""Filters on pictures of eight decades and with dead pixels: star fields, a lamp at night."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.lib.stride_tricks import sliding_window_view
+
+import jaxvision as jv
+from jaxvision import filters
+
+Y, X = np.mgrid[-10:11, -10:11]
+STAR = (abs(X * Y) < 20) / (1.0 + X**2 + Y**2)
+STAR = (STAR / STAR.sum()).astype(np.float32)
+
+
+def night(lamp: float) -> np.ndarray:
+    picture = np.random.default_rng(0).uniform(0.01, 0.02, (120, 110)).astype(np.float32)
+    picture[50, 60] = lamp
+    return picture
+
+
+def stars(background: float) -> np.ndarray:
+    picture = np.full((120, 110), background, np.float32)
+    rng = np.random.default_rng(1)
+    picture.ravel()[rng.choice(picture.size, 60, replace=False)] = 10 ** rng.uniform(0, 8, 60)
+    return picture
+
+
+def by_windows(picture: np.ndarray, kernel: np.ndarray, mode: str = "symmetric") -> np.ndarray:
+    """Correlation by sums over windows, in float64."""
+    kh, kw = kernel.shape
+    reach = [(kh // 2, kh - 1 - kh // 2), (kw // 2, kw - 1 - kw // 2)]
+    wide = np.pad(picture.astype(float), reach, mode=mode)
+    return np.einsum("yxij,ij->yx", sliding_window_view(wide, (kh, kw)), kernel.astype(float))
+
+
+@pytest.mark.parametrize("method", ["auto", "fft"])
+@pytest.mark.parametrize("picture", [night(1e4), night(1e8), night(1e30), stars(0), stars(0.01)])
+def test_every_pixel_of_eight_decades_is_right(picture, method):
+    truth = by_windows(picture, STAR)
+    got = np.asarray(filters.correlate(picture, STAR, method=method))
+    np.testing.assert_allclose(got, truth, rtol=1e-4)  # where the truth is 0, the sum is
+    assert (got >= 0).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_dead_pixel_spoils_its_window_only(value):
+    picture = night(value)
+    fft, direct = (filters.correlate(picture, STAR, method=m) for m in ("fft", "direct"))
+    np.testing.assert_allclose(fft, direct, rtol=1e-5)
+
+
+@pytest.mark.long
+def test_slopes_through_a_transform_are_those_of_the_sum():
+    picture, kernel = jnp.asarray(stars(0.01)), jnp.asarray(STAR)
+
+    def loss(f, k, method):
+        return jnp.log(filters.correlate(f, k, method=method)).sum()
+
+    fft, direct = (jax.grad(loss, (0, 1))(picture, kernel, m) for m in ("fft", "direct"))
+    for one, other in zip(fft, direct, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-6 * np.abs(other).max())
+    forward = partial(filters.correlate, method="fft")
+    _, slope = jax.jvp(lambda f: forward(f, kernel), (picture,), (jnp.ones_like(picture),))
+    np.testing.assert_allclose(slope, forward(jnp.ones_like(picture), kernel), rtol=1e-5)
+    twice = jax.hessian(lambda t: jnp.sum(forward(t * picture[:30, :30], t * kernel) ** 2))(1.0)
+    once = float(jnp.sum(filters.correlate(picture[:30, :30], kernel, method="direct") ** 2))
+    np.testing.assert_allclose(twice, 12 * once, rtol=1e-4)
+
+
+def test_diffraction_of_a_lamp_at_night():
+    lens = jv.ThinLens(
+        [0, 0, 0], np.eye(3), 0.05, 4e-6, resolution=(120, 110), f_number=16.0, focus_distance=1e9
+    )
+    effect = jv.Diffraction([550e-9], size=33)
+    picture = night(1e8)
+    got = jv.optics.diffracted(lens, effect, jnp.asarray(picture)[..., None])[..., 0]
+    working = 16.0 / (1 - 0.05 / 1e9)
+    kernel = jv.optics.airy_kernel(550e-9, working, 4e-6, size=33)
+    np.testing.assert_allclose(got, by_windows(picture, np.asarray(kernel), "edge"), rtol=1e-4)
