@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from jaxvision.sensor.shot_noise import poisson_deviance, stirling_remainder
 
 from .inference.likelihoods import HALF_LOG_2PI
-from .inference.tails import log_ndtr
+from .inference.tails import log1mexp, log_ndtr
 
 # counts from which the saddle point has more digits than XLA's gammainc, by the size of a number
 _COUNTS = {4: 100.0, 8: 1e5}
@@ -77,8 +77,9 @@ def log_poisson_tails(
     ) -> Float[Array, "..."]:
         summed = (n < limit) & (tail > jnp.finfo(tail.dtype).tiny)
         large = tail > 0.5
+        other = jnp.log(jnp.where(large, other, 0.5))
         small = jnp.log(jnp.where(summed & ~large, tail, 1))
-        directly = jnp.where(large, jnp.log1p(-jnp.where(large, other, 0)), small)
+        directly = jnp.where(large, log1mexp(other), small)
         return jnp.where(summed, directly, log_ndtr(deviate))
 
     return of(below, above, -star), of(above, below, star)

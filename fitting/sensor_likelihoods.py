@@ -23,7 +23,7 @@ from jaxvision.sensor.moments import QUANTISATION_VARIANCE
 
 from .inference.given import is_concrete
 from .inference.likelihoods import Censored, Numbers
-from .inference.tails import log_ndtr, ndtri_exp
+from .inference.tails import log1mexp, log_ndtr, ndtri_exp
 from .poisson import log_poisson, log_poisson_tails
 
 FAR = 1e9  # standard deviations, for an end without limit: more than any code lies from any other
@@ -224,7 +224,7 @@ class SensorCounts(eqx.Module):
         above = jnp.where(self._is_white(data), -jnp.inf, above)
         chance = jnp.asarray(chance, share.dtype)
         lower = jnp.logaddexp(below, share + jnp.log(chance))
-        upper = jnp.logaddexp(above, share + jnp.log1p(-chance))
+        upper = jnp.logaddexp(above, share + jnp.log(1 - chance))
         deviate = ndtri_exp(jnp.minimum(lower, upper))
         return jnp.where(lower < upper, deviate, -deviate)
 
@@ -359,4 +359,4 @@ def _log_interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[
     """ln(Phi(high) - Phi(low)), from the tail in which the interval lies: no digit cancels."""
     above = low > 0
     low, high = jnp.where(above, -high, low), jnp.where(above, -low, high)
-    return log_ndtr(high) + jnp.log1p(-jnp.exp(log_ndtr(low) - log_ndtr(high)))
+    return log_ndtr(high) + log1mexp(log_ndtr(low) - log_ndtr(high))

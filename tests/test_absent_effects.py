@@ -25,7 +25,7 @@ LIGHT = np.full((6, 8, 3), 1e-3)
 SIGNATURES = {
     "smear": "reduce_sum",
     "blooming": "scan",
-    "charge_transfer": "log1p",
+    "charge_transfer": "expm1",
     "banding": "sin",
     "bits": "round",
 }

@@ -162,3 +162,14 @@ def test_quadrature_over_one_polygon_states_its_error(other):
 def test_quadrature_needs_two_nodes():
     with pytest.raises(ValueError, match="order must be a whole number of at least 2, got 1"):
         polygon_to_polygon(polygon(UNIT_SQUARE), polygon(CEILING), order=1)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("gap", [1e-4, 1e-6, 1e-8, 1e-12])
+def test_slopes_of_rectangles_that_nearly_touch(gap, dtype):
+    """Of unit squares: F = 1 - 2 g - (g^2 ln(g) ...), so that the slope by the gap tends to -2."""
+    one, gap = jnp.asarray(1, dtype), jnp.asarray(gap, dtype)
+    slopes = jax.grad(parallel_rectangles, (0, 1, 2))(one, one, gap)
+    near = 5 * gap * (1 - jnp.log(gap))
+    np.testing.assert_allclose(slopes[2], -2, atol=1e-5 + near)
+    np.testing.assert_allclose(slopes[:2], gap, rtol=1e-5 + near)

@@ -192,3 +192,23 @@ def test_the_cross_product_of_nearly_parallel_vectors_keeps_its_digits(dtype):
         true = [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
         error = max(abs(x - y) for x, y in zip(n, true, strict=True))
         assert error <= 2 * float(jnp.finfo(dtype).eps) * max(abs(x) for x in true)
+
+
+@both_precisions
+def test_log1p_in_ulps(dtype):
+    """Against mpmath; between -0.414 and -0.29 XLA's is off by up to 128 units in float64."""
+    x = np.concatenate(
+        [
+            np.linspace(-0.45, -0.2, 400),
+            np.linspace(-0.99, 3, 200),
+            RNG.choice([-1, 1], 100) * np.geomspace(1e-30, 0.1, 100),
+            [-0.41420596889248495, -0.3905364989720889, 1e30],
+        ]
+    ).astype(dtype)
+    got = jax.jit(num.log1p)(jnp.asarray(x))
+    assert got.dtype == dtype
+    assert max(exact.ulps(y, mp.log1p(mp.mpf(float(v)))) for v, y in zip(x, got, strict=True)) < 2.5
+    edges = num.log1p(jnp.asarray([-2.0, -1.0, -0.0, np.inf, np.nan], dtype))
+    np.testing.assert_array_equal(edges, [np.nan, -np.inf, 0, np.inf, np.nan])
+    slopes = jax.vmap(jax.grad(num.log1p))(jnp.asarray([-0.75, -0.25, 0.0, 3.0], dtype))
+    np.testing.assert_allclose(slopes, [4, 4 / 3, 1, 0.25], rtol=1e-6)

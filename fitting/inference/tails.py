@@ -22,6 +22,13 @@ _REFINED = 4  # steps of Newton from there
 HALF_LOG_PI = float(np.log(np.pi)) / 2
 
 
+def log1mexp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ln(1 - exp(`log_p`)), (...) no unit. XLA's log1p is right from -0.29 up in float64."""
+    likely = log_p > -1.4
+    rare = jnp.log1p(-jnp.exp(jnp.where(likely, -2, log_p)))
+    return jnp.where(likely, jnp.log(-jnp.expm1(jnp.where(likely, log_p, -1))), rare)
+
+
 @jax.custom_jvp
 def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
     """log Phi(z) at `z` deviations above the mean; its slope, phi(z) / Phi(z), tends to -z.
@@ -42,7 +49,7 @@ def _log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
     """Above the mean from the small probability beyond, which JAX's own rounds to eps."""
     above = z > 1
     below = special.log_ndtr(jnp.where(above, -z, z))
-    return jnp.where(above, jnp.log1p(-jnp.exp(jnp.where(above, below, -1))), below)
+    return jnp.where(above, log1mexp(jnp.where(above, below, -1)), below)
 
 
 @log_ndtr.defjvp
@@ -125,7 +132,7 @@ def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
     near = jnp.log(special.betainc(jnp.where(many, 1, a), 0.5, jnp.maximum(x, _NEARBY)))
     far, near = (value - float(np.log(2)) for value in (far, near))  # of -|z|
     below = jnp.where(x < _NEARBY, far, jnp.where(many, _near_normal(jnp.abs(z), dof), near))
-    return jnp.where(z > 0, jnp.log1p(-jnp.exp(below)), below)
+    return jnp.where(z > 0, log1mexp(below), below)
 
 
 def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._numerics import (
     arctan2,
+    log1p,
     or_one,
     reciprocal,
     safe_log,
@@ -101,7 +102,7 @@ def log_cosine(angle: Scalars) -> Scalars:
     """log(cos(angle)), `angle` in [0, pi / 2] rad: by 1 - cos = 2 sin^2(angle / 2) near 0, where
     the cosine itself has lost the digits that a sharp lobe magnifies; `log_of_zero` at the end."""
     near = angle < 1
-    small = jnp.log1p(-2 * jnp.square(jnp.sin(jnp.where(near, angle, 0) / 2)))
+    small = log1p(-2 * jnp.square(jnp.sin(jnp.where(near, angle, 0) / 2)))
     return jnp.where(near, small, safe_log(jnp.cos(jnp.where(near, 0, angle))))
 
 

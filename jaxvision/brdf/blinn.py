@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import arctan2, dot, or_one, smallest_divisor
+from .._numerics import arctan2, dot, log1p, or_one, smallest_divisor
 from .._types import Scalar, Scalars
 from .._vector import Direction, Vec, as_vec
 from ..hemisphere import direction_at
@@ -100,7 +100,7 @@ def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
     above = ~(both.z <= smallest_divisor(both.z.dtype))
     z = or_one(both.z, above)
     squared = jnp.square(both.x / z) + jnp.square(both.y / z)
-    return -jnp.log1p(jnp.where(above, squared, 0)) / 2
+    return -log1p(jnp.where(above, squared, 0)) / 2
 
 
 @takes_numbers
@@ -159,7 +159,7 @@ def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scal
 
 def _direction(material: PowerLobe, wo: Vec, u: Float[Array, "3"]) -> Vec:
     """`wo` mirrored about a half vector of density (n + 1) / (2 pi) (n.h)^n."""
-    shortfall = -jnp.expm1(jnp.log1p(-u[0]) / (material.exponent + 1))
+    shortfall = -jnp.expm1(log1p(-u[0]) / (material.exponent + 1))
     h = direction_at(shortfall, 2 * jnp.pi * u[1])
     return 2 * dot(wo, h) * h - wo
 

@@ -7,10 +7,11 @@ grazing angles too; at an angle of 90 degrees every interface reflects all.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .._arguments import in_range, takes_numbers
-from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
+from .._numerics import divide, or_one, polynomial, safe_sqrt, smallest_divisor
 from .._shown import Shown
 from .._types import AMOUNT, DIVISOR, Colour, Range, Scalar, as_float, check_fields
 
@@ -226,8 +227,21 @@ def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
         [0.04]
         [1.]
     """
-    c = jnp.clip(cos_theta, 0, 1)
+    return _schlick(jnp.clip(cos_theta, 0, 1), f0)
+
+
+@jax.custom_jvp
+def _schlick(c: Scalar, f0: Colour) -> Colour:
     rest = 1 - c
     lost = (1 - rest) - c  # by the rounding of the difference, whose fifth power has it five times
     fourth = jnp.square(jnp.square(rest))
     return f0 + (1 - f0) * (fourth * (rest + 5 * lost))
+
+
+@_schlick.defjvp
+def _schlick_jvp(primals, tangents):
+    """The slope by f0 is 1 - (1 - c)^5, multiplied out."""
+    (c, f0), (d_c, d_f0) = primals, tangents
+    fourth = jnp.square(jnp.square(1 - c))
+    slope = polynomial((1.0, -5.0, 10.0, -10.0, 5.0, 0.0), c)
+    return _schlick(c, f0), slope * d_f0 - 5 * fourth * (1 - f0) * d_c

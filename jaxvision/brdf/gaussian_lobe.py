@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import dot, polynomial, safe_sqrt, smallest_divisor
+from .._numerics import dot, log1p, polynomial, safe_sqrt, smallest_divisor
 from .._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
 from .._vector import Direction, Vec, Vector
 from ..geometry import mirror_direction
@@ -231,7 +231,7 @@ def _direction(material: _Concentrated, wo: Vec, u: Float[Array, "3"]) -> Vec:
     """From a von Mises-Fisher lobe about the mirror direction,
     1 - cos(alpha) = -log(1 - u_0 (1 - e^(-2 kappa))) / kappa."""
     kappa = _kappa(material)
-    one_minus_cos = jnp.clip(-jnp.log1p(u[0] * jnp.expm1(-2 * kappa)) / kappa, 0, 2)
+    one_minus_cos = jnp.clip(-log1p(u[0] * jnp.expm1(-2 * kappa)) / kappa, 0, 2)
     return about(mirrored(wo), one_minus_cos, 2 * jnp.pi * u[1])
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import dot, log_cos_between, log_of_zero
+from .._numerics import dot, log1p, log_cos_between, log_of_zero
 from .._types import Colour, Scalar, Scalars, check_range
 from .._vector import Direction, Vec, Vector, as_vec
 from ..geometry import mirror_direction
@@ -166,7 +166,7 @@ def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec
     Returns:
         A unit direction of density `power_pdf`.
     """
-    return about(axis, -jnp.expm1(jnp.log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
+    return about(axis, -jnp.expm1(log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
 
 
 @takes_numbers

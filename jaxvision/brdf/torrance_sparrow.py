@@ -25,6 +25,7 @@ from .._numerics import (
     arctan2,
     divide,
     dot,
+    log1p,
     norm,
     normalize,
     or_one,
@@ -156,7 +157,7 @@ def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]
         case "ggx":
             squared = u[0] / (1 - u[0])
         case "beckmann":
-            squared = -jnp.log1p(-u[0])
+            squared = -log1p(-u[0])
     slope, phi = safe_sqrt(squared), 2 * jnp.pi * u[1]
     a = _alpha(material) * slope
     h = as_vec(normalize(Vec(a[0] * jnp.cos(phi), a[1] * jnp.sin(phi), jnp.ones_like(phi))))

@@ -138,7 +138,10 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
         16.0
     """
     _check_metres("working_f_number", focus_distance, focal_length)
-    return f_number * _reciprocal(image_vergence(focus_distance, focal_length) * focal_length)
+    z, f = focus_distance, focal_length
+    near = _is_near(z, f)
+    close = jnp.where(near, z, 0) * _reciprocal(jnp.where(near, z, 0) - f)
+    return f_number * jnp.where(near, close, 1 / (1 - f / jnp.where(near, jnp.inf, z)))
 
 
 @takes_numbers

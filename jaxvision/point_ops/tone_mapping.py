@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import in_range, takes_numbers
-from .._numerics import divide, polynomial, safe_log, smallest_divisor
+from .._numerics import divide, log1p, polynomial, safe_log, smallest_divisor
 from .._types import AMOUNT, DIVISOR, Scalars, as_relative
 
 
@@ -125,8 +125,8 @@ def _log_ratio(x: Scalars, strength: Scalars) -> Scalars:
     product = strength * x
     overflows = jnp.isinf(product) & jnp.isfinite(x) & jnp.isfinite(strength)
     bright, steep = jnp.where(overflows, x, 1), jnp.where(overflows, strength, 1)
-    apart = (jnp.log(bright) + jnp.log(steep)) / jnp.log1p(steep)
-    large = jnp.log1p(product) / jnp.log1p(jnp.where(product < 1, 1, strength))
+    apart = (jnp.log(bright) + jnp.log(steep)) / log1p(steep)
+    large = log1p(product) / log1p(jnp.where(product < 1, 1, strength))
     small = x * (_mean_slope(product) / _mean_slope(strength))
     return jnp.where(overflows, apart, jnp.where(product < 1, small, large))
 
@@ -142,7 +142,7 @@ def _log_ratio_jvp(primals, tangents):
     by_x = jnp.where(
         gentle,
         1 / ((1 + slow * x) * _mean_slope(slow)),
-        1 / ((1 / fast + x) * jnp.log1p(fast)),
+        1 / ((1 / fast + x) * log1p(fast)),
     )
     near = (product < _NEAR) & (strength < _NEAR)
     of_x, of_one = (
@@ -150,7 +150,7 @@ def _log_ratio_jvp(primals, tangents):
     )
     series = x * (x * of_x[1] * of_one[0] - of_x[0] * of_one[1]) / jnp.square(of_one[0])
     steep = jnp.where(near, 1, strength)
-    difference = (1 / (divide(1, x) + steep) - mapped / (1 + steep)) / jnp.log1p(steep)
+    difference = (1 / (divide(1, x) + steep) - mapped / (1 + steep)) / log1p(steep)
     by_strength = jnp.where(near, series, jnp.where(x > 0, difference, 0 * mapped))
     return mapped, by_x * dx + by_strength * ds
 
@@ -158,7 +158,7 @@ def _log_ratio_jvp(primals, tangents):
 def _mean_slope(z: Scalars) -> Scalars:
     """log(1 + z) / z, 1 at 0, for z >= 0."""
     small = z < jnp.finfo(z.dtype).eps / 2
-    return jnp.where(small, 1, jnp.log1p(z) / jnp.where(small, 1, z))
+    return jnp.where(small, 1, log1p(z) / jnp.where(small, 1, z))
 
 
 _NEAR = 0.1

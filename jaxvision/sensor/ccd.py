@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import safe_sqrt
+from .._numerics import log1p, safe_sqrt
 from .._types import Key, Scalar
 from ..scene import ChargeTransfer
 from ._draws import Frame, check_image, gaussian
@@ -225,7 +225,7 @@ def _shares(
     has none.
     """
     row = jnp.arange(size, dtype=like.dtype)
-    kept = (row + 1) * jnp.log1p(-inefficiency)
+    kept = (row + 1) * log1p(-inefficiency)
     shares = [jnp.exp(kept)]
     for behind in range(1, trail + 1):
         shares.append(shares[-1] * inefficiency * ((row + behind) / behind))

@@ -128,8 +128,8 @@ def conditions(entry, points):
 
 
 def slopes(entry, points):
-    """For each argument and part: its slopes (points, components), which are kinks, and a
-    hundredth of the largest f / x, by differences in 60 digits."""
+    """For each argument and part: its slopes (points, components), which are kinks, and the
+    largest f / x, by differences in 60 digits."""
     h = DIGITS.c(STEP)
     columns = [DIGITS.array(column) for column in points]
     middle = truth(entry, DIGITS, points)
@@ -155,19 +155,19 @@ def slopes(entry, points):
                 found[p].append(((ahead + behind) / 2, kink.astype(bool), abs(middle[p] / safe)))
         for p, parts in enumerate(found):
             slope, kink, size = (np.stack(each, axis=-1) for each in zip(*parts, strict=True))
-            yield i, p, slope, kink.any(-1), size.max(-1) / 100
+            yield i, p, slope, kink.any(-1), size.max(-1)
 
 
 def gradient_errors(entry, points):
     """(worst relative error of a slope, how many are not finite) in the precision of the points:
-    relative to the largest slope by that argument, or to a hundredth of f / x if that is more."""
+    relative to the largest slope by that argument, or to what the row allows if that is more."""
     program = jax.jit(jax.vmap(jax.jacrev(lambda *a: _flat(entry, a), argnums=_numbers(entry))))
     found = [np.asarray(g) for g in program(*map(jnp.asarray, points))]
     limits = np.finfo(points[0].dtype)
     worst, endless = 0.0, sum(int((~np.isfinite(g)).sum()) for g in found)
     for i, p, true, kink, size in slopes(entry, points):
         got = found[i][:, p].reshape(true.shape)
-        scale = np.maximum(np.abs(true).max(-1), size).astype(np.float64)
+        scale = np.maximum(np.abs(true).max(-1), size * entry.of_quotient).astype(np.float64)
         known = np.where(np.isfinite(got), got, 0)
         error = np.abs(DIGITS.array(known) - true).max(-1).astype(np.float64)
         counted = (scale < float(limits.max)) & (scale > float(limits.tiny)) & ~kink

@@ -45,7 +45,8 @@ number may be 0.
 - *worst*, *mean*: ULP, in float32 and float64. Rows marked † are over 1 + Σ |x ∂f/∂x| / |f|: there
   the result is a difference, or an exponential, of rounded numbers, and no formula does better.
 - *slope*: the largest relative error of a derivative over the hard cases, float32 and float64
-  (relative to the largest slope by the same argument, or to a hundredth of f / x).
+  (relative to the largest slope by the same argument; where the note says so, or to a hundredth of
+  f / x).
 - *jit*, *one*: the largest ULP, in float32, between compiled and eager at 32 points, hard cases
   first, and between `vmap` and a loop at 3.
 - *bound*: what the tests hold the row to; {outside} Infinite and NaN results where the true

@@ -20,6 +20,7 @@ from ..._numerics import (
     arctan2,
     divide,
     dot,
+    log1p,
     norm,
     normalize,
     or_one,
@@ -57,10 +58,39 @@ def parallel_rectangles(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
         >>> print(parallel_rectangles(jnp.array(1.0), jnp.array(1.0), jnp.array(1.0)).round(4))
         0.1998
     """
+    return _facing(*jnp.broadcast_arrays(width, height, gap))
+
+
+@jax.custom_jvp
+def _facing(width: Scalar, height: Scalar, gap: Scalar) -> Scalar:
     x, y = (_ratio(side, gap) for side in (width, height))
     area = x * y
     extended = ~(area <= smallest_divisor(area.dtype) ** 1.5)
     return divide(2 * _opposed(x, y), jnp.pi * area, extended)
+
+
+@_facing.defjvp
+def _facing_jvp(primals, tangents):
+    """With t = x dF / d ln x, bounded, and nothing that cancels: a quotient's slope would."""
+    (width, height, gap), (d_width, d_height, d_gap) = primals, tangents
+    x, y = (_ratio(side, gap) for side in (width, height))
+    of_width, of_height = _steepness(x, y), _steepness(y, x)
+    by_width, by_height = divide(of_width, width), divide(of_height, height)
+    slope = by_width * divide(gap, width) * d_width + by_height * divide(gap, height) * d_height
+    return _facing(*primals), slope - (by_width + by_height) * d_gap
+
+
+def _steepness(x: Scalars, y: Scalars) -> Scalars:
+    """x^2 times the slope by x of the form factor of `parallel_rectangles`, with s^2 = 1 + x^2:
+
+    2 / pi (arctan(y) - arctan(y / s) / s - ln[(1 + x^2)(1 + y^2) / (1 + x^2 + y^2)] / 2 y)
+    """
+    square = x * x
+    s = jnp.sqrt(1 + square)
+    longer = square / (1 + s)  # s - 1
+    angle = arctan2(y * longer, s + y * y) + longer / s * arctan2(y, s)
+    logs = log1p(square * (y * y / (1 + square + y * y))) / 2
+    return 2 / jnp.pi * (angle - divide(logs, y))
 
 
 @takes_numbers
@@ -81,9 +111,39 @@ def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scal
     Source:
         Howell, A Catalog of Radiation Heat Transfer Configuration Factors, C-14.
     """
+    return _meeting(*jnp.broadcast_arrays(edge, width, other))
+
+
+@jax.custom_jvp
+def _meeting(edge: Scalar, width: Scalar, other: Scalar) -> Scalar:
     w, h = (_ratio(side, edge) for side in (width, other))
     wide = ~(w <= smallest_divisor(w.dtype))
     return divide(_hinged(w, h), jnp.pi * w, wide & ~(h <= 0))
+
+
+@_meeting.defjvp
+def _meeting_jvp(primals, tangents):
+    """By ln h as in `_rise`, by ln of the edge as the logarithms of `_hinged` say, and by ln w less
+    both: F depends on ratios. Every term has its sign, so that none cancels another."""
+    (edge, width, other), (d_edge, d_width, d_other) = primals, tangents
+    w, h = (_ratio(side, edge) for side in (width, other))
+    w2, h2 = w * w, h * h
+    by_edge = (
+        log1p(w2 * (h2 / (1 + w2 + h2))) - w2 * _log_of_side(w, h) - h2 * _log_of_side(h, w)
+    ) / 4
+    by_other = h * _rise(h, w)
+    change = by_edge * divide(d_edge, edge) + by_other * divide(d_other, other)
+    change = change - (by_edge + by_other) * divide(d_width, width)
+    return _meeting(*primals), divide(change, jnp.pi * w)
+
+
+def _rise(h: Scalars, w: Scalars) -> Scalars:
+    """The slope by h of `_hinged`: acot(h) - h acot(S) / S + h ln(1 - c) / 2."""
+    s = safe_sqrt(w * w + h * h)
+    longer = w * divide(w, s + h, s > 0)  # S - h
+    angle = arctan2(jnp.ones_like(s), s)
+    angles = arctan2(longer, 1 + h * s) + divide(longer, s, s > 0) * angle
+    return angles + h * _log_of_side(h, w) / 2
 
 
 def _ratio(side: Scalars, unit: Scalars) -> Scalars:
@@ -95,7 +155,7 @@ def _ratio(side: Scalars, unit: Scalars) -> Scalars:
 def _opposed(x: Scalars, y: Scalars) -> Scalars:
     """ln[(1 + x^2)(1 + y^2) / (1 + x^2 + y^2)] / 2 + x d(x, y) + y d(y, x), each term >= 0."""
     area = x * y
-    return jnp.log1p(area * (area / (1 + x * x + y * y))) / 2 + x * _gain(x, y) + y * _gain(y, x)
+    return log1p(area * (area / (1 + x * x + y * y))) / 2 + x * _gain(x, y) + y * _gain(y, x)
 
 
 _NEAR = 0.3  # below it a series has the digits that the difference of two angles loses
@@ -135,19 +195,21 @@ def _hinged(w: Scalars, h: Scalars) -> Scalars:
     angles = w * arctan2(jnp.ones_like(w), w) + (
         h * arctan2(longer, 1 + h * s) - longer * arctan2(jnp.ones_like(w), s)
     )
-    rest = 1 + w2 + h2
-    square = or_one(s * s, s > 0)
-    of_width = _log_remaining(h2 / square / (1 + w2), (w2 / (1 + w2)) * (rest / square))
-    of_height = _log_remaining(w2 / square / (1 + h2), (h2 / (1 + h2)) * (rest / square))
-    logs = jnp.log1p(w2 * (h2 / rest)) + w2 * of_width + h2 * of_height
-    return angles + logs / 4
+    logs = log1p(w2 * (h2 / (1 + w2 + h2)))
+    return angles + (logs + w2 * _log_of_side(w, h) + h2 * _log_of_side(h, w)) / 4
+
+
+def _log_of_side(w: Scalars, h: Scalars) -> Scalars:
+    """ln(1 - b) of `_hinged`, with b = h^2 / (S^2 (1 + w^2))."""
+    w2, h2 = w * w, h * h
+    square = or_one(w2 + h2, w2 + h2 > 0)
+    return _log_remaining(h2 / square / (1 + w2), (w2 / (1 + w2)) * ((1 + w2 + h2) / square))
 
 
 def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
-    """log(1 - lost), where 1 - lost = remaining; each is used where it has the more digits. XLA's
-    log1p loses six bits near -0.4 in float64."""
-    small = lost < 0.25
-    return jnp.where(small, jnp.log1p(-jnp.where(small, lost, 0)), safe_log(remaining))
+    """log(1 - lost), where 1 - lost = remaining; each is used where it has the more digits."""
+    small = lost < 0.5
+    return jnp.where(small, log1p(-jnp.where(small, lost, 0)), safe_log(remaining))
 
 
 @takes_numbers

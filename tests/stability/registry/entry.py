@@ -103,6 +103,8 @@ class Entry:
         conditioned: in units of the last place times 1 + sum |x df/dx| / |f|, because the result
             is a difference, or an exponential, of what was rounded; `note` says which.
         gradient: the error that a slope in float32 may have, relative; None for none.
+        of_quotient: the share of f / x that a slope's error may also be relative to, where the
+            slope is a difference of numbers of that size; `note` says of which.
         turn: of a part called "hue": `turn(m)`, which makes no difference.
         of_digits: the oracle needs functions that only mpmath has; fewer points are drawn.
         precisions: in which it is measured.
@@ -119,6 +121,7 @@ class Entry:
     parts: tuple[str, ...] = ("",)
     conditioned: bool = False
     gradient: float | None = 1e-5
+    of_quotient: float = 0.0
     turn: Callable[..., Any] | None = None
     of_digits: bool = False
     precisions: tuple[str, ...] = ("float32", "float64")

@@ -79,9 +79,12 @@ ENTRIES = [
         parallel_rectangles,
         parallel,
         (SIDE, SIDE, Range(0.1, 10.0)),
-        ((0.01, 0.01, 1.0), (1e-4, 1e-4, 1.0), (1e4, 1e4, 1.0), (1e-3, 1e3, 1.0)),
+        (
+            *((0.01, 0.01, 1.0), (1e-4, 1e-4, 1.0), (1e4, 1e4, 1.0), (1e-3, 1e3, 1.0)),
+            *((1.0, 1.0, 1e-6), (1.0, 1.0, 1e-7)),
+        ),
         bound=7,
-        gradient=1e-4,
+        gradient=2e-6,
         note="near sides that are far smaller than the gap",
     ),
     Entry(
@@ -91,8 +94,7 @@ ENTRIES = [
         (Range(0.1, 10.0), SIDE, SIDE),
         ((1.0, 0.01, 0.01), (1.0, 1e-3, 1e3), (1.0, 1e3, 1e-3), (1.0, 1.0, 1.0)),
         bound=6,
-        gradient=1e-3,
-        note="the slope by a far longer side",
+        gradient=2e-6,
     ),
     Entry(
         "transport.radiosity.form_factors.point_to_polygon",

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from oracle_numbers import MP, special
 
 from fitting import Censored, Gaussian, SensorCounts, StudentT
-from fitting.inference.tails import log_ndtr, ndtri_exp
+from fitting.inference.tails import log1mexp, log_ndtr, ndtri_exp
 from fitting.poisson import log_poisson, log_poisson_tails
 from jaxvision import PoissonShotNoise, Sensor
 from jaxvision.sensor.shot_noise import poisson_deviance, stirling_remainder
@@ -159,6 +159,15 @@ ENTRIES = [
         precisions=("float64",),
         conditioned=True,
         of_digits=True,
+    ),
+    Entry(
+        "fitting.inference.tails.log1mexp",
+        lambda p: log1mexp(-p),
+        lambda m, p: m.log(-m.expm1(-p)),
+        (Range(1e-10, 80.0),),
+        ((0.5347,), (0.7,), (1.4,), (1.3999,)),
+        conditioned=True,
+        note="where the probability itself is nearly 1",
     ),
     Entry(
         "fitting.inference.tails.ndtri_exp",

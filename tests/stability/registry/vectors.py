@@ -112,6 +112,8 @@ ENTRIES = [
         (ANY,),
         ((vec(1e-30, 1e-30, 2e-30),), (vec(1e30, 3e30, 1e30),), (vec(3e38, 3e38, 1e37),)),
         parts=("x", "y", "z"),
+        of_quotient=0.01,
+        note="slopes of a component along its own axis are 1 less its square",
     ),
     Entry(
         "_numerics.safe_sqrt",
