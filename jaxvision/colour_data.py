@@ -4,9 +4,9 @@ Eager; colour-science is loaded on first use, which takes about two seconds. The
 adaptations, luma weights and white points need no such time: they are below. Wavelengths are in m
 everywhere; `nanometres` converts. Smooth tables are interpolated by colour-science (Sprague's
 quintic on an even grid, a cubic spline elsewhere). Beyond its table an observer or a sensitivity is
-0, and a reflectance keeps its end value. So does an illuminant other than CIE daylight: "A" and "C"
-beyond 300 to 780 nm, "FL..." and "LED-..." beyond 380 to 780 nm. An unknown name is an `InputError`
-that lists the known ones.
+0, and a reflectance keeps its end value. An illuminant is refused there, unless the CIE gives its
+formula: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknown name is an
+`InputError` that lists the known ones.
 """
 
 from collections.abc import Iterable, Mapping
@@ -114,9 +114,10 @@ def wavelength_grid(
 def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, " bands"]:
     """Relative spectral power of a standard illuminant.
 
-    The CIE's series A and D are 100 at 560 nm. Above 780 nm, where their tables end, D50, D55, D65
-    and D75 are the daylight of their temperature from the CIE's basis (300 to 830 nm), which is
-    within 5e-4 of the tables from 380 nm on.
+    The CIE's series A and D are 100 at 560 nm. Outside of 300 to 780 nm, where its table ends, A is
+    the black body that defines it. Above 780 nm D50, D55, D65 and D75 are the daylight of their
+    temperature from the CIE's basis (300 to 830 nm), which is within 5e-4 of the tables from 380 nm
+    on. "E" is the same at every wavelength.
 
     Args:
         name: "A", "D65", "FL2", "LED-B1", "E", ...
@@ -126,7 +127,7 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
         (bands,) relative.
 
     Raises:
-        InputError: an unknown name.
+        InputError: an unknown name, or a wavelength for which there is neither table nor formula.
 
     Example:
         >>> print(jv.colour_data.illuminant("D65", jnp.array([450e-9, 560e-9])).round())
@@ -135,18 +136,38 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
     import colour
 
     table = _entry(colour.SDS_ILLUMINANTS, name, "illuminant")
-    power = _sampled(table, wavelengths)
-    if name not in _DAYLIGHT:
+    wanted, power = _nanometres(wavelengths), _sampled(table, wavelengths)
+    beyond = (wanted < table.shape.start) | (wanted > table.shape.end)
+    if name == "E" or not beyond.any():
         return power
+    if name == "A":
+        return jnp.where(beyond, as_float(_black_body_a(wanted)), power)
+    if name not in _DAYLIGHT:
+        _check_within(f"Illuminant {name!r}", wanted, table.shape.start, table.shape.end)
     basis = daylight_basis(wavelengths)
-    beyond = _nanometres(wavelengths) > table.shape.end
     return jnp.where(beyond, daylight(basis, jnp.asarray(_DAYLIGHT[name], basis.dtype)), power)
+
+
+def _black_body_a(wavelengths: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " bands"]:
+    """Illuminant A at wavelengths in nm, relative (CIE 15:2018, equation 3)."""
+    unit, exponent = 560 / wavelengths, 1.435e7 / 2848
+    return 100 * unit**5 * np.expm1(exponent / 560) / np.expm1(exponent / wavelengths)
+
+
+def _check_within(name: str, wanted: Float[np.ndarray, " bands"], low: float, high: float) -> None:
+    """Raises `InputError` for a wavelength, nm, beyond the ends of a table."""
+    outside = wanted[(wanted < low) | (wanted > high)]
+    if outside.size:
+        raise InputError(
+            f"{name} is known from {low:g} to {high:g} nm, and {outside[0]:g} nm is asked for; "
+            "leave these wavelengths out, or give a spectrum of your own."
+        )
 
 
 def observer(
     wavelengths: Float[Array, " bands"], *, name: str = OBSERVER
 ) -> Float[Array, "bands 3"]:
-    """Colour matching functions of a CIE standard observer.
+    """Colour matching functions of a CIE standard observer, 0 beyond their table.
 
     Args:
         wavelengths: (bands,) m.
@@ -166,7 +187,7 @@ def observer(
 def camera_sensitivities(
     name: str, wavelengths: Float[Array, " bands"]
 ) -> Float[Array, "bands channels"]:
-    """Relative spectral sensitivities of a measured camera.
+    """Relative spectral sensitivities of a measured camera, 0 beyond its table.
 
     Args:
         name: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)".
@@ -193,7 +214,7 @@ def camera_sensitivities(
 def chart_reflectances(
     wavelengths: Float[Array, " bands"], *, name: str = "ColorChecker N Ohta"
 ) -> Float[Array, "patches bands"]:
-    """Reflectances of the patches of a colour chart.
+    """Reflectances of the patches of a colour chart, which keep their end values beyond its table.
 
     Args:
         wavelengths: (bands,) m.
@@ -218,16 +239,21 @@ def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3
     Interpolated linearly, as the CIE prescribes.
 
     Args:
-        wavelengths: (bands,) m.
+        wavelengths: (bands,) m, from 300e-9 to 830e-9.
 
     Returns:
         (bands, 3) relative.
+
+    Raises:
+        InputError: a wavelength beyond the CIE's table.
     """
     import colour
 
     table = colour.colorimetry.SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
+    wanted, shape = _nanometres(wavelengths), table["S0"].shape
+    _check_within("CIE daylight", wanted, shape.start, shape.end)
     columns = [
-        np.interp(_nanometres(wavelengths), table[name].wavelengths, table[name].values)
+        np.interp(wanted, table[name].wavelengths, table[name].values)
         for name in ("S0", "S1", "S2")
     ]
     return as_float(np.stack(columns, axis=-1))

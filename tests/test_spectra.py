@@ -234,8 +234,26 @@ def test_daylight_goes_on_beyond_its_table():
         jnp.asarray(6000 * 1.4388 / 1.4380),
     )
     np.testing.assert_allclose(ours, whole.values, rtol=1e-3)
-    flat = colour_data.illuminant("A", colour_data.nanometres([780.0, 830.0]))
-    assert flat[0] == flat[1]  # as the module says
+
+
+def test_illuminants_beyond_their_tables():
+    """A by Planck's law of 2848 K (CIE 15:2018, c_2 = 1.435e-2 m K): 290.4 at 1000 nm, where the
+    table's last value is 241.7; those without a formula are refused."""
+    wanted = np.array([250.0, 300.0, 560.0, 780.0, 781.0, 1000.0, 1100.0])
+    planck = 1 / (wanted**5 * np.expm1(1.435e7 / 2848 / wanted))
+    found = colour_data.illuminant("A", colour_data.nanometres(wanted))
+    np.testing.assert_allclose(found, 100 * planck / planck[2], rtol=1e-5)
+    np.testing.assert_allclose(found[5], 290.4, atol=0.05)
+    for name, known, one in (
+        ("FL2", "Illuminant 'FL2' is known from 380 to 780", 781),
+        ("C", "Illuminant 'C' is known from 300 to 780", 900),
+        ("D65", "CIE daylight is known from 300 to 830", 299),
+        ("D65", "CIE daylight is known from 300 to 830", 831),
+    ):
+        with pytest.raises(InputError, match=f"{known} nm, and {one} nm is asked for"):
+            colour_data.illuminant(name, colour_data.nanometres([500.0, one]))
+    even = colour_data.illuminant("E", colour_data.nanometres([250.0, 2e3]))
+    np.testing.assert_allclose(even, 100)
 
 
 def test_unknown_names_list_the_known():
