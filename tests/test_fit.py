@@ -489,3 +489,17 @@ def test_one_of_many_optima_is_no_success():
         said += any("a deeper one may have been missed" in failure for failure in found.failures)
         assert len(found.optimum.costs) in (16, 32, 48, 64)
     assert said
+
+
+def test_two_residuals_of_two_unknowns_that_bounds_stop():
+    """The minimum of Rosenbrock's valley lies beyond the bounds: a misfit, in possible numbers."""
+    problem = Problem(
+        {name: Parameter(lower=-2.0, upper=0.75) for name in ("x", "y")},
+        lambda x, y: jnp.stack([1 - x, 10 * (y - x**2)]),
+        Gaussian(sd=0.01),
+        [0.0, 0.0],
+    )
+    said = str(fit(problem, starts=4))
+    assert "less than one degree of freedom" in said
+    assert "is exceeded by chance" in said
+    assert "-2." not in said.partition("is exceeded")[0].rpartition(";")[2]

@@ -242,6 +242,21 @@ def test_groups_that_share_an_error_widen_the_intervals():
     assert low < np.sqrt(np.mean(np.square(z))) < high
 
 
+def test_chi_square_without_a_degree_of_freedom_has_an_exact_quantile():
+    """A bound stops two parameters at two data: 3e-4 degrees of freedom are none, and the quantile
+    of one is SciPy's 10.83; Wilson's and Hilferty's cube root had -3e8 of them."""
+    found = judge(np.array([25.0, 1.3]), 2 - 3e-4)
+    assert found.dof < 1
+    assert found.p < 1e-100
+    assert "chi-square is 626.7 with less than one degree of freedom left" in found.faults[0]
+    assert "10.83 is exceeded by chance in one of 1000 cases" in found.faults[0]
+    good = judge(np.array([0.02, 0.01]), 2 - 3e-4)
+    assert not good.faults
+    assert "nothing is left to test the model by" in good.remarks[0]
+    bad = judge(np.full(3, 4.0), 1.0)
+    assert f"{stats.chi2.isf(1e-3, 2) / 2:.4g} is exceeded" in bad.faults[0]
+
+
 def sensor(**options):
     return Sensor(shot_noise=PoissonShotNoise(), **options)
 

@@ -287,8 +287,9 @@ class Fit:
         """Chi-square and starts in one line."""
         checks, starts = self.misfit, len(self.optimum.costs)
         p = f" ({format_p(checks.p)})" if np.isfinite(checks.p) else ""
+        left = f"{checks.dof:.5g} degrees" if checks.dof >= 1 else "less than one degree"
         return (
-            f"chi-square {checks.chi_square:.5g} for {checks.dof:.5g} degrees of freedom{p}; "
+            f"chi-square {checks.chi_square:.5g} for {left} of freedom{p}; "
             f"{agreeing(self.optimum)} of {starts} starts ended as deep"
         )
 

@@ -88,9 +88,9 @@ def widening(
     if isinstance(problem.likelihood, Clustered):
         labels = on_host(problem.likelihood.labels)
         return _of_groups(problem, optimum, labels, residuals, inflate=inflate, seed=seed)
-    if not inflate or checks.dof <= 0 or checks.chi_square <= checks.dof:
+    if not inflate or checks.dof <= 0 or checks.chi_square <= max(checks.dof, 1):
         return Widening(covariance)
-    factor = checks.chi_square / checks.dof
+    factor = checks.chi_square / max(checks.dof, 1)
     prior = optimum.curvature - optimum.data_information
     words = [
         f"Chi-square per degree of freedom is {factor:.4g}; what the data say is widened by "
@@ -133,7 +133,8 @@ def _of_groups(
         if beyond.faults:
             sentences.append(
                 "An offset and a gain of each group explain only part of the misfit: chi-square "
-                f"per degree of freedom is {beyond.chi_square / beyond.dof:.4g} without them."
+                f"per degree of freedom is {beyond.chi_square / max(beyond.dof, 1):.4g} without "
+                "them."
             )
     explained = shared and (inflate or not beyond.faults)
     return Widening(robust.covariance, robust.freedom, 1.0, tuple(sentences), explained)

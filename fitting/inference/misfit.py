@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import chdtrc, ndtri
+from scipy.special import chdtrc, chdtri, ndtri
 
 FAINT = 1e-3  # chi-square per degree of freedom below which structure is lost in the noise
 CHANCE = 1e-3  # of calling a good fit a misfit, by each of the two tests
@@ -25,7 +25,8 @@ class Misfit:
     Attributes:
         chi_square: sum of their squares.
         dof: data less what the parameters take up.
-        p: chance of a larger chi-square; NaN without degrees of freedom.
+        p: chance of a larger chi-square; NaN with less than one degree of freedom, unless it is
+            below `CHANCE` for one.
         correlation: of neighbours along each axis.
         significance: the same in its own standard deviations.
         faults: sentences, empty when the model describes the data.
@@ -96,7 +97,14 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
     dof = float(count - parameters)
     faults, remarks = [], []
     p = float("nan")
-    if dof > 0:
+    if 0 < dof < 1 and chdtrc(1, chi_square) < CHANCE:
+        p = float(chdtrc(1, chi_square))
+        faults.append(
+            "The model does not describe the data within their noise: chi-square is "
+            f"{chi_square:.4g} with less than one degree of freedom left; with one, "
+            f"{_largest(1):.4g} is exceeded by chance in one of {1 / CHANCE:.0f} cases."
+        )
+    elif dof >= 1:
         p, other = float(chdtrc(dof, chi_square)), float(1 - chdtrc(dof, chi_square))
         if not p > CHANCE:
             faults.append(
@@ -137,5 +145,5 @@ def _correlation(product: float, one: float, other: float, pairs: float) -> tupl
 
 
 def _largest(dof: float) -> float:
-    """Chi-square per degree of freedom that is exceeded by chance (Wilson & Hilferty 1931)."""
-    return (1 - 2 / (9 * dof) - ndtri(CHANCE) * np.sqrt(2 / (9 * dof))) ** 3
+    """Chi-square per degree of freedom that is exceeded by chance."""
+    return float(chdtri(dof, CHANCE)) / dof
