@@ -7,6 +7,7 @@ from pathlib import Path
 
 _SMALLER_COPIES = (0x010001, 0x010002)  # kinds of a Multi-Picture Format entry
 _PICTURE_LIST, _ENTRY = 0xB002, 16
+_END = 0xD9  # of the picture
 
 
 def jpeg_extras(file: Path) -> list[str]:
@@ -16,34 +17,43 @@ def jpeg_extras(file: Path) -> list[str]:
         file: a JPEG.
 
     Returns:
-        Its further pictures and gain maps, each in words; none for a plain picture.
+        Its further pictures, gain maps and bytes after its end (a film, say), each in words; none
+        for a plain picture.
     """
     data = file.read_bytes()
-    found, pictures = [], 0
+    found, pictures, listed, rest = [], 0, False, b""
     for kind, content in _segments(data):
         if kind == 0xE2 and content[:4] == b"MPF\0":
             pictures += _further_pictures(content[4:])
+            listed = True
+        if kind == _END:
+            rest = content.strip(b"\0\xff")
         gain_map = kind == 0xE2 and content.startswith(b"urn:iso:std:iso:ts:21496:-1\0")
         if gain_map or (kind == 0xE1 and b"hdrgm:Version" in content):
             found.append("its gain map, by which a screen of high dynamic range brightens it")
     if pictures:
         found.append(f"{pictures} further picture{'s' if pictures > 1 else ''} after the first")
+    if rest and not listed:
+        found.append(f"{len(rest)} bytes after its picture")
     return list(dict.fromkeys(found))
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the segments before the first scan."""
+    """Kind and content of the segments, those between scans too; of the end, what follows it."""
     at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
+    while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
         kind = data[at + 1]
+        if kind == _END:
+            yield kind, data[at + 2 :]
+            return
         if kind == 0xFF:  # a fill byte
             at += 1
-            continue
-        if kind in (0xDA, 0xD9):
-            return
-        size = int.from_bytes(data[at + 2 : at + 4], "big")
-        yield kind, data[at + 4 : at + 2 + size]
-        at += 2 + max(size, 2)
+        elif kind == 0 or 0xD0 <= kind <= 0xD7:  # within a scan
+            at += 2
+        else:
+            size = int.from_bytes(data[at + 2 : at + 4], "big")
+            yield kind, data[at + 4 : at + 2 + size]
+            at += 2 + max(size, 2)
 
 
 def _further_pictures(index: bytes) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 _SIZES = {1: 1, 3: 2, 4: 4, 5: 8, 7: 1, 13: 4, 16: 8}  # bytes of a value, by the type of its tag
 _LETTERS = {1: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q"}
 SUBFILE, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 258, 262, 320, 330
+SAMPLE_FORMAT = 339  # 1: whole numbers without a sign
 CFA_SIZE, CFA_COLOURS = 33421, 33422
 WHITE_IS_ZERO, PALETTE, INKS, MOSAIC = 0, 3, 5, 32803  # photometric interpretations
 LIGHT = (0, 1, 2, 3, 4, 6, MOSAIC, 34892)  # grey, RGB, palettes, YCbCr, mosaics, linear raw

@@ -15,7 +15,7 @@ import numpy as np
 from ._netpbm_files import NETPBM_FORMATS, netpbm_head
 from ._png_chunks import png_chunks
 from ._targa_head import targa_bits
-from ._tiff_tags import BITS, COLOUR_MAP, PALETTE, PHOTOMETRIC, tiff_pictures
+from ._tiff_tags import BITS, COLOUR_MAP, PALETTE, PHOTOMETRIC, SAMPLE_FORMAT, tiff_pictures
 from .errors import InputError, check_utf8
 from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
@@ -119,17 +119,16 @@ def _of_exif(file: Path, said: Mapping[str, Any]) -> ImageSettings:
 def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
     """Bits of the codes of a PNG, TIFF, JPEG or TGA file; None where they are no codes."""
     whole = said.get(_CODES)
-    if whole is None:
-        return None
     if chunks := png_chunks(file, head=True):
-        return chunks.bits
-    pages = [page for page in tiff_pictures(file) if not page.is_copy]
-    if pages and pages[0].first(PHOTOMETRIC) == PALETTE:
-        colours = np.array(pages[0].values.get(COLOUR_MAP, (1,)))
+        return chunks.bits if whole else None
+    page = next((page for page in tiff_pictures(file) if not page.is_copy), None)
+    if page is None:
+        return targa_bits(file) if "targa:version" in said else whole
+    if page.first(PHOTOMETRIC) == PALETTE:
+        colours = np.array(page.values.get(COLOUR_MAP, (1,)))
         return 8 if not (colours % 257).any() or not (colours % 256).any() else 16
-    if pages:
-        return min(pages[0].first(BITS, whole), whole)
-    return targa_bits(file) if "targa:version" in said else whole
+    bits = page.first(BITS, 1)
+    return bits if page.first(SAMPLE_FORMAT, 1) == 1 and bits <= 16 else None
 
 
 def _of_raw(file: Path) -> ImageSettings:

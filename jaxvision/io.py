@@ -56,7 +56,7 @@ LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists
 NOT_TEXT = "it holds bytes that are not text where its format has text"
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
 # Of OpenImageIO's, those whose codes come back as they are stored, by `_undone`.
-_DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif", "webp")
+_DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif")
 _NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}  # as plots call them
 _MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR holds
 

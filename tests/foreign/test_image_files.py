@@ -499,6 +499,15 @@ def test_parts_of_an_exr_are_named_and_chosen(tmp_path):
         read_image(file, part=2)
 
 
+def test_a_smaller_copy_before_the_picture_is_passed_over(tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    with tifffile.TiffWriter(tmp_path / "a.tif") as sink:
+        sink.write(np.zeros((4, 4), np.uint8), subfiletype=1)
+        sink.write(np.full((8, 8), 700, np.uint16))
+    assert (read_image(tmp_path / "a.tif") == 700).all()
+    assert read_settings(tmp_path / "a.tif").bits == 16
+
+
 def test_pages_of_a_tiff_are_named_and_copies_are_not(tmp_path):
     write_tiff(tmp_path / "a.tif", [[1, 2]], 8, pages=3)
     with pytest.warns(UserWarning, match="3 pictures; number 0 is read, and number 1, number 2"):
@@ -534,6 +543,15 @@ def test_animations_and_gain_maps_are_named(tmp_path):
     frames[0].save(tmp_path / "a.jpg", "MPO", save_all=True, append_images=frames[1:])
     with pytest.warns(UserWarning, match="not used: 1 further picture after the first"):
         read_image(tmp_path / "a.jpg")
+    frames[0].save(tmp_path / "c.jpg", progressive=True)
+    plain = (tmp_path / "c.jpg").read_bytes()
+    (tmp_path / "c.jpg").write_bytes(plain + b"a film" + bytes(9))
+    with pytest.warns(UserWarning, match="not used: 6 bytes after its picture"):
+        read_image(tmp_path / "c.jpg")
+    (tmp_path / "c.jpg").write_bytes(plain + bytes(9))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_image(tmp_path / "c.jpg")
     image.new("CMYK", (4, 3)).save(tmp_path / "b.jpg")
     with pytest.raises(InputError, match="amounts of ink"):
         read_image(tmp_path / "b.jpg")
