@@ -28,6 +28,9 @@ accurate beside the largest value of their window.
 NaN and infinity reach every pixel with one of them in its window, also under a weight of 0. With
 "conv" and one kernel a band they may reach all bands, depending on XLA's code.
 
+A kernel without negative entries whose passes would cancel, such as a disc, is never summed by
+passes: "separable" then takes the method that "auto" would take.
+
 Derivatives with respect to picture and kernel are correlations themselves: any order, forward and
 reverse.
 """
@@ -54,6 +57,7 @@ CHOICES = ("auto", "separable", *METHODS)
 # The cost of a transform and of a pair of passes on a CPU, in taps of a direct sum.
 _TRANSFORM, _PAIR = 240, 8
 _LONGEST_SUM = 81  # taps that "conv" sums on a GPU before "fft" is as fast
+_MOST_LOST = 8  # products that passes may add up, beside the entry that they make
 # A smaller kernel is not worth a singular value decomposition.
 _FEWEST_TAPS = 25
 
@@ -224,17 +228,30 @@ def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
     finite = traced or bool(np.isfinite(np.asarray(kernel)).all())
     if method == "separable" and not finite:
         raise ValueError('method "separable" needs a finite kernel, got NaN or infinity in it.')
-    if method != "auto":
-        return method
     kh, kw = kernel.shape[:2]
+    if method == "separable" and _keeps_digits(kernel, *_singular(kernel, picture)):
+        return method
+    if method not in ("auto", "separable"):
+        return method
     if not on_processor():
         return "conv" if kh * kw <= _LONGEST_SUM else "fft"
     whole = min(kh * kw, _TRANSFORM)
     if not traced and finite and min(kh, kw) > 1 and kh * kw >= _FEWEST_TAPS:
-        rank = _singular(kernel, picture)[1].shape[1]
-        if rank * (kh + kw + _PAIR) < whole:
+        u, s, v = _singular(kernel, picture)
+        if s.shape[1] * (kh + kw + _PAIR) < whole and _keeps_digits(kernel, u, s, v):
             return "separable"
     return "direct" if kh * kw < _TRANSFORM else "fft"
+
+
+def _keeps_digits(kernel: AnyKernel, u: np.ndarray, s: np.ndarray, v: np.ndarray) -> bool:
+    """Whether the sum of passes keeps the digits of each entry of a kernel without negative ones,
+    where passes could cancel: a bright pixel would leave their rounding under an entry of 0."""
+    k = np.asarray(kernel, np.float64)
+    k = k[None] if k.ndim == 2 else np.moveaxis(k, -1, 0)
+    if s.shape[1] == 1 or k.min() < 0:
+        return True
+    added = (np.abs(u) * s[:, None]) @ np.abs(v)
+    return bool((added <= _MOST_LOST * k).all())
 
 
 def _singular(kernel: AnyKernel, picture: Picture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -81,3 +81,13 @@ def test_diffraction_of_a_lamp_at_night():
     working = 16.0 / (1 - 0.05 / 1e9)
     kernel = jv.optics.airy_kernel(550e-9, working, 4e-6, size=33)
     np.testing.assert_allclose(got, by_windows(picture, np.asarray(kernel), "edge"), rtol=1e-4)
+
+
+@pytest.mark.parametrize("method", ["auto", "separable", "direct", "conv"])
+def test_a_disc_keeps_a_lamp_out_of_what_it_does_not_reach(method):
+    """A disc has rank 4 or more, and passes that cancel in its corners."""
+    disc = (np.hypot(*np.mgrid[-6:7, -6:7]) <= 6.2).astype(np.float32)
+    disc /= disc.sum()
+    for picture in (night(1e8), stars(0)):
+        got = filters.correlate(picture, disc, method=method)
+        np.testing.assert_allclose(got, by_windows(picture, disc), rtol=1e-4)
