@@ -63,7 +63,7 @@ def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
             content, check = stream.read(size), stream.read(4)
             if len(check) < 4:
                 break
-            needed = kind[:1].isupper()
+            needed = kind[:1].isupper() or not kind.isalpha()
             if needed and zlib.crc32(content, zlib.crc32(kind)) != struct.unpack(">I", check)[0]:
                 name = kind.decode() if kind.isalpha() else kind.hex()  # damaged, it is no text
                 return PngChunks(f"the check sum of its chunk {name} is wrong")

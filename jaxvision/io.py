@@ -58,6 +58,7 @@ _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": 
 # Of OpenImageIO's, those whose codes come back as they are stored, by `_undone`.
 _DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif")
 _NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}  # as plots call them
+REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of R, G, B and white
 _MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR holds
 
 
@@ -280,12 +281,10 @@ def _place(
     file: Path, source: Any, pages: Sequence[TiffPicture], part: int | str | None
 ) -> tuple[int, str | None]:
     """The number of the picture to read, and of the layer in it; warns of all others."""
-    titles = []
-    while source.seek_subimage(len(titles), 0):
-        spec = source.spec(len(titles), 0)
-        titles.append(spec.get_string_attribute("oiio:subimagename") or f"number {len(titles)}")
-        if source.format_name() not in ("openexr", "tiff", "gif"):
-            break
+    titles = [f"number {i}" for i in range(len(pages))]  # of a TIFF, without reading each
+    while not pages and source.seek_subimage(len(titles), 0):
+        named = source.spec(len(titles), 0).get_string_attribute("oiio:subimagename")
+        titles.append(named or f"number {len(titles)}")
     source.geterror()  # that there is no further one
     plain = [i for i in range(len(titles)) if i >= len(pages) or not pages[i].is_copy]
     if not plain and pages:
@@ -302,7 +301,8 @@ def _place(
     if part is None and others:
         warnings.warn(
             f"{file}: holds {len(plain)} pictures; {titles[plain[0]]} is read, and "
-            f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (part chooses one).",
+            f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (the argument part "
+            "chooses one).",
             stacklevel=5,
         )
     promised = re.match(
@@ -477,6 +477,9 @@ def _name_unused(file: Path, kind: str, spec: Any, chunks: PngChunks | None) -> 
     aspect = spec.get_float_attribute("PixelAspectRatio", 1.0)
     if not 0.99 < aspect < 1.01:
         said.append(f"its pixels' aspect of {aspect:g}: they are taken as square")
+    primaries = np.ravel(spec.getattribute("chromaticities") or REC_709)
+    if primaries.shape != (8,) or np.abs(primaries - REC_709).max() > 0.01:
+        said.append(f"its primaries ({', '.join(f'{x:.4g}' for x in primaries)})")
     if chunks and chunks.frames > 1:
         said.append(f"its animation of {chunks.frames} frames: the still picture is read")
     if kind == "jpeg":

@@ -37,6 +37,10 @@ def read_raw(file: Path) -> np.ndarray:
             raise InputError(
                 f"{file}: holds several colours a pixel, no mosaic; develop it and save a TIFF."
             )
+        if raw.sizes.flip:
+            warnings.warn(
+                f"{file}: not used: its orientation: rows and columns are as stored.", stacklevel=3
+            )
         return np.array(raw.raw_image_visible)
 
 
@@ -80,6 +84,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
         InputError: for a file that astropy cannot read or without an image, for a part that it does
             not have, and without the `fits` extra.
     """
+    extra("astropy.io.fits", "fits", file)  # which, when loaded, takes warnings to itself
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         with opened_fits(file) as units:
@@ -93,7 +98,8 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
             raise InputError(f"{file}: the file is cut short; copy it again from its source.")
         warnings.warn(f"{file}: {said}", stacklevel=3)
     pixels = pixels.astype(pixels.dtype.newbyteorder("="))
-    if blank is not None and np.issubdtype(pixels.dtype, np.integer):  # others come as NaN
+    known = isinstance(blank, int) and isinstance(zero, int | float)
+    if known and np.issubdtype(pixels.dtype, np.integer):  # others come as NaN
         missing = pixels == blank + zero
         if missing.any():
             kind = np.float32 if pixels.dtype.itemsize <= 2 else np.float64
@@ -102,8 +108,10 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
         pixels = pixels[0]
     if pixels.ndim not in (2, 3):
         raise InputError(f"{file}: its image has {pixels.ndim} axes; give two, or three.")
-    said = [f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (part chooses one)"]
-    said = said if others else []
+    said = []
+    if others:
+        verb = "is" if len(others) == 1 else "are"
+        said.append(f"{_listed(others)} {verb} not used (the argument part chooses one)")
     if pixels.ndim == 3:
         planes = len(pixels)
         if planes != 3 or third.upper() not in ("", "RGB"):
@@ -152,6 +160,7 @@ def fits_header(file: Path) -> dict[str, Any]:
     Raises:
         InputError: as `read_fits` does.
     """
+    extra("astropy.io.fits", "fits", file)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `read_fits` says what they are
         with opened_fits(file) as units:

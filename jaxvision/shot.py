@@ -85,6 +85,9 @@ def capture(
 ) -> Capture:
     """One picture of the scene, with every stage on the way.
 
+    Derivatives by the place of a lamp, the camera or a shape leave out moving edges of shadows and
+    outlines, as `render` says.
+
     Args:
         key: random key of what changes from frame to frame; None where the sensor draws nothing
             from it.

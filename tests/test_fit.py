@@ -503,3 +503,43 @@ def test_two_residuals_of_two_unknowns_that_bounds_stop():
     assert "less than one degree of freedom" in said
     assert "is exceeded by chance" in said
     assert "-2." not in said.partition("is exceeded")[0].rpartition(";")[2]
+
+
+def test_an_edge_that_no_gradient_sees_move_is_followed_by_differences():
+    """A penumbra of 64 steps over a row of pixels, under light that falls off from a lamp which
+    moves with it: automatic derivatives see the falling off alone."""
+    place = np.linspace(0.0, 1.0, 200)
+    offsets = 0.05 * (np.arange(64) + 0.5) / 64
+
+    def predict(edge, height):
+        lit = jnp.where(place[:, None] > edge + offsets[None], 1.0, 0.0).mean(axis=1)
+        return height * lit / (1 + (place - edge) ** 2)
+
+    data = predict(0.4012, 2.0) + 0.05 * np.random.default_rng(0).standard_normal(200)
+    free = {"edge": Parameter(lower=0.2, upper=0.6), "height": Parameter(lower=0, upper=5)}
+    problem = Problem(free, predict=predict, likelihood=Gaussian(sd=0.05), data=np.asarray(data))
+    result = fit(problem, start={"edge": 0.42, "height": 1.9})
+    assert "edge" in result.optimum.unseen
+    assert any("finite differences" in sentence for sentence in result.findings)
+    assert result.converged
+    costs = [
+        float(jnp.sum((predict(edge, result.values["height"]) - data) ** 2)) / 0.05**2 / 2
+        for edge in np.linspace(0.39, 0.42, 121)
+    ]
+    own = float(jnp.sum((predict(**result.values) - data) ** 2)) / 0.05**2 / 2
+    assert own < min(costs) + 0.5  # within one standard deviation of the lowest of a fine grid
+    assert abs(float(result.values["edge"]) - 0.4012) < 0.004
+
+
+def test_smooth_models_have_nothing_unseen():
+    time = jnp.linspace(0.0, 3.0, 50)
+    noise = 0.3 * np.random.default_rng(0).standard_normal(50)  # wide intervals: much curvature
+    free = {"height": Parameter(lower=0, upper=10), "rate": Parameter(lower=0, upper=5)}
+    problem = Problem(
+        free,
+        predict=lambda height, rate, inputs: height * jnp.exp(-rate * inputs),
+        likelihood=Gaussian(sd=0.3),
+        data=2 * np.exp(-1.3 * time) + noise,
+        inputs=time,
+    )
+    assert fit(problem, starts=4).optimum.unseen == {}

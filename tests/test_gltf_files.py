@@ -270,3 +270,10 @@ def test_lists_where_words_belong(tmp_path, place):
     (tmp_path / "a.gltf").write_text(json.dumps(made))
     with pytest.raises(InputError, match=r"a\.gltf: .*export it again"):
         read_scene(tmp_path / "a.gltf")
+
+
+def test_other_scenes_of_a_file_are_named(tmp_path):
+    both = content(scenes=[{"nodes": [0, 1, 2]}, {"nodes": [0]}])
+    (tmp_path / "a.gltf").write_text(json.dumps(both))
+    with pytest.warns(UserWarning, match="has 2 scenes; scene 0, counted from 0, is taken"):
+        read_scene(tmp_path / "a.gltf")

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
+from fitting.inference import importance
+from fitting.inference.emcee_run import SamplingOptions
 from fitting.inference.importance import gaussian_miss, laplace_where_it_holds
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import estimates
@@ -86,3 +88,16 @@ def test_the_prior_of_a_scatter_is_jeffreys():
     far = np.sum(2 * 1e-14 * signal**4 / (pixels + 1e-14 * signal**2) ** 2)
     expected = np.log(tau * np.sqrt(information)) - np.log(1e-7 * np.sqrt(far))
     assert prior(tau) - prior(1e-7) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_chain_that_nobody_asked_for_is_not_needed(monkeypatch):
+    """Where proposals do not settle and the chain is short, Laplace's intervals are named so."""
+    data = jnp.asarray(norm.ppf((np.arange(6) + 0.5) / 6))
+    mode = jnp.asarray([float(data.mean()), float(jnp.log(data.std()))])
+    covariance = np.linalg.inv(-np.asarray(jax.hessian(level)(mode, data)))
+    options = SamplingOptions(walkers=8, steps=20, block=10)
+    monkeypatch.setattr(importance, "_importance", lambda *args: None)
+    monkeypatch.setattr(importance, "SamplingOptions", lambda **given: options)
+    found = laplace_where_it_holds(level, SPACE, mode, covariance, data, seed=1)
+    assert (found.method, found.missing_steps) == ("Laplace", 0)
+    assert "far from a Gaussian, so Laplace's intervals may mislead" in convergence_in_words(found)

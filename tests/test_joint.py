@@ -14,6 +14,8 @@ import scipy.stats
 import xarray
 from typer.testing import CliRunner
 
+from fitting.checks.joint import Lab, photographed
+from fitting.checks.reflectance import Sphere
 from fitting.cli import app
 from fitting.demo.lab import sphere_lights
 from fitting.inference.clustering import Robustness
@@ -25,6 +27,7 @@ from fitting.joint.findings import findings
 from fitting.joint.fit import fit_channel
 from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.halves import Halves, widened
+from fitting.joint.misfit import over_images
 from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
@@ -550,6 +553,37 @@ def test_intervals_of_a_misfit_hold_what_other_images_say():
     )
     assert np.abs(z).max() < 3
     assert np.abs(too_large).max() > 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("waves", [0.0, 0.05])
+@pytest.mark.parametrize("prnu", [0.0, 0.01])
+def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prnu):
+    """Each pixel alone in its cell: gain and read noise take waves over each image for photons, so
+    that chi-square is 1; the images' scores tell, and the intervals cover the truth."""
+    lab = Lab(Sphere(prnu=prnu), gamma=1.0)
+    rng = np.random.default_rng(3)
+    exact = photographed(lab, 3)
+    seen = exact.observation
+    turns, phases = rng.uniform(0, 2 * np.pi, (2, len(seen.files), 1))
+    along = np.cos(turns) * seen.normals[:, 0] + np.sin(turns) * seen.normals[:, 1]
+    wave = 1 + waves * np.sin(4 * along + phases)
+    observation = replace(seen, dn=np.round(seen.black + (seen.dn - seen.black) * wave))
+    measurement = replace(exact, observation=observation)
+    fit = fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False)
+    robust = over_images(fit)
+    assert (robust is None) == (waves == 0)
+    if robust is None:
+        return
+    own = [i for i, p in enumerate(fit.space) if p.name in ("diffuse", "specular", "exponent")]
+    truth = np.log([lab.truth[fit.space[i].name] for i in own])
+    alone, wider = (
+        np.sqrt(np.diagonal(c))[own]
+        for c in (np.linalg.inv(fit.information), robust.gaussian_covariance)
+    )
+    off = fit.vector[own] - truth
+    assert np.sqrt(np.mean((off / wider) ** 2)) < 1.6
+    assert (wider > 1.5 * alone).all()
 
 
 @pytest.mark.slow

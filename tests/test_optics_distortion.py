@@ -214,3 +214,48 @@ def test_pictures_that_do_not_fit_are_refused():
         )
     with pytest.raises(ValueError, match=r"the picture must be \(60, 80\), as the view is"):
         optics.distort_image(VIEW, jnp.ones((4, 5, 2)))
+
+
+@pytest.mark.parametrize(
+    "coefficients", [(), (-0.2, 0.05, 0.003, -0.002), (0.1, -0.05, 0, 0, 0.02)]
+)
+def test_a_camera_of_opencv_sees_points_where_opencv_projects_them(coefficients):
+    """fx != fy, (cx, cy) off the middle, any pose; rays go back to the points, and the share of
+    light that a pixel gets follows the area (light tracing and path tracing agree on it)."""
+    rng = np.random.default_rng(0)
+    matrix = np.array([[800.0, 0.0, 250.5], [0.0, 840.0, 290.25], [0.0, 0.0, 1.0]])
+    turn, moved = np.array([0.2, -0.3, 0.1]), np.array([0.1, -0.2, 0.4])
+    points = rng.uniform([-0.8, -0.6, 2.0], [0.8, 0.6, 4.0], (50, 3))
+    known = np.asarray(coefficients) if coefficients else None
+    wanted = cv2.projectPoints(points, turn, moved, matrix, known)[0][:, 0]
+    view = optics.opencv_view(
+        matrix,
+        coefficients=coefficients,
+        resolution=(480, 640),
+        rotation=turn,
+        translation=moved,
+    )
+    seen = jax.vmap(lambda point: optics.project(view, point))(jnp.asarray(points))
+    np.testing.assert_allclose(np.stack([seen.column, seen.row], -1), wanted, atol=1e-6)
+    rays = jax.vmap(lambda row, column: optics.camera_ray(view, row, column))(seen.row, seen.column)
+    along = points - np.asarray(view.position)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.asarray(as_array(rays.direction)), along, atol=1e-8)
+    step = 1e-4  # of slope: the area of the image by finite differences of cv2's
+    corners = np.array([[0.3, 0.2, 1], [0.3 + step, 0.2, 1], [0.3, 0.2 + step, 1]])
+    zero = np.zeros(3)
+    a, b, c = cv2.projectPoints(corners, zero, zero, matrix, known)[0][:, 0] / 800 / step
+    area = optics.distortion_area(view.distortion, jnp.asarray(0.3), jnp.asarray(0.2))
+    assert float(area) == pytest.approx(np.linalg.det([b - a, c - a]), rel=1e-3)
+
+
+def test_what_opencv_calibrates_beyond_the_model_is_refused():
+    matrix = np.array([[800.0, 0.0, 250.5], [0.0, 840.0, 290.25], [0.0, 0.0, 1.0]])
+    with pytest.raises(ValueError, match="rational"):
+        optics.opencv_view(matrix, coefficients=[0, 0, 0, 0, 0, 0.1, 0, 0], resolution=(48, 64))
+    skew = matrix.copy()
+    skew[0, 1] = 2.0
+    with pytest.raises(ValueError, match="no skew"):
+        optics.opencv_view(skew, resolution=(48, 64))
+    with pytest.raises(ValueError, match="matrix must be"):
+        optics.opencv_view(matrix.T, resolution=(48, 64))

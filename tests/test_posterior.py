@@ -336,3 +336,23 @@ def test_what_is_open_over_the_range_of_numbers_has_no_value():
         found = gaussian_estimate(gain, value, error, log_scale=True)
         assert found.value is None
         assert "more than the range of numbers" in found.reason
+
+
+def test_walkers_that_start_where_there_is_no_density_warn_of_nothing():
+    """emcee would subtract infinities; half of the walkers start below zero."""
+    options = SamplingOptions(walkers=16, steps=60, block=30)
+    space = (Parameter("a"),)
+    drawn = sample(
+        nan_below_zero, space, jnp.asarray([0.5]), np.eye(1) * 4, 1.0, options=options, seed=0
+    )
+    assert drawn.log_density is not None
+    assert np.isfinite(drawn.log_density).all()
+    assert (drawn.samples > 0).all()
+
+
+def test_walkers_in_a_plane_move_by_their_differences():
+    """A density of them, which has none there, is not asked: SciPy would warn."""
+    options = SamplingOptions(walkers=16, steps=20, block=10)
+    line = np.full((3, 3), 1.0) + 1e-15 * np.eye(3)
+    found = sample(gaussian, SPACE, ORIGIN, line, PRECISION, options=options, seed=SEED)
+    assert np.isfinite(found.samples).all()

@@ -12,7 +12,7 @@ from jaxvision.image_settings import read_settings
 from jaxvision.io import read_image
 
 
-def dng(codes, *, exif_apart=True):
+def dng(codes, *, exif_apart=True, orientation=1):
     """A minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic; times and
     ISO in a directory of EXIF, or in the main one as in TIFF/EP."""
     height, width = codes.shape
@@ -53,6 +53,7 @@ def dng(codes, *, exif_apart=True):
             entry(271, 2, "Maker"),
             entry(272, 2, "Model 3"),
             entry(273, 4, [8192]),
+            entry(274, 3, [orientation]),
             entry(277, 3, [1]),
             entry(278, 4, [height]),
             entry(279, 4, [2 * codes.size]),
@@ -161,3 +162,12 @@ def test_damaged_files_and_missing_extras_are_sentences(suffix, tmp_path, monkey
     monkeypatch.setitem(sys.modules, "astropy.io.fits", None)
     with pytest.raises(InputError, match=r"pip install 'jaxvision-imaging\[(raw|fits)\]'"):
         read_image(path)
+
+
+def test_an_orientation_of_a_raw_file_is_named(tmp_path, codes):
+    pytest.importorskip("rawpy")
+    (tmp_path / "a.dng").write_bytes(dng(codes, orientation=6))
+    with pytest.warns(
+        UserWarning, match=r"a\.dng: not used: its orientation: rows and columns are"
+    ):
+        np.testing.assert_array_equal(read_image(tmp_path / "a.dng"), codes)

@@ -14,6 +14,7 @@ from jaxvision.progress import progress_bar
 
 from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
+from ..inference.differences import seen_by_differences
 from ..inference.emcee_run import SamplingOptions
 from ..inference.given import require_kind, require_seed
 from ..inference.importance import laplace_where_it_holds
@@ -53,6 +54,10 @@ def fit(
     Of data in chunks (`Problem(..., chunk=...)`) a sample is searched; the best end is followed to
     the mode of all data, which are read once a step, and judged by them. The fit's residuals and
     bands are then those of the sample, and a bar shows how far each reading is.
+
+    Where finite differences at the optimum show more than the gradient sees, as where edges of
+    shadows move, the fit goes on by them: its verdict and curvature are theirs, and a finding names
+    the parameters.
 
     A second fit of a problem with equal shapes and the same `predict` compiles nothing
     (`Problem.with_data`). Nothing is raised for a fit that does not converge: read `converged` and
@@ -124,7 +129,8 @@ def fit(
     with progress_bar("reading data", shown=problem.stream is not None) as advance:
         if after is None:
             if start:
-                optimum = search(problem, _given(problem, start)[None])
+                found = search(problem, _given(problem, start)[None])
+                optimum = seen_by_differences(problem, found)
             else:
                 optimum = _searched(problem, starts, seed, wide_noise=_fits_width(problem))
             if problem.stream is not None:
@@ -179,12 +185,13 @@ def _fits_width(problem: Problem) -> bool:
 
 def _searched(problem: Problem, starts: int, seed: int, *, wide_noise: bool) -> Optimum:
     """The best of many searches; of more, where none of them ends where the best one does."""
-    optimum = search(problem, spread_starts(problem, starts, seed=seed))
+    found = search(problem, spread_starts(problem, starts, seed=seed))
+    optimum = seen_by_differences(problem, found)
     for again in range(1, ROUNDS * (2 if wide_noise else 1)):
         if starts == 1 or is_confirmed(optimum, wide_noise=wide_noise):
             break
         others = spread_starts(problem, starts + 1, seed=seed + again * OTHER_SEED)[1:]
-        optimum = joined(optimum, search(problem, others))
+        optimum = seen_by_differences(problem, joined(optimum, search(problem, others)))
     return optimum
 
 

@@ -80,7 +80,13 @@ def verdict(
 
 def agreeing(optimum: Optimum) -> int:
     """How many searches ended as deep as the best."""
-    return int(np.sum(optimum.costs < SAME_END))
+    return int(np.sum(optimum.costs < _same_end(optimum)))
+
+
+def _same_end(optimum: Optimum) -> float:
+    """The rise in cost above which two searches ended apart. Those that follow a gradient which
+    misses something end about the optimum."""
+    return SAME_PLACE if optimum.unseen else SAME_END
 
 
 def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
@@ -98,7 +104,7 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
         Biometrika 40, 1953.
     """
     depths = np.sort(optimum.costs)
-    apart = np.diff(depths, prepend=-np.inf, append=np.inf) > SAME_END
+    apart = np.diff(depths, prepend=-np.inf, append=np.inf) > _same_end(optimum)
     alone = np.mean(apart[1:] & apart[:-1])
     return agreeing(optimum) >= (4 if wide_noise or alone >= MANY_OPTIMA else 2)
 
@@ -156,6 +162,13 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
     found = []
     if len(optimum.costs) == 1:
         found.append("One search was made: no other start looked for a deeper optimum.")
+    if optimum.unseen:
+        found.append(
+            f"The gradient by {listed(list(optimum.unseen))} misses up to "
+            f"{min(max(optimum.unseen.values()), 1):.0%} of what finite differences show, as where "
+            "edges of shadows or outlines move: convergence and curvature are those of finite "
+            "differences."
+        )
     if not optimum.saddle:
         judged = identifiability(problem.space, optimum.data_information, vector=optimum.vector)
         found += judged.sentences

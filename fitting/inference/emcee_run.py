@@ -29,6 +29,8 @@ PATIENCE = 1.25  # growth of the chain from one judgement to the next
 # 15 at P = 5, 52 at 10, 260 at 20; DE alone: 37, 70, 131; stretch moves: 95, 171, 369.
 MOST_FOR_KDE = 10
 FROM = 256  # walkers of which a density is estimated, at most: all of thousands take their square
+FLAT = 1e6  # condition number of walkers, each direction in its own deviation, that span too little
+HALVINGS = 60  # of the way to the mode, after which a walker is there
 BEYOND = 1e9  # standard deviations from the mode: no walker of a posterior that ends gets there
 
 
@@ -190,7 +192,11 @@ def run_ensemble(
         walkers, mode.size, evaluate, vectorize=True, moves=_moves(mode.size)
     )
     blocks = begun(options.checkpoint, before, fingerprint)
-    state = _resumed(blocks[-1]) if blocks else _start(walkers, mode, covariance, seed)
+    if blocks:
+        state = _resumed(blocks[-1])
+    else:
+        state = _start(walkers, mode, covariance, seed)
+        state.log_prob = _made_possible(evaluate, state.coords, mode)
     while (chain := _judged(blocks, options)) is None:
         sampler.reset()
         steps = next_length(length(blocks), options.block, options.steps)
@@ -219,14 +225,23 @@ def _moves(dimension: int) -> list[tuple[Any, float]]:
     from emcee.moves import DEMove, KDEMove
 
     class KDEOfSome(KDEMove):
-        """Of the walkers that stand still, a random part says where the others may go."""
+        """Of the walkers that stand still, a random part says where the others may go; where they
+        lie in a plane, which has no density, differences between them do."""
 
         def get_proposal(self, s: Any, c: Any, random: Any) -> Any:
             still = np.concatenate(c, axis=0)
+            deviation = still.std(axis=0)
+            if (
+                not deviation.all()
+                or np.linalg.cond((still - still.mean(axis=0)) / deviation) > FLAT
+            ):
+                return differences.get_proposal(s, c, random)
             if len(still) > FROM:
                 still = still[random.choice(len(still), FROM, replace=False)]
             return super().get_proposal(s, [still], random)
 
+    differences = DEMove()
+    differences.setup(np.empty((0, dimension)))
     return [(KDEOfSome(), 0.6), (DEMove(), 0.4)] if dimension <= MOST_FOR_KDE else [(DEMove(), 1.0)]
 
 
@@ -260,6 +275,23 @@ def _start(walkers: int, mode: np.ndarray, covariance: np.ndarray, seed: int) ->
     spread = np.linalg.cholesky(np.asarray(covariance, np.float64))
     standard = random.standard_normal((walkers, mode.size))
     return State(mode + standard @ spread.T, random_state=random.get_state())
+
+
+def _made_possible(
+    evaluate: Callable[[np.ndarray], np.ndarray], walkers: np.ndarray, mode: np.ndarray
+) -> np.ndarray:
+    """The log density of walkers, those that start where there is none moved toward the mode."""
+    found = evaluate(walkers)
+    for _ in range(HALVINGS):
+        nowhere = ~np.isfinite(found)
+        if not nowhere.any():
+            return found
+        walkers[nowhere] = (walkers[nowhere] + mode) / 2
+        found = evaluate(walkers)
+    raise InputError(
+        "The posterior has no density about the best fit, so that no chain can start: the model "
+        "does not describe these data."
+    )
 
 
 def _due(steps: int, block: int) -> bool:

@@ -51,8 +51,9 @@ def laplace_where_it_holds(
     by_chain: bool = True,
 ) -> Posterior:
     """Laplace's posterior if the density is as Gaussian as that says, else draws by importance
-    sampling, else, where proposals do not settle, by emcee. A posterior without end, of numbers
-    that the data bound on one side only, stays Laplace's, and the parameter is named.
+    sampling, else, where proposals do not settle, by emcee. Where the chain is too short to be
+    trusted, and where a posterior has no end, of numbers that the data bound on one side only, it
+    stays Laplace's, and the parameter is named.
 
     Args:
         log_density: module-level function of (vector, args).
@@ -89,9 +90,10 @@ def laplace_where_it_holds(
     if found is None:
         try:
             options = SamplingOptions(gives_up=True)
-            return sample(log_density, space, mode, spread, args, options=options, seed=seed)
+            chain = sample(log_density, space, mode, spread, args, options=options, seed=seed)
         except Unbounded as error:
             return replace(drawn, endless=error.parameter)
+        return replace(drawn, missed=worst) if chain.missing_steps else chain
     vectors, effective = found
     return replace(
         drawn,

@@ -23,7 +23,7 @@ three problems in 100 of 100 fits. For the ball under Student's t of known scale
 is hardly curved far from the optimum, it was 30 of 30 fits, and 55 of 100 without the surrogate.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import equinox as eqx
@@ -73,6 +73,7 @@ class Optimum:
         stationary: whether that is negligible beside a squared standard deviation.
         ends: (starts, P) where each search ended, unconstrained.
         costs: (starts,) there, relative to the lowest.
+        unseen: parameters whose gradient misses part of what they change, and the share, no unit.
     """
 
     vector: Float[np.ndarray, " parameters"]
@@ -83,6 +84,7 @@ class Optimum:
     stationary: bool
     ends: Float[np.ndarray, "starts parameters"]
     costs: Float[np.ndarray, " starts"]
+    unseen: dict[str, float] = field(default_factory=dict)
 
     @property
     def data_information(self) -> Float[np.ndarray, "parameters parameters"]:

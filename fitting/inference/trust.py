@@ -34,7 +34,8 @@ def convergence_in_words(posterior: Posterior) -> str:
     if posterior.missed and posterior.method == "Laplace":
         return (
             f"The posterior of {posterior.missed} is far from a Gaussian, so Laplace's intervals "
-            "may mislead: posterior='emcee' or 'nuts' draws from the posterior itself."
+            "may mislead: a chain (--mcmc, or posterior='emcee' or 'nuts') draws from the "
+            "posterior itself."
         )
     if posterior.missed:
         return (

@@ -23,6 +23,8 @@ from .model import Form, log_posterior
 from .read import JointMeasurement
 from .turns import fit_turned
 
+STEPS = ("fit", "halves", "posterior")  # of each channel
+
 
 @dataclass(frozen=True, repr=False)
 class JointCalibration(ShownInNotebooks):
@@ -33,6 +35,7 @@ class JointCalibration(ShownInNotebooks):
         model: of the surface, as asked for.
         fits: of the channels.
         posteriors: by channel, where the data with the priors determine every parameter.
+        robust: by channel, the covariance over images where these do not agree within their noise.
         halves: by channel, fits of the halves of the images where the model misses the surface.
     """
 
@@ -40,6 +43,7 @@ class JointCalibration(ShownInNotebooks):
     model: Model
     fits: tuple[JointFit, ...]
     posteriors: dict[str, Posterior]
+    robust: dict[str, Robustness] = field(default_factory=dict)
     halves: dict[str, Halves] = field(default_factory=dict)
 
 
@@ -63,7 +67,8 @@ def calibrate(
         fit_gamma: free the encoding exponent, whatever the rig says of it.
         sampling: how to draw the posterior by emcee; None for Laplace.
         seed: of every draw.
-        progress: called with how many channels are done, and of how many.
+        progress: called with how many steps are done, and of how many: in each channel the fit, the
+            fits of halves where its images do not agree, and the posterior.
 
     Returns:
         The calibration.
@@ -76,20 +81,28 @@ def calibrate(
     check_index(index)
     form = Form(model, index)
     channels = len(measurement.observation.channels)
-    fits, posteriors, halves = [], {}, {}
-    for channel in range(channels):
+    fits, posteriors, robusts, halves = [], {}, {}, {}
+
+    def done(steps: int) -> None:
         if progress is not None:
-            progress(channel, channels)
+            progress(len(STEPS) * len(fits) + steps, len(STEPS) * channels)
+
+    for channel in range(channels):
+        done(0)
         fit = fit_turned(measurement, channel, form, fit_gamma=fit_gamma)
+        done(1)
+        if is_determined(fit):
+            robust = over_images(fit)
+            apart = None if robust is None else by_halves(measurement, channel, fit, robust)
+            if robust is not None and apart is not None:
+                halves[fit.channel], robust = apart, widened(robust, apart)
+            if robust is not None:
+                robusts[fit.channel] = robust
+            done(2)
+            posteriors[fit.channel] = _posterior(fit, robust, sampling, seed)
         fits.append(fit)
-        if not is_determined(fit):
-            continue
-        robust = over_images(fit)
-        apart = None if robust is None else by_halves(measurement, channel, fit, robust)
-        if robust is not None and apart is not None:
-            halves[fit.channel], robust = apart, widened(robust, apart)
-        posteriors[fit.channel] = _posterior(fit, robust, sampling, seed)
-    return JointCalibration(measurement, model, tuple(fits), posteriors, halves)
+    done(0)
+    return JointCalibration(measurement, model, tuple(fits), posteriors, robusts, halves)
 
 
 def is_determined(fit: JointFit) -> bool:

@@ -15,7 +15,7 @@ from .fit import JointFit, image_errors
 from .halves import APART
 from .model import MISFIT_AT
 from .prediction import Score
-from .unequal_pixels import unequal_pixels
+from .unequal_pixels import NOISE, unequal_pixels
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
 NOTABLE = 2.5  # standard deviations of an image's error worth a word
@@ -50,24 +50,45 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
         )
     if "prnu" not in fit.values:
         stated = calibration.measurement.camera.prnu_sd is not None
-        found += _gain_findings(fit, stated=stated)
+        found += [] if misses_as_noise(calibration, fit) else _gain_findings(fit, stated=stated)
     found += fit.identifiability.sentences
     posterior = calibration.posteriors.get(fit.channel)
     if posterior is None:
         found.append("The data and the rig leave a direction open, so there are no intervals.")
         return [f"{name}{sentence}" for sentence in found]
-    if fit.unexplained is not None and "prnu" not in fit.values:
-        wider = posterior.covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
+    robust = calibration.robust.get(fit.channel)
+    if robust is not None:
+        wider = robust.gaussian_covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
         found.append(
-            "What the model misses goes together within an image, so the intervals take images, "
+            "The images do not agree within their noise (their scores are "
+            f"{np.sqrt(robust.design_effect):.1f} times as large as independent cells make them): "
+            "what the model misses goes together within an image. The intervals take images, "
             f"not cells, for independent data: {np.sqrt(np.median(wider)):.1f} times wider in the "
             "median over the parameters."
         )
+        if misses_as_noise(calibration, fit):
+            found.append(
+                "Gain and read noise are free and take what the model misses for noise, so neither "
+                "is printed. Give the rig camera.gain and camera.read_noise, or flats and darks, "
+                "to see how large the misfit is."
+            )
         found += _halves_findings(calibration, fit)
     found += _prior_alone(posterior)
     found += _image_findings(calibration, fit)
     found.append(convergence_in_words(posterior))
     return [f"{name}{sentence}" for sentence in found]
+
+
+def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
+    """Whether a free gain and read noise stand for what the model misses: its images do not agree,
+    and yet the cells scatter no more than that noise.
+
+    Args:
+        calibration: of the fit.
+        fit: of one channel.
+    """
+    free = not {*NOISE} <= set(fit.data.known) and fit.data.levels is None
+    return free and fit.unexplained is None and fit.channel in calibration.robust
 
 
 def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:

@@ -34,7 +34,7 @@ A number that is known exactly is no parameter, and an error that the rig does n
 traced.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -147,6 +147,9 @@ class JointData(eqx.Module):
     levels: Levels | None
     white: Array
     relative: dict[str, Float[Array, " images"]]
+
+
+Images = tuple[Cells, dict[str, Array], Array | None]
 
 
 def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
@@ -327,22 +330,80 @@ def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Arra
         (), up to a constant.
     """
     values = values_at(vector, data)
+    total = _log_likelihood(values, predicted(values, data, data.cells), data)
+    return total if data.levels is None else total + _of_levels(values, data)
+
+
+def by_image(data: JointData) -> Images:
+    """The cells and errors of a fit with a leading axis of images everywhere.
+
+    Args:
+        data: of the fit; what its pixels share between images is left out.
+
+    Returns:
+        Cells, sizes of errors, and the angles by which lights are turned.
+    """
+    about = data.cells.geometry.about
+    geometry = replace(data.cells.geometry, about=None)
+    cells = replace(data.cells, geometry=geometry, products=None)
+    return cells, data.relative, None if about is None else about.T
+
+
+def of_one_image(data: JointData, image: Images) -> JointData:
+    """The data of one image alone, without uniform frames.
+
+    Args:
+        data: of the fit.
+        image: one of `by_image`.
+
+    Returns:
+        Its data.
+    """
+    cells, relative, about = jax.tree.map(lambda x: x[None], image)
+    if about is not None:
+        cells = replace(cells, geometry=replace(cells.geometry, about=about.T))
+    return replace(data, cells=cells, relative=relative, levels=None)
+
+
+def log_likelihood_by_image(
+    vectors: Float[Array, "images parameters"], data: JointData
+) -> Float[Array, ""]:
+    """The log likelihood of the images alone, in each of which parameters have their own values;
+    the scale of the pixels' gains has its mean.
+
+    Args:
+        vectors: (images, P) unconstrained.
+        data: of the fit.
+
+    Returns:
+        (), up to a constant.
+    """
+
+    def of(vector: Array, image: Images) -> Prediction:
+        own = of_one_image(data, image)
+        alone = predicted(values_at(vector, own), own, own.cells)
+        return jax.tree.map(lambda x: x[0], alone)
+
+    shared = values_at(jnp.mean(vectors, axis=0), data)
+    return _log_likelihood(shared, jax.vmap(of)(vectors, by_image(data)), data)
+
+
+def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array:
+    """Of the images; of the values only the scale of the pixels' gains counts."""
     cells = data.cells
-    model = predicted(values, data, cells)
     total = marginal.log_density(
         cells.mean - model.mean,
         weights(cells, model),
         image_errors=model.image_errors,
         cell_errors=cell_errors(values, cells, model),
     )
-    total = total + marginal.scatter_log_density(
+    return total + marginal.scatter_log_density(
         cells.scatter,
         cells.count,
         model.variance,
         pixel_errors=values["prnu"] * model.relative if "prnu" in values else None,
         products=cells.products,
     )
-    return total if data.levels is None else total + _of_levels(values, data)
 
 
 def _of_levels(values: Values, data: JointData) -> Array:

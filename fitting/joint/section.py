@@ -10,7 +10,7 @@ from ..report.left_out import left_out_tables
 from ..report.section import Picture, Section
 from . import figures
 from .calibration import JointCalibration
-from .findings import findings, misfit_table, score_table
+from .findings import findings, misfit_table, misses_as_noise, score_table
 from .prediction import score
 from .unequal_pixels import NOISE, unequal_pixels
 
@@ -66,6 +66,8 @@ def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
             stated = calibration.measurement.camera.prnu_sd is not None
             hidden = "prnu" not in fit.values and unequal_pixels(fit).hide_noise(stated)
             why = "pixels may be unequal (see the findings)"
+            if misses_as_noise(calibration, fit):
+                hidden, why = True, "the model misses the surface (see the findings)"
             rows += [
                 not_determined(e, why, group=fit.channel) if hidden and e.name in NOISE else e
                 for e in found

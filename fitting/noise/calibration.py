@@ -176,7 +176,9 @@ def _posterior(fit: LikelihoodFit, sampling: SamplingOptions | None, seed: int) 
             vector, covariance = found.vector, np.linalg.inv(np.asarray(found.information))
     if sampling is not None:
         return sample(log_density, fit.space, vector, covariance, args, options=sampling, seed=seed)
-    return laplace_where_it_holds(log_density, fit.space, vector, covariance, args, seed=seed)
+    return laplace_where_it_holds(
+        log_density, fit.space, vector, covariance, args, seed=seed, by_chain=False
+    )
 
 
 def _likelihood_estimates(

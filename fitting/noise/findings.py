@@ -196,7 +196,8 @@ def _light_offset(calibration: NoiseCalibration) -> str:
         )
     bright = np.asarray(data.lit) > 0
     exposure, light = np.asarray(data.exposure)[bright], np.asarray(data.light)[bright]
-    rate = np.median(light / exposure)
+    timed = exposure > 0
+    rate = np.median(light[timed] / exposure[timed])
     late = "" if np.ptp(exposure) == 0 else f", as if the shutter were off by {offset / rate:.2g} s"
     return (
         f"Every exposure gets {format_with_error(abs(offset), error)} photons {way} than recorded "

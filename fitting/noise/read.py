@@ -31,6 +31,9 @@ from .variance_parts import Moments
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
 SEEN = 3.0  # standard errors by which a level must vary more than its darks
+FEWEST_FOR_BLACK = 6  # levels from which a parabola tells the flats' own black level
+SURE_OF_BLACK = 6.0  # standard errors by which it must differ from the darks
+MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
 
 
@@ -515,6 +518,46 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
             f"{file}: {len(usable)} levels of light lie below 95 % of saturation; at least "
             f"{FEWEST_LEVELS} are needed, so add flats at lower light."
         )
+    _refuse_other_black(file, measurement, usable)
+
+
+def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
+    """Refuses darks whose black level is not that of the flats: where these have no signal, by
+    their variance and by their light alike."""
+    bright, dark = measurement.bright, measurement.dark
+    levels = usable[np.asarray(bright.light)[usable] > 0]
+    if len(levels) < FEWEST_FOR_BLACK:
+        return
+    mean, variance, light, frames = (
+        np.asarray(x)[levels] for x in (bright.mean, bright.variance, bright.light, bright.frames)
+    )
+    there = np.asarray(measurement.dark_of)[levels]
+    black, noise = float(np.mean(dark.mean[there])), float(np.mean(dark.variance[there]))
+    errors = variance * np.sqrt(2 / (float(bright.pixels) * (frames - 1)))
+    by_variance, slope, error = _at_zero(mean, variance - noise, errors)
+    by_variance, error = -by_variance / slope, np.hypot(error, noise) / abs(slope)
+    by_light, _, light_error = _at_zero(light, mean, np.sqrt(variance))
+    off = np.array([by_variance, by_light]) - black
+    signal = float(mean.min() - by_variance)
+    sure = np.all(np.abs(off) > SURE_OF_BLACK * np.array([error, light_error]))
+    alike = abs(off[0] - off[1]) < 0.5 * np.abs(off).min()
+    if sure and alike and np.abs(off).min() > MOST_OFF_BLACK * abs(signal):
+        raise InputError(
+            f"{file}: without light the flats would read {by_variance:.4g} DN by their variance "
+            f"and {by_light:.4g} DN by their light, but the darks read {black:.4g} DN; give flats "
+            "and darks with the same offset, none of them subtracted."
+        )
+
+
+def _at_zero(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
+    """Value and slope at zero of a parabola, and the error of the value, by how y scatters."""
+    design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
+    scale = np.sqrt(np.sum(design**2, axis=0))
+    found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)
+    covariance = np.linalg.pinv((design / scale).T @ (design / scale))
+    misfit = max(float(rest[0]) / (len(x) - 3), 1.0) if rest.size else 1.0
+    value, slope, _ = found / scale
+    return float(value), float(slope), float(np.sqrt(covariance[0, 0] * misfit) / scale[0])
 
 
 def _most_shot_noise(measurement: PhotonTransfer) -> float:

@@ -316,9 +316,10 @@ def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
     order = np.arange(1, radial.size + 1)
     grown = 1 + float(((2 * order + 1) * radial * steepest ** (2 * order)).sum())
     tangential = view.distortion.tangential
-    if tangential is None:
-        return grown
-    return grown + 6 * float(np.abs(np.asarray(tangential, float)).sum()) * steepest
+    if tangential is not None:
+        grown += 6 * float(np.abs(np.asarray(tangential, float)).sum()) * steepest
+    own = view.distortion.stretch
+    return grown if own is None else grown * max(1.0, float(own))
 
 
 def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray) -> Row:

@@ -57,6 +57,7 @@ from .views import (
     focus_vergence as focus_vergence,
     lens_ray as lens_ray,
     look_at as look_at,
+    opencv_view as opencv_view,
     pixel_grid as pixel_grid,
     pixel_offset as pixel_offset,
     project as project,

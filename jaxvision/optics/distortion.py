@@ -40,6 +40,16 @@ def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scala
         >>> round(float(x), 4)  # 0.5 (1 - 0.1 0.5^2)
         0.4875
     """
+    x, y = _bent(distortion, x, y)
+    if distortion.stretch is not None:
+        y = y * distortion.stretch
+    if distortion.shift is None:
+        return x, y
+    return x + distortion.shift[0], y + distortion.shift[1]
+
+
+def _bent(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """`distort` by the polynomial alone."""
     s, _ = _scale(distortion, x, y)
     if distortion.tangential is None:
         return x * s, y * s
@@ -71,7 +81,8 @@ def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
         0.9019
     """
     a, b, c = _jacobian(distortion, x, y)
-    return a * c - b * b
+    area = a * c - b * b
+    return area if distortion.stretch is None else area * distortion.stretch
 
 
 @takes_numbers
@@ -95,16 +106,20 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
         >>> round(float(x), 12)
         0.5
     """
-    return _undistort(distortion, x, y)
+    if distortion.shift is not None:
+        x, y = x - distortion.shift[0], y - distortion.shift[1]
+    if distortion.stretch is not None:
+        y = y / distortion.stretch
+    return _undistort(Distortion(distortion.radial, distortion.tangential), x, y)
 
 
 @jax.custom_jvp
 def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """`undistort` by Newton's method, with the derivative of the implicit function."""
+    """The inverse of `_bent` by Newton's method, with the derivative of the implicit function."""
     accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))
 
     def residual(u: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
-        at_x, at_y = distort(distortion, u, v)
+        at_x, at_y = _bent(distortion, u, v)
         return at_x - x, at_y - y
 
     def step(state):
@@ -142,7 +157,7 @@ def _undistort_jvp(primals, tangents):
     distortion, x, y = primals
     by_distortion, dx, dy = tangents
     u, v = _undistort(distortion, x, y)
-    at, moved = jax.jvp(lambda k: distort(k, u, v), (distortion,), (by_distortion,))
+    at, moved = jax.jvp(lambda k: _bent(k, u, v), (distortion,), (by_distortion,))
     du, dv = _solve(distortion, u, v, dx - moved[0], dy - moved[1])
     off = jnp.maximum(jnp.abs(at[0] - x), jnp.abs(at[1] - y))
     size = jnp.maximum(jnp.abs(x), jnp.abs(y))
@@ -160,7 +175,7 @@ def _scale(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar
 
 
 def _jacobian(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """The derivative of `distort`, which is symmetric: (xx, xy, yy)."""
+    """The derivative of `_bent`, which is symmetric: (xx, xy, yy)."""
     s, slope = _scale(distortion, x, y)
     xx, xy, yy = s + 2 * slope * x * x, 2 * slope * x * y, s + 2 * slope * y * y
     if distortion.tangential is None:

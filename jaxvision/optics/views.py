@@ -11,6 +11,7 @@ z_i, y / z_i, 1). Through its point (a, b) passes the ray
 with z_f the distance in focus: written in reciprocals, infinity is no special case.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from .._numerics import divide, norm, normalize
 from .._types import Scalar, check_kind, is_known
 from .._vector import Vec, as_array, as_vec
 from ..geometry import Ray
-from ..scene import Orthographic, Pinhole, ThinLens, View
+from ..scene import Distortion, Orthographic, Pinhole, ThinLens, View
 from .aperture import aperture_point
 from .distortion import distort, undistort
 from .thin_lens import image_vergence
@@ -72,6 +73,99 @@ def look_at(
     forward = as_array(normalize(target - position))
     right = as_array(normalize(jnp.cross(forward, up)))
     return jnp.stack([right, jnp.cross(forward, right), forward])
+
+
+def opencv_view(
+    matrix: np.ndarray,
+    *,
+    coefficients: np.ndarray | Sequence[float] = (),
+    resolution: tuple[int, int],
+    rotation: np.ndarray | None = None,
+    translation: np.ndarray | None = None,
+    pixel_pitch: float = 1e-5,
+) -> Pinhole:
+    """The view of a camera that OpenCV calibrated: fx and fy may differ, (cx, cy) lie anywhere.
+
+    OpenCV's conventions are those of views: x right, y down, z forward, and whole numbers at the
+    centres of pixels; `u` is the column, `v` the row. The result is an ordinary pinhole, whose
+    `Distortion` holds shift and stretch beside the coefficients; its fields may be traced or
+    fitted. Of pixels that are not square the irradiance on the sensor is that of square ones of the
+    pitch, behind a lens that stretches the image.
+
+    Args:
+        matrix: (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] pixels.
+        coefficients: k1, k2, p1, p2, k3 as OpenCV orders them, none, four or five of them; more may
+            follow if they are 0.
+        resolution: (rows, columns) pixels.
+        rotation: (3, 3) from the world to the camera, or its Rodrigues vector, (3,) rad; None: the
+            camera's axes are the world's.
+        translation: (3,) m, of the world's origin in the camera; None: 0.
+        pixel_pitch: m between the pixels of a row, which fixes the focal length in m; pictures of
+            radiance do not depend on it.
+
+    Returns:
+        The view.
+
+    Raises:
+        ValueError: for a matrix with skew or of another form, and coefficients of the rational,
+            thin-prism or tilted models.
+
+    Example:
+        >>> matrix = np.array([[800.0, 0.0, 300.0], [0.0, 820.0, 250.0], [0.0, 0.0, 1.0]])
+        >>> view = jv.optics.opencv_view(
+        ...     matrix, coefficients=[-0.1, 0.01, 0, 0], resolution=(480, 640)
+        ... )
+        >>> seen = jv.project(view, jnp.array([0.0, 0.0, 2.0]))  # a point on the optical axis
+        >>> print(round(float(seen.column), 3), round(float(seen.row), 3))
+        300.0 250.0
+    """
+    k, pose = np.asarray(matrix, float), np.eye(3) if rotation is None else np.asarray(rotation)
+    if k.shape != (3, 3) or not np.isfinite(k).all() or (k[2] != [0, 0, 1]).any():
+        raise ValueError(
+            "opencv_view: matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, got "
+            f"{k.tolist()}."
+        )
+    if k[0, 1] or k[1, 0] or not min(k[0, 0], k[1, 1]) > 0:
+        raise ValueError(
+            f"opencv_view: matrix must have fx and fy above 0 and no skew, got {k.tolist()}."
+        )
+    given = np.asarray(coefficients, float).ravel()
+    if given.size in (1, 2, 3) or given[5:].any():
+        raise ValueError(
+            "opencv_view: coefficients must be k1, k2, p1, p2, k3; those of the rational, "
+            f"thin-prism and tilted models are not known, got {given.tolist()}."
+        )
+    k1, k2, p1, p2, k3 = (*given[:5], *np.zeros(5 - min(given.size, 5)))
+    if pose.size == 3:
+        pose = _by_rodrigues(np.asarray(pose, float).ravel())
+    moved = np.zeros(3) if translation is None else np.asarray(translation, float).ravel()
+    rows, columns = resolution
+    middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
+    distortion = Distortion(
+        [k1, k2, k3][: 3 if k3 else 2 if k2 else 1],
+        [p1, p2] if p1 or p2 else None,
+        shift=(k[:2, 2] - middle) / k[0, 0],
+        stretch=k[1, 1] / k[0, 0],
+    )
+    focal_length = k[0, 0] * pixel_pitch
+    return Pinhole(
+        -pose.T @ moved,
+        pose,
+        focal_length,
+        pixel_pitch,
+        resolution=resolution,
+        distortion=distortion,
+    )
+
+
+def _by_rodrigues(vector: np.ndarray) -> np.ndarray:
+    """(3, 3), the rotation by the length of a vector, rad, about it."""
+    angle = np.linalg.norm(vector)
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def chip_size(view: View) -> Float[Array, "2"]:

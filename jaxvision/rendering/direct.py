@@ -159,7 +159,13 @@ def render(
 
     What surfaces emit is seen, and lights nothing here; in `transport` it does. Glass is black and
     throws full shadows, a mirror shows lamps with a size and no surfaces: `transport.missing_light`
-    says what that leaves out of a scene. On CPUs with
+    says what that leaves out of a scene.
+
+    A derivative by the place of a lamp, a camera or a shape leaves out moving edges, those of
+    shadows and outlines: over a floor with a ball under a lamp of 0.5 m it is 30 % short. It is
+    right by radiance, materials and, where nothing shades and no outline moves, by places.
+
+    On CPUs with
     512-bit vectors, `jax.jit(render, compiler_options={"xla_cpu_prefer_vector_width": "512"})`
     takes about three quarters of the time.
 

@@ -152,9 +152,15 @@ class Distortion(Shown):
         r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...
         (x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),   y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y)
 
+    A sensor beside the optical axis, and pixels that are not square, move and stretch that image;
+    `optics.opencv_view` makes such views of a camera matrix.
+
     Attributes:
         radial: (terms,) k_1, k_2, ..., no unit; k_1 < 0 is a barrel, k_1 > 0 a pincushion.
         tangential: (2,) p_1, p_2 of a decentred lens, no unit, or None.
+        shift: (2,) right and down, of the optical axis from the middle of the picture, in image
+            distances (no unit), or None.
+        stretch: () of the image downwards, > 0, no unit: fy / fx; None is 1.
 
     Source:
         Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971), with the
@@ -169,6 +175,10 @@ class Distortion(Shown):
 
     radial: Float[Array, " terms"] = eqx.field(converter=as_float)
     tangential: Float[Array, "2"] | None = eqx.field(converter=as_optional_float, default=None)
+    shift: Float[Array, "2"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    stretch: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self, radial=FINITE, tangential=FINITE)
+        check_fields(self, radial=FINITE, tangential=FINITE, shift=FINITE, stretch=POSITIVE)

@@ -36,23 +36,34 @@ class OrthographicEntry(_Camera):
 
 
 class PinholeEntry(_Camera):
-    """Central projection; either `field_of_view`, or `focal_length` and `pixel_pitch`.
+    """Central projection; either `field_of_view`, or `focal_length` and `pixel_pitch`, or the
+    `matrix` of a calibration by OpenCV.
 
     Attributes:
         kind: "pinhole".
         field_of_view: degrees across the width of the picture.
         focal_length: m.
         pixel_pitch: m.
+        matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels.
+        distortion: k1, k2, p1, p2, k3 as OpenCV orders them, with a matrix.
     """
 
     kind: Literal["pinhole"]
     field_of_view: Annotated[Positive, Field(lt=180)] | None = None
     focal_length: Positive | None = None
     pixel_pitch: Positive | None = None
+    matrix: tuple[Vector, Vector, Vector] | None = None
+    distortion: tuple[float, ...] | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> "PinholeEntry":
         by_size = (self.focal_length is not None, self.pixel_pitch is not None)
+        if self.matrix is not None:
+            if any(by_size) or self.field_of_view is not None:
+                raise ValueError("give a matrix, or field_of_view, or focal_length; one of them")
+            return self
+        if self.distortion is not None:
+            raise ValueError("distortion is that of a calibration: give its matrix, too")
         if any(by_size) == (self.field_of_view is not None) or (any(by_size) and not all(by_size)):
             raise ValueError("give either field_of_view, or focal_length and pixel_pitch")
         return self

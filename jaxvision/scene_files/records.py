@@ -1,5 +1,6 @@
 """The surfaces, lights and camera of a scene file as records."""
 
+from dataclasses import replace
 from typing import assert_never
 
 import jax
@@ -16,7 +17,7 @@ from ..lights import (
     environment_map,
 )
 from ..mesh_files import read_mesh
-from ..optics import look_at
+from ..optics import look_at, opencv_view
 from ..scene import (
     Box,
     CircularAperture,
@@ -133,6 +134,13 @@ def view_of(entry: camera_schema.Camera) -> View:
             pitch = entry.width / columns
             return Orthographic(position, rotation, pitch, resolution=(rows, columns))
         case camera_schema.PinholeEntry():
+            if entry.matrix is not None:
+                view = opencv_view(
+                    np.asarray(entry.matrix),
+                    coefficients=entry.distortion or (),
+                    resolution=(rows, columns),
+                )
+                return replace(view, position=jnp.asarray(position), rotation=jnp.asarray(rotation))
             focal_length, pitch = entry.focal_length, entry.pixel_pitch
             if entry.field_of_view is not None:  # the same picture at any focal length
                 focal_length = 1.0

@@ -372,7 +372,8 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     """The picture in radiance.
 
     Light of points and directions that mirrors or glass throw onto other surfaces is missing, and
-    no error tells of it: `transport.missing_light` names it.
+    no error tells of it: `transport.missing_light` names it. Derivatives by places leave out moving
+    edges, as those of `render`.
 
     Args:
         key: random key.

@@ -156,3 +156,25 @@ def test_saturating_levels_at_the_end_are_not_left_out():
     measured = from_frames(flats, DARKS, list(TIMES), light, camera=Camera(bits=12))
     assert measured.bright.left_out == ()
     assert all(a < b for a, b in pairwise(measured.bright.light.tolist()))
+
+
+def test_darks_without_the_offset_of_the_flats_are_refused():
+    subtracted = [[np.clip(d.astype(int) - 64, 0, None) for d in level] for level in DARKS]
+    with pytest.raises(InputError, match=r"6\d.* DN by their light, but the darks read 0\.3\d+ DN"):
+        read(darks=subtracted)
+    flats = [[np.clip(f.astype(int) - 64, 0, None) for f in level] for level in FLATS]
+    with pytest.raises(InputError, match=r"by their light, but the darks read 64 DN"):
+        read(flats)
+
+
+def test_a_bias_of_no_exposure_and_stray_light_are_read():
+    """Light of 300 electrons that enters at every exposure, also at none."""
+    lit = [0.0, *TIMES[1:]]
+    stray = [[frame(300 + 4.5e5 * t, 60 + 2 * i + k) for k in (0, 1)] for i, t in enumerate(lit)]
+    kept = [DARKS[0], *DARKS[1:]]
+    given = {"camera": Camera(bits=12), "dark_exposures": lit}
+    measured = from_frames(stray, kept, lit, None, **given)
+    assert measured.bright.left_out == ()
+    found = calibrate(measured)
+    gain = found.shown["system_gain"]
+    assert abs(gain.value - GAIN) < 3 * gain.standard_error

@@ -465,6 +465,27 @@ def test_a_data_window_keeps_its_place(tmp_path):
         read_image(tmp_path / "d.exr")
 
 
+def test_primaries_that_are_not_those_of_srgb_are_named(tmp_path):
+    """Those of ACES, in which red is another colour."""
+    spec = oiio.ImageSpec(4, 2, 3, "float")
+    aces = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
+    spec.attribute("chromaticities", "float[8]", aces)
+    sink = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert sink.open(str(tmp_path / "a.exr"), spec)
+    sink.write_image(np.ones((2, 4, 3), np.float32))
+    sink.close()
+    with pytest.warns(UserWarning, match=r"not used: its primaries \(0\.7347, 0\.2653, 0, 1"):
+        read_image(tmp_path / "a.exr")
+
+
+def test_colours_of_12_bits(tmp_path):
+    colours = np.random.default_rng(2).integers(0, 4096, (5, 7, 3))
+    tags = {258: (3, [12] * 3), 277: (3, [3])}
+    data = packed(colours.reshape(5, 21), 12)
+    write_tiff(tmp_path / "a.tif", colours[..., 0], 12, photometric=2, tags=tags, data=data)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), colours)
+
+
 def test_a_cropped_sky_loads(tmp_path):
     values = write_exr(
         *(tmp_path / "sky.exr", ["R", "G", "B", "A"]),

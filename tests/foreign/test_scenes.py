@@ -137,3 +137,37 @@ def test_what_can_be_meant_is_kept():
     assert float(jv.Sensor(prnu=0.3).prnu) == pytest.approx(0.3)
     assert float(jv.image_distance(jnp.inf, 57.6)) == pytest.approx(57.6)  # a telescope
     assert float(jv.image_distance(0.03, 0.05)) == pytest.approx(-0.075)  # a magnifier
+
+
+def test_a_scene_file_takes_the_matrix_of_a_calibration(tmp_path):
+    """A point on the optical axis is seen at (cx, cy)."""
+    (tmp_path / "scene.toml").write_text(
+        """
+[camera]
+kind = "pinhole"
+position = [0, -4, 0]
+target = [0, 0, 0]
+resolution = [48, 64]
+matrix = [[80, 0, 20.5], [0, 84, 30.25], [0, 0, 1]]
+distortion = [-0.1, 0.01, 0, 0, 0]
+
+[material.grey]
+family = "lambert"
+albedo = [0.5]
+
+[[surface]]
+shape = "sphere"
+centre = [0, 0, 0]
+radius = 1
+material = "grey"
+
+[[light]]
+kind = "point"
+position = [1, -2, 3]
+intensity = [10]
+"""
+    )
+    view = jv.scene_files.read_scene(tmp_path / "scene.toml").view
+    seen = jv.project(view, jnp.zeros(3, view.position.dtype))
+    assert float(seen.column) == pytest.approx(20.5, abs=1e-4)
+    assert float(seen.row) == pytest.approx(30.25, abs=1e-4)

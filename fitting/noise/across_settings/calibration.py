@@ -104,7 +104,9 @@ def calibrate_settings(
         calibrations=tuple(calibrations),
         fit=fit,
         posterior=laplace_where_it_holds(
-            log_density, fit.space, fit.solution.vector, fit.covariance, args, seed=seed
+            *(log_density, fit.space, fit.solution.vector, fit.covariance, args),
+            seed=seed,
+            by_chain=False,
         ),
         full_well=full_well(calibrations),
         dsnu=pattern(calibrations, gains, "dsnu"),

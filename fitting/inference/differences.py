@@ -1,0 +1,163 @@
+"""Derivatives by finite differences, where automatic ones do not see all that a parameter changes.
+
+A picture leaps at the edge of a shadow or an outline, and no gradient sees an edge move; the same
+holds for what is rounded or chosen by a branch. Residuals at both sides of an optimum, half a
+standard deviation away, tell: where they differ from the gradient's by more than the curvature of
+smooth residuals and a tenth of themselves, the optimum, its curvature and the verdict are taken
+from differences.
+"""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .curvature import with_prior
+from .on_host import on_host
+from .problem import Problem, Vector, least_squares_residuals, log_density
+from .search import Optimum
+
+REACH = 0.5  # posterior standard deviations to either side
+UNSEEN = 0.1  # share of a derivative that a gradient may miss before it is said
+FALL = 0.05  # in log density, .3 standard deviations: a place that is lower by less is no lower
+STEPS = 20
+_TINY = 1e-3  # of a difference, at which only rounding is left
+_SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
+
+
+def seen_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
+    """The optimum, judged and corrected by differences where its gradient misses something.
+
+    Args:
+        problem: that was searched; likelihoods that are no sums of squares, and data in chunks, are
+            not looked at.
+        optimum: the best end.
+
+    Returns:
+        The optimum as it is; or the lowest place that differences find from there, with their
+        curvature, and in `unseen` the parameters whose gradient misses something.
+    """
+    squares = problem.likelihood.least_squares and problem.stream is None
+    if not squares or not np.isfinite(optimum.information).all():
+        return optimum
+    sizes = REACH * _deviations(optimum.curvature)
+    if not (np.isfinite(sizes) & (sizes > 0)).all():
+        return optimum
+    dtype = problem.data.dtype
+    vector = jnp.asarray(optimum.vector, dtype)
+    whole, missed, own, rounding = on_host(
+        _compared(vector, jnp.asarray(sizes, dtype), problem), dtype=np.float64
+    ).T
+    with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not flagged
+        # smooth residuals: `missed` is a third of `own`, and no less than a sixtieth
+        near = missed - own / 2 - 2 * rounding > UNSEEN * whole
+        farther = own - 60 * missed - 2 * rounding > whole
+        share, flagged = np.where(near, missed / whole, own / (own + whole)), near | farther
+    if not flagged.any():
+        return optimum
+    names = [parameter.name for parameter in problem.space]
+    unseen = {name: float(s) for name, s, is_so in zip(names, share, flagged, strict=True) if is_so}
+    return replace(_followed(problem, optimum, sizes), unseen=unseen)
+
+
+def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
+    """The lowest place that Gauss and Newton's steps by differences, and steps along the axes,
+    lead to."""
+    dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
+    vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
+    cost, decrement, information = np.nan, optimum.decrement, optimum.information
+    for _ in range(STEPS):
+        _, gradient, information = (
+            on_host(x, dtype=np.float64)
+            for x in _differenced(jnp.asarray(vector, dtype), jnp.asarray(sizes, dtype), problem)
+        )
+        values = np.linalg.eigvalsh(information) if np.isfinite(information).all() else [0.0]
+        if not values[0] > 0:
+            return optimum
+        step = -np.linalg.solve(information, gradient)
+        decrement = float(-gradient @ step / 2)
+        ways = [np.zeros((1, len(step))), _SHARES[:, None] * step, np.diag(sizes), -np.diag(sizes)]
+        tried = vector + np.concatenate(ways)
+        cost, *costs = on_host(_costs(jnp.asarray(tried, dtype), problem), dtype=np.float64)
+        begun = cost if np.isnan(begun) else begun
+        lowest = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
+        if settled := not costs[lowest] < cost - FALL:
+            break
+        vector = tried[1 + lowest]
+        sizes = REACH * _deviations(information)
+    fall = float(begun - cost)
+    ends, depths = optimum.ends.copy(), optimum.costs + fall
+    ends[best], depths[best] = vector, 0.0
+    return replace(
+        optimum,
+        vector=vector,
+        cost=optimum.cost - fall,
+        information=information,
+        decrement=decrement,
+        stationary=settled,
+        ends=ends,
+        costs=depths - depths.min(),
+    )
+
+
+def _deviations(information: np.ndarray) -> np.ndarray:
+    """(P,) standard deviations of an information; NaN where it has no inverse."""
+    scale = np.sqrt(np.abs(np.diagonal(information)))
+    with np.errstate(all="ignore"):
+        try:
+            inverse = np.linalg.inv(information / np.outer(scale, scale))
+        except np.linalg.LinAlgError:
+            return np.full(len(scale), np.nan)
+        return np.sqrt(np.diagonal(inverse)) / scale
+
+
+@eqx.filter_jit
+def _compared(
+    vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
+) -> Float[Array, "parameters 4"]:
+    """Of each parameter, norms over all residuals: of the central difference over half of `sizes`;
+    of its distance from the derivative, and from the difference over all of it; of rounding."""
+
+    def residuals(vector: Array) -> Array:
+        return least_squares_residuals(vector, problem)
+
+    here, along = jax.linearize(residuals, vector)
+
+    def norms(number: Array) -> Array:
+        way = jnp.zeros_like(vector).at[number].set(sizes[number])
+        full, half = (
+            (residuals(vector + x * way) - residuals(vector - x * way)) / (2 * x)
+            for x in (1.0, 0.5)
+        )
+        exact = along(way)
+        rounding = residuals(vector + _TINY * way) - here - _TINY * exact
+        parts = half, half - exact, full - half, rounding
+        return jnp.stack([jnp.sqrt(jnp.sum(part**2)) for part in parts])
+
+    return jax.lax.map(norms, jnp.arange(vector.size))
+
+
+@eqx.filter_jit
+def _differenced(
+    vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
+) -> tuple[Array, Array, Array]:
+    """Cost, gradient and curvature as `gauss_newton` gives them, by central differences."""
+
+    def residuals(vector: Array) -> Array:
+        return least_squares_residuals(vector, problem)
+
+    def by(number: Array) -> Array:
+        way = jnp.zeros_like(vector).at[number].set(sizes[number])
+        return (residuals(vector + way) - residuals(vector - way)) / (2 * sizes[number])
+
+    here, jacobian = residuals(vector), jax.lax.map(by, jnp.arange(vector.size))
+    of_data = here @ here / 2, jacobian @ here, jacobian @ jacobian.T
+    return with_prior(vector, problem, of_data)
+
+
+@eqx.filter_jit
+def _costs(vectors: Array, problem: Problem) -> Array:
+    return jax.lax.map(lambda vector: -log_density(vector, problem), vectors)
