@@ -43,6 +43,7 @@ FLOORS = [
         "_png_chunks",
         "_tiff_tags",
         "_jpeg_markers",
+        "_targa_head",
         "_plain_content",
         "_legible_axes",
         "_local_workers",
