@@ -76,6 +76,24 @@ def test_a_lobe_peaks_at_the_mirror_direction():
     assert relative.max() == 1
 
 
+def test_a_lobe_of_any_width_shows_its_height():
+    """Of cos^n, 1 at the mirror's direction, and to 1 % what a line between two points shows."""
+    shiny = {f"{n:g}": jv.PhongBRDF([0.0], [1.0], n) for n in (1e2, 1e3, 1e4, 1e5, 1e6)}
+    axes = plots.lobe(shiny, incidence=np.pi / 6)
+    for n, line in zip(map(float, shiny), axes.lines, strict=False):
+        angle, radius = line.get_data()
+        assert radius.max() == pytest.approx(1, abs=1e-6)
+        middle = (angle[1:] + angle[:-1]) / 2
+        expected = np.maximum(np.cos(middle - np.pi / 6), 0) ** n
+        np.testing.assert_allclose((radius[1:] + radius[:-1]) / 2, expected, atol=0.01)
+    retro = np.exp(-((np.linspace(0, 1.5, 151)[:, None] - np.linspace(0, 1.5, 151)) ** 2) / 1e-5)
+    values = np.stack([retro, 0 * retro], axis=-1)[..., None]  # towards the light, and away
+    card = jv.IsotropicTable(np.linspace(0, 1.5, 151), np.linspace(0, 1.5, 151), [0, np.pi], values)
+    line = plots.lobe(card, incidence=0.5).lines[0]
+    assert line.get_ydata().max() == pytest.approx(1, abs=1e-3)
+    assert line.get_xdata()[line.get_ydata().argmax()] == pytest.approx(-0.5, abs=1e-3)
+
+
 def test_a_curve_has_its_band_and_its_truth():
     x = np.linspace(0, 1, 4)
     axes = plots.curve(x, x, band=(x - 1, x + 2), truth=2 * x, names=("code", "light"))

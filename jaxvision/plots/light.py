@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._types import require_metres
 from ..brdf import evaluate, is_delta
@@ -13,6 +14,7 @@ from ..errors import InputError
 from ..plain_arrays import plain_array
 from ..scene import Material
 from ._axes import new_axes, tidy
+from ._refined import refined
 from ._views import INK, OTHER_INKS
 from .summary import band_names
 
@@ -75,6 +77,14 @@ def spectrum(
     return axes
 
 
+@jax.jit
+def _seen(
+    material: Material, light: Float[Array, "3"], viewers: Float[Array, "n 3"]
+) -> Float[Array, "n bands"]:
+    """f_r toward each viewer, sr^-1."""
+    return jax.vmap(lambda wo: evaluate(material, light, wo))(viewers)
+
+
 def lobe(
     materials: Material | Mapping[str, Material],
     *,
@@ -84,6 +94,9 @@ def lobe(
     axes: "Axes | None" = None,
 ) -> "Axes":
     """What materials reflect of one ray into each direction of the plane of incidence.
+
+    A direction a degree, and more wherever the curve is steep: a highlight of any width shows its
+    height.
 
     Args:
         materials: one, or several by name.
@@ -101,7 +114,8 @@ def lobe(
 
     Example:
         >>> axes = jv.plots.lobe({"chalk": jv.Lambert([0.3])})
-        >>> print(axes.lines[0].get_ydata()[[60, 90]])
+        >>> angle, radius = axes.lines[0].get_data()
+        >>> print(radius[[60, 90]].round(6))
         [0.3 0.3]
     """
     from matplotlib.ticker import MaxNLocator
@@ -109,9 +123,8 @@ def lobe(
     if not 0 <= incidence < np.pi / 2:
         raise InputError(f"incidence is an angle from 0 to below pi / 2 rad, got {incidence:g}.")
     several = materials if isinstance(materials, Mapping) else {"": materials}
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 361)[1:-1:2]  # 180 directions above the horizon
+    first = np.linspace(-np.pi / 2, np.pi / 2, 361)[1:-1:2]  # 180 directions above the horizon
     dtype = jnp.result_type(float)
-    viewers = jnp.asarray(np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1), dtype)
     light = jnp.asarray([-np.sin(incidence), 0, np.cos(incidence)], dtype)
     axes = new_axes(axes, polar=True)
     for name, material in several.items():
@@ -120,8 +133,21 @@ def lobe(
                 f"{name or type(material).__name__} reflects into one direction, which is no lobe; "
                 "leave it out."
             )
-        seen = jax.vmap(lambda wo, m=material: evaluate(m, light, wo))(viewers)
-        radius = np.asarray(seen)[:, band if seen.shape[1] > 1 else 0]
+
+        def reflected(angle: np.ndarray, material: Material = material) -> np.ndarray:
+            viewers = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1)
+            seen = _seen(material, light, jnp.asarray(viewers, dtype))
+            return np.asarray(seen)[:, band if seen.shape[1] > 1 else 0]
+
+        # a peak stands about the mirror's direction or the light's, or at the nodes of a table
+        peaks = [np.array([incidence, -incidence])]
+        peaks += [
+            s * np.ravel(n)
+            for n in [getattr(material, "theta_o", None)]
+            if n is not None
+            for s in (-1, 1)
+        ]
+        angle, radius = refined(reflected, first, peaks=np.concatenate(peaks))
         axes.plot(angle, radius / radius.max() if shape_only else radius, label=name or None)
     axes.plot([-incidence, -incidence], [0, axes.get_ylim()[1]], color="0.5", ls=":", lw=1.5)
     axes.set(theta_zero_location="N", theta_direction=-1, thetamin=-90, thetamax=90)  # type: ignore[call-arg]

@@ -59,6 +59,9 @@ def _draw_slice(axis: Axes, calibration: BRDFCalibration, incidence: int) -> Non
 
     theta_i = float(measured.incidences[incidence])
     theta_o = np.radians(np.linspace(-88, 88, 1409))
+    near = np.radians(np.geomspace(1e-4, 0.5, 40))  # a mirror's peak is narrower than an eighth
+    about = theta_i + np.concatenate([-near, [0.0], near])
+    theta_o = np.unique(np.concatenate([theta_o, about[np.abs(about) <= theta_o[-1]]]))
     held_out = calibration.held_out
     lines: list[Model] = [of_axis(held_out, kind, calibration.objective) for kind in AXES]
     highest = top
