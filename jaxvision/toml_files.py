@@ -17,6 +17,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ._plain_content import DEEPEST, check_content, check_size
 from .errors import InputError, nearest
 
+# A number and its unit, as in `exposure = 0.5 ms`.
+_WITH_UNIT = re.compile(
+    r"\s*[\w.\"-]+\s*=\s*[-+]?[\d._]+(?:e[-+]?\d+)?\s*([^\W\d_]+|%)[^#=]*(?:#.*)?"
+)
 # The beginning of a key of more parts than tables may be nested, which costs the parser gigabytes.
 _LONG_KEY = re.compile(
     r"(?:^[ \t]*\[{0,2}|[{,])[ \t]*+"
@@ -66,6 +70,7 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     if not file.is_file():
         raise InputError(f"{file}: no such {kind} file; check the name and the folder.")
     check_size(file)
+    text = ""
     try:
         text = file.read_text(encoding="utf-8")
         if found := _LONG_KEY.search(text):
@@ -77,9 +82,21 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     except InputError:
         raise
     except ValueError as error:  # not TOML, not UTF-8, or a number of thousands of digits
+        line = _line_of(error, text)
+        if with_unit := _WITH_UNIT.fullmatch(line):
+            raise InputError(
+                f"{file}: {line.strip()[:60]!r} has a unit, {with_unit[1]}; give the number alone, "
+                "in the file's own unit (s, m, W)."
+            ) from error
         raise InputError(f"{file}: not a TOML file ({error}); correct that line.") from error
     check_content(str(file), content)
     return content
+
+
+def _line_of(error: ValueError, text: str) -> str:
+    """The line of a text at which the parser stopped; none is empty."""
+    found = re.search(r"at line (\d+)", str(error))
+    return text.splitlines()[int(found[1]) - 1] if found else ""
 
 
 def checked(
@@ -183,7 +200,8 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) 
             node = node[part]
             place += f".{part}"
     if missing:
-        place += f".{loc[-1]}"
+        last = loc[-1]
+        place += f"[{last + first}]" if isinstance(last, int) else f".{last}"
     return place.lstrip(".")
 
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
+from jaxvision.errors import InputError
 from jaxvision.scene_checks import idle_lamps
+from jaxvision.toml_files import read_toml
 from jaxvision.transport import Paths, light_traced, missing_light, path_traced, ray_traced
 
 DOWN = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
@@ -171,3 +173,30 @@ intensity = [10]
     seen = jv.project(view, jnp.zeros(3, view.position.dtype))
     assert float(seen.column) == pytest.approx(20.5, abs=1e-4)
     assert float(seen.row) == pytest.approx(30.25, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("exposure = 0.5 ms", "has a unit, ms; give the number alone"),
+        ("width = 50mm  # across", "has a unit, mm"),
+        ("share = 5 %", "has a unit, %"),
+        ("name = scene", "not a TOML file"),
+    ],
+)
+def test_a_number_with_a_unit_is_told_as_such(tmp_path, line, words):
+    file = tmp_path / "scene.toml"
+    file.write_text(f"[camera]\n{line}\n")
+    with pytest.raises(InputError, match=words):
+        read_toml(file, "scene")
+
+
+def test_places_in_a_list_are_counted_alike(tmp_path):
+    """light[1] is the first; so is direction[1], and the third number is missing."""
+    text = '[camera]\nkind = "orthographic"\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\nwidth = 1\n'
+    text += 'resolution = [2, 2]\n[[surface]]\nshape = "sphere"\ncentre = [0, 0, 0]\nradius = 1\n'
+    text += "emission = [1]\n"
+    text += '[[light]]\nkind = "directional"\ndirection = [0, 1]\nirradiance = [1]\n'
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(InputError, match=r"light\[1\]\.direction\[3\] is missing"):
+        jv.scene_files.read_scene(tmp_path / "scene.toml")
