@@ -168,6 +168,6 @@ def test_the_unit_of_sigma_is_the_least_noise_of_a_box():
         pruned = effects.prune(jv.Scene(wall, ()), camera, "0.3sigma", **options)
         return {effect.name for effect in pruned.certificate.dropped}
 
-    free = dropped(free={"sensor.conversion_prnu": (0.0, 3.0)})
+    free = dropped(free={"sensor.conversion_prnu": (0.0, 0.5)})
     assert free <= dropped()
     assert "sensor.read_noise" not in free

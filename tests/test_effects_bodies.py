@@ -1,5 +1,7 @@
 """Certified distances and shadow tests, against quadratic programmes and sampled segments."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -297,3 +299,27 @@ def test_the_outer_side_of_a_convex_mesh_lies_in_no_shadow_of_its_own(vertices, 
 def test_faces_of_corners_that_are_not_there_prove_nothing():
     mesh = jv.TriangleMesh(CUBE, [*SIDES[1:], [0, 1, 99]])
     assert not is_convex(twice(mesh))
+
+
+def test_a_room_around_lamp_and_receiver_blocks_nothing():
+    """The segment between two points of a convex body stays in it; one that leaves it may not."""
+    grey = jv.Lambert([0.1])
+    shapes = {
+        "box": jv.Box(
+            [0.0, 0, 1], [2.0, 2, 1], rotation=[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]
+        ),
+        "ball": jv.Sphere([0.0, 0, 1], 3.0),
+    }
+    floor = jv.Surface(
+        jv.Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), grey
+    )  # touches the box's own
+    lamp = source_of(twice(jv.PointLight([0.5, 0.0, 1.9], [1.0])))
+    for shape in shapes.values():
+        room = jv.Surface(shape, grey, two_sided=True)
+        assert not may_block([lamp], [twice(room), twice(floor)])[..., 0].any()
+        outside = source_of(twice(jv.PointLight([0.0, 0.0, 4.5], [1.0])))
+        assert may_block([outside], [twice(room), twice(floor)])[0, 1, 0]
+        wide = replace(floor, shape=jv.Quad([-4.0, -4, 0.5], [8.0, 0, 0], [0, 8.0, 0]))
+        assert may_block([lamp], [twice(room), twice(wide)])[0, 1, 0]
+        shrinks = replace(room, shape=replace(shape, centre=jnp.asarray([0.0, 0, 1.5])))
+        assert may_block([lamp], [Ends(room, shrinks), twice(floor)])[0, 1, 0]

@@ -1,9 +1,11 @@
 """Which surfaces may come between a light and a surface: `False` is certain.
 
-A one-sided convex surface does not shade itself, nor does the outer side of a convex body. Nothing
-is blocked where lamp, receiver and occluder are parted by the plane of one of them: both of the
-others on one closed side of a flat occluder, the lamp or the occluder behind a flat receiver, the
-receiver or the occluder behind the lamp. Elsewhere the hull of lamp and receiver and the occluder
+A one-sided convex surface does not shade itself, nor does the outer side of a convex body. A ball
+or a box that holds lamp and receiver, such as a room, blocks nothing between them: what joins two
+points of a convex body stays in it. Nothing is blocked where lamp, receiver and occluder are parted
+by the plane of one of them: both of the others on one closed side of a flat occluder, the lamp or
+the occluder behind a flat receiver, the receiver or the occluder behind the lamp. Elsewhere the
+hull of lamp and receiver and the occluder
 must be apart (`bodies.gap`). What touches a plane but for a few roundings of its own coordinates
 counts as in it: far fewer than `geometry.offset_length`, within which no ray meets it either.
 Lengths in m.
@@ -193,8 +195,39 @@ def may_block(
             behind = high <= (-source.size[0] if source.kind == "place" else 0)
             may[k, behind, :] = False
             may[k, :, behind] = False
+    for i, surface in enumerate(surfaces):
+        inside = _within(surface, bodies, relative, reach) & bounded
+        inside[i] = True
+        for k, source in enumerate(sources):
+            if source.body is not None and inside.sum() > 0:
+                lamp = stacked([source.body])
+                if _within(surface, lamp, relative, reach, strictly=True).all():
+                    may[k, inside, i] = False
     _apart(may, sources, bodies, bounded, reach)
     return may
+
+
+def _within(
+    surface: Ends[Surface], bodies: Bodies, relative: float, reach: float, *, strictly: bool = False
+) -> np.ndarray:
+    """(n,) whether each body lies within a ball or a box that stays as it is. Unless `strictly` it
+    may touch a box from within, but for roundings, `relative` to its coordinates."""
+    shape = surface.low.shape
+    ends = (jax.tree.leaves(end.shape) for end in surface)
+    fixed = all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in zip(*ends, strict=True))
+    if not fixed or not isinstance(shape, Sphere | Box):
+        return np.zeros(len(bodies.points), bool)
+    away, slack = bodies.points - numbers(shape.centre), certain(reach)
+    if isinstance(shape, Sphere):
+        far = (np.linalg.norm(away, axis=2) + bodies.radii).max(1)
+        return far + slack < float(shape.radius)
+    axes = np.eye(3) if shape.rotation is None else numbers(shape.rotation)
+    far = (np.abs(away @ axes.T) + bodies.radii[..., None]).max(1)
+    size = (np.abs(bodies.points).max(2) + bodies.radii).max(1) + np.abs(
+        numbers(shape.centre)
+    ).max()
+    room = numbers(shape.half_extents)
+    return (far + slack < room if strictly else far <= room + relative * size[:, None]).all(1)
 
 
 def _apart(
