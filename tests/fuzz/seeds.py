@@ -159,6 +159,12 @@ def pixels(file: Path) -> object:
     return read_image(file)
 
 
+def targa() -> bytes:
+    """Of 4 x 3 colours from the top left, as runs of two equal ones."""
+    head = struct.pack("<BBBHHBHHHHBB", 0, 0, 10, 0, 0, 0, 0, 0, 4, 3, 24, 0x20)
+    return head + b"".join(bytes((0x81, i, 2 * i, 200 - i)) for i in range(6))
+
+
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind by name; `folder` for what writers need, and what files name beside them."""
     cameras = tuple((PACKAGE / "cameras" / f"{n}.toml").read_bytes() for n in shipped_cameras())
@@ -205,6 +211,10 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "jpeg": Kind(".jpg", (picture(folder, ".jpg", np.uint8),), pixels),
         "exr": Kind(".exr", (picture(folder, ".exr", np.float32),), pixels, finite=False),
         "hdr": Kind(".hdr", (picture(folder, ".hdr", np.float32),), pixels),
+        "pgm": Kind(".pgm", (b"P5\n# codes\n4 3\n1023\n" + bytes(range(3)) * 8,), pixels),
+        "ppm": Kind(".ppm", (b"P3\n2 2\n255\n" + b"9 80 200\n" * 4,), pixels),
+        "pfm": Kind(".pfm", (b"PF\n2 2\n-1.0\n" + bytes(48),), pixels, finite=False),
+        "tga": Kind(".tga", (targa(),), pixels),
         "fits": Kind(".fits", (astronomical(folder),), pixels, finite=False),
         "dng": Kind(".dng", (dng(RNG.integers(64, 4096, (24, 32)).astype(np.uint16)),), pixels),
         "glb": Kind(".glb", (binary_gltf(gltf),), lambda file: read_scene(file).scene),
