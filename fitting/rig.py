@@ -12,7 +12,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from jaxvision.errors import InputError
@@ -82,11 +81,11 @@ Kelvin = Annotated[Finite, AfterValidator(kelvin)]
 
 def _plain(value: Any) -> Any:
     """An array as the lists that a rig file has; anything else as it is."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _tag(value: Any) -> str:
-    return "several" if isinstance(value, list | tuple | np.ndarray) else "one"
+    return "several" if isinstance(value, list | tuple) or getattr(value, "ndim", 0) else "one"
 
 
 # One number, or one for each site of the cell that repeats.
