@@ -148,18 +148,23 @@ def test_the_error_that_is_shown_is_the_one_that_is_judged():
 
 
 def test_an_order_may_be_sure_where_its_size_is_not():
-    """Roots of 4 and of (3 * 4 + 400) / 4 times as much: more at each of five incidences, by how
-    much is open. Where four say the reverse, or there are but two, the order is open too."""
-    base = np.ones(5)
-    sure = ratio(of([4, 4, 4, 4, 400]), of(base), "cosine")
-    np.testing.assert_allclose(sure.without[[-1, 0]], [2, np.sqrt(412 / 4)])
-    np.testing.assert_allclose(sure.alone, [2, 2, 2, 2, 20])
+    """Roots of 4 and of (4 * 4 + 400) / 5 times as much: more at each of six incidences, by how
+    much is open. Of five, or where five say the reverse, the order is open too: the chance of five
+    of five is .0625, above that of a 95 % interval."""
+    base = np.ones(6)
+    sure = ratio(of([4, 4, 4, 4, 4, 400]), of(base), "cosine")
+    np.testing.assert_allclose(sure.without[[-1, 0]], [2, np.sqrt(416 / 5)])
+    np.testing.assert_allclose(sure.alone, [2, 2, 2, 2, 2, 20])
     assert not sure.told
     assert sure.ordered
-    assert sure.chance == 2 / 2**5
-    reverse = ratio(of(base), of([4, 4, 4, 4, 400]), "cosine")
+    assert sure.chance == pytest.approx(2 / 2**6)
+    reverse = ratio(of(base), of([4, 4, 4, 4, 4, 400]), "cosine")
     assert reverse.ordered
-    assert reverse.more_often == 5
+    assert reverse.more_often == 6
+    five = ratio(of([4, 4, 4, 4, 400]), of(base[:5]), "cosine")
+    assert five.chance == pytest.approx(2 / 2**5)
+    assert not five.ordered
+    base = base[:5]
     hangs = ratio(of([0.5, 0.5, 0.5, 0.5, 400]), of(base), "cosine")
     assert (hangs.more_often, hangs.chance, hangs.ordered) == (1, 1, False)
     assert not ratio(of([4, 400]), of(base[:2]), "cosine").ordered
@@ -179,7 +184,7 @@ def test_equal_models_are_seldom_ordered(incidences):
         exact = stats.binomtest(k, incidences, alternative="greater").pvalue
         assert pair.chance == pytest.approx(min(2 * exact, 1))
         found.append(pair.ordered)
-    assert np.mean(found) < 0.1 + 3 * np.sqrt(0.1 * 0.9 / 1000)
+    assert np.mean(found) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 1000)
 
 
 def test_errors_beyond_the_signal_are_those_of_a_relative_metric():

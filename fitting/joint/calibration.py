@@ -1,6 +1,6 @@
 """Joint calibration of surface, response and sensor from the same images."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,7 @@ from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
 from ..inference.precision import in_double
+from ..reflectance.from_images.shading_check import without_strangers
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
@@ -60,6 +61,9 @@ def calibrate(
 ) -> JointCalibration:
     """Reflectance, encoding, gain and noise from images of a known shape under known lights.
 
+    Images that do not belong (dark or saturated throughout, copies, under another light than the
+    rig says) are left out and named among the findings.
+
     Args:
         measurement: images, and flats and darks if there are any.
         model: of the surface.
@@ -79,6 +83,9 @@ def calibrate(
     kind, source = JointMeasurement, "from_photographs"
     require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
+    belonging = without_strangers(measurement.observation)
+    if belonging is not measurement.observation:
+        measurement = replace(measurement, observation=belonging)
     form = Form(model, index)
     channels = len(measurement.observation.channels)
     fits, posteriors, robusts, halves = [], {}, {}, {}

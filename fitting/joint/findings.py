@@ -9,6 +9,7 @@ from ..inference.parameters import names, prior_gaussian
 from ..inference.posterior import Posterior
 from ..inference.trust import convergence_in_words
 from ..reflectance.from_images.shading_check import contradictions
+from ..reflectance.names import DESCRIBES
 from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
@@ -177,6 +178,23 @@ def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
         f"{files[worst]} is {format_percent(abs(relative[worst]), decimals=1)} {word} than its "
         "intensity says, "
         f"{abs(mean[worst]):.1f} times the usual error of a light."
+    ]
+
+
+def no_description(scores: tuple[Score, ...]) -> list[str]:
+    """That the model misses most of the images, by channel.
+
+    Args:
+        scores: of its predictions.
+    """
+    errors = {
+        s.channel: s.fitted_error if s.unseen_error is None else s.unseen_error for s in scores
+    }
+    return [
+        f"{channel}: the model does not describe the images: it misses {format_percent(error)} of "
+        f"the signal, where more than {format_percent(DESCRIBES)} is no description."
+        for channel, error in errors.items()
+        if error > DESCRIBES
     ]
 
 

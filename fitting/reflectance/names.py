@@ -22,6 +22,7 @@ Objective = Literal["cosine", "cube-root"]  # what a fit of measured reflectance
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 
 INDEX = 1.5  # of refraction: glass, varnish, most plastics
+DESCRIBES = 0.5  # relative error of a prediction up to which a model describes a surface
 SUFFIXES = (".brdf", ".bsdf", ".binary")
 
 

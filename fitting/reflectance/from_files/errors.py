@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import bdtrc, stdtrit
 
-from ..names import Model, Objective
+from ..names import DESCRIBES, Model, Objective
 from .fit import ModelFit, reflected
 from .read import MeasuredBRDF
 
 FEWEST_INCIDENCES = 3  # from which a difference has a standard error worth its name
 SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, not the models'
 NOTABLE = 1.05  # ratio of two errors from which an order of them is worth a word
-LIKELY = 0.1  # chance up to which the one model that errs more at most incidences is called worse
+LIKELY = 0.05  # chance up to which a model that errs more at most incidences is called worse
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
 
 
@@ -185,6 +185,19 @@ def exceeds_signal(errors: Errors, objective: Objective) -> bool:
         Whether; never of cube roots, whose errors are not relative to their signal.
     """
     return objective == "cosine" and errors.relative > 1
+
+
+def describes(errors: Errors, objective: Objective) -> bool:
+    """Whether a prediction tells most of the signal: its relative error is at most a half.
+
+    Args:
+        errors: of one prediction.
+        objective: whose metric counts.
+
+    Returns:
+        Whether; always of cube roots, whose errors are not relative to their signal.
+    """
+    return objective != "cosine" or errors.relative <= DESCRIBES
 
 
 def weight_by_incidence(

@@ -5,6 +5,8 @@ from typing import Literal
 
 import numpy as np
 
+from jaxvision import as_array
+
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
@@ -17,12 +19,14 @@ from ..models import (
     shape_of,
     shape_range,
 )
-from ..names import Axis, Model, Objective
-from .calibration import BRDFCalibration
+from ..names import DESCRIBES, Axis, Model, Objective
+from .calibration import BRDFCalibration, albedo
 from .errors import (
+    LIKELY,
     Errors,
     Ratio,
     best,
+    describes,
     distinguished,
     exceeds_signal,
     metric,
@@ -37,6 +41,10 @@ NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes'
 NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
 APART = 1.5  # ratio of two errors from which a reader is told why they are not told apart
 OVERFIT = 1.5  # held-out over fitted error from which a reader is told
+ROUNDING = 1e-3  # of an albedo
+OBLIQUE = np.radians(15.0)  # incidence from which back and forth lie apart
+NEAR = np.radians(7.5)  # of the light: where a peak counts as toward it
+BRIGHT = 3.0  # times the median of its incidence, from which a value is a peak
 PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other axis
     ("phong", "blinn"),
     ("normalised-phong", "normalised-blinn"),
@@ -71,7 +79,10 @@ def of_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) ->
 def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
     """All sentences about one material."""
     return (
+        *_no_description(calibration),
         _verdict(calibration),
+        *_impossible(calibration),
+        *_toward_light(calibration),
         _pairs(calibration),
         *_weight(calibration),
         *_generalisation(calibration),
@@ -85,6 +96,61 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
         _intervals(calibration),
         *calibration.measured.findings,
     )
+
+
+def _no_description(calibration: BRDFCalibration) -> list[str]:
+    """That the best model is no good, where it is none."""
+    winner = best(calibration.held_out, calibration.objective)
+    found = calibration.held_out[winner]
+    if describes(found, calibration.objective):
+        return []
+    return [
+        "No model here describes this file: at angles of incidence that no fit has seen, the best "
+        f"one ({LABELS[winner]}) misses {100 * found.relative:.1f} % of the signal's "
+        f"cosine-weighted RMS, more than {format_percent(DESCRIBES)}. Its parameters are no "
+        "properties of the surface."
+    ]
+
+
+def _impossible(calibration: BRDFCalibration) -> list[str]:
+    """Energy that the reported surface would add."""
+    fit = calibration.fits[calibration.model]
+    found = albedo(fit, calibration.index)
+    most = int(np.argmax(found))
+    if found[most] <= 1 + ROUNDING:
+        return []
+    bands = calibration.measured.bands
+    band = f" in band {bands[most]}" if len(bands) > 1 else ""
+    return [
+        f"{LABELS[calibration.model]} as fitted is impossible: it reflects {found[most]:.2g} times "
+        f"the light that falls on it along the normal{band} (its albedo), and no surface reflects "
+        "more than 1 times."
+    ]
+
+
+def _toward_light(calibration: BRDFCalibration) -> list[str]:
+    """Data that peak toward the light, as those of no model here do."""
+    measured = calibration.measured
+    wi, wo = (np.asarray(as_array(v)) for v in (measured.wi, measured.wo))
+    values, toward, judged = measured.values.mean(axis=1), 0, 0
+    for i, incidence in enumerate(measured.incidences):
+        own = np.flatnonzero(measured.incidence == i)
+        if incidence < OBLIQUE:
+            continue
+        judged += 1
+        peak = own[np.argmax(values[own])]
+        mirrored = wi[peak] * np.array([-1, -1, 1])
+        apart = (np.linalg.norm(wo[peak] - v) for v in (wi[peak], mirrored))
+        back, forth = (2 * np.arcsin(np.minimum(chord / 2, 1)) for chord in apart)
+        bright = values[peak] > BRIGHT * np.median(values[own])
+        toward += bool(back < NEAR and back < forth and bright)
+    if judged == 0 or 2 * toward <= judged:
+        return []
+    return [
+        f"The data peak within {np.degrees(NEAR):.3g}° of the direction toward the light at "
+        f"{toward} of {judged} oblique incidences: the surface is retro-reflective, which no model "
+        "here is."
+    ]
 
 
 def _verdict(calibration: BRDFCalibration) -> str:
@@ -124,8 +190,9 @@ def _verdict(calibration: BRDFCalibration) -> str:
         )
     if worse:
         told.append(
-            "Worse than it at more incidences than is likely by chance, though by how much on the "
-            f"whole hangs on single ones: {_compared(calibration, found, worse, counted=True)}."
+            f"Worse than it at more incidences than is likely by chance (p up to {LIKELY:g}), "
+            "though by how much on the whole hangs on single ones: "
+            f"{_compared(calibration, found, worse, counted=True)}."
         )
     if useless:
         told.append(

@@ -35,7 +35,7 @@ HALF_ELEVATIONS = 28
 HALF_AZIMUTHS = 24  # of a turn; half of it is enough for what looks alike in a mirror
 LOWEST_VIEWER = np.cos(np.radians(80.0))
 SAME_INCIDENCE = np.radians(1.0)  # of elevation: samples closer than this share an incidence
-FEWEST_INCIDENCES = 4  # three to fit and one to test on
+FEWEST_INCIDENCES = 3  # two to fit and one to test on
 FEWEST_SAMPLES = 20
 HORIZON = np.radians(89.5)  # elevations beyond are rounding about the horizon
 # f_r in sr^-1 beyond any measurement: an instrument that sees 1e-6 sr, which is finer than any

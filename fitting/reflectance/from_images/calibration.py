@@ -25,6 +25,7 @@ from .model import Form, parameter_space
 from .posterior import channel_posterior
 from .read import ReflectanceObservation
 from .samples import Selection, gather, select
+from .shading_check import without_strangers
 
 FEWEST_SAMPLES = 50
 USUAL: tuple[Model, ...] = (
@@ -84,6 +85,9 @@ def calibrate(
 ) -> ReflectanceCalibration:
     """Fits a model and its rivals to the lights that are not held out.
 
+    Images that do not belong (dark or saturated throughout, copies, under another light than the
+    rig says) are left out and named among the findings.
+
     Args:
         observation: of a known shape under known lights.
         model: the one reported in full; "torrance-sparrow" has GGX facets, as
@@ -109,6 +113,7 @@ def calibrate(
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")
     check_index(index)
+    observation = without_strangers(observation)
     forms: dict[Model, Form] = {
         name: Form(name, ambient, fit_gamma, index)
         for name in MODELS

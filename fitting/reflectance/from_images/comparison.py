@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import stdtrit
 
-from ...inference.formatting import format_with_error
+from ...inference.formatting import format_percent, format_with_error
 from ...report.section import Table
 from ..models import LABELS
-from ..names import Model
+from ..names import DESCRIBES, Model
 from .fit import ChannelFit, lights_as_fitted
 from .model import predicted_dn
 from .read import ReflectanceObservation
@@ -324,7 +324,13 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     }
     equal = equally_good(scores)
     best = equal[0]
-    sentence = (
+    sentence = ""
+    if errors[best].max() > DESCRIBES:
+        sentence = (
+            f"No model here describes the images: the best misses {_percentages(errors[best])} of "
+            f"the signal, where more than {format_percent(DESCRIBES)} is no description. "
+        )
+    sentence += (
         f"On {_lights(held_out, 'held-out ')} {LABELS[best]} predicts best: relative RMS "
         f"{_percentages(errors[best])} ({', '.join(channels)})"
     )

@@ -338,14 +338,32 @@ def _refuse_unusable(rig: Rig, observation: ReflectanceObservation) -> None:
             )
     for channel, dn in zip(observation.channels, observation.dn, strict=True):
         _refuse_clipped_or_dark(rig, observation, channel, dn[lit])
-    for i, name in enumerate(observation.files):
-        seen = np.stack([dn[i][lit[i]] for dn in observation.dn])
-        if (seen >= observation.clip).all() or (seen <= observation.black + 1).all():
-            state = "saturated" if (seen >= observation.clip).all() else "dark"
+    lightless = lightless_images(observation)
+    if 2 * len(lightless) > len(observation.files) or len(observation.files) - len(lightless) < 3:
+        for i, state in lightless.items():
             raise InputError(
-                f"{rig.folder}: every lit pixel of {name} is {state}; take that image again or "
-                "remove its [[light]] entry."
+                f"{rig.folder}: every lit pixel of {observation.files[i]} is {state}; take that "
+                "image again or remove its [[light]] entry."
             )
+
+
+def lightless_images(observation: ReflectanceObservation) -> dict[int, str]:
+    """Images that show nothing of the object.
+
+    Args:
+        observation: of the object.
+
+    Returns:
+        By index in what state all of its lit pixels are: dark or saturated.
+    """
+    found = {}
+    for i, lit in enumerate(observation.cosine > 0):
+        seen = observation.dn[:, i, lit]
+        if (seen >= observation.clip).all():
+            found[i] = "saturated"
+        elif (seen <= observation.black + 1).all():
+            found[i] = "dark"
+    return found
 
 
 def _refuse_clipped_or_dark(

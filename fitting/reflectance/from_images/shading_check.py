@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ...copies import Copies
 from ...inference.formatting import format_percent
-from .read import ReflectanceObservation
+from .read import ReflectanceObservation, lightless_images
 
 LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
 OUTLYING, ROUNDS = 2.5, 8  # median absolute deviations beyond which a pixel is highlight; passes
@@ -23,6 +23,7 @@ UNEVEN = 0.2  # relative range of the irradiance over the object of a light that
 FEWEST_PIXELS, FLAT = 30, 0.05  # to tell a direction by; least spread of the normals
 FAR, NEAR = 15.0, 10.0  # degrees: from where a direction is doubted; where another one is believed
 DARK, SHARE = 0.01, 0.05  # of the brightest: a pixel without light; share of them that is told
+MOST, FEWEST_LEFT = 0.5, 3  # share of the images that may be left out; fitted ones that must stay
 CAMERA = np.array([0.0, 0.0, 1.0])
 SIDE = 0.3  # cosine of incidence from which a pixel faces a light
 CHANGES = {
@@ -94,11 +95,83 @@ def contradictions(observation: ReflectanceObservation, *, gamma: float | None =
     return [*_of_copies(observation), *_of_directions(observation), *_of_outline(observation)]
 
 
-def _of_copies(observation: ReflectanceObservation) -> list[str]:
-    """Images of equal numbers, which noise rules out for two exposures."""
+def without_strangers(observation: ReflectanceObservation) -> ReflectanceObservation:
+    """The images that belong together: not those that are dark or saturated wherever the object is
+    lit, copies of another, and those whose shading shows the light far from where the rig has it
+    while most agree. Where that would leave out more than half, or hardly any to fit, all stay.
+
+    Args:
+        observation: of the object.
+
+    Returns:
+        The observation of the others, with a sentence on each that was left out.
+    """
+    reasons = {
+        i: f"every pixel that its light reaches is {state}"
+        for i, state in lightless_images(observation).items()
+    }
+    shown, told = directions_by_shading(observation)
+    off = _angles(shown, _stated(observation))
+    names = list(observation.files)
+    for copies in _copies(observation).found:
+        places = [names.index(name) for name in copies]
+        best = min(places, key=lambda i: (not told[i], off[i]))
+        reasons |= {
+            i: f"its numbers are those of {names[best]}, so that one is a copy of the other"
+            for i in places
+            if i != best
+        }
+    if told.sum() >= 2 and (median := float(np.median(off[told]))) < FAR:
+        for i in _odd(observation, off, told, median):
+            reasons.setdefault(
+                int(i),
+                f"its shading shows the light {off[i]:.0f}° from where the rig states it (median "
+                f"of all {median:.1f}°), so check its direction and file",
+            )
+    kept = np.array([i not in reasons for i in range(len(names))])
+    enough = np.count_nonzero(kept & ~observation.held_out) >= FEWEST_LEFT
+    if kept.all() or not enough or kept.sum() < (1 - MOST) * len(kept):
+        return observation
+    by_light = ("falloff", "wi", "cosine", "mirror_angle", "log_cos_mirror", "held_out")
+    sentences = (f"{names[i]} was left out: {why}." for i, why in sorted(reasons.items()))
+    return replace(
+        observation,
+        files=tuple(name for name, stays in zip(names, kept, strict=True) if stays),
+        dn=observation.dn[:, kept],
+        intensity=observation.intensity[:, kept],
+        uncertain={name: sizes[kept] for name, sizes in observation.uncertain.items()},
+        findings=(*sentences, *observation.findings),
+        **{name: getattr(observation, name)[kept] for name in by_light},
+    )
+
+
+def _stated(observation: ReflectanceObservation) -> Float[np.ndarray, "lights 3"]:
+    """Unit directions of the lights by the rig."""
+    stated = observation.wi.mean(axis=1)
+    return stated / np.linalg.norm(stated, axis=1, keepdims=True)
+
+
+def _odd(
+    observation: ReflectanceObservation,
+    off: Float[np.ndarray, " lights"],
+    told: Bool[np.ndarray, " lights"],
+    median: float,
+) -> np.ndarray:
+    """Lights that alone are elsewhere, beyond what the rig calls uncertain."""
+    known = np.degrees(observation.uncertain.get("direction_sd", np.zeros(len(off))))
+    return np.flatnonzero(told & (off > np.maximum(max(FAR, 4 * median), 4 * known)))
+
+
+def _copies(observation: ReflectanceObservation) -> Copies:
     copies = Copies()
     for light, file in enumerate(observation.files):
         copies.add(file, observation.dn[:, light])
+    return copies
+
+
+def _of_copies(observation: ReflectanceObservation) -> list[str]:
+    """Images of equal numbers, which noise rules out for two exposures."""
+    copies = _copies(observation)
     if not copies.found:
         return []
     named = "; ".join(
@@ -119,11 +192,10 @@ def _of_directions(observation: ReflectanceObservation) -> list[str]:
     shown, told = directions_by_shading(observation)
     if told.sum() < 2:
         return []
-    stated = observation.wi.mean(axis=1)
-    stated /= np.linalg.norm(stated, axis=1, keepdims=True)
+    stated = _stated(observation)
     off = float(np.median(_angles(shown, stated)[told]))
     if off < FAR:
-        return _of_single_lights(observation.files, _angles(shown, stated), told, off)
+        return _of_single_lights(observation, _angles(shown, stated), told, off)
     words = (
         "The shading of the images shows the lights "
         f"{off:.0f}° (median of {told.sum()}) from where the rig states them"
@@ -146,13 +218,13 @@ def _of_directions(observation: ReflectanceObservation) -> list[str]:
 
 
 def _of_single_lights(
-    files: tuple[str, ...],
+    observation: ReflectanceObservation,
     angles: Float[np.ndarray, " lights"],
     told: Bool[np.ndarray, " lights"],
     median: float,
 ) -> list[str]:
     """Lights that alone are elsewhere."""
-    odd = np.flatnonzero(told & (angles > max(FAR, 4 * median)))
+    odd, files = _odd(observation, angles, told, median), observation.files
     names = ", ".join(f"{files[i]} {angles[i]:.0f}°" for i in odd[np.argsort(-angles[odd])][:5])
     return [
         f"The shading shows {len(odd)} of {len(files)} lights elsewhere than the rig states them: "

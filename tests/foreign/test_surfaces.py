@@ -1,0 +1,153 @@
+"""Surfaces that nobody here made: a retro-reflector, published files of few angles, rigs of grey
+images, images that do not belong. Files are written by hand in the Cornell text form; values are
+closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting import reflectance
+from fitting.checks.joint import Lab, photographed
+from fitting.checks.reflectance import Sphere
+from fitting.inference.estimates import find
+from fitting.reflectance import from_files
+from fitting.reflectance.from_files.calibration import albedo
+from fitting.reflectance.from_files.fit import LobeFit, ModelFit
+from fitting.reflectance.from_files.read import read_measured_brdf
+from fitting.reflectance.from_files.section import section
+from fitting.reflectance.from_images.section import section as images_section
+from fitting.reflectance.from_images.shading_check import without_strangers
+from fitting.rig import Light
+
+VIEWERS = np.radians(np.arange(2.0, 85, 4))
+AZIMUTHS = np.radians(np.arange(0.0, 181, 30))
+
+
+def direction(theta, phi):
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+
+
+def sections(path, incidences, reflectance, noise=0.0):
+    """Samples around each incidence, and one toward the light, as a text file of grey values."""
+    rows = [(i, o, p) for i in np.radians(incidences) for o in VIEWERS for p in AZIMUTHS]
+    rows += [(i, i, 0.0) for i in np.radians(incidences)]
+    theta_i, theta_o, phi = np.array(rows).T
+    wi, wo = direction(theta_i, 0 * phi), direction(theta_o, phi)
+    values = reflectance(wi, wo) * (1 + noise * np.random.default_rng(0).normal(size=len(rows)))
+    lines = ["1", "550"] + [
+        f"{a:.8f} 0 {b:.8f} {c:.8f} {v:.8g}"
+        for a, b, c, v in zip(theta_i, theta_o, phi, values, strict=True)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    return section(from_files.calibrate(read_measured_brdf(path)))
+
+
+def retro(wi, wo):
+    """.3 and 50 within a degree of the light."""
+    between = 2 * np.arcsin(np.linalg.norm(wi - wo, axis=-1) / 2)
+    return 0.3 + 50 * np.exp(-((between / np.radians(1)) ** 2))
+
+
+@pytest.mark.long
+def test_a_retro_reflector_is_described_by_no_model_and_is_said_to_be_one(tmp_path):
+    told = sections(tmp_path / "retro.brdf", [5, 15, 25, 35, 45, 55, 65], retro).findings
+    assert told[0].startswith("No model here describes this file")
+    assert any("impossible" in s and "times the light that falls on it" in s for s in told)
+    assert any("toward the light at 6 of 6 oblique incidences" in s for s in told)
+
+
+@pytest.mark.long
+def test_three_incidences_are_fitted_with_wide_intervals(tmp_path):
+    found = sections(tmp_path / "matt.brdf", [10, 40, 70], lambda wi, wo: 0.2 + 0 * wi[:, 0], 0.05)
+    assert not any("No model here" in s or "impossible" in s for s in found.findings)
+    diffuse = find(found.estimates, "diffuse")
+    low, high = diffuse.interval_95
+    assert low < 0.2 < high
+    alone = 0.05 * 0.2 / np.sqrt(3 * (len(VIEWERS) * len(AZIMUTHS) + 1))
+    assert high - low > 2 * 1.96 * alone  # wider than noise that counts as independent makes them
+
+
+@pytest.mark.parametrize(
+    ("model", "diffuse", "specular", "shape", "expected"),
+    [
+        ("lambert", 0.9, 0.0, None, 0.9 * np.pi),
+        # Of (n + 2) / (2 pi) cos^n about the normal the integral with the cosine is 1.
+        ("normalised-phong", 0.1, 0.5, 200.0, 0.1 * np.pi + 0.5),
+        ("torrance-sparrow-metal", 0.0, 1.0, 0.02, 1.0),
+    ],
+)
+def test_the_albedo_of_a_fit_is_the_integral_over_the_hemisphere(
+    model, diffuse, specular, shape, expected
+):
+    one = np.ones(1)
+    whole = LobeFit(model, diffuse * one, specular * one, shape, one[:, None], 0.0, True)
+    found = albedo(ModelFit(model, "cosine", whole, ()), 1.5)
+    np.testing.assert_allclose(found, expected, rtol=5e-3)
+
+
+def test_the_intensity_of_a_grey_light_is_one_number():
+    """As files of grey photographs state it."""
+    light = Light(file="a.png", direction=(0.0, 0.0, 1.0), intensity=1.5776)
+    assert light.intensity == (1.5776,)
+
+
+def black(dn):
+    dn[:, 4] = 64
+
+
+def saturated(dn):
+    dn[:, 4] = 2**14
+
+
+def copied(dn):
+    dn[:, 4] = dn[:, 9]
+
+
+def swapped(dn):
+    dn[:, [4, 9]] = dn[:, [9, 4]]
+
+
+STRANGERS = [
+    (black, {4: "is dark"}),
+    (saturated, {4: "is saturated"}),
+    (copied, {4: "is a copy"}),
+    (swapped, {4: "its shading shows", 9: "its shading shows"}),
+    (lambda dn: None, {}),
+]
+
+
+@pytest.mark.parametrize(("spoil", "reasons"), STRANGERS)
+def test_images_that_do_not_belong_are_named_and_left_out(spoil, reasons):
+    exact = photographed(Lab(Sphere(), gamma=1.0), 3).observation
+    dn = exact.dn.copy()
+    spoil(dn)
+    left = without_strangers(replace(exact, dn=dn))
+    gone = [name for name in exact.files if name not in left.files]
+    assert gone == [exact.files[i] for i in reasons]
+    for sentence, (i, why) in zip(left.findings, reasons.items(), strict=False):
+        assert sentence.startswith(f"{exact.files[i]} was left out")
+        assert why in sentence
+    kept = [i for i in range(len(exact.files)) if i not in reasons]
+    np.testing.assert_array_equal(left.dn, dn[:, kept])
+    np.testing.assert_array_equal(left.wi, exact.wi[kept])
+
+
+def test_where_most_images_do_not_belong_none_is_left_out():
+    exact = photographed(Lab(Sphere(), gamma=1.0), 3).observation
+    dn = exact.dn.copy()
+    dn[:, :8] = 64
+    assert without_strangers(replace(exact, dn=dn)).files == exact.files
+
+
+@pytest.mark.long
+def test_a_swapped_pair_does_not_move_a_surface():
+    exact = photographed(Lab(Sphere(), gamma=1.0), 3).observation
+    dn = exact.dn.copy()
+    swapped(dn)
+    found = reflectance.calibrate(replace(exact, dn=dn), model="phong")
+    told = images_section(found)
+    assert sum("was left out" in sentence for sentence in told.findings) == 2
+    for name, value in zip(("diffuse", "specular", "exponent"), Sphere().truth, strict=True):
+        low, high = find(told.estimates, name).interval_95
+        assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low)
