@@ -151,6 +151,13 @@ def divide(
     return jnp.where(safe, a / or_one(b, safe), otherwise)
 
 
+def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:
+    """Sums of the first 1, 2, ... weights >= 0, in their unit, that never fall and rise only where
+    a weight is above 0; XLA's own are added in another order at each place, and do fall."""
+    total = jnp.where(weights > 0, jnp.cumsum(weights, axis=-1), 0)
+    return jax.lax.cummax(total, axis=total.ndim - 1)
+
+
 def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
     """The arrays of tree `a` where the condition holds, elsewhere those of `b`."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)

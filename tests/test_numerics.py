@@ -12,6 +12,7 @@ from precisions import both_precisions
 
 from jaxvision import _numerics as num
 from jaxvision._vector import as_array, as_vec, masked, scaled
+from jaxvision.geometry._places import _pick
 
 RNG = np.random.default_rng(20240501)
 
@@ -212,3 +213,19 @@ def test_log1p_in_ulps(dtype):
     np.testing.assert_array_equal(edges, [np.nan, -np.inf, 0, np.inf, np.nan])
     slopes = jax.vmap(jax.grad(num.log1p))(jnp.asarray([-0.75, -0.25, 0.0, 3.0], dtype))
     np.testing.assert_allclose(slopes, [4, 4 / 3, 1, 0.25], rtol=1e-6)
+
+
+def test_running_sums_never_fall_and_rest_where_nothing_is_added():
+    """Of 300,000 weights in float32, half of them 0; `jnp.cumsum` falls at some of them."""
+    rng = np.random.default_rng(0)
+    weights = jnp.asarray(
+        rng.uniform(size=300_000) * (rng.uniform(size=300_000) < 0.5), jnp.float32
+    )
+    total = np.asarray(num.running_sum(weights))
+    rises = np.diff(total, prepend=np.float32(0))
+    assert (rises >= 0).all()
+    assert (rises[np.asarray(weights) == 0] == 0).all()
+    np.testing.assert_allclose(total, np.cumsum(np.asarray(weights, float)), rtol=1e-5, atol=1e-3)
+    places = jnp.asarray(np.append(rng.uniform(size=20_000), 1 - 2.0**-24), jnp.float32)
+    chosen = jax.vmap(lambda u: _pick(weights.at[-5:].set(0), u)[0])(places)
+    assert (weights.at[-5:].set(0)[chosen] > 0).all()

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics import divide, safe_sqrt
+from .._numerics import divide, running_sum, safe_sqrt
 from .._types import Scalar
 from ._interpolation import among, in_unit
 
@@ -38,7 +38,7 @@ def _running_integral(values: Float[Array, "... n"]) -> Float[Array, "... n"]:
     """The integral over [0, x_j] of the piecewise linear function, nodes equally spaced on
     [0, 1]."""
     cells = (values[..., 1:] + values[..., :-1]) / (2 * (values.shape[-1] - 1))
-    return jnp.concatenate([jnp.zeros_like(values[..., :1]), jnp.cumsum(cells, axis=-1)], axis=-1)
+    return jnp.concatenate([jnp.zeros_like(values[..., :1]), running_sum(cells)], axis=-1)
 
 
 @jax.jit

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._arguments import takes_numbers
-from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
+from .._numerics import divide, or_one, running_sum, safe_sqrt, smallest_divisor
 from .._shown import Shown
 from .._types import Colour, Scalar, check_shape, print_by_name
 
@@ -184,7 +184,7 @@ def body_colour(
     positive = m > smallest_divisor(m.dtype)
     ratio = divide(along.reshape(-1), m, where=positive, otherwise=jnp.inf)
     order = jnp.argsort(ratio)
-    share = jnp.cumsum(m[order])
+    share = running_sum(m[order])
     chosen = order[jnp.searchsorted(share, quantile * share[-1])]
     return jnp.where(tinted, _unit(side + jnp.where(positive, ratio, 0)[chosen] * c_i), c_i)
 

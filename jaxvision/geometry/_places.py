@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import divide, norm, normalize, safe_sqrt
+from .._numerics import divide, norm, normalize, running_sum, safe_sqrt
 from .._shown import Shown
 from .._types import Scalar
 from .._vector import Vec, as_vec, scaled
@@ -135,9 +135,10 @@ def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
 
 def _pick(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
     """An index with probability in proportion to its weight, and what is left of `u`."""
-    ends = jnp.cumsum(weights)
+    ends = running_sum(weights)
     at = u * ends[-1]
-    index = jnp.minimum(jnp.searchsorted(ends, at, side="right"), len(weights) - 1)
+    last = jnp.searchsorted(ends, ends[-1])  # that has a weight: `at` may be rounded to the end
+    index = jnp.minimum(jnp.searchsorted(ends, at, side="right"), last)
     width = weights[index]
     rest = divide(at - (ends[index] - width), width, width != 0)
     return index, jnp.clip(rest, 0, 1)

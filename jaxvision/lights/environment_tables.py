@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from .._numerics import divide
+from .._numerics import divide, running_sum
 from .._types import as_float, check_range, check_shape
 from .environment import EnvironmentMap
 
@@ -112,6 +112,6 @@ def _cumulative(probability: Float[Array, "... n"]) -> Float[Array, "... n_1"]:
     """Running sums from 0 to exactly 1, multiples of the resolution of uniform floats."""
     step = jnp.finfo(probability.dtype).eps
     least = jnp.where(probability > 0, _LEAST * step, 0)
-    total = jnp.cumsum(least + probability * (1 - least.sum(axis=-1, keepdims=True)), axis=-1)
-    total = jax.lax.cummax(jnp.round(total / total[..., -1:] / step) * step, axis=total.ndim - 1)
+    total = running_sum(least + probability * (1 - least.sum(axis=-1, keepdims=True)))
+    total = jnp.round(total / total[..., -1:] / step) * step
     return jnp.concatenate([jnp.zeros_like(total[..., :1]), total], axis=-1)
