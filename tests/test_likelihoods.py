@@ -398,6 +398,26 @@ def test_residuals_of_outliers_are_as_large_on_both_sides(light, code, dtype):
     np.testing.assert_allclose(found, truth, rtol=1e-4 if dtype == jnp.float32 else 1e-9)
 
 
+@pytest.mark.parametrize("traced", [False, True])
+def test_residuals_of_students_far_outliers_are_finite(traced):
+    """Beyond 38 standard deviations at many degrees of freedom, where the tail underflows."""
+    likelihood = StudentT(scale=1.0, dof=1e4, high=60.0)
+    data = np.array([-45.0, 30.0, 45.0, 60.0])
+
+    def residuals(data):
+        return likelihood.residuals(jnp.zeros(4), data, np.ones(()))
+
+    found = np.asarray((jax.jit(residuals) if traced else residuals)(data))
+    with mp.workdps(40):
+        for z, got in zip(data, found, strict=True):
+            x = mp.mpf(1e4) / (mp.mpf(1e4) + z**2)
+            log_tail = mp.log(mp.betainc(5000, 0.5, 0, x, regularized=True) / 2)
+            start = mp.sqrt(-2 * log_tail)
+            truth = mp.findroot(lambda d, tail=log_tail: mp.log(mp.ncdf(-d)) - tail, start)
+            np.testing.assert_allclose(abs(got), float(truth), rtol=1e-8)
+            assert np.sign(got) == np.sign(z)
+
+
 @pytest.mark.parametrize("electrons", [5e4, 1e6, 1e7])
 def test_codes_of_bright_light_keep_their_digits_in_float32(electrons):
     """ln P of the code of every electron, and residuals, where n ln mu - ln n! cancels."""

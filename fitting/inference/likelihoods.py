@@ -39,7 +39,7 @@ from .given import (
     whole_labels,
 )
 from .priors import HALF_LOG_2PI
-from .tails import log_ndtr, log_student, student_log_density
+from .tails import log_ndtr, log_student, ndtri_exp, student_log_density
 
 Numbers = Float[Array, "..."] | Float[np.ndarray, "..."]
 Scale = Any  # a number, an array, or the name of a parameter whose value takes its place
@@ -183,19 +183,25 @@ class StudentT(eqx.Module):
         data, prediction = xp.asarray(data), xp.asarray(prediction)
         dof, scale = xp.asarray(self.dof), xp.asarray(self.scale)
 
-        def below(z: Numbers) -> Numbers:
-            """The probability of less."""
+        def deviate(z: Numbers, chance: Numbers = 1.0) -> Numbers:
+            """Of `chance` times the probability of less; by its logarithm where that underflows."""
             half = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # of -|z|
-            return xp.where(z > 0, 1 - half, half)
+            share = chance * xp.where(z > 0, 1 - half, half)
+            rare = share <= xp.finfo(share.dtype).tiny
+            plain = special.ndtri(xp.where(rare, 0.5, share))
+            if xp is np and not np.any(rare):
+                return plain
+            log_share = log_student(jnp.asarray(z), jnp.asarray(dof)) + jnp.log(chance)
+            return xp.where(rare, ndtri_exp(log_share), plain)
 
         z = (data - prediction) / scale
-        found = xp.copysign(special.ndtri(below(-abs(z))), z)
+        found = xp.copysign(deviate(-abs(z)), z)
         if self.low is not None:
-            share = chance * below((xp.asarray(self.low) - prediction) / scale)
-            found = xp.where(data <= self.low, special.ndtri(share), found)
+            end = deviate((xp.asarray(self.low) - prediction) / scale, chance)
+            found = xp.where(data <= self.low, end, found)
         if self.high is not None:
-            share = chance * below((prediction - xp.asarray(self.high)) / scale)
-            found = xp.where(data >= self.high, -special.ndtri(share), found)
+            end = deviate((prediction - xp.asarray(self.high)) / scale, chance)
+            found = xp.where(data >= self.high, -end, found)
         return found
 
     def draw(self, key: Array, prediction: Array) -> Array:
