@@ -229,7 +229,6 @@ def render(
             raise InputError(f"--resolution {resolution}: a picture has at least one pixel.")
         source = replace(source, view=with_resolution(source.view, wanted))
     pruned = None if tolerance is None else pruned_for(source, settings, tolerance)
-    chosen = None
     if measure is not None and not accuracy and seconds is None:
         warnings.warn("--measure has no effect without --accuracy or --seconds.", stacklevel=2)
     if no_preview and preview is not None:
@@ -241,6 +240,7 @@ def render(
             other = taken[0] if taken else "--seconds"
             raise InputError(f"{other} and a choice of settings exclude each other; give one.")
         from .accuracy import settings as settings_for
+        from .accuracy.deadlines import TooLittleTime
         from .accuracy.tables import choice_in_words
 
         measure = MEASURED if measure is None else measure
@@ -251,9 +251,13 @@ def render(
             raise InputError(f"--seconds {seconds:g}: give a time above 0.")
         print("Measuring what accuracy costs; the result is remembered.", file=sys.stderr)
         source = replace(source, render=settings)
-        chosen = settings_for(source, tolerance=share, render_seconds=seconds, seconds=measure)
-        settings, pruned = chosen.render, chosen.effects
-        print(choice_in_words(chosen))
+        try:
+            chosen = settings_for(source, tolerance=share, render_seconds=seconds, seconds=measure)
+        except TooLittleTime as error:
+            print(f"{error} Rendered with the scene's own settings.", file=sys.stderr)
+        else:
+            settings, pruned = chosen.render, chosen.effects
+            print(choice_in_words(chosen))
     for sentence in lacking(source, settings):
         print(sentence, file=sys.stderr)
     title = f"{source.path.stem}, {settings.integrator}"
@@ -384,7 +388,7 @@ def effects(
     from .camera_files import read_camera
     from .effects import explain, parse
     from .render_command import inspected, lacking, pruned_for
-    from .render_command.pruning import box_of, listed, smaller
+    from .render_command.pruning import box_of, listed, smaller, with_names
     from .scene_files import read_scene
 
     goal = None
@@ -404,7 +408,14 @@ def effects(
         with progress_bar("measuring programs", shown=timed) as advance:
             found = inspected(source, source.render, time=timed, advance=advance, **asked)
         rows = [_finite_or_null(asdict(effect)) for effect in found]
-        print(json.dumps(rows, indent=2) if as_json else listed(found))
+        if as_json:
+            print(json.dumps(rows, indent=2))
+            return
+        print(listed(with_names(source, effect) for effect in found))
+        if estimates:
+            count = sum(effect.rank == "estimate" for effect in found)
+            which = "is an estimate" if count < 2 else "are estimates"
+            print(f"{count or 'None'} of {len(found)} bounds {which}.")
         return
     pruned = pruned_for(source, source.render, goal, **asked)
     certificate = pruned.certificate
@@ -415,7 +426,12 @@ def effects(
             sheet[name] = [_finite_or_null(asdict(e)) for e in getattr(certificate, name)]
         print(json.dumps(sheet, indent=2, allow_nan=False))
         return
-    print(explain(certificate)[:-1] + smaller(source, pruned))
+    kept, dropped = (
+        tuple(with_names(source, effect) for effect in effects)
+        for effects in (certificate.kept, certificate.dropped)
+    )
+    named = replace(certificate, kept=kept, dropped=dropped)
+    print(explain(named)[:-1] + smaller(source, pruned))
 
 
 def _pair(option: str, text: str) -> tuple[int, int]:

@@ -105,3 +105,12 @@ def test_what_may_be_left_out_is_said_last(scene):
     assert said.rstrip().endswith("% smaller.")
     _, said, _ = run("effects", scene, "--camera", "emva1288", "--tolerance", "0.5DN", "--json")
     assert json.loads(said)["unit"] == "DN"
+
+
+def test_effects_bear_the_names_of_the_file_and_shares_in_percent():
+    status, out, _ = called(app, "effects", "glass_and_mirror", "--tolerance", "1%")
+    assert status == 0
+    for words in ('lights[0] "lamp"', 'surfaces[2].material "glass ball"', "> 100 %"):
+        assert words in out
+    status, out, _ = called(app, "effects", "glass_and_mirror", "--estimates")
+    assert out.strip().splitlines()[-1].endswith(("is an estimate.", "are estimates."))

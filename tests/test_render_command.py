@@ -572,3 +572,13 @@ def test_what_the_picture_lacks_is_said_and_stands_in_its_head(tmp_path):
     assert status == 0
     assert words in error
     assert words in head(tmp_path / "o.exr")[1]["jaxvision:lacks"]
+
+
+def test_too_little_time_to_choose_still_makes_a_picture(tmp_path):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    chosen = "--accuracy", "5%", "--measure", "1e-3"
+    status, _, error = run(tmp_path / "scene.toml", "--out", tmp_path / "o.exr", *chosen)
+    assert status == 0
+    assert "not compiled and run within" in error
+    assert "Rendered with the scene's own settings." in error
+    assert (tmp_path / "o.exr").exists()

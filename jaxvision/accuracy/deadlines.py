@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from ..interrupts import leaves_work_behind
 from ..side_by_side import for_any_thread
 
@@ -22,6 +23,10 @@ TICK = 0.1  # s, between two looks at the time
 
 class OutOfTime(Exception):
     """Work was left behind, or not begun."""
+
+
+class TooLittleTime(InputError):
+    """What was asked for cannot be measured in the time that was given."""
 
 
 class _Job:

@@ -25,7 +25,7 @@ from ..scene_files.schema import RenderEntry
 from ..side_by_side import cores
 from .checks import settled
 from .curves import LEAST, curve
-from .deadlines import OutOfTime, in_time
+from .deadlines import OutOfTime, TooLittleTime, in_time
 from .knobs import KNOBS
 from .knobs_in_turn import KEPT, WORTH, asked_knobs, in_turn
 from .records import Curve, Knob, Problem
@@ -192,6 +192,11 @@ def settings(
         raise InputError(
             f"{scene_file.path}: compiling takes about {compiling:.2g} s before the first pixel; "
             f"allow more than {render_seconds:g} s, or render with the settings of the scene."
+        )
+    if not any(np.isfinite(trial.error) for curve in curves for trial in curve.trials):
+        raise TooLittleTime(
+            f"{scene_file.path}: no error was measured within {seconds:.3g} s; allow more time to "
+            "measure."
         )
     best, checked = settled(problem, curves, wanted, allowed, seconds=until - now(), clock=clock)
     known = {

@@ -23,7 +23,7 @@ from ..render_command import (
 )
 from ..scene_files import SceneFile
 from ..scene_files.schema import RenderEntry
-from .deadlines import OutOfTime, in_time
+from .deadlines import OutOfTime, TooLittleTime, in_time
 from .records import Compute, Problem
 from .session import Clock
 
@@ -177,7 +177,7 @@ def scene_problem(
     try:
         picture = in_time(lambda: compute(0), lambda: seconds + begun - now())
     except OutOfTime:
-        raise InputError(
+        raise TooLittleTime(
             f"{source.path}: the first program was not compiled and run within {seconds:.3g} s; "
             "allow more time to measure."
         ) from None

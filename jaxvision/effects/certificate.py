@@ -214,6 +214,8 @@ def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
         for effect in found:
             why = f"free; {effect.why}" if effect.free else effect.why
             bound = "none" if math.isinf(effect.bound) else f"{effect.bound:.3g}"
+            if certificate.unit == "relative" and math.isfinite(effect.bound):
+                bound = f"{100 * effect.bound:.2g} %" if effect.bound <= 1 else "> 100 %"
             numbers = bound, f"{effect.place:.2g}", f"{100 * effect.saves:.0f} %"
             yield word, (effect.name, *numbers, effect.rank, why)
 

@@ -225,7 +225,7 @@ def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
     if np.any(reflection.plain) or isinstance(material, OrenNayar):
         yield roughness(sums, onward, i)
     if reflection.mirror is not None:
-        why = "a mirror shows other light than it reflects"
+        why = "a mirror or glass shows the rest of the scene: no bound is known"
         yield _row(f"{name}.material", np.full(sums.k_body.shape[1], np.inf), None, why)
     if isinstance(material, Glass) and material.absorption is not None:
         yield absorption(sums, onward, i)
@@ -284,7 +284,7 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
     )
     amount = _of_cells(sums, onward, i, lamp, around)
     plain = _is_plain_without_lobe(material)
-    why = f"the lobe of {type(material).__name__}"
+    why = f"the peak of the {type(material).__name__} lobe under all light"
     if not plain:
         why += ", whose body is no Lambertian's"
     drop = _as_lambert(i) if plain else None

@@ -66,7 +66,7 @@ def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
 def _why_not(sums: Sums, direct: bool) -> str:
     """Why no bands can be left out, or ""."""
     if not direct:
-        return "light that goes on multiplies spectra without end"
+        return "light that bounces takes the colour of every surface that it meets"
     if not sums.lights:
         return "no lamp shades them, so that joining fewer would cost what it saves"
     for i, (surface, own) in enumerate(zip(sums.surfaces, sums.reflections, strict=True)):

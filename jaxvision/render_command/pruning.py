@@ -2,6 +2,7 @@
 without those that do not matter."""
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -160,6 +161,16 @@ def box_of(free: Sequence[str]) -> Box:
             ) from None
         found[name.strip()] = low, high
     return found
+
+
+def with_names(source: SceneFile, effect: Effect) -> Effect:
+    """An effect whose name holds that of its surface or light in the file, if it has one there."""
+    place = re.match(r"(surfaces|lights|shadows)\[(\d+)\]", effect.name)
+    if place is None:
+        return effect
+    names = source.surfaces if place[1] == "surfaces" else source.lights
+    _, quoted, own = names[int(place[2])].partition(' "')
+    return replace(effect, name=f'{effect.name} "{own}') if quoted else effect
 
 
 def listed(found: Iterable[Effect]) -> str:
