@@ -75,6 +75,13 @@ def inspect(
             "--white", help="Value of saturation (default: top code of the file; 1 if floating)."
         ),
     ] = None,
+    part: Annotated[
+        str,
+        typer.Option(
+            help="Picture of a file that holds several: its number, from 0, or its name.",
+            metavar="PART",
+        ),
+    ] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Print range, moments and saturation of each channel. With --out, draw the picture,
@@ -83,12 +90,10 @@ def inspect(
     from .io import read_channels, replaced_on_success
 
     pixel = _pair("--at", at) if at else None
-    if row is not None and out is None:
-        warnings.warn("--row has no effect without --out, which draws it.", stacklevel=2)
     if out is not None and out.suffix.lower() not in FIGURE_SUFFIXES:
         known = ", ".join(FIGURE_SUFFIXES)
         raise InputError(f"{out}: unknown figure suffix {out.suffix!r}; use one of {known}.")
-    image, names = read_channels(file)
+    image, names = read_channels(file, part=int(part) if part.isdecimal() else part or None)
     bits = read_settings(file).bits if white is None else None
     white = 2.0**bits - 1 if bits else white
     _prepare()
@@ -99,6 +104,8 @@ def inspect(
         figure = plots.inspect(image, row=row, at=pixel, white=white, title=file.name, names=names)
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
+    if row is not None and out is None:
+        warnings.warn("--row has no effect without --out, which draws it.", stacklevel=2)
     if out is not None:
         with replaced_on_success(out) as partial:
             figure.savefig(partial, dpi=130)

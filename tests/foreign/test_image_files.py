@@ -598,6 +598,9 @@ def test_inspect_heads_channels_by_what_they_are(tmp_path, capsys):
     said = CliRunner().invoke(app, ["inspect", str(tmp_path / "b.exr")]).output
     assert "alpha" not in said
     assert "jaxvision: " in said
+    write_exr(tmp_path / "d.exr", ["left.Y", "right.Y"])
+    said = CliRunner().invoke(app, ["inspect", str(tmp_path / "d.exr"), "--part", "right"]).output
+    assert "grey" in said
     write_tiff(tmp_path / "c.tif", [[0, 4095, 9]], 12)
     said = CliRunner().invoke(app, ["inspect", str(tmp_path / "c.tif"), "--json"]).output
     assert '"saturated": 1' in said
