@@ -54,6 +54,8 @@ def members_of(hint: Any) -> tuple[Any, ...]:
 LONGEST_WAVE = 1e-2  # m; what is longer was meant in nm or um
 
 Scalar = Float[Array, ""]
+BAYER_PHASES = ("RGGB", "GRBG", "GBRG", "BGGR")
+
 Scalars = Float[Array, "..."]
 Colour = Float[Array, " bands"]
 Spectrum = Float[Array, "... bands"]
@@ -140,6 +142,30 @@ def as_relative(x: Any) -> Array:
             f"colours are floating and relative, got {array.dtype}; divide by {largest}."
         )
     return array
+
+
+def map_beside(values: Any, picture: Array) -> Any:
+    """A map (..., h, w) as (..., h, w, 1), beside a picture of bands where it does not fit as it
+    is; all else unchanged."""
+    shape = np.shape(values)
+    sides = zip(shape[::-1], picture.shape[::-1], strict=False)
+    fits = all(a == b or 1 in (a, b) for a, b in sides)
+    is_map = len(shape) >= 2 and shape == picture.shape[-1 - len(shape) : -1]
+    return values if fits or not is_map else jnp.asarray(values)[..., None]
+
+
+def refuse_codes(values: Any) -> None:
+    """`ValueError` for a picture of known floating values that are codes such as 0 to 255: 16 or
+    more, all whole, the largest above 100. No light is whole everywhere."""
+    if not is_known(values) or np.size(values) < 16:
+        return
+    known = np.asarray(values)
+    largest = known.max()
+    if 100 < largest <= 65535 and (known == np.round(known)).all():
+        raise ValueError(
+            f"colours are relative to 1, got whole numbers up to {largest:g}: divide the codes by "
+            f"the largest that the file can hold, such as {255 if largest <= 255 else 65535}."
+        )
 
 
 def as_dtype(record: Record, dtype: Any) -> Record:
@@ -251,6 +277,15 @@ def check_choice(name: str, value: Any, choices: Collection[str]) -> None:
     """Raises `ValueError` unless `value` is one of those words."""
     if value not in choices:
         raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}.")
+
+
+def as_tile(pattern: Any) -> Any:
+    """The rows of a pattern that may be named by the phase of a Bayer mosaic, such as "RGGB"."""
+    if not isinstance(pattern, str):
+        return pattern
+    check_choice("phase", pattern.upper(), BAYER_PHASES)
+    first, second, third, fourth = ("RGB".index(letter) for letter in pattern.upper())
+    return (first, second), (third, fourth)
 
 
 def check_tile(

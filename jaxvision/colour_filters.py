@@ -11,14 +11,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Shaped
 
 from ._arguments import takes_numbers
-from ._types import check_choice, check_tile, print_by_name
+from ._types import BAYER_PHASES, as_tile, check_choice, check_tile, print_by_name
 
 Pattern = tuple[tuple[int, ...], ...]
 Picture = Shaped[Array | np.ndarray, "*picture"]
 Mosaic = Shaped[Array, "*batch h w"]
 print_by_name(globals(), "Picture", "Mosaic")
-
-BAYER_PHASES = ("RGGB", "GRBG", "GBRG", "BGGR")
 
 
 def bayer(phase: str) -> Pattern:
@@ -38,8 +36,7 @@ def bayer(phase: str) -> Pattern:
         ((0, 1), (1, 2))
     """
     check_choice("phase", phase, BAYER_PHASES)
-    first, second, third, fourth = ("RGB".index(letter) for letter in phase)
-    return (first, second), (third, fourth)
+    return as_tile(phase)
 
 
 def as_pattern(pattern: Pattern | str) -> Pattern:
@@ -54,7 +51,7 @@ def as_pattern(pattern: Pattern | str) -> Pattern:
     Raises:
         ValueError: an unknown phase.
     """
-    return bayer(pattern.upper()) if isinstance(pattern, str) else pattern
+    return as_tile(pattern)
 
 
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
@@ -71,13 +68,13 @@ def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pa
     check_tile(name, pattern, bands=bands)
 
 
-def sites(pattern: Pattern, height: int, width: int) -> tuple[Bool[Array, "h w"], ...]:
+def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, "h w"], ...]:
     """For each band of the pattern, the pixels of a picture that measure it.
 
     Composed from rows and columns, so that a compiled program stores no mask of every pixel.
 
     Args:
-        pattern: rows of band indices.
+        pattern: rows of band indices, or one of `BAYER_PHASES`.
         height: of the picture in pixels.
         width: of the picture in pixels.
 
@@ -87,6 +84,7 @@ def sites(pattern: Pattern, height: int, width: int) -> tuple[Bool[Array, "h w"]
     Raises:
         ValueError: the pattern does not tile the plane.
     """
+    pattern = as_pattern(pattern)
     check_pattern(pattern)
     tile = np.asarray(pattern)
     at_row = np.arange(height)[:, None] % len(tile)

@@ -15,6 +15,7 @@ trace alpha is not checked, and the same polynomials continue. Nothing is clippe
 and Duff, "Compositing Digital Images", SIGGRAPH 1984.
 """
 
+import warnings
 from collections.abc import Callable
 from functools import reduce
 
@@ -25,7 +26,7 @@ from jaxtyping import Array, Float
 
 from ._arguments import takes_numbers
 from ._numerics import divide, smallest_divisor
-from ._types import Scalars, as_relative, check_choice, print_by_name
+from ._types import Scalars, as_relative, check_choice, is_known, map_beside, print_by_name
 from .point_ops import srgb_decode, srgb_encode
 
 Layer = Float[Array, "... _"]
@@ -101,9 +102,24 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
             "front and back must have the same channels, at least one of light and one of "
             f"coverage, got shapes {front.shape} and {back.shape}."
         )
+    _warn_of_rgb(front, back)
     of_front, of_back = _FRACTIONS[operator]
     a, b = checked_alpha(front[..., -1:]), checked_alpha(back[..., -1:])
     return of_front(b) * front + of_back(a) * back
+
+
+def _warn_of_rgb(*layers: Layer) -> None:
+    """A warning where pictures of three channels have hardly a pixel that is covered or not."""
+    if any(not is_known(x) or x.ndim < 3 or x.shape[-1] != 3 for x in layers):
+        return
+    whole = [np.isin(np.asarray(x[..., -1]), (0, 1)).mean() for x in layers]
+    if max(whole) < 0.5:
+        warnings.warn(
+            "layers of three channels are two bands of light and a coverage, and here the coverage "
+            "is 0 or 1 in less than half of the pixels; if these are RGB pictures, give each its "
+            "alpha as a fourth channel.",
+            stacklevel=4,
+        )
 
 
 @takes_numbers
@@ -130,12 +146,13 @@ def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
 
     Args:
         layer: (..., bands + 1) premultiplied relative light and coverage.
-        fraction: no unit, in [0, 1].
+        fraction: no unit, in [0, 1], or a map (h, w).
 
     Returns:
         (..., bands + 1), a layer.
     """
-    return as_relative(layer) * fraction
+    layer = as_relative(layer)
+    return layer * map_beside(fraction, layer)
 
 
 @takes_numbers

@@ -10,8 +10,13 @@ picture. Along one axis
 with static numbers that `ghosts` gives for any reach, also beyond several widths of the picture.
 The names are those of Szeliski, Computer Vision, section 3.2; "reflect_101" is OpenCV's, whose
 default it is.
+
+"normalised_zero" divides by the blur of ones, not of a coverage. A premultiplied layer (light, then
+alpha) has weights of its own, and its exact blur, with colours from within, is
+`compositing.unpremultiply(filters.gaussian(layer, sigma, border="zero"))`.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -48,6 +53,10 @@ _REFUSALS = {
     "constant": 'needs a fill, which this filter lacks: pad the picture first, or use "zero"',
     "normalised_zero": "divides by the sum of the weights, and these have no sum to divide by",
 }
+
+
+# Pixels and bands from which on three or four rows are more likely to be channels.
+_CHANNELS_FIRST = 32
 
 
 class Ghosts(NamedTuple):
@@ -104,6 +113,13 @@ def check_picture(picture: ArrayLike) -> None:
         raise ValueError(
             "a picture must be (h, w) or (..., h, w, bands) with at least one pixel, got shape "
             f"{shape}."
+        )
+    if len(shape) > 2 and shape[-3] in (3, 4) and min(shape[-2:]) >= _CHANNELS_FIRST:
+        warnings.warn(
+            f"a picture is (h, w) or (..., h, w, bands), so shape {shape} is one of {shape[-3]} "
+            f"rows and {shape[-1]} bands; if its channels come first, take "
+            "np.moveaxis(picture, -3, -1).",
+            stacklevel=2,
         )
     if jnp.iscomplexobj(picture):
         raise ValueError(

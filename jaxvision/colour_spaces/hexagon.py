@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from .._arguments import takes_numbers
-from .._types import Scalars
+from .._types import Scalars, refuse_codes
 from ._components import Colours, joined, of_unit_size, over, parts, to_unit_size, within
 
 
@@ -18,10 +18,11 @@ def rgb_to_hsv(rgb: Colours) -> Colours:
         (..., 3) hue in turns in [0, 1), 0 for greys; saturation, 0 for black; and value, relative.
 
     Raises:
-        ValueError: for a last axis other than 3, and for integer codes.
+        ValueError: for a last axis other than 3, and for codes.
 
     Source: Smith, "Color Gamut Transform Pairs", SIGGRAPH 1978.
     """
+    refuse_codes(rgb)
     value = _ends(*parts(rgb))[1]
     unit = of_unit_size(*parts(rgb))
     least, most = _ends(*unit)
@@ -39,7 +40,7 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
         (..., 3) relative RGB.
 
     Raises:
-        ValueError: for a last axis other than 3, and for integer codes.
+        ValueError: for a last axis other than 3, and for codes.
     """
     hue, saturation, value = parts(hsv)
     sextants = 6 * (hue - jnp.floor(hue))
@@ -63,8 +64,9 @@ def rgb_to_hsl(rgb: Colours) -> Colours:
         lightness, relative.
 
     Raises:
-        ValueError: for a last axis other than 3, and for integer codes.
+        ValueError: for a last axis other than 3, and for codes.
     """
+    refuse_codes(rgb)
     least, most = _ends(*parts(rgb))
     lightness = most / 2 + least / 2
     one = to_unit_size(*parts(rgb))
@@ -86,7 +88,7 @@ def hsl_to_rgb(hsl: Colours) -> Colours:
         (..., 3) relative RGB.
 
     Raises:
-        ValueError: for a last axis other than 3, and for integer codes.
+        ValueError: for a last axis other than 3, and for codes.
     """
     hue, saturation, lightness = parts(hsl)
     reach = saturation * jnp.minimum(lightness, 1 - lightness)

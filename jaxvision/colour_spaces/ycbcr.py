@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._arguments import takes_numbers
-from .._types import check_choice, check_count
+from .._types import check_choice, check_count, refuse_codes
 from ..colour_data import luma_weights
 from ._components import Colours, by_constant, checked
 
@@ -26,9 +26,9 @@ def rgb_to_ycbcr(
         (..., 3) relative.
 
     Raises:
-        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
-            codes.
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and codes.
     """
+    refuse_codes(rgb)
     matrix, _, zero = _ycbcr(standard, levels, bits)
     centred = by_constant(rgb, matrix)
     return centred + jnp.broadcast_to(jnp.asarray(zero, centred.dtype), centred.shape)
@@ -50,11 +50,10 @@ def ycbcr_to_rgb(
         (..., 3) encoded R'G'B', relative.
 
     Raises:
-        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and integer
-            codes.
+        ValueError: for other levels, fewer than 8 bits, a last axis other than 3, and codes.
     """
     _, inverse, zero = _ycbcr(standard, levels, bits)
-    ycbcr = checked(ycbcr)
+    refuse_codes(ycbcr := checked(ycbcr))
     centred = ycbcr - jnp.broadcast_to(jnp.asarray(zero, ycbcr.dtype), ycbcr.shape)
     return by_constant(centred, inverse)
 

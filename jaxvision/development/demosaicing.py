@@ -80,12 +80,12 @@ def demosaic(
 
 @takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "border"))
-def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
+def demosaic_bilinear(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_phase") -> Picture:
     """The mean of the two or four nearest pixels that measured the band.
 
     Args:
         raw: (..., h, w) DN or relative.
-        pattern: a Bayer pattern.
+        pattern: a Bayer pattern, or its phase, such as "RGGB".
         border: "in_phase" or a key of `padding.BORDERS`.
 
     Returns:
@@ -99,6 +99,7 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase"
         >>> print(jv.development.demosaic_bilinear(raw, jv.bayer("RGGB"))[2, 3])
         [100. 200. 400.]
     """
+    pattern = as_pattern(pattern)
     layout = _layout(pattern)
 
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
@@ -112,14 +113,14 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase"
 
 @takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "border"))
-def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") -> Picture:
+def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_phase") -> Picture:
     """Bilinear means plus a share of the Laplacian of the measured band: four 5 x 5 filters.
 
     (colour-demosaicing does this with border "mirror".)
 
     Args:
         raw: (..., h, w) DN or relative.
-        pattern: a Bayer pattern.
+        pattern: a Bayer pattern, or its phase, such as "RGGB".
         border: "in_phase" or a key of `padding.BORDERS`.
 
     Returns:
@@ -136,6 +137,7 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") 
         >>> print(jv.development.demosaic_malvar(raw, jv.bayer("RGGB"))[3, 4])
         [100. 200. 400.]
     """
+    pattern = as_pattern(pattern)
     layout = _layout(pattern)
 
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
@@ -158,7 +160,7 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern, *, border: str = "in_phase") 
 
 @takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "refine"))
-def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Picture:
+def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) -> Picture:
     """Directional filtering and a posteriori decision.
 
     Green is interpolated along rows or columns, whichever has the smoother colour differences
@@ -167,7 +169,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
 
     Args:
         raw: (..., h, w) DN or relative.
-        pattern: a Bayer pattern.
+        pattern: a Bayer pattern, or its phase, such as "RGGB".
         refine: whether to repeat the interpolation once with the bands estimated so far.
 
     Returns:
@@ -184,6 +186,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
         >>> print(jv.development.demosaic_menon(raw, jv.bayer("RGGB"))[3, 4])
         [100. 200. 400.]
     """
+    pattern = as_pattern(pattern)
     layout = _layout(pattern)
 
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
@@ -232,7 +235,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern, *, refine: bool = True) -> Pic
 
 @takes_numbers
 @partial(jax.jit, static_argnames="pattern")
-def demosaic_normalised(raw: Mosaic, pattern: Pattern) -> Picture:
+def demosaic_normalised(raw: Mosaic, pattern: Pattern | str) -> Picture:
     """Means of the nearby pixels that measured the band, weighted by tents as wide as the tile.
 
     For any pattern. Pixels outside the picture take no part. For a Bayer pattern it equals
@@ -240,7 +243,7 @@ def demosaic_normalised(raw: Mosaic, pattern: Pattern) -> Picture:
 
     Args:
         raw: (..., h, w) DN or relative.
-        pattern: rows of band numbers.
+        pattern: rows of band numbers, or the phase of a Bayer mosaic, such as "RGGB".
 
     Returns:
         (..., h, w, bands) in the mosaic's unit.
@@ -255,6 +258,7 @@ def demosaic_normalised(raw: Mosaic, pattern: Pattern) -> Picture:
         >>> print(jv.development.demosaic_normalised(raw, jv.bayer("RGGB"))[0, 0])
         [100. 200. 400.]
     """
+    pattern = as_pattern(pattern)
     rows, columns = len(pattern), len(pattern[0])
     tents = (_tent(rows), _tent(columns))
 

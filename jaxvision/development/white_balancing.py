@@ -14,13 +14,14 @@ from .._numerics import divide, or_one, power, smallest_divisor
 from .._types import Image, Range, Scalar, Spectrum, as_relative, print_by_name
 
 Gains = Float[Array, "*images bands"]
-print_by_name(globals(), "Gains")
+Picture = Float[Array, "..."]
+print_by_name(globals(), "Gains", "Picture")
 
 
 @takes_numbers
 def white_balance(
-    image: Image, gains: Float[Array, "..."], *, saturation: Scalar | float | None = None
-) -> Image:
+    image: Picture, gains: Float[Array, "..."], *, saturation: Scalar | float | None = None
+) -> Picture:
     """Each band times its gain.
 
     A pixel that is burnt out in all bands would take the colour of the gains, magenta as a rule.
@@ -28,12 +29,13 @@ def white_balance(
     can reach, and such a pixel comes out neutral.
 
     Args:
-        image: (..., h, w, bands) linear, DN or relative.
-        gains: (bands,), or (..., bands) with one set for each image of a batch; no unit.
+        image: (h, w) or (..., h, w, bands) linear, DN or relative.
+        gains: (bands,), or (..., bands) with one set for each image of a batch; () or (1,) for
+            (h, w); no unit.
         saturation: () in the image's unit, the largest value of the sensor; None cuts nothing.
 
     Returns:
-        (..., h, w, bands) in the image's unit.
+        The image's shape and unit.
 
     Raises:
         ValueError: for gains of another shape.
@@ -43,7 +45,13 @@ def white_balance(
         >>> jv.white_balance(picture, gains).ravel().tolist()
         [0.5, 0.5, 0.75]
     """
-    if gains.shape[-1:] != image.shape[-1:] or gains.ndim not in (1, image.ndim - 2):
+    if image.ndim == 2 and gains.size == 1:
+        return white_balance(image[..., None], gains.reshape(1), saturation=saturation)[..., 0]
+    if (
+        image.ndim < 3
+        or gains.shape[-1:] != image.shape[-1:]
+        or gains.ndim not in (1, image.ndim - 2)
+    ):
         raise ValueError(
             f"gains must be (bands,) or (..., bands) of an image of shape {image.shape}, got shape "
             f"{gains.shape}."

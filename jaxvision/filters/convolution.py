@@ -11,7 +11,8 @@ odd kernel and the second of the two middle entries of an even one, as in scipy 
 `border` is a key of `padding.BORDERS`. "constant" puts `fill` outside. "normalised_zero" is
 filter(f) / filter(1), both with border "zero": a weighted mean of the pixels inside, for kernels
 without negative entries. Where filter(1) is 0 the result is 0; a sum counts as 0 within its
-rounding, which is (number of taps) eps filter(1) with |kernel|.
+rounding, which is (number of taps) eps filter(1) with |kernel|. It knows no coverage: blur a
+premultiplied layer with border "zero", and `compositing.unpremultiply` divides by its own alpha.
 
 `method` chooses how the sum is computed, not its value: "conv" by `lax.conv_general_dilated`,
 "direct" by shifted pictures, "fft" by Fourier transforms, "separable" by passes over columns and

@@ -12,6 +12,7 @@ import numpy as np
 from jax.experimental.sparse import BCOO
 
 from ..padding import Filtered
+from .matrix import MatrixForm
 from .operators import _check_no_offset
 
 if TYPE_CHECKING:
@@ -19,16 +20,32 @@ if TYPE_CHECKING:
     import scipy.sparse.linalg
 
 
-def scipy_matrix(matrix: BCOO) -> "scipy.sparse.csr_array":
-    """A sparse matrix of JAX as one of scipy; entries at one place are added up.
+def scipy_matrix(matrix: MatrixForm | BCOO) -> "scipy.sparse.csr_array":
+    """A sparse matrix as one of scipy; entries at one place are added up.
 
     Args:
-        matrix: (rows, columns), any unit.
+        matrix: (rows, columns), any unit: what `filter_matrix` gives, or a sparse matrix of JAX.
 
     Returns:
         (rows, columns) in the same unit.
+
+    Raises:
+        ValueError: for a filter with an offset, which a matrix does not hold.
+
+    Example:
+        >>> form = jv.filters.filter_matrix([1.0, 2.0, 1.0], shape=4, border="zero")
+        >>> print(jv.filters.scipy_matrix(form) @ np.ones(4))
+        [3. 4. 4. 3.]
     """
     from scipy import sparse
+
+    if isinstance(matrix, MatrixForm):
+        if matrix.offset is not None:
+            raise ValueError(
+                'a filter with an offset is no matrix alone: take border "zero", or convert '
+                "form.matrix and add form.offset."
+            )
+        matrix = matrix.matrix
 
     rows, columns = np.asarray(matrix.indices).T
     whole = sparse.coo_array((np.asarray(matrix.data), (rows, columns)), shape=matrix.shape)

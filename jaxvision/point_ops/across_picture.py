@@ -6,7 +6,10 @@ from jaxtyping import Array, Float
 
 from .._arguments import in_range, takes_numbers
 from .._numerics import divide, smallest_divisor
-from .._types import AMOUNT, Image, Scalar, as_relative
+from .._types import AMOUNT, Scalar, as_relative, print_by_name
+
+Picture = Float[Array, "..."]
+print_by_name(globals(), "Picture")
 
 _LN_10 = 2.302585092994046
 
@@ -14,18 +17,18 @@ _LN_10 = 2.302585092994046
 @takes_numbers
 @in_range(width=AMOUNT)
 def graded_filter(
-    image: Image,
+    image: Picture,
     density: Scalar | float,
     angle: Scalar | float,
     centre: Scalar | float,
     width: Scalar | float,
-) -> Image:
+) -> Picture:
     """A graded neutral density filter before the lens: linear light times 10^(-density s).
 
     s rises smoothly, 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark one.
 
     Args:
-        image: (..., h, w, bands) relative, linear.
+        image: (h, w) or (..., h, w, bands) relative, linear.
         density: () optical density of the dark side, no unit; 0.3 is one stop.
         angle: () rad, the direction in which it darkens: 0 to the right, pi/2 up.
         centre: () where half the density is reached, relative to the picture's height, from its
@@ -33,10 +36,10 @@ def graded_filter(
         width: () over which it rises, relative to the picture's height; 0 is a step.
 
     Returns:
-        (..., h, w, bands) relative.
+        The image's shape, relative.
 
     Raises:
-        ValueError: for fewer than three axes, and a width below 0.
+        ValueError: for fewer than two axes, and a width below 0.
     """
     image, rows, columns = _sized(image)
     right, up = _from_centre(rows, columns, image.dtype, unit=rows)
@@ -46,21 +49,21 @@ def graded_filter(
 
 
 @takes_numbers
-def vignette(image: Image, coefficients: Float[Array, " terms"]) -> Image:
+def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
     """Linear light times the falloff 1 + k_1 r^2 + k_2 r^4 + ...
 
     r is the distance from the centre of the picture relative to that of its corner. The cos^4 law
     of an ideal lens belongs to `optics`.
 
     Args:
-        image: (..., h, w, bands) relative, linear.
+        image: (h, w) or (..., h, w, bands) relative, linear.
         coefficients: (terms,) k_1, k_2, ..., no unit. A falloff below 0 counts as 0.
 
     Returns:
-        (..., h, w, bands) relative.
+        The image's shape, relative.
 
     Raises:
-        ValueError: for fewer than three axes.
+        ValueError: for fewer than two axes.
 
     Source: the "pa" model of lens tables.
     """
@@ -69,18 +72,18 @@ def vignette(image: Image, coefficients: Float[Array, " terms"]) -> Image:
 
 
 @takes_numbers
-def correct_vignetting(image: Image, coefficients: Float[Array, " terms"]) -> Image:
+def correct_vignetting(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
     """The inverse of `vignette`; pixels that received no light at all stay 0.
 
     Args:
-        image: (..., h, w, bands) relative, linear.
+        image: (h, w) or (..., h, w, bands) relative, linear.
         coefficients: (terms,) k_1, k_2, ..., no unit, as for `vignette`.
 
     Returns:
-        (..., h, w, bands) relative.
+        The image's shape, relative.
 
     Raises:
-        ValueError: for fewer than three axes.
+        ValueError: for fewer than two axes.
     """
     image, rows, columns = _sized(image)
     falloff = _falloff(rows, columns, image.dtype, coefficients)
@@ -100,12 +103,12 @@ def _falloff(
     return jnp.maximum(1 + total, 0)
 
 
-def _sized(image: Image) -> tuple[Image, int, int]:
+def _sized(image: Picture) -> tuple[Picture, int, int]:
     """The picture, its rows and its columns."""
     image = as_relative(image)
-    if image.ndim < 3:
-        raise ValueError(f"image must be (..., h, w, bands), got shape {image.shape}.")
-    rows, columns = image.shape[-3:-1]
+    if image.ndim < 2:
+        raise ValueError(f"image must be (h, w) or (..., h, w, bands), got shape {image.shape}.")
+    rows, columns = image.shape if image.ndim == 2 else image.shape[-3:-1]
     return image, rows, columns
 
 
@@ -118,6 +121,8 @@ def _from_centre(
     return jnp.broadcast_to(right, (rows, columns)), jnp.broadcast_to(up[:, None], (rows, columns))
 
 
-def _per_pixel(values: Float[Array, "h w"], image: Image) -> Float[Array, "... h w 1"]:
+def _per_pixel(values: Float[Array, "h w"], image: Picture) -> Float[Array, "..."]:
     """A map of the picture, with the axes of a batch of images."""
+    if image.ndim == 2:
+        return values
     return values.reshape((1,) * (image.ndim - 3) + values.shape + (1,))

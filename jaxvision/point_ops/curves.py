@@ -14,7 +14,7 @@ from .._powers import (
     power_in_parts,
     power_of_sum,
 )
-from .._types import DIVISOR, Scalars, as_relative, check_choice
+from .._types import DIVISOR, Scalars, as_relative, check_choice, refuse_codes
 
 
 @takes_numbers
@@ -34,13 +34,13 @@ def gamma_encode(linear: Scalars, gamma: Scalars | float, *, method: str = "powe
         (...) relative, encoded.
 
     Raises:
-        ValueError: for a gamma of 0 or less, and an unknown method.
+        ValueError: for a gamma of 0 or less, an unknown method, and codes.
 
     Example:
         >>> round(float(jv.gamma_encode(jnp.array(0.5), 2.2)), 4)
         0.7297
     """
-    linear = as_relative(linear)
+    refuse_codes(linear := as_relative(linear))
     return _raised(linear, exact_inverse(gamma, linear.dtype), method)
 
 
@@ -59,13 +59,13 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
         (...) relative, linear.
 
     Raises:
-        ValueError: for a gamma of 0 or less, and an unknown method.
+        ValueError: for a gamma of 0 or less, an unknown method, and codes.
 
     Example:
         >>> round(float(jv.gamma_decode(jnp.array(0.5), 2.2)), 4)
         0.2176
     """
-    encoded = as_relative(encoded)
+    refuse_codes(encoded := as_relative(encoded))
     return _raised(encoded, exact(gamma, encoded.dtype), method)
 
 
@@ -89,7 +89,7 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
         >>> print(jv.srgb_encode(jnp.array([0.0, 0.18, 1.0])).round(4))
         [0.     0.4614 1.    ]
     """
-    linear = as_relative(linear)
+    refuse_codes(linear := as_relative(linear))
     curved = is_above(linear, Fraction("0.0031308"))
     base, exponent = jnp.where(curved, linear, 1), exact(Fraction(10, 24), linear.dtype)
     if method == "power":
@@ -136,7 +136,7 @@ def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
         >>> round(float(jv.srgb_decode(jnp.array(0.5))), 4)  # ((0.5 + 0.055) / 1.055)^2.4
         0.214
     """
-    encoded = as_relative(encoded)
+    refuse_codes(encoded := as_relative(encoded))
     curved = is_above(encoded, Fraction("0.04045"))
     base = jnp.where(curved, encoded, 1)
     if method == "power":

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._powers import times_exp2
-from .._types import Scalars, as_relative
+from .._types import Scalars, as_relative, map_beside
 
 
 @takes_numbers
@@ -15,7 +15,7 @@ def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scala
 
     Args:
         x: (...) relative.
-        gain: no unit; a map (h, w, 1) makes it vary over the picture.
+        gain: no unit; a map (h, w) or (h, w, 1) makes it vary over the picture.
         bias: in the unit of the result; a map likewise.
 
     Returns:
@@ -27,7 +27,8 @@ def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scala
         >>> print(jv.gain_bias(jnp.array([0.25, 0.5]), 2.0, -0.5))
         [0.  0.5]
     """
-    return gain * as_relative(x) + bias
+    x = as_relative(x)
+    return map_beside(gain, x) * x + map_beside(bias, x)
 
 
 @takes_numbers
@@ -42,14 +43,16 @@ def contrast_brightness(
 
     Args:
         x: (...) relative.
-        contrast: no unit; 1 changes nothing.
+        contrast: no unit; 1 changes nothing; this and the others may be maps (h, w).
         brightness: relative, added.
         pivot: relative, the grey that a change of contrast keeps.
 
     Returns:
         (...) relative.
     """
-    return contrast * (as_relative(x) - pivot) + (pivot + brightness)
+    x = as_relative(x)
+    contrast, brightness, pivot = (map_beside(v, x) for v in (contrast, brightness, pivot))
+    return contrast * (x - pivot) + (pivot + brightness)
 
 
 @takes_numbers
@@ -58,12 +61,13 @@ def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
 
     Args:
         x: (...) relative, linear.
-        stops: no unit; may be negative.
+        stops: no unit; may be negative, or a map (h, w).
 
     Returns:
         (...) relative.
     """
     x = as_relative(x)
+    stops = map_beside(stops, x)
     return times_exp2(x, stops if isinstance(stops, jax.Array) else jnp.asarray(stops, x.dtype))
 
 
@@ -74,14 +78,16 @@ def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars
     Args:
         first: (...) relative.
         second: (...) relative; axes of length 1 broadcast, as NumPy's do.
-        fraction: no unit; outside [0, 1] it extrapolates.
+        fraction: no unit, a number or a map (h, w) or (h, w, 1); outside [0, 1] it extrapolates.
 
     Returns:
         (...) relative.
 
     Source: Szeliski, Computer Vision, section 3.1.
     """
-    return (1 - fraction) * as_relative(first) + fraction * as_relative(second)
+    first, second = as_relative(first), as_relative(second)
+    fraction = map_beside(fraction, max(first, second, key=jnp.ndim))
+    return (1 - fraction) * first + fraction * second
 
 
 @takes_numbers

@@ -14,6 +14,7 @@ from .._types import (
     Scalar,
     as_float,
     as_optional_float,
+    as_tile,
     check_choice,
     check_count,
     check_fields,
@@ -32,17 +33,17 @@ class Demosaicing(Shown):
     """Interpolation of the bands that a pixel of a mosaic sensor does not measure.
 
     Attributes:
-        pattern: rows of band indices, the tile of the colour filter array, as
-            `colour_filters.bayer` gives it; static.
+        pattern: rows of band indices, the tile of the colour filter array, or the phase of a Bayer
+            mosaic, such as "RGGB"; static.
         method: one of `DEMOSAICINGS`, described in `development.demosaic`; static.
 
     Example:
-        >>> how = jv.Development(demosaicing=jv.Demosaicing(jv.bayer("RGGB"), method="bilinear"))
+        >>> how = jv.Development(demosaicing=jv.Demosaicing("RGGB", method="bilinear"))
         >>> print(jv.develop(jnp.full((4, 4), 5.0), how)[1, 2])
         [5. 5. 5.]
     """
 
-    pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True, converter=as_tile)
     method: str = eqx.field(static=True, default="malvar", kw_only=True)
 
     def __check_init__(self) -> None:

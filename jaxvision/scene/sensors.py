@@ -22,6 +22,7 @@ from .._types import (
     Scalar,
     as_float,
     as_optional_float,
+    as_tile,
     check_count,
     check_fields,
     check_range,
@@ -104,18 +105,18 @@ class ColourFilter(Shown):
     Attributes:
         transmission: (colours, bands) >= 0, relative; with a quantum efficiency of None, electrons
             per photon.
-        pattern: rows of colour indices, repeated from the first pixel on: `bayer("RGGB")`, or any
-            other tile; ((0,),) with one colour is a monochrome sensor. Static.
+        pattern: rows of colour indices, repeated from the first pixel on, or the phase of a Bayer
+            mosaic, such as "RGGB"; ((0,),) with one colour is a monochrome sensor. Static.
 
     Example:
-        >>> sensor = jv.Sensor(colour_filter=jv.ColourFilter(np.eye(3), pattern=jv.bayer("RGGB")))
+        >>> sensor = jv.Sensor(colour_filter=jv.ColourFilter(np.eye(3), pattern="RGGB"))
         >>> light = jnp.broadcast_to(jnp.array([1.0, 2.0, 3.0]), (2, 2, 3))
         >>> jv.raw_image(None, sensor, light)[..., 0].tolist()
         [[1.0, 2.0], [2.0, 3.0]]
     """
 
     transmission: Float[Array, "colours bands"] = eqx.field(converter=as_float)
-    pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True, kw_only=True)
+    pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True, kw_only=True, converter=as_tile)
 
     def __check_init__(self) -> None:
         check_fields(self, transmission=NOT_NEGATIVE)

@@ -179,7 +179,7 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
     if electrons.ndim < 3 or electrons.shape[-1] != transmission.shape[1]:
         raise ValueError(
             f"ColourFilter.transmission is over {transmission.shape[1]} bands, the irradiance has "
-            f"shape {electrons.shape}."
+            f"shape {electrons.shape}.{_of_an_rgb_picture(electrons.shape, transmission.shape[1])}"
         )
     seen = jnp.einsum("...b,cb->...c", electrons, transmission)
     return mosaic(seen, colour_filter.pattern)[..., None]
@@ -287,6 +287,17 @@ def _over_bands(name: str, x: Scalars, like: Spectrum) -> Scalars:
     if x.shape != like.shape[-1:]:
         raise ValueError(
             f"{name} must be () or ({like.shape[-1]},), one per band of the irradiance, got shape "
-            f"{x.shape}."
+            f"{x.shape}.{_of_an_rgb_picture(like.shape, x.size)}"
         )
     return jnp.broadcast_to(x, like.shape)
+
+
+def _of_an_rgb_picture(shape: tuple[int, ...], bands: int) -> str:
+    """What to do with a picture of three bands before a sensor of others."""
+    if shape[-1:] != (3,) or bands == 3:
+        return ""
+    return (
+        f" A picture of red, green and blue holds no spectrum: render with the sensor's {bands} "
+        "bands, or take a sensor of three, such as "
+        'Sensor(colour_filter=ColourFilter(np.eye(3), pattern="RGGB")).'
+    )

@@ -1,0 +1,120 @@
+"""Pictures as other libraries hand them over, and one calling rule for one notion."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage, sparse
+
+import jaxvision as jv
+
+RNG = np.random.default_rng(5)
+RGB = RNG.uniform(0.1, 0.9, (6, 8, 3))
+GREY = RGB[..., 0]
+
+
+def test_a_bayer_phase_is_a_pattern_everywhere():
+    pattern = jv.bayer("RGGB")
+    assert jv.Demosaicing("RGGB").pattern == pattern
+    assert jv.ColourFilter(np.eye(3), pattern="rggb").pattern == pattern
+    for method in ("bilinear", "malvar", "menon", "normalised"):
+        demosaic = getattr(jv.development, f"demosaic_{method}")
+        np.testing.assert_array_equal(demosaic(GREY, "RGGB"), demosaic(GREY, pattern))
+    masks = zip(
+        jv.colour_filters.sites("RGGB", 4, 4), jv.colour_filters.sites(pattern, 4, 4), strict=True
+    )
+    assert all((a == b).all() for a, b in masks)
+
+
+@pytest.mark.parametrize(
+    "operator",
+    [
+        lambda f: jv.point_ops.vignette(f, [-0.2, 0.1]),
+        lambda f: jv.point_ops.correct_vignetting(f, [-0.2, 0.1]),
+        lambda f: jv.point_ops.graded_filter(f, 0.3, 0.5, 0.0, 0.5),
+        lambda f: jv.white_balance(f, [1.5], saturation=0.8),
+    ],
+)
+def test_grey_pictures_are_pictures_of_one_band(operator):
+    np.testing.assert_array_equal(operator(GREY), operator(GREY[..., None])[..., 0])
+
+
+@pytest.mark.parametrize(
+    "operator",
+    [
+        lambda f, m: jv.point_ops.blend(f, f**2, m),
+        lambda f, m: jv.gain_bias(f, m, m),
+        lambda f, m: jv.point_ops.contrast_brightness(f, m, m, pivot=m),
+        lambda f, m: jv.point_ops.exposure(f, m),
+        lambda f, m: jv.compositing.dissolve(f, m),
+    ],
+)
+def test_a_map_of_pixels_lies_beside_a_picture_of_bands(operator):
+    np.testing.assert_array_equal(operator(RGB, GREY), operator(RGB, GREY[..., None]))
+    np.testing.assert_array_equal(operator(GREY, GREY), operator(RGB, GREY)[..., 0])
+
+
+def test_scipy_takes_a_filter_as_its_sparse_matrix():
+    kernel = RNG.normal(size=(3, 5))
+    matrix = jv.filters.scipy_matrix(jv.filters.filter_matrix(kernel, shape=(6, 8)))
+    assert sparse.issparse(matrix)
+    truth = ndimage.correlate(GREY, kernel, mode="reflect")
+    np.testing.assert_allclose((matrix @ GREY.ravel()).reshape(6, 8), truth, rtol=1e-12)
+    form = jv.filters.filter_matrix(kernel, shape=(6, 8), border="constant", fill=2.0)
+    with pytest.raises(ValueError, match="offset"):
+        jv.filters.scipy_matrix(form)
+
+
+def test_the_blur_of_a_soft_cutout_has_the_colours_of_the_cutout():
+    alpha = np.zeros((20, 20, 1))
+    alpha[5:15, 5:15] = RNG.uniform(0.05, 1, (10, 10, 1))
+    light = np.array([0.2, 0.5, 0.9])
+    layer = np.concatenate([light * alpha, alpha], axis=-1)
+    blurred = jv.filters.gaussian(layer, 2.0, border="zero")
+    colour = jv.compositing.unpremultiply(blurred)
+    np.testing.assert_allclose(colour[8, 8], light, rtol=1e-6)
+    np.testing.assert_allclose(colour[2, 8], light, rtol=1e-6)
+
+
+def test_a_shipped_camera_says_what_to_do_with_an_rgb_picture():
+    sensor = jv.read_camera("consumer_bayer").sensor
+    with pytest.raises(ValueError, match="holds no spectrum: render with the sensor's 31 bands"):
+        jv.raw_image(jax.random.key(0), sensor, jnp.asarray(RGB))
+
+
+def test_channels_first_are_named_and_many_bands_are_not():
+    with pytest.warns(UserWarning, match="moveaxis"):
+        jv.filters.gaussian(np.ones((3, 64, 64)), 1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jv.filters.gaussian(np.ones((3, 64, 31)), 1.0)
+        jv.filters.gaussian(np.ones((64, 64, 64)), 1.0)
+
+
+def test_rgb_pictures_are_not_layers():
+    with pytest.warns(UserWarning, match="fourth channel"):
+        jv.compositing.over(RGB, RGB)
+    opaque = np.concatenate([RGB[..., :2], np.ones((6, 8, 1))], axis=-1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jv.compositing.over(RGB, opaque)  # two bands over an opaque back
+
+
+@pytest.mark.parametrize(
+    "encode",
+    [
+        lambda x: jv.gamma_encode(x, 2.2),
+        lambda x: jv.gamma_decode(x, 2.2),
+        jv.srgb_encode,
+        jv.srgb_decode,
+        jv.colour_spaces.rgb_to_hsv,
+        jv.colour_spaces.rgb_to_hsl,
+        jv.colour_spaces.rgb_to_ycbcr,
+    ],
+)
+def test_codes_are_no_colours(encode):
+    with pytest.raises(ValueError, match="divide the codes"):
+        encode(np.round(255 * RGB))
+    encode(1000 * RGB)  # scene-linear light beyond white
