@@ -103,7 +103,7 @@ def _calibrate(
 ) -> ChannelResponse:
     layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
 
-    def curve_of(codes: Integer[np.ndarray, "exposures h w"]) -> ResponseCurve:
+    def curve_of(codes: Integer[np.ndarray, "exposures h w"], *, dim: bool) -> ResponseCurve:
         return fit_response_curve(
             codes[:, plane.mask],
             plane.exposures,
@@ -114,6 +114,7 @@ def _calibrate(
             least_error=max(STEADIEST, plane.exposure_sd),
             step=stack.step,
             origin=stack.origin,
+            dim=dim,
         )
 
     visible = clear_of_clipping(plane.codes, plane.clip, hidden=False)
@@ -130,7 +131,7 @@ def _calibrate(
         sampling=own,
         seed=seed,
     )
-    radiance = merge(plane.codes, plane.exposures, curve)
+    radiance = merge(plane.codes, plane.exposures, curve, signed=plane.black_measured)
     return ChannelResponse(
         plane,
         curve,
@@ -143,13 +144,15 @@ def _calibrate(
 
 
 def _first_that_fits(
-    curve_of: Callable[[np.ndarray], ResponseCurve], attempts: Sequence[np.ndarray]
+    curve_of: Callable[..., ResponseCurve], attempts: Sequence[np.ndarray]
 ) -> tuple[ResponseCurve, np.ndarray]:
-    """The curve of the first codes that have one, and these; the last ones' error is raised."""
-    for codes in attempts[:-1]:
+    """The curve of the first codes that have one, and these, of any that reaches mid-scale before
+    one that does not; the last ones' error is raised."""
+    *others, (last, dim) = [(codes, dim) for dim in (False, True) for codes in attempts]
+    for codes, may_be_dim in others:
         with contextlib.suppress(InputError):
-            return curve_of(codes), codes
-    return curve_of(attempts[-1]), attempts[-1]
+            return curve_of(codes, dim=may_be_dim), codes
+    return curve_of(last, dim=dim), last
 
 
 def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndarray, "h w *rgb"]]:
@@ -196,7 +199,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
     neighbours tell how they compare."""
     first = taps[0]
     if len(taps) == 1:
-        return first.radiance.radiance
+        return first.radiance.radiance * _of_mid_scale(first.curve)
     (down, across), shape = first.plane.step, [0, 0]
     for tap in taps:
         for axis, size in enumerate(tap.radiance.radiance.shape):
@@ -214,7 +217,15 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
         known = np.isfinite(one - other)
         ratio = np.exp(np.median((one - other)[known])) if known.any() else np.nan
         whole[row::down, column::across] = tap.radiance.radiance * np.float32(ratio)
-    return whole
+    return whole * _of_mid_scale(first.curve)
+
+
+def _of_mid_scale(curve: ResponseCurve) -> np.float32:
+    """What makes exposures relative to mid-scale, where no pixel told of it."""
+    if curve.bins.anchor is None:
+        return np.float32(1)
+    halfway = (curve.bins.black + curve.bins.edges[-1]) / 2
+    return np.float32(np.exp(-np.interp(halfway, curve.codes, curve.log_exposure)))
 
 
 def _log_radiance(channel: ChannelResponse) -> np.ndarray:

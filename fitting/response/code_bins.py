@@ -16,11 +16,13 @@ class CodeBins:
         edges: DN, ascending, halfway between codes.
         lookup: (codes,) bin of every code; -1 where it is at or below black or clipped.
         black: DN without light.
+        anchor: DN where g = 0; None for mid-scale.
     """
 
     edges: Float[np.ndarray, " edges"]
     lookup: Int[np.ndarray, " codes"]
     black: float
+    anchor: float | None = None
 
     @property
     def full_scale(self) -> int:
@@ -52,8 +54,9 @@ class CodeBins:
 
     @property
     def middle(self) -> int:
-        """The bin at mid-scale, where g = 0."""
-        return int(np.searchsorted(self.centres, (self.black + self.edges[-1]) / 2))
+        """The bin where g = 0: at mid-scale, or where the anchor lies."""
+        halfway = (self.black + self.edges[-1]) / 2
+        return int(np.searchsorted(self.centres, halfway if self.anchor is None else self.anchor))
 
 
 def code_bins(

@@ -27,7 +27,7 @@ on a CPU, and nothing here is differentiated. Codes are DN; exposures are relati
 mid-scale.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -39,6 +39,7 @@ from threadpoolctl import threadpool_limits
 from jaxvision.errors import InputError
 
 from ..inference.formatting import format_percent
+from .beyond import below_seen
 from .code_bins import MAX_BINS, CodeBins, code_bins, interval_variance
 from .code_pairs import PairStatistics, statistics_of_parts, total
 from .flat_places import in_register, to_flat_places
@@ -182,6 +183,7 @@ def fit_response_curve(
     rounds: int = MOST_ROUNDS,
     step: int = 1,
     origin: int = 0,
+    dim: bool = False,
 ) -> ResponseCurve:
     """The response curve of one channel.
 
@@ -198,6 +200,8 @@ def fit_response_curve(
         rounds: how often the curve is solved for at most, smoothness and shutter errors between.
         step: DN between neighbouring codes.
         origin: DN of a code, less than a step.
+        dim: whether a stack will do in which too few pixels pass mid-scale: g = 0 then lies in the
+            middle of the codes that are seen.
 
     Returns:
         The curve.
@@ -210,11 +214,18 @@ def fit_response_curve(
     clip = 2.0**bits - 1 if clip is None else clip
     bins = code_bins(bits, black, clip, count=most_bins, step=step, origin=origin)
     coarse = code_bins(bits, black, clip, count=PILOT_BINS, step=step, origin=origin)
-    linked = _well_exposed(codes, bins)
+    linked, bright = _well_exposed(codes, bins)
+    reached = (linked & bright).sum() >= max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1])
+    if reached or not dim:
+        linked &= bright
+    elif linked.any():  # nothing tells of mid-scale: g = 0 in the middle of what is seen
+        anchor = float(np.median(codes[:, linked][bins.lookup[codes[:, linked]] >= 0]))
+        bins, coarse = replace(bins, anchor=anchor), replace(coarse, anchor=anchor)
     if linked.sum() < max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1]):
+        reach = "" if dim else " and beyond mid-scale in one"
         raise InputError(
-            f"too few pixels ({linked.sum()}) are well exposed in two images and beyond mid-scale "
-            "in one; add exposures between the present ones, or longer or shorter ones."
+            f"too few pixels ({linked.sum()}) are well exposed in two images{reach}; add exposures "
+            "between the present ones, or longer or shorter ones."
         )
     classes = np.zeros(codes.shape[1], np.int32)
     if layout is not None:
@@ -295,11 +306,11 @@ def _parts(
     return [tile[kinds[tile] == kind] for tile in tiles for kind in range(CLASSES)], medians
 
 
-def _well_exposed(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Pixels neither dark nor clipped in two images, and beyond mid-scale in one of them."""
+def _well_exposed(codes: np.ndarray, bins: CodeBins) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels neither dark nor clipped in two images, and those beyond mid-scale in one."""
     usable = np.where(bins.lookup >= 0, hat_rule(bins).by_bin[0][bins.lookup], 0) > 0
     bright = usable & (np.arange(len(usable)) > bins.centres[bins.middle])
-    return (usable[codes].sum(axis=0) >= 2) & bright[codes].any(axis=0)
+    return usable[codes].sum(axis=0) >= 2, bright[codes].any(axis=0)
 
 
 def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
@@ -381,12 +392,18 @@ def _curve(
     by_exposures, held_out = left_out
     covariance, freedom = widened(covariance, shutter, over_tiles(whole, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T
+    seen = (np.diagonal(statistics.matrix)[:size] > 0) & expected
+    beyond = below_seen(bins, g, covariance, seen)
+    if beyond is not None:
+        first = len(beyond.log_exposure)
+        g = np.concatenate([beyond.log_exposure, g[first:]])
+        covariance = _with_beyond(covariance, beyond.variance)
     return ResponseCurve(
         bins=bins,
         log_exposure=g,
         covariance=covariance,
         freedom=freedom,
-        seen=(np.diagonal(statistics.matrix)[:size] > 0) & expected,
+        seen=seen,
         bin_means=found.means,
         exposures=exposures,
         shutter_offsets=found.delta,
@@ -401,3 +418,16 @@ def _curve(
         held_out=held_out,
         busy_places=whole.means - found.means,
     )
+
+
+def _with_beyond(covariance: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """The covariance with that of codes beyond the seen ones: what the darkest seen code has, and
+    what is added on the way."""
+    first = len(variance)
+    whole = covariance.copy()
+    whole[:first] = whole[first]
+    whole[:, :first] = whole[:, first][:, None]
+    whole[:first, :first] = covariance[first, first]
+    way = np.sqrt(variance)
+    whole[:first, :first] += np.outer(way, way)
+    return whole

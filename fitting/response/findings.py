@@ -23,6 +23,7 @@ from .solve import ROUGHEST
 
 DRAWN = 0.1  # standard error of ln exposure, up to which the figure shows a departure
 CLUSTERED = 2.0  # pixels that count as one, from which it is said
+MOSTLY_SEEN = 0.8  # share of the codes, below which it is said which are extrapolated
 FEW_FREE = 2  # visible shutter errors below which the prior speaks
 FELT = 0.5  # share of the variance of a curve that its ripple makes, from which it is said
 
@@ -31,6 +32,7 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
     """What the response and its images say, one sentence a finding."""
     channels = calibration.channels
     found = [*calibration.stack.remarks, _shape_in_words(channels), _beyond_in_words(channels)]
+    found += [_extrapolated_in_words(channels), _anchor_in_words(channels)]
     found += _shutter_in_words(channels)
     found += [_held_out_in_words(channels), _repeats_in_words(channels), _rough_in_words(channels)]
     found += [_near_clipped_in_words(channels), _hidden_in_words(channels)]
@@ -151,6 +153,41 @@ def _beyond_judged(channel: ChannelResponse) -> tuple[float, float]:
     limit = stdtrit(curve.freedom, 1 - CHANCE / (2 * max(np.count_nonzero(drawn), 1)))
     return largest(
         curve, channel.gamma.departure, drawn & (np.abs(channel.gamma.departure) > limit * error)
+    )
+
+
+def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
+    """The codes of each channel that no usable pixel has, where they are many."""
+    told = []
+    for channel in channels:
+        curve = channel.curve
+        codes = curve.codes[curve.seen]
+        if not len(codes) or np.mean(curve.seen) > MOSTLY_SEEN:
+            continue
+        low = curve.half_width[np.argmax(curve.codes >= (codes[0] + curve.bins.black) / 2)]
+        halfway = (codes[0] + curve.bins.black) / 2
+        told.append(
+            f"{channel.plane.label or 'grey'} below {codes[0]:g} and above {codes[-1]:g} (95 % "
+            f"within {format_percent(min(np.expm1(low), 99.0))} at code {halfway:g})"
+        )
+    if not told:
+        return ""
+    return (
+        f"The curve is extrapolated where no usable pixel was seen: {', '.join(told)}. Toward "
+        "black it lies between a gamma and a camera that becomes linear there."
+    )
+
+
+def _anchor_in_words(channels: Sequence[ChannelResponse]) -> str:
+    dim = [c for c in channels if c.curve.bins.anchor is not None]
+    if not dim:
+        return ""
+    names = ", ".join(
+        f"{c.plane.label or 'grey'}: {c.curve.codes[c.curve.bins.middle]:g}" for c in dim
+    )
+    return (
+        "Too few pixels reach mid-scale, so that exposures are relative to the middle of the codes "
+        f"that are seen ({names} DN), and the curve above those codes is extrapolated."
     )
 
 

@@ -49,6 +49,8 @@ def merge(
     codes: Integer[np.ndarray, "exposures ..."],
     exposures: Float[np.ndarray, " exposures"],
     curve: ResponseCurve,
+    *,
+    signed: bool = True,
 ) -> RadianceMap:
     """The radiance map of codes, the exposure times being trusted as given.
 
@@ -58,6 +60,8 @@ def merge(
         codes: (exposures, ...) DN.
         exposures: (exposures,) s, ascending.
         curve: of the response.
+        signed: whether noise may carry radiance below 0, as it does where black is measured; else
+            the least is that of the darkest code.
 
     Returns:
         float32 maps of the pixels' shape.
@@ -71,6 +75,8 @@ def merge(
         part = slice(start, start + CHUNK)
         radiance[part], error[part], coverage[part] = _merge(flat[:, part], log_t, curve)
     shape = codes.shape[1:]
+    if not signed:
+        radiance = np.maximum(radiance, np.exp(curve.log_exposure[0] - log_t[-1]))
     return RadianceMap(radiance.reshape(shape), error.reshape(shape), coverage.reshape(shape))
 
 

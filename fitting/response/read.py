@@ -47,6 +47,7 @@ class Plane:
         exposure_sd: rms of what is known of the exposures' relative errors; 0 where nothing is.
         start: row and column of its first pixel among those of its colour.
         step: rows and columns between its pixels there; more than 1 of several taps.
+        black_measured: whether black is stated or that of darks, not read off the images.
     """
 
     group: str
@@ -61,6 +62,7 @@ class Plane:
     exposure_sd: float = 0.0
     start: tuple[int, int] = (0, 0)
     step: tuple[int, int] = (1, 1)
+    black_measured: bool = False
 
     @property
     def label(self) -> str:
@@ -226,6 +228,7 @@ def _planes(
                 f"{rig.folder}: the darks have {', '.join(measured_black)}, the exposures "
                 f"{', '.join(channels[0])}; give darks of the same kind, or camera.black_level."
             )
+        measured = black is not None
         black = floor_level(codes, times, camera, step=step) if black is None else black
         clip = camera.saturation or ceiling_level(codes, times, camera, step=step)
         if camera.saturation is None and converter.clips_at is not None:
@@ -244,6 +247,7 @@ def _planes(
                 exposure_sd=float(np.sqrt(np.mean([(e.exposure_sd or 0.0) ** 2 for e in entries]))),
                 start=starts[i * len(starts) // len(channels[0])],
                 step=apart,
+                black_measured=measured,
             )
         )
     return planes
@@ -283,11 +287,13 @@ def floor_level(
     if dark.sum() <= FEWEST_ALIKE * dark.size:
         return 0.0
     level = float(np.median(before[dark]))
-    # Noise leaves a few pixels of any code alike, but those rise as the exposure grows on; in the
-    # longest, others of their code do.
-    at_level = dark if longer[0] < len(codes) - 1 else np.abs(before - level) <= step
-    risen = (codes[-1].astype(int) - before > step)[at_level]
-    return level if np.mean(risen) < MOSTLY else 0.0
+    # Noise leaves a few pixels of any code alike. Others of that code rise with the light, and so
+    # do these as the exposure grows on.
+    at_level = np.abs(before - level) <= step
+    risen = [np.mean((after - before > step)[at_level])]
+    if longer[0] < len(codes) - 1:
+        risen.append(np.mean((codes[-1].astype(int) - before > step)[dark]))
+    return level if min(risen) < MOSTLY else 0.0
 
 
 def ceiling_level(

@@ -159,7 +159,7 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
             value = np.exp(channel.curve.log_exposure[place])
             error = value * channel.curve.standard_error[place]
             seen = channel.curve.seen[place]
-            cells.append(format_with_error(value, error) if seen else "(extrapolated)")
+            cells.append(format_with_error(value, error) + ("" if seen else " (extrapolated)"))
         rows.append(tuple(cells))
     return Table(
         "Response curve",
