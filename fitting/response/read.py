@@ -16,7 +16,7 @@ from jaxvision.io import read_image
 
 from ..codes import Converter, converter_of
 from ..copies import Copies
-from ..frame_checks import Stated, odd_heads, refuse_half
+from ..frame_checks import Stated, blank_images, odd_exposures, odd_heads, refuse_half, shown
 from ..inference.formatting import format_percent
 from ..observation import Load, in_region, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
@@ -128,7 +128,8 @@ def read_exposure_stack(
     measured_black = _black_levels(rig, load)
     planes: list[Plane] = []
     for group, entries in groupby(ordered, key=lambda entry: entry.group):
-        planes += _planes(rig, group, tuple(entries), mask, measured_black, frames, converter)
+        kept = _without_odd_images(rig, tuple(entries), frames, remarks)
+        planes += _planes(rig, group, kept, mask, measured_black, frames, converter)
     step, origin = _grid_of(converter)
     remarks += _converter_in_words(converter, step)
     return ExposureStack(tuple(planes), rig.camera.bits, step, origin, tuple(remarks))
@@ -146,6 +147,22 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
     gone = {name for one in odd for name in one.names}
     kept = tuple(entry for entry in rig.exposure if entry.file not in gone)
     return rig.model_copy(update={"exposure": kept}), [*remarks, *(one.sentence for one in odd)]
+
+
+def _without_odd_images(
+    rig: Rig, entries: tuple[Exposure, ...], images: dict[str, np.ndarray], remarks: list[str]
+) -> tuple[Exposure, ...]:
+    """Those of a stack that show one scene in the order of their exposures."""
+    top, seen = rig.camera.at(rig.camera.sites[0]).clip_level, []
+    for entry in entries:
+        frame = images[entry.file]
+        seen.append(shown(entry.file, frame.mean(axis=2) if frame.ndim == 3 else frame, top=top))
+    times = [entry.exposure for entry in entries]
+    odd = odd_exposures(rig.folder, seen, times, full_scale=rig.camera.full_scale)
+    # What is blank is not fitted, but tells where black lies and codes clip.
+    remarks += [one.sentence for one in (*blank_images(seen), *odd)]
+    gone = {name for one in odd for name in one.names}
+    return tuple(entry for entry in entries if entry.file not in gone)
 
 
 def _grid_of(converter: Converter) -> tuple[int, int]:

@@ -1,11 +1,16 @@
 """Frames that do not belong are named and left out, and what remains gives the camera."""
 
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
 from fitting.noise import Camera, calibrate, from_frames
+from fitting.response import from_stack
+from fitting.response.read import read_exposure_stack
 from jaxvision.errors import InputError
 
 GAIN, BLACK, READ_NOISE, FULL = 0.4, 64.0, 2.3, 4095
@@ -178,3 +183,93 @@ def test_a_bias_of_no_exposure_and_stray_light_are_read():
     found = calibrate(measured)
     gain = found.shown["system_gain"]
     assert abs(gain.value - GAIN) < 3 * gain.standard_error
+
+
+BRACKET = [1 / 64, 1 / 16, 1 / 4, 1, 4]
+
+
+def scene(seconds, seed=0):
+    """(60, 80) of a 12-bit linear camera: two decades of light and a pattern."""
+    patches = np.kron(np.random.default_rng(seed).standard_normal((6, 8)), np.ones((10, 10)))
+    light = np.geomspace(1, 300, 80) * np.exp(0.5 * patches)
+    rng = np.random.default_rng(int(1000 * seconds) + seed)
+    counted = rng.poisson(light * seconds * 40) / 4 + rng.normal(0, 2, light.shape)
+    return np.clip(np.round(60 + counted), 0, 4095).astype(np.uint16)
+
+
+STACK = [scene(t) for t in BRACKET]
+
+
+def stack(images=STACK, times=BRACKET):
+    return from_stack(images, times, camera=Camera(bits=12, black_level=60.0))
+
+
+def left_out(stack):
+    return [told for told in stack.remarks if "left out" in told]
+
+
+def test_a_bracket_of_one_scene_is_used_whole():
+    assert left_out(stack()) == []
+    assert len(stack().planes[0].exposures) == 5
+
+
+@pytest.mark.parametrize("pair", [(1, 2), (1, 3), (0, 4), (3, 4)])
+def test_exchanged_times_are_named(pair):
+    images = list(STACK)
+    images[pair[0]], images[pair[1]] = images[pair[1]], images[pair[0]]
+    found = stack(images)
+    assert [told.split()[0] for told in left_out(found)] == [f"images[{i}]" for i in pair]
+    assert all("check the order of the times" in told for told in left_out(found))
+    assert len(found.planes[0].exposures) == 3
+
+
+def test_an_image_of_another_scene_is_named():
+    found = stack([*STACK[:2], scene(1 / 4, seed=5)[:, ::-1], *STACK[3:]])
+    (told,) = left_out(found)
+    assert told.startswith("images[2] was left out: its pixels are ordered as in no other image")
+    assert found.planes[0].files == tuple(f"images[{i}]" for i in (0, 1, 3, 4))
+
+
+def test_a_saturated_image_is_named():
+    (told,) = left_out(stack([*STACK[:4], np.full((60, 80), 4095, np.uint16)]))
+    assert told.startswith("images[4] was left out: every pixel is saturated")
+
+
+def test_two_images_that_contradict_each_other_are_the_user_s_to_decide():
+    with pytest.raises(InputError, match=r"images\[1\] is darker than images\[0\].*decide which"):
+        stack(STACK[3:][::-1], [1, 4])
+
+
+def with_head(file, image, *, iso=100, seconds=1.0):
+    """An 8-bit JPEG whose EXIF says this."""
+    exif = Image.Exif()
+    time = IFDRational(Fraction(seconds).limit_denominator(1000))
+    exif[0x8769] = {0x829A: time, 0x8827: iso}
+    Image.fromarray(image).save(file, exif=exif, quality=100)
+
+
+def test_exposures_whose_heads_contradict_are_named(tmp_path):
+    entries = ["[camera]", "bits = 8"]
+    for i, t in enumerate(BRACKET):
+        image = np.clip(scene(t) / 16.0, 0, 255).round().astype(np.uint8)
+        iso, seconds = (400 if i == 1 else 100), (t / 4 if i == 3 else t)
+        with_head(tmp_path / f"{i}.jpg", image, iso=iso, seconds=seconds)
+        entries += ["[[exposure]]", f'file = "{i}.jpg"', f"exposure = {t}"]
+    (tmp_path / "rig.toml").write_text("\n".join(entries))
+    found = read_exposure_stack(tmp_path)
+    assert sorted(left_out(found)) == [
+        "1.jpg was left out: its head says ISO 400, those of the others ISO 100.",
+        "3.jpg was left out: its head says an exposure of 0.25 s, the rig 1 s.",
+    ]
+    assert found.planes[0].files == ("0.jpg", "2.jpg", "4.jpg")
+
+
+def test_heads_of_two_gains_are_the_user_s_to_decide(tmp_path):
+    entries = ["[camera]", "bits = 8"]
+    for i, iso in enumerate((100, 400)):
+        image = np.clip(scene(BRACKET[i + 2]) / 16.0, 0, 255).round().astype(np.uint8)
+        with_head(tmp_path / f"{i}.jpg", image, iso=iso, seconds=BRACKET[i + 2])
+        entries += ["[[exposure]]", f'file = "{i}.jpg"', f"exposure = {BRACKET[i + 2]}"]
+    (tmp_path / "rig.toml").write_text("\n".join(entries))
+    with pytest.raises(InputError, match=r"0\.jpg says ISO 100, that of 1\.jpg ISO 400"):
+        read_exposure_stack(tmp_path)
