@@ -150,8 +150,9 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
 def run(
     title: str, path: Path, options: Options, calibrate: Calibrate, *, repeats: bool = False
 ) -> None:
-    """Calibrates, writes what was asked for, prints the result. What `repeats` its fits is
-    compiled with optimisation, the rest quickly."""
+    """Calibrates, writes what was asked for, prints the result. A section without results says why,
+    and the exit status is that of bad input. What `repeats` its fits is compiled with optimisation,
+    the rest quickly."""
     if not repeats:
         compile_quickly()
     keep_programs()
@@ -167,9 +168,13 @@ def run(
 
         from .report.console import output, print_section
         from .report.page import as_json, write_report
-        from .report.short_chains import refuse_short_chains
+        from .report.short_chains import without_short_chains
 
-        refuse_short_chains(sections, asked=options.mcmc, kept=options.out is not None)
+        kept = options.out is not None
+        sections = [without_short_chains(section, kept=kept) for section in sections]
+        without = [section.failure for section in sections if section.failure]
+        if len(without) == len(sections) > 0 and options.out is None:
+            raise InputError(without[0])
         settings = {"input": path.name, **asdict(options), **options.chain}
         if options.out is not None:
             with reporter.step("writing the report"):
@@ -178,15 +183,18 @@ def run(
                 write_report(
                     options.out, sections, title=title, seed=options.seed, settings=settings
                 )
-                shutil.rmtree(options.out / CHECKPOINT, ignore_errors=True)
+                if not without:
+                    shutil.rmtree(options.out / CHECKPOINT, ignore_errors=True)
     if options.as_json:
         print(as_json(sections, seed=options.seed, settings=settings))
-        return
-    console = output()
-    for section in sections:
-        print_section(console, section)
-    if options.out is not None:
-        console.print(f"\nReport: {options.out / 'report.html'}")
+    else:
+        console = output()
+        for section in sections:
+            print_section(console, section)
+        if options.out is not None:
+            console.print(f"\nReport: {options.out / 'report.html'}")
+    if without:
+        leave(COMMAND, without[0], 2)
 
 
 @contextmanager

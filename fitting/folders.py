@@ -4,7 +4,7 @@ with pictures to be written beside it. Read from the path alone, so that any pro
 The libraries that compute are imported once the rig is known to be good.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +41,23 @@ def read_rig(path: Path, purpose: "Purpose") -> "Rig":
     return rig
 
 
+def _attempted(
+    kind: str, title: str, make: Callable[[], "Section"], *, known: Sequence[str] = ()
+) -> "Section":
+    """The section of a calibration; where its fit fails, one that says why and what is known."""
+    import numpy as np
+
+    from .report.section import Section
+
+    try:
+        return make()
+    except InputError as error:
+        why = str(error)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        why = f"The fit failed ({error}): the model does not describe these data."
+    return Section(kind=kind, title=title, estimates=(), findings=(why, *known), failure=why)
+
+
 def noise(
     path: Path, step: Step, draws: Draws, *, bits: int | None = None, channel: str = ""
 ) -> Found:
@@ -66,7 +83,7 @@ def noise(
         existing(path)
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
-    from .noise.section import section
+    from .noise.section import KIND, TITLE, section
     from .noise.settings import by_setting
     from .report.inputs import with_inputs
 
@@ -75,16 +92,19 @@ def noise(
     with step("reading frames"):
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
     with step("fitting photon transfer") as progress:
-        calibration = calibrate(measurement, **draws("noise", progress))
-    if rig is None:
-        return [section(calibration)], {}
-    return [with_inputs(section(calibration), rig, "photon transfer")], {}
+        found = _attempted(
+            KIND,
+            TITLE,
+            lambda: section(calibrate(measurement, **draws("noise", progress))),
+            known=(*measurement.bright.left_out, *measurement.dark.left_out),
+        )
+    return [found if rig is None else with_inputs(found, rig, "photon transfer")], {}
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
     from .noise.across_settings.calibration import calibrate_one, calibrate_settings
     from .noise.across_settings.read import reduce_by_setting
-    from .noise.across_settings.section import sections
+    from .noise.across_settings.section import sections, without_whole
     from .report.inputs import with_inputs
 
     with step("reading frames"):
@@ -96,8 +116,10 @@ def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "l
             progress(i + 1, len(frames))
     with step("fitting all settings together"):
         seed = draws("noise", lambda done, total: None)["seed"]
-        calibration = calibrate_settings(frames, calibrations=own, seed=seed)
-    whole, *others = sections(calibration)
+        try:
+            whole, *others = sections(calibrate_settings(frames, calibrations=own, seed=seed))
+        except InputError as error:
+            whole, *others = without_whole(frames, own, str(error))
     return [with_inputs(whole, rig, "photon transfer"), *others]
 
 
@@ -126,15 +148,19 @@ def response(
 
     with step("reading exposures"):
         stack = read_exposure_stack(rig)
-    with step("fitting response") as progress:
+    images: dict[str, np.ndarray] = {}
+
+    def fitted() -> "Section":
         calibration = calibrate(stack, **draws("response", progress))
-    images = {
-        f"radiance_{group}.exr" if group else "radiance.exr": radiance
-        for group, radiance in radiance_images(calibration).items()
-    }
-    for plane, _ in calibration.skipped:
-        skipped(plane.label)
-    return [with_inputs(section(calibration), rig, "a response calibration")], images
+        for group, radiance in radiance_images(calibration).items():
+            images[f"radiance_{group}.exr" if group else "radiance.exr"] = radiance
+        for plane, _ in calibration.skipped:
+            skipped(plane.label)
+        return section(calibration)
+
+    with step("fitting response") as progress:
+        found = _attempted("response", "Camera response", fitted, known=stack.remarks)
+    return [with_inputs(found, rig, "a response calibration")], images
 
 
 def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
@@ -163,9 +189,14 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     with step("fitting reflectance") as progress:
         drawn = draws("brdf", progress)
         by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
-        calibration = calibrate(observation, **settings, **drawn, progress=by_fit)
+        found = _attempted(
+            "brdf",
+            "Reflectance",
+            lambda: section(calibrate(observation, **settings, **drawn, progress=by_fit)),
+            known=observation.findings,
+        )
     free = settings.get("fit_gamma", False)
-    return [with_inputs(section(calibration), rig, "a reflectance calibration", fit_gamma=free)], {}
+    return [with_inputs(found, rig, "a reflectance calibration", fit_gamma=free)], {}
 
 
 def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
@@ -194,6 +225,11 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
     with step("fitting surface, response and sensor") as progress:
         drawn = draws("joint", progress)
         by_channel = progress if drawn["sampling"] is None else None  # a chain shows its own
-        calibration = calibrate(measurement, **settings, **drawn, progress=by_channel)
+        found = _attempted(
+            "joint",
+            "Surface, response and sensor",
+            lambda: section(calibrate(measurement, **settings, **drawn, progress=by_channel)),
+            known=(*measurement.observation.findings, *measurement.findings),
+        )
     free = settings.get("fit_gamma", False)
-    return [with_inputs(section(calibration), rig, "a reflectance calibration", fit_gamma=free)], {}
+    return [with_inputs(found, rig, "a reflectance calibration", fit_gamma=free)], {}

@@ -18,6 +18,7 @@ from commands import called
 import jaxvision.cli
 from fitting.cli import app
 from fitting.report.page import as_json
+from jaxvision.errors import InputError
 from jaxvision.io import read_image, write_image
 
 run = partial(called, app)
@@ -213,13 +214,15 @@ def test_the_installed_command_shows_no_traceback(tmp_path):
 
 @pytest.mark.slow
 def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
-    """No report rests on them; what was drawn is kept, and whoever does as advised ends well."""
+    """The report says so; what was drawn is kept, and whoever does as advised ends well."""
     command = ("response", lab[0] / "response", "--mcmc", "--walkers", "16", "--out", tmp_path)
     status, _, stderr = run(*command, "--steps", "20")
     assert status == 2
     advised = re.search(r"more steps are missing; allow --steps (\d+) and run again", stderr)
     assert advised, one_sentence(stderr)
-    assert not (tmp_path / "report.html").exists()
+    assert advised[0] in (tmp_path / "report.html").read_text()
+    (section,) = json.loads((tmp_path / "results.json").read_text())["sections"]
+    assert section["estimates"] == []
     assert [*(tmp_path / "checkpoint").rglob("block-*.npz")]
     while status == 2:  # a short chain knows its own length badly, and may ask again
         asked = int(advised[1])
@@ -228,6 +231,23 @@ def test_chains_that_are_too_short_are_refused_and_go_on(lab, tmp_path):
         assert status == 0 or int(advised[1]) > asked
     assert status == 0
     assert (tmp_path / "report.html").exists()
+
+
+def test_a_fit_that_fails_is_a_section_that_says_why(monkeypatch, tmp_path, lab):
+    from fitting.noise import calibration
+
+    def fails(measurement, **options):
+        raise InputError("the fit has no maximum; give more light.")
+
+    monkeypatch.setattr(calibration, "calibrate", fails)
+    status, printed, stderr = run("noise", lab[0] / "noise", "--out", tmp_path / "out")
+    assert status == 2
+    assert stderr.rstrip().endswith("jaxvision-fit: the fit has no maximum; give more light.")
+    assert "• the fit has no maximum" in printed
+    assert "the fit has no maximum" in (tmp_path / "out" / "report.html").read_text()
+    (section,) = json.loads((tmp_path / "out" / "results.json").read_text())["sections"]
+    assert section["estimates"] == []
+    assert len(section["inputs"]) > 4
 
 
 def test_json_of_nothing_is_still_json():

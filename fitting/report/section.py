@@ -104,6 +104,7 @@ class Section:
         data: what is too long for a table, whole: columns by the name of their file.
         records: what was fitted, for use in a simulation: by the name of its file the function that
             writes it to a path, ending in .toml.
+        failure: why there are no results, as a sentence; empty where there are.
     """
 
     kind: str
@@ -121,6 +122,7 @@ class Section:
     inputs: tuple[Input, ...] = ()
     data: dict[str, Columns] = field(default_factory=dict)
     records: dict[str, Callable[[Path], None]] = field(default_factory=dict)
+    failure: str = ""
 
     def estimate(self, name: str, *, method: str = "", group: str = "") -> Estimate:
         """The first estimate of a name.

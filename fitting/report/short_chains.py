@@ -1,34 +1,37 @@
 """Chains that cannot be trusted yet."""
 
-from collections.abc import Sequence
-
-from jaxvision.errors import InputError
-
 from ..inference.trust import convergence_in_words
 from .section import Section
 
 
-def refuse_short_chains(sections: Sequence[Section], *, asked: bool, kept: bool) -> None:
-    """No report is written from chains that cannot be trusted.
+def without_short_chains(section: Section, *, kept: bool) -> Section:
+    """A section, or what is left of one whose chains are too short to be trusted.
 
     Args:
-        sections: whose posteriors are to be reported.
-        asked: whether the chains were, by `--mcmc`; else Laplace's approximation did not hold.
+        section: whose posteriors are to be reported.
         kept: whether the chains are, so that the same command goes on from them.
 
-    Raises:
-        InputError: for a chain that is too short, with the steps that it lacks.
+    Returns:
+        The section; of one with a chain that is too short, why it has no results, with the steps
+        that are missing.
     """
-    posteriors = [pair for section in sections for pair in section.posteriors.items()]
-    short = [(group, posterior) for group, posterior in posteriors if posterior.missing_steps]
+    short = [(group, one) for group, one in section.posteriors.items() if one.missing_steps]
     if not short:
-        return
+        return section
     group, worst = max(short, key=lambda pair: pair[1].missing_steps)
     steps = f"--steps {worst.steps + worst.missing_steps}"
-    if not asked:
-        remedy = f"Laplace's approximation does not hold here, so add --mcmc {steps}."
-    elif kept:
+    if kept:
         remedy = f"allow {steps} and run again: it goes on from here."
     else:
         remedy = f"allow {steps}; with --out it would go on from here."
-    raise InputError(f"{group}{': ' if group else ''}{convergence_in_words(worst)[:-1]}; {remedy}")
+    why = f"{group}{': ' if group else ''}{convergence_in_words(worst)[:-1]}; {remedy}"
+    return Section(
+        kind=section.kind,
+        title=section.title,
+        estimates=(),
+        findings=(why,),
+        about=section.about,
+        settings=section.settings,
+        inputs=section.inputs,
+        failure=why,
+    )

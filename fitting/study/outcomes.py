@@ -247,6 +247,8 @@ def calibrated(settings: Settings, folder: Folder) -> Outcome:
     more = {"model": "phong", "index": 1.5} if settings.kind in ("brdf", "joint") else {}
     try:
         sections, images = calibrate(folder.path, _silent, partial(_laplace, settings), **more)
+        if sections and all(section.failure for section in sections):
+            raise InputError(sections[0].failure)
         folder.out.mkdir(parents=True, exist_ok=True)
         for name, pixels in images.items():
             write_image(folder.out / name, pixels)

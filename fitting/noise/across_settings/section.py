@@ -1,11 +1,14 @@
 """A camera over its settings as its reader sees it: estimates, findings, tables and pictures."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
+
+from jaxvision.errors import InputError
 
 from ...inference.estimates import QUANTILES, Estimate, not_determined, quantile_estimate
 from ...inference.parameters import Parameter, names
@@ -20,8 +23,9 @@ from .findings import NAMES, findings
 from .model import BOLTZMANN_EV
 from .pooled import Pooled, ends_at_full_scale
 from .sensor import is_impossible, write_sensor_at
+from .setting import FramesOfSetting
 
-KIND = "noise"
+KIND, TITLE = "noise", "Camera noise over gain and temperature"
 EFFICIENCY = Parameter("quantum_efficiency", symbol="η", unit="%")
 BEFORE = Parameter("noise_before_gain", symbol="σ₀", unit="e⁻")
 BEHIND = Parameter("noise_behind_gain", symbol="σ₁", unit="DN")
@@ -58,7 +62,7 @@ def section(calibration: CameraCalibration) -> Section:
     }
     return Section(
         kind=KIND,
-        title="Camera noise over gain and temperature",
+        title=TITLE,
         estimates=_estimates(calibration),
         findings=findings(calibration),
         pictures=camera_pictures(calibration),
@@ -84,11 +88,37 @@ def sections(calibration: CameraCalibration) -> list[Section]:
     Returns:
         The sections of a report.
     """
-    found = [section(calibration)]
-    for one, own in zip(calibration.frames, calibration.calibrations, strict=True):
-        if own is not None:
-            found.append(_of_setting(own, one.setting.label))
-    return found
+    return [section(calibration), *_of_settings(calibration.frames, calibration.calibrations)]
+
+
+def without_whole(
+    frames: Sequence[FramesOfSetting],
+    calibrations: Sequence[NoiseCalibration | InputError | None],
+    why: str,
+) -> list[Section]:
+    """The settings by themselves, where the camera over them could not be fitted.
+
+    Args:
+        frames: of each setting.
+        calibrations: of each by itself; None of darks alone, and the error where it failed.
+        why: the camera has no results, as a sentence.
+
+    Returns:
+        The sections of a report.
+    """
+    whole = Section(kind=KIND, title=TITLE, estimates=(), findings=(why,), failure=why)
+    return [whole, *_of_settings(frames, calibrations)]
+
+
+def _of_settings(
+    frames: Sequence[FramesOfSetting],
+    calibrations: Sequence[NoiseCalibration | InputError | None],
+) -> list[Section]:
+    return [
+        _of_setting(own, one.setting.label)
+        for one, own in zip(frames, calibrations, strict=True)
+        if isinstance(own, NoiseCalibration)
+    ]
 
 
 def _of_setting(calibration: NoiseCalibration, label: str) -> Section:
