@@ -53,7 +53,7 @@ def noise(
         int | None, typer.Option(help="ADC bits of a CSV's camera.", min=1, max=16)
     ] = None,
     channel: Annotated[
-        str, typer.Option(help="Site of a Bayer mosaic to use (default: the first green).")
+        str, typer.Option(help="Site of a mosaic, or tap, to use (default: each by itself).")
     ] = "",
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""

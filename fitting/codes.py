@@ -19,10 +19,10 @@ import numpy as np
 from jaxtyping import Float
 
 MOST_VALUES = 2**18  # different numbers; frames of more lie on no grid
-CHANCE = 1e-4  # that numbers of step 1 are all multiples of a larger one
+CHANCE = 1e-3  # that numbers of step 1 are all multiples of a larger one
 SMOOTH = 4.0  # standard deviation of a frame, in codes, from which its histogram is smooth
 WIDTH = 32  # codes over which a smooth histogram is about constant
-EXPECTED = 12.0  # pixels a code, from which an empty one is missing
+EXPECTED = 12.0  # pixels of a code, next to which an empty one is missing
 SIGNIFICANT = 5.0  # standard errors
 PILE, STEEP = 100, 10.0  # pixels at the largest number, and times as many as at those below
 COARSE = 3.0  # DN; a finer step cannot be followed through numbers that were rounded again
@@ -257,17 +257,16 @@ def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, fl
 
 
 def _missing(counts: np.ndarray) -> float:
-    """Share of codes that do not occur where many pixels are expected."""
-    if counts.size < 2 * WIDTH:
+    """Share of codes that do not occur between neighbours that many pixels have."""
+    used = np.flatnonzero(counts)
+    gaps, many = np.diff(used), counts[used] > EXPECTED
+    near = (gaps <= np.ceil(COARSE)) & many[:-1] & many[1:]
+    span = int(gaps[near].sum())
+    empty = span - int(near.sum())
+    # Of a smooth histogram that expects as many there, a code is empty once in 100,000.
+    if empty < SIGNIFICANT + span * np.exp(-EXPECTED):
         return 0.0
-    expected = np.convolve(counts, np.ones(WIDTH), "same") / WIDTH
-    dense = expected > EXPECTED
-    dense[:WIDTH] = dense[-WIDTH:] = False
-    empty = int(np.sum((counts == 0) & dense))
-    chance = float(np.sum(np.exp(-expected[dense])))
-    if empty < SIGNIFICANT + chance + SIGNIFICANT * np.sqrt(chance):
-        return 0.0
-    return empty / int(dense.sum())
+    return empty / span
 
 
 def _imbalance(counts: np.ndarray) -> float:

@@ -6,6 +6,7 @@ The libraries that compute are imported once the rig is known to be good.
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,10 +70,11 @@ def noise(
         step: shows what is done.
         draws: how it samples.
         bits: of a CSV's camera.
-        channel: site of a Bayer mosaic; "" for the first green.
+        channel: site of a mosaic, or tap; "" for all of them, one after the other (of several gains
+            or temperatures the first green, or the first tap).
 
     Returns:
-        One section, or that of the camera and one a setting; no pictures.
+        One section, or one a site, or that of the camera and one a setting; no pictures.
 
     Raises:
         InputError: for what cannot be calibrated.
@@ -89,6 +91,8 @@ def noise(
 
     if rig is not None and len(by_setting(rig)) > 1:
         return _noise_of_settings(rig, step, draws, channel), {}
+    if rig is not None and not channel and len(rig.camera.sites) > 1:
+        return _noise_of_sites(rig, step, draws), {}
     with step("reading frames"):
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
     with step("fitting photon transfer") as progress:
@@ -99,6 +103,33 @@ def noise(
             known=(*measurement.bright.left_out, *measurement.dark.left_out),
         )
     return [found if rig is None else with_inputs(found, rig, "photon transfer")], {}
+
+
+def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
+    """One section for each site of a mosaic, or for each tap."""
+    from .noise.calibration import calibrate
+    from .noise.read import check, reduce_rig
+    from .noise.section import sections_of_sites
+    from .report.inputs import with_inputs
+
+    sites = rig.camera.sites
+    calibrations, failed = {}, []
+    with step("fitting photon transfer of each site") as progress:
+        for i, site in enumerate(sites):
+            own = draws(f"noise_{i}" if i else "noise", lambda done, total: None)
+            try:
+                measurement = reduce_rig(rig, channel=site)
+                check(rig.folder, measurement)
+                calibrations[site] = calibrate(measurement, **own)
+            except InputError as error:
+                failed.append((site, error))
+            progress(i + 1, len(sites))
+    if not calibrations:
+        raise failed[0][1]
+    first, *others = sections_of_sites(calibrations)
+    told = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
+    first = replace(first, findings=(*told, *first.findings))
+    return [with_inputs(first, rig, "photon transfer"), *others]
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":

@@ -35,6 +35,7 @@ from .levels import PhotonTransfer, linear_levels
 from .model import log_density, negative_log_density, predicted_moments
 from .parts import Part
 from .pattern import PatternVariance, Spread, fitted_pattern, standard_pattern
+from .periodic import Periodic, periodic_structure, unequal_gains_of
 from .quantised import FINEST_READ_NOISE
 from .quantities import OFFSET_SPREAD, QUANTITIES, READ_NOISE, SCATTERS, Quantity
 from .regressions import through_origin
@@ -42,6 +43,11 @@ from .shared import Found, shared_noise
 from .window import needed_window, offset_data
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
+ON_GAIN = (
+    *("system_gain", "inverse_gain", "quantum_efficiency", "read_noise", "dsnu"),
+    *("saturation_electrons", "threshold_electrons", "threshold_photons"),
+    *("dark_current_mean", "dark_current_variance"),
+)
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 _evaluated = compiled_briefly(evaluate)
@@ -67,6 +73,7 @@ class NoiseCalibration(ShownInNotebooks):
         left_out: what the likelihood does without, as no fit can tell.
         flicker: noise of rows and columns that the flats have beyond the darks, which was taken out
             of the measurement.
+        periodic: rows, columns, cells and halves that differ without having been stated.
     """
 
     measurement: PhotonTransfer
@@ -81,6 +88,12 @@ class NoiseCalibration(ShownInNotebooks):
     patterns: tuple[PatternVariance, PatternVariance] | None
     left_out: tuple[LeftOut, ...]
     flicker: dict[str, Found]
+    periodic: tuple[Periodic, ...] = ()
+
+    @property
+    def unequal(self) -> float:
+        """Relative deviation, rms, of the gains of pixels that `periodic` tells apart."""
+        return unequal_gains_of(self.periodic)
 
     @property
     def shown(self) -> dict[str, Estimate]:
@@ -132,6 +145,8 @@ def calibrate(
     data = noise_data(measurement, usable, window=window, offsets=offsets)
     linear, chosen = choose_model(measurement, within, data, standard.values)
     posterior = _posterior(chosen, sampling, seed)
+    periodic = periodic_structure(measurement, usable)
+    unequal = unequal_gains_of(periodic)
     patterns = None
     if measurement.bright.spatial_variance is not None:
         fit_to_all = _behind_rounding(fitted_pattern(measurement, usable), posterior)
@@ -144,11 +159,17 @@ def calibrate(
         linear=linear,
         chosen=chosen,
         posterior=posterior,
-        sheet=_with_limits(_likelihood_estimates(chosen, posterior, within, usable), chosen),
+        sheet=tuple(
+            widened(one, unequal)
+            for one in _with_limits(
+                _likelihood_estimates(chosen, posterior, within, usable), chosen
+            )
+        ),
         standard_of_chosen=_standard_gain_of(chosen, within, usable),
         patterns=patterns,
         left_out=gone,
         flicker=flicker,
+        periodic=periodic,
     )
 
 
@@ -200,6 +221,23 @@ def _likelihood_estimates(
         error = float(np.sqrt(variance))
         found.append(sheet_estimate(BY_NAME[name], float(value), error, LIKELIHOOD))
     return tuple(found)
+
+
+def widened(estimate: Estimate, unequal: float) -> Estimate:
+    """An estimate with the error that unequal gains of the pixels add to it.
+
+    Args:
+        estimate: of the sheet.
+        unequal: relative deviation of the gains, rms; 0 for none.
+
+    Returns:
+        The estimate; itself where it does not rest on the gain.
+    """
+    if not unequal or estimate.value is None or estimate.name not in ON_GAIN:
+        return estimate
+    error = float(np.hypot(estimate.standard_error or 0.0, unequal * abs(estimate.value)))
+    quantity = BY_NAME[estimate.name]
+    return sheet_estimate(quantity, estimate.value, error, estimate.method)
 
 
 def finest_read_noise(fit: LikelihoodFit) -> float:

@@ -17,6 +17,7 @@ from .misfit import MISFIT
 from .neighbours import are_known
 from .parts import Part, deviation_quantiles
 from .pattern import unequal_gains, unequal_offsets
+from .periodic import periodic_in_words
 from .shared import Found, drift, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
@@ -31,6 +32,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *measurement.dark.left_out,
         *flicker_in_words(measurement, calibration.flicker),
         *_efficiency(calibration),
+        *periodic_in_words(calibration.periodic, _shown(calibration, "system_gain")[0]),
         *_converter(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),

@@ -45,6 +45,9 @@ class Levels(eqx.Module):
         covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
             and columns, the variance at (0, 0), DN^2; None where pixels are not known, or not next
             to each other.
+        residues: (levels, 2, 3, residues) means of the frames' average and of their variance, by
+            row, by column and by place in a cell (`periodic`); None where pixels are not known.
+        quarters: (levels, 2, 4) the same of the quarters of a frame.
         left_out: frames that do not belong, and why, in sentences.
     """
 
@@ -57,6 +60,8 @@ class Levels(eqx.Module):
     spatial_variance: Float[Array, " levels"] | None = None
     shared: SharedVariance | None = None
     covariances: Float[Array, "levels lags lags"] | None = None
+    residues: Float[Array, "levels 2 3 residues"] | None = None
+    quarters: Float[Array, "levels 2 4"] | None = None
     left_out: tuple[str, ...] = eqx.field(static=True, default=())
     flicker: Float[Array, "2 levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())

@@ -24,6 +24,7 @@ from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels, rounding_step
 from .levels_table import read_table
 from .neighbours import Neighbours
+from .periodic import quarters, residues
 from .settings import require_one_setting
 from .shared import shared_variance
 from .variance_parts import Moments
@@ -276,6 +277,8 @@ def _reduced(
         spatial_variance=jnp.asarray(spatial),
         shared=shared_variance(of_lines, shape),
         covariances=covariances,
+        residues=jnp.asarray([row.residues for row in rows]),
+        quarters=jnp.asarray([row.quarters for row in rows]),
         left_out=tuple(one.sentence for one in gone),
     )
 
@@ -307,6 +310,8 @@ class _Level(NamedTuple):
     covariances: np.ndarray
     shape: tuple[int, ...]
     shown: tuple[Shown, ...]
+    residues: np.ndarray
+    quarters: np.ndarray
 
 
 def _is_lit(rig: Rig, entry: Flat | Dark) -> bool:
@@ -422,6 +427,8 @@ class _Sums:
             covariances=self._neighbours.covariances(total, variance, parts.frames),
             shape=self.first.shape,
             shown=tuple(self.shown),
+            residues=residues(average, temporal),
+            quarters=quarters(average, temporal),
         )
 
 

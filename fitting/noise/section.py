@@ -1,16 +1,18 @@
 """A noise calibration as its reader sees it: the sheet line by line, findings and pictures."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ..inference.estimates import Estimate, not_determined, quantile_estimate
+from ..inference.formatting import format_value
 from ..inference.parameters import names
 from ..report.left_out import left_out_tables
 from ..report.section import Section, Table
 from .brighter_fatter import fitted_area_changes
-from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate
+from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate, widened
 from .emva1288 import is_floored, least_dark_variance
 from .figures import noise_pictures
 from .findings import findings, is_impossible
@@ -71,6 +73,44 @@ def section(calibration: NoiseCalibration) -> Section:
     )
 
 
+def sections_of_sites(calibrations: Mapping[str, NoiseCalibration]) -> list[Section]:
+    """The sites of a mosaic, or the taps of several amplifiers, one section each.
+
+    Args:
+        calibrations: by the name of the site.
+
+    Returns:
+        The sections; the first compares them all.
+    """
+    found = []
+    for site, calibration in calibrations.items():
+        own, word = section(calibration), site.replace(" ", "_").replace(",", "_")
+        found.append(
+            replace(
+                own,
+                kind=KIND if not found else f"{KIND}_{word}",
+                title=f"{own.title}: {site}",
+                estimates=tuple(replace(one, group=site) for one in own.estimates),
+                records={f"{name}_{word}": write for name, write in own.records.items()},
+                pictures=own.pictures if not found else own.pictures[:1],
+            )
+        )
+    shown = ("system_gain", "quantum_efficiency", "read_noise", "black_level", "dsnu", "prnu")
+    rows, heads = [], []
+    for one in found:
+        by_name = {e.name: e for e in one.estimates if e.method == LIKELIHOOD}
+        there = [by_name[name] for name in shown if name in by_name]
+        heads = heads or [f"{e.symbol} [{e.unit}]" for e in there]
+        rows.append((one.title.removeprefix(f"{TITLE}: "), *(format_value(e) for e in there)))
+    table = Table(
+        "Sites by likelihood",
+        ("site", *heads),
+        tuple(row for row in rows if len(row) == len(heads) + 1),
+        "Each site is calibrated by itself; value and standard error.",
+    )
+    return [replace(found[0], tables=(table, *found[0].tables)), *found[1:]]
+
+
 def _operating_point(calibration: NoiseCalibration) -> str:
     """What the standard asks to be said with every sheet."""
     measurement = calibration.measurement
@@ -103,7 +143,8 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
                 reason = _bound(calibration, quantity, value)
                 listed.append(not_determined(quantity, reason, method=STANDARD))
             else:
-                listed.append(sheet_estimate(quantity, value, error, STANDARD))
+                one = sheet_estimate(quantity, value, error, STANDARD)
+                listed.append(widened(one, calibration.unequal))
         if name in by_likelihood:
             listed.append(by_likelihood[name])
         missing = _missing_method(name, name in values, name in by_likelihood)

@@ -1,14 +1,20 @@
 """Photon transfer of cameras that are not the project's own: their sheets against the truth."""
 
+from contextlib import nullcontext
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import norm, poisson
 
-from fitting import noise
+from fitting import folders, noise
+from fitting.noise.levels import linear_levels
+from fitting.noise.periodic import periodic_in_words, periodic_structure
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.section import section
+from fitting.noise.sensor import fitted_sensor
+from jaxvision.io import write_image
 
 K, QE, SHAPE, PHOTONS = 0.25, 0.5, (64, 64), np.linspace(300, 28_000, 8)
 
@@ -114,8 +120,6 @@ def test_left_aligned_numbers_of_a_quiet_sensor_get_the_warnings_of_its_codes():
     told = " ".join(section(calibration).findings)
     assert "Dark variance is below 61.4 DN²" in told
     assert "Black is clipped or read noise is too small" in told
-    from fitting.noise.sensor import fitted_sensor
-
     sensor = fitted_sensor(calibration)[0]
     assert sensor.bits == pytest.approx(12)
     assert float(sensor.gain) == pytest.approx(K, rel=0.02)
@@ -159,3 +163,113 @@ def test_rows_that_flicker_by_a_tenth_of_a_percent_leave_the_sheet():
     )  # fmt: skip
     assert list(calibration.flicker) == ["rows"]
     assert "It was taken out, row by row" in section(calibration).findings[0]
+
+
+ROW, COLUMN = np.indices(SHAPE)
+ODD = ROW % 2, COLUMN % 2
+MOSAIC = np.select([ODD[0] + ODD[1] == 0, ODD[0] + ODD[1] == 2], [0.6, 0.4], 1.0)
+RIGHT = COLUMN // (SHAPE[1] // 2)
+
+
+def read_out(rng, *, gain=K, offset=64.0, light=1.0, columns=0.0):
+    """Flats and darks of pixels that differ as stated, of columns whose offsets are random, too."""
+    fixed = offset + columns * rng.standard_normal((1, SHAPE[1]))
+
+    def frame(photons):
+        electrons = rng.poisson(QE * photons * light * np.ones(SHAPE))
+        electrons = electrons + 4 * rng.standard_normal(SHAPE)
+        return np.clip(np.round(gain * electrons + fixed), 0, 65535)
+
+    flats = [[frame(p), frame(p)] for p in PHOTONS]
+    darks = [[frame(0.0), frame(0.0)] for _ in PHOTONS]
+    return flats, darks, [0.01] * len(PHOTONS), list(PHOTONS)
+
+
+def structure(frames):
+    measured = noise.from_frames(*frames, camera=noise.Camera(bits=16))
+    return periodic_structure(measured, linear_levels(measured))
+
+
+def test_two_amplifiers_are_found_and_named():
+    frames = read_out(
+        np.random.default_rng(6),
+        gain=np.where(COLUMN % 2, 0.31, 0.25),
+        offset=np.where(COLUMN % 2, 80.0, 64.0),
+    )
+    (found,) = structure(frames)
+    assert (found.where, found.period) == ("columns", 2)
+    np.testing.assert_allclose(found.gains, (0.25, 0.31), rtol=0.03)
+    np.testing.assert_allclose(np.diff(found.offsets), 16, atol=0.1)
+    named, widened = periodic_in_words((found,), 0.28)
+    assert named.startswith("Even and odd columns differ in gain by 2")
+    assert "camera.taps = [1, 2]" in named
+    assert "holds for no pixel" in widened
+
+
+@pytest.mark.parametrize(
+    ("camera", "where", "period", "what"),
+    [
+        ({"offset": 64 + np.array([0.0, 4, 0, 2])[COLUMN % 4]}, "columns", 4, "offsets"),
+        ({"offset": 64 + 3.0 * (ROW % 8 == 5)}, "rows", 8, "offsets"),
+        ({"light": np.where(ROW % 2, 0.97, 1.0)}, "rows", 2, "signals"),
+        ({"light": MOSAIC}, "mosaic", 2, "signals"),
+        ({"gain": np.where(RIGHT, 0.28, 0.25)}, "left and right halves", 0, "gains"),
+    ],
+    ids=["four taps", "eight rows", "interlaced", "mosaic", "halves"],
+)
+def test_structure_of_a_known_period_is_found(camera, where, period, what):
+    (found,) = structure(read_out(np.random.default_rng(7), **camera))
+    assert (found.where, found.period) == (where, period)
+    assert getattr(found, what)
+    assert len(periodic_in_words((found,), K)) == 1 + bool(found.gains)
+
+
+def test_unequal_columns_and_a_light_that_falls_off_are_no_structure():
+    alarms = 0
+    for seed in range(12):
+        falls = 1 - 0.3 * ((COLUMN - 20) ** 2 + (ROW - 40) ** 2) / SHAPE[0] ** 2
+        rng = np.random.default_rng(100 + seed)
+        alarms += bool(structure(read_out(rng, columns=1.5, light=falls)))
+    assert alarms == 0
+
+
+@pytest.mark.long
+def test_the_gain_of_two_amplifiers_covers_both_and_each_tap_has_its_own():
+    frames = read_out(
+        np.random.default_rng(8),
+        gain=np.where(COLUMN % 2, 0.31, 0.25),
+        offset=np.where(COLUMN % 2, 80.0, 64.0),
+    )
+    together = noise.calibrate(noise.from_frames(*frames, camera=noise.Camera(bits=14)))
+    low, high = together.shown["system_gain"].interval_95
+    assert low < 0.25 < 0.31 < high
+    taps = noise.Camera(bits=14, taps=(1, 2))
+    for channel, gain, black in (("tap 0,0", 0.25, 64.0), ("tap 0,1", 0.31, 80.0)):
+        own = noise.calibrate(noise.from_frames(*frames, camera=taps, channel=channel))
+        assert own.periodic == ()
+        assert_true(own.shown, system_gain=gain, black_level=black, read_noise=4.0)
+
+
+@pytest.mark.long
+def test_the_command_calibrates_each_tap(tmp_path):
+    flats, darks, *_ = read_out(np.random.default_rng(9), gain=np.where(COLUMN % 2, 0.31, 0.25))
+    lines = ["[camera]", "bits = 14", "taps = [1, 2]"]
+    for kind, levels in (("flat", flats), ("dark", darks)):
+        for i, level in enumerate(levels):
+            names = [f"{kind}_{i}_{j}.png" for j in range(len(level))]
+            for name, frame in zip(names, level, strict=True):
+                write_image(tmp_path / name, frame.astype(np.uint16))
+            lines += [f"[[{kind}]]", f"files = {names}", "exposure = 0.01"]
+            lines += [f"photons = {PHOTONS[i]}"] * (kind == "flat")
+    (tmp_path / "rig.toml").write_text("\n".join(lines).replace("'", '"'))
+    sections, _ = folders.noise(
+        tmp_path,
+        lambda label: nullcontext(lambda done, total: None),
+        lambda kind, progress: {"sampling": None},
+    )
+    assert [one.kind for one in sections] == ["noise", "noise_tap_0_1"]
+    for one, gain in zip(sections, (0.25, 0.31), strict=True):
+        found = one.estimate("system_gain", method="likelihood")
+        assert abs(found.value - gain) < 3.5 * found.standard_error
+    assert sections[0].tables[0].title == "Sites by likelihood"
+    assert len(sections[0].tables[0].rows) == 2

@@ -1,0 +1,268 @@
+"""Structure of a known period that nobody stated: several amplifiers, colour mosaics, interlaced
+rows, halves with a converter each.
+
+Where neighbouring columns go through two amplifiers, or pixels of a mosaic see two colours, rows or
+columns repeat after 2, 4 or 8. Statistics of the pixels are kept by row and by column, each modulo
+16, and by place in a cell of 4 x 4; those of one class are replicates, whose own scatter says what
+chance and unequal lines do, so that an F-test finds a period. Gains K of classes or of halves that
+differ are no gain of any pixel when they are taken together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import fdtrc, ndtr
+
+from ..inference.formatting import format_number
+from .levels import PhotonTransfer
+from .shared import believed_lines
+
+RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
+CELL = 4
+PERIODS = (2, 4, 8)
+LINES = ("rows", "columns")
+CHANCE = 1e-4  # that a camera without structure shows as much
+SMALL = 0.1  # of a pixel's temporal noise; structure below it changes nothing that noise does not
+BENT = 0.2  # of a difference in signal: what a curved characteristic may make of it in gain
+WORDS = {2: "Even and odd {0}", 4: "The {0} of every four", 8: "The {0} of every eight"}
+
+
+def residues(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 3 residues"]:
+    """Means by row and by column modulo 16, and by place in a cell of 4 x 4.
+
+    Args:
+        average: (h, w) of the frames of a level, DN.
+        temporal: (h, w) variance, DN^2.
+
+    Returns:
+        Of both; NaN of frames with fewer than 32 rows or columns.
+    """
+    found = np.full((2, 3, RESIDUES), np.nan)
+    if min(average.shape) < 2 * RESIDUES:
+        return found
+    for own, plane in zip(found, (average, temporal), strict=True):
+        rows, columns = plane.mean(axis=1), plane.mean(axis=0)
+        own[0] = [rows[i::RESIDUES].mean() for i in range(RESIDUES)]
+        own[1] = [columns[i::RESIDUES].mean() for i in range(RESIDUES)]
+        cell = [plane[i::CELL, j::CELL].mean() for i in range(CELL) for j in range(CELL)]
+        own[2] = cell
+    return found
+
+
+def quarters(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 4"]:
+    """Means over the quarters of a frame: top left, top right, bottom left, bottom right.
+
+    Args:
+        average: (h, w) of the frames of a level, DN.
+        temporal: (h, w) variance, DN^2.
+
+    Returns:
+        Of both; NaN of frames of one row or column.
+    """
+    (h, w), found = average.shape, np.full((2, 4), np.nan)
+    if min(h, w) > 1:
+        for own, plane in zip(found, (average, temporal), strict=True):
+            halves = plane[: h // 2], plane[h // 2 :]
+            own[:] = [x.mean() for half in halves for x in (half[:, : w // 2], half[:, w // 2 :])]
+    return found
+
+
+@dataclass(frozen=True)
+class Periodic:
+    """What repeats.
+
+    Attributes:
+        where: "rows", "columns", "mosaic", "left and right halves" or "top and bottom halves".
+        period: of rows or columns, or 2 of a mosaic; 0 of halves.
+        gains: DN/e-, of each class; empty where they do not differ.
+        offsets: DN, of each class in the dark; likewise.
+        signals: relative to their mean, of each class; likewise.
+    """
+
+    where: str
+    period: int
+    gains: tuple[float, ...] = ()
+    offsets: tuple[float, ...] = ()
+    signals: tuple[float, ...] = ()
+
+    @property
+    def unequal(self) -> float:
+        """Relative deviation, rms, of the classes' gains."""
+        return float(np.std(self.gains) / np.mean(self.gains)) if self.gains else 0.0
+
+
+def periodic_structure(
+    measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
+) -> tuple[Periodic, ...]:
+    """Rows, columns, cells and halves that differ, beyond chance and by enough to matter.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        What was found.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    if bright.residues is None or dark.residues is None or not len(usable):
+        return ()
+    matched = np.asarray(measurement.dark_of)[usable]
+    lit, unlit = np.asarray(bright.residues)[usable], np.asarray(dark.residues)
+    signal, shot = np.moveaxis(lit - unlit[matched], 1, 0)  # (levels, 3, residues) each
+    weight = 1 / np.asarray(bright.variance)[usable][:, None, None] ** 2
+    gains = np.sum(weight * signal * shot, axis=0) / np.sum(weight * signal**2, axis=0)
+    share = np.mean(signal / signal.mean(axis=2, keepdims=True), axis=0)
+    black = unlit[:, 0].mean(axis=0)
+    top = int(np.argmax(np.asarray(bright.mean)[usable]))
+    of_dark = float(np.sqrt(np.median(np.asarray(dark.variance))))
+    of_top = float(np.sqrt(np.asarray(bright.variance)[usable][top]) / signal[top].mean())
+    known = float(np.std(gains[0], ddof=1) / np.mean(gains[0]) / np.sqrt(RESIDUES))
+    least = {"gains": known, "offsets": SMALL * of_dark, "signals": SMALL * of_top}
+    values = {"gains": gains, "offsets": black, "signals": share}
+    if not np.isfinite(gains).all():
+        return tuple(_unequal_halves(measurement, usable, matched))
+
+    def that_matter(classes: dict[str, tuple[float, ...]], signals: tuple[float, ...]) -> dict:
+        """Of the quantities that differ, those whose differences are not small."""
+        bent = BENT * _spread("signals", signals)
+        small = least | {"gains": max(least["gains"], bent)}
+        return {name: own for name, own in classes.items() if _spread(name, own) > small[name]}
+
+    found: list[Periodic] = []
+    cells = {name: own for name, one in values.items() if (own := _cell_classes(one[2]))}
+    of_cells = tuple(share[2].reshape(2, 2, 2, 2).mean(axis=(0, 2)).ravel().tolist())
+    if cells := that_matter(cells, of_cells):
+        found.append(Periodic("mosaic", 2, **cells))
+    for kind, where in enumerate(LINES):
+        periods = {name: _period(one[kind]) for name, one in values.items() if name not in cells}
+        period = max(periods.values(), default=0)
+        if not period:
+            continue
+        lines = {name: _classes(values[name][kind], period) for name, own in periods.items() if own}
+        if lines := that_matter(lines, _classes(share[kind], period)):
+            found.append(Periodic(where, period, **lines))
+    return (*found, *_unequal_halves(measurement, usable, matched))
+
+
+def _spread(name: str, values: tuple[float, ...]) -> float:
+    """Of gains relative, as signals are already."""
+    return float(np.std(values) / (np.mean(values) if name == "gains" else 1.0))
+
+
+def _classes(values: np.ndarray, period: int) -> tuple[float, ...]:
+    return tuple(values.reshape(-1, period).mean(axis=0).tolist())
+
+
+def _period(values: Float[np.ndarray, " residues"]) -> int:
+    """The shortest period beyond which nothing is left to explain; 0 without any."""
+    chosen, explained = 0, np.full(RESIDUES, values.mean())
+    for period in PERIODS:
+        fitted = np.tile(values.reshape(-1, period).mean(axis=0), RESIDUES // period)
+        more = period - (chosen or 1)
+        gain, left = np.sum((fitted - explained) ** 2), np.sum((values - fitted) ** 2)
+        degrees = RESIDUES - period
+        if gain > 0 and fdtrc(more, degrees, gain / more / max(left / degrees, 1e-300)) < CHANCE:
+            chosen, explained = period, fitted
+    return chosen
+
+
+def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
+    """Means of the four sites of a 2 x 2 cell that rows and columns together do not explain; none
+    where they do."""
+    cell = values.reshape(CELL // 2, 2, CELL // 2, 2)  # (., row, ., column)
+    sites = cell.mean(axis=(0, 2))
+    contrast = sites[0, 0] + sites[1, 1] - sites[0, 1] - sites[1, 0]
+    left = float(np.sum((cell - sites[None, :, None, :]) ** 2)) / 12
+    ratio = contrast**2 / max(4 * left / 4, 1e-300)
+    return tuple(sites.ravel().tolist()) if fdtrc(1, 12, ratio) < CHANCE else ()
+
+
+def _unequal_halves(
+    measurement: PhotonTransfer, usable: np.ndarray, matched: np.ndarray
+) -> list[Periodic]:
+    """Halves whose gains differ, which uneven light does not do."""
+    bright, dark = measurement.bright, measurement.dark
+    if bright.quarters is None or dark.quarters is None:
+        return []
+    # Noise of whole rows or columns makes variances of halves less well known.
+    if bright.flicker is not None or believed_lines(dark.shared, dark.variance, dark.frames):
+        return []
+    lit, unlit = np.asarray(bright.quarters)[usable], np.asarray(dark.quarters)
+    signal, shot = np.moveaxis(lit - unlit[matched], 1, 0)  # (levels, quarters) each
+    variance, frames = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
+    weight = ((frames - 1) / variance**2)[:, None]
+    squares = np.sum(weight * signal**2, axis=0)
+    gains = np.sum(weight * signal * shot, axis=0) / squares
+    errors = np.sqrt(2 / (squares * float(bright.pixels) / 4))
+    found = []
+    for where, one, other in (
+        ("left and right halves", [0, 2], [1, 3]),
+        ("top and bottom halves", [0, 1], [2, 3]),
+    ):
+        pair = gains[one].mean(), gains[other].mean()
+        error = np.sqrt(np.sum(errors**2)) / 2
+        lights = signal[:, one].sum(), signal[:, other].sum()
+        bent = BENT * abs(lights[0] - lights[1]) / (lights[0] + lights[1])
+        apart = abs(pair[0] - pair[1])
+        if not np.isfinite(error) or apart / (pair[0] + pair[1]) < bent:
+            continue
+        if 2 * ndtr(-apart / error) < CHANCE:
+            found.append(Periodic(where, 0, gains=(float(pair[0]), float(pair[1]))))
+    return found
+
+
+def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
+    """Relative deviation, rms, of the gains of all classes.
+
+    Args:
+        found: as `periodic_structure` has it.
+    """
+    return float(np.sqrt(sum(one.unequal**2 for one in found)))
+
+
+def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
+    """A sentence or two for each.
+
+    Args:
+        found: as `periodic_structure` has it.
+        gain: K of all pixels, DN/e-.
+
+    Returns:
+        The sentences.
+    """
+    told = []
+    for one in found:
+        if one.where == "mosaic":
+            who, remedy = "The four sites of a cell of 2 x 2 pixels", "camera.taps = [2, 2]"
+        elif one.period:
+            who = WORDS[one.period].format(one.where)
+            taps = [one.period, 1] if one.where == "rows" else [1, one.period]
+            remedy = f"camera.taps = {taps}"
+        else:
+            who, remedy = f"The {one.where}", "camera.region, one half at a time,"
+        parts = []
+        if one.gains:
+            span = 100 * (max(one.gains) / min(one.gains) - 1)
+            listed = ", ".join(f"{x:.4g}" for x in one.gains)
+            parts.append(f"in gain by {span:.3g} % ({listed} DN/e⁻)")
+        if one.offsets:
+            span = max(one.offsets) - min(one.offsets)
+            parts.append(f"in black level by {span:.3g} DN ({format_number(span / gain, 1)} e⁻)")
+        if one.signals and not one.gains:
+            span = 100 * (max(one.signals) / min(one.signals) - 1)
+            parts.append(f"in signal by {span:.3g} %")
+        cause = "several amplifiers"
+        if not one.gains and one.signals:
+            cause = "a colour mosaic" if one.where != "rows" else "interlaced rows, or a mosaic"
+            remedy = f"camera.pattern of a mosaic, or {remedy}"
+        told.append(
+            f"{who} differ {' and '.join(parts)}, as of {cause}; give {remedy} to calibrate them "
+            "apart."
+        )
+        if one.gains:
+            told.append(
+                f"K is between their gains and holds for no pixel; its errors, and those of what "
+                f"follows from it, are widened by their deviation, {100 * one.unequal:.2g} %."
+            )
+    return told
