@@ -110,7 +110,7 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
 
 def _warn_of_rgb(*layers: Layer) -> None:
     """A warning where pictures of three channels have hardly a pixel that is covered or not."""
-    if any(not is_known(x) or x.ndim < 3 or x.shape[-1] != 3 for x in layers):
+    if any(not is_known(x) or x.ndim < 3 or x.shape[-1] != 3 or x.size < 100 for x in layers):
         return
     whole = [np.isin(np.asarray(x[..., -1]), (0, 1)).mean() for x in layers]
     if max(whole) < 0.5:

@@ -9,6 +9,8 @@ confidence). It is solved by conjugate gradients with a multigrid preconditioner
 that of the solution, by one more solve, not of the steps.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -49,7 +51,8 @@ def closed_form_matte(
 ) -> Matte:
     """The matte of a picture by a trimap.
 
-    Compile it once, by `jax.jit`: that takes seconds, a call a fraction of one.
+    Its first call for a size of picture compiles for some seconds, a later one takes a fraction of
+    one.
 
     Args:
         image: (h, w, bands) linear relative light, at least 3 x 3 pixels.
@@ -93,6 +96,19 @@ def closed_form_matte(
     _check_numbers(image, trimap)
     if tolerance is None:
         tolerance = 1e-7 if image.dtype == jnp.float64 else 1e-6
+    return _solved(image, trimap, epsilon, confidence, tolerance, max_steps)
+
+
+@partial(jax.jit, static_argnames="max_steps")
+def _solved(
+    image: Float[Array, "h w bands"],
+    trimap: Float[Array, "h w"],
+    epsilon: float,
+    confidence: float | None,
+    tolerance: float,
+    max_steps: int,
+) -> Matte:
+    """The matte of checked arguments, one program for each size."""
     known = ((trimap <= BACKGROUND) | (trimap >= FOREGROUND)).astype(image.dtype)
     known = jnp.where(jnp.isnan(trimap), jnp.nan, known)  # neither known nor to be found
     alpha_known = (trimap >= FOREGROUND).astype(image.dtype)

@@ -10,6 +10,7 @@ Uelwer, Conrad, Harmeling, "Fast Multi-Level Foreground Estimation", ICPR 2020.
 """
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -76,6 +77,14 @@ def estimate_foreground(
             f"alpha must be (h, w, 1) for its image (h, w, bands), got {alpha.shape} and "
             f"{image.shape}."
         )
+    return _over_levels(image, alpha, regularisation, coarse_steps, fine_steps)
+
+
+@partial(jax.jit, static_argnames=("coarse_steps", "fine_steps"))
+def _over_levels(
+    image: Picture, alpha: Alpha, regularisation: float, coarse_steps: int, fine_steps: int
+) -> tuple[Picture, Picture]:
+    """Both pictures from checked arguments, one program for each size."""
     rows, columns = image.shape[:2]
     levels = max(math.ceil(math.log2(max(rows, columns))), 0)
     foreground = background = jnp.mean(image, axis=(0, 1), keepdims=True)
