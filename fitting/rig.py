@@ -405,6 +405,12 @@ class Light(Entry):
                 f"direction_sd = {self.direction_sd:g} rad tells nothing of a direction; give it "
                 "in radians"
             )
+        for name in ("intensity_sd", "exposure_sd", "stray_sd"):
+            relative = getattr(self, name) or 0.0
+            if relative >= 1:
+                raise ValueError(
+                    f"{name} = {relative:g} is relative: give {relative / 100:g} for {relative:g} %"
+                )
         if self.direction is not None:
             length = math.hypot(*self.direction)
             if abs(length - 1) > 1e-2:

@@ -18,7 +18,8 @@ from fitting.reflectance.from_files.read import read_measured_brdf
 from fitting.reflectance.from_files.section import section
 from fitting.reflectance.from_images.section import section as images_section
 from fitting.reflectance.from_images.shading_check import without_strangers
-from fitting.rig import Light
+from fitting.rig import Camera, Light, SphereGeometry
+from jaxvision.errors import InputError
 
 VIEWERS = np.radians(np.arange(2.0, 85, 4))
 AZIMUTHS = np.radians(np.arange(0.0, 181, 30))
@@ -90,6 +91,42 @@ def test_the_intensity_of_a_grey_light_is_one_number():
     """As files of grey photographs state it."""
     light = Light(file="a.png", direction=(0.0, 0.0, 1.0), intensity=1.5776)
     assert light.intensity == (1.5776,)
+
+
+ROWS, COLUMNS = np.mgrid[:24, :24]
+X, Y = (COLUMNS - 11.5) / 12, (11.5 - ROWS) / 12
+INSIDE = np.hypot(X, Y) < 0.95
+BALL = np.stack([X, Y, np.sqrt(np.maximum(1 - X**2 - Y**2, 0))], axis=-1) * INSIDE[..., None]
+TURNS = 2 * np.pi * np.arange(6) / 6
+AROUND = np.stack([0.5 * np.cos(TURNS), 0.5 * np.sin(TURNS), np.full(6, np.sqrt(0.75))], axis=1)
+
+
+def matt_ball(**options):
+    """Photographs of a matt ball of 500 DN, read as they come."""
+    shading = np.maximum(np.einsum("hwc,lc->lhw", BALL, AROUND), 0)
+    images = np.round(60 + 500 * shading + np.random.default_rng(0).normal(0, 1, shading.shape))
+    settings = {"camera": Camera(bits=12, black_level=60.0), "normals": BALL} | options
+    return reflectance.from_photographs(list(images), AROUND, **settings)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"intensity_sd": 5.0}, r"intensity_sd = 5 is relative: give 0\.05 for 5 %"),
+        ({"exposure_sd": 2.0}, r"exposure_sd = 2 is relative: give 0\.02 for 2 %"),
+        ({"normals": BALL * [1, 1, -1]}, "normals point away from the camera"),
+    ],
+)
+def test_what_no_rig_can_mean_is_refused_in_one_sentence(options, said):
+    with pytest.raises(InputError, match=said):
+        matt_ball(**options)
+
+
+def test_a_mask_that_leaves_out_nothing_is_told():
+    assert not any("no effect" in sentence for sentence in matt_ball(mask=INSIDE).findings)
+    sphere = SphereGeometry(centre=(11.5, 11.5), radius=12.0)
+    seen = matt_ball(mask=np.ones((24, 24), bool), sphere=sphere, normals=None)
+    assert any("leaves out no pixel; it has no effect" in sentence for sentence in seen.findings)
 
 
 def black(dn):

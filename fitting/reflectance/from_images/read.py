@@ -150,7 +150,7 @@ def read_reflectance_observation(
         gamma=camera.encoding,
         gain=camera.gain,
         read_noise=camera.read_noise,
-        findings=(*how, *_assumptions(rig)),
+        findings=(*how, *_assumptions(rig), *_mask_without_effect(rig, shape, load)),
         uncertain={
             name: np.array([getattr(light, name) or 0.0 for light in rig.light])
             for name in OF_LIGHTS
@@ -195,6 +195,13 @@ def _surface(
     return rows, columns, normals[rows, columns]
 
 
+def _mask_without_effect(rig: Rig, shape: tuple[int, int], load: Load) -> tuple[str, ...]:
+    named = None if rig.geometry is None else rig.geometry.mask
+    if named is None or not read_mask(rig.path(named), rig.camera, shape=shape, load=load).all():
+        return ()
+    return (f"The mask {named} leaves out no pixel; it has no effect.",)
+
+
 def _sphere_normals(
     sphere: SphereGeometry, shape: tuple[int, int], camera: Camera
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
@@ -228,6 +235,12 @@ def _stored_normals(
             "mask those pixels."
         )
     unit = normals / np.where(claimed, length, 1)[..., None]
+    away = np.count_nonzero(claimed & (unit[..., 2] < 0))
+    if 2 * away > np.count_nonzero(claimed):
+        raise InputError(
+            f"{path}: {away} of {np.count_nonzero(claimed)} normals point away from the camera, "
+            "where no pixel sees them; z is toward the camera, so change its sign."
+        )
     return unit, claimed & (unit[..., 2] > 0)
 
 
