@@ -7,12 +7,13 @@ import sys
 import numpy as np
 import pytest
 
+from fitting.rig_from_folder import rig_of
 from jaxvision.errors import InputError
 from jaxvision.image_settings import read_settings
 from jaxvision.io import read_image
 
 
-def dng(codes, *, exif_apart=True, orientation=1):
+def dng(codes, *, exif_apart=True, orientation=1, black=(64,)):
     """A minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic; times and
     ISO in a directory of EXIF, or in the main one as in TIFF/EP."""
     height, width = codes.shape
@@ -62,7 +63,8 @@ def dng(codes, *, exif_apart=True, orientation=1):
             *([entry(34665, 4, [1024])] if exif_apart else exif),
             entry(50706, 1, [1, 4, 0, 0]),
             entry(50708, 2, "Maker Model 3"),
-            entry(50714, 3, [64]),
+            *([entry(50713, 3, [2, 2])] if len(black) > 1 else []),
+            entry(50714, 3, black),
             entry(50717, 3, [4095]),
             entry(50721, 10, identity),
             entry(50778, 3, [21]),
@@ -90,6 +92,15 @@ def test_raw_files_give_the_mosaic_and_its_settings(exif_apart, tmp_path, codes)
     assert (said.iso, said.camera, said.pattern) == (400, "Maker Model 3", "BGGR")
     assert (said.black_level, said.saturation) == (64, 4095)
     assert said.taken == datetime.datetime(2026, 5, 4, 12, 30)
+
+
+def test_raw_files_give_the_black_level_of_each_site(tmp_path, codes):
+    """In the order of the pattern, BGGR, as a rig has it."""
+    pytest.importorskip("rawpy")
+    for name in ("scene_1-8s.dng", "scene_1-2s.dng"):
+        (tmp_path / name).write_bytes(dng(codes, black=(60, 62, 63, 68)))
+    assert read_settings(tmp_path / "scene_1-8s.dng").black_level == (60, 62, 63, 68)
+    assert "black_level = [60, 62, 63, 68]" in rig_of(tmp_path).text
 
 
 def test_fits_files_give_their_numbers_and_header(tmp_path, codes):
