@@ -36,6 +36,7 @@ from fitting.inference.formatting import (
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
 from fitting.reflectance.from_images.comparison import ModelScore, comparison_table
+from fitting.report import progress
 from fitting.report.chains import corner_figure
 from fitting.report.console import plain_tables, print_section, section_text
 from fitting.report.inputs import MOST_PICTURES, inputs_of
@@ -455,3 +456,17 @@ def test_a_size_that_is_known_from_above_alone_is_drawn_in_its_unit():
     one = SimpleNamespace(space=space, samples=np.stack(drawn, axis=1))
     figure = corner_figure({"red": one, "green": one}, {})
     assert [axis.get_xlabel() for axis in figure.axes[2:]] == ["Δ$γ$\n[%]", "$τ$"]
+
+
+def test_a_long_step_without_a_terminal_says_how_far_it_is(monkeypatch, capsys):
+    """Once in half a minute, from the second step of the work on."""
+    clock = iter([0.0, 10.0, 45.0, 50.0, 90.0, 91.0])
+    monkeypatch.setattr(progress, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    with progress.reporting() as reporter, reporter.step("fitting") as advance:
+        for done in (1, 2, 3, 4):
+            advance(done, 5)
+    assert capsys.readouterr().err.split("\n")[:3] == [
+        "fitting: 2 of 5",
+        "fitting: 4 of 5",
+        "fitting: done",
+    ]

@@ -10,6 +10,7 @@ from rich.console import Console
 
 _LOG = logging.getLogger("jaxvision.fitting")
 Progress = Callable[[int, int], None]  # called with (done, total)
+SILENT = 30.0  # s, after which a step that goes on says so where there is no terminal
 
 
 class Reporter:
@@ -21,15 +22,21 @@ class Reporter:
     @contextmanager
     def step(self, description: str) -> Iterator[Progress]:
         """Shows `description` while the block runs; call what it yields with (done, total)."""
-        begun = time.perf_counter()
+        begun = told = time.perf_counter()
         task = self._progress.add_task(description, total=None)
+        terminal = self._progress.console.is_terminal
 
         def advance(done: int, total: int) -> None:
+            nonlocal told
             self._progress.update(task, completed=done, total=total)
+            now = time.perf_counter()
+            if not terminal and 0 < done < total and now - told > SILENT:
+                told = now
+                self._progress.console.print(f"{description}: {done} of {total}")
 
         yield advance
         self._progress.update(task, total=1, completed=1)
-        if not self._progress.console.is_terminal:
+        if not terminal:
             self._progress.console.print(f"{description}: done")
         _LOG.info("%s took %.2f s", description, time.perf_counter() - begun)
 
