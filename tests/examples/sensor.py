@@ -114,6 +114,8 @@ EXAMPLES = {
     "sensor.expectation.expected_of_defect": ((KEY, X), {"function": one}),
     "sensor.expectation.expected_of_reading": ((KEY, X, ONE), {"function": one}),
     "sensor.shot_noise.count": ((KEY, ELECTRONS, s.GaussianShotNoise()), {}),
+    "sensor.shot_noise.poisson_deviance": ((ELECTRONS, 0.5 * ELECTRONS, 0.5 * ELECTRONS), {}),
+    "sensor.shot_noise.stirling_remainder": ((ELECTRONS,), {}),
     "sensor.shutter.exposed": (
         (SHUTTER, ONE),
         {"picture_at": moving, "rows": 4, "slots": 5},
