@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.observation import (
+    one_black,
     read_frame,
     read_mask,
     read_stack,
@@ -274,3 +275,12 @@ def test_colour_images_of_two_taps_have_six_planes():
 def test_one_intensity_needs_no_list(tmp_path):
     rig = load_rig(write_rig(tmp_path, GOOD.replace("[1.0, 2.0, 3.0]", "1.5776")))
     assert rig.light[0].intensity == (1.5776,)
+
+
+def test_pixels_of_several_blacks_are_fitted_with_their_mean():
+    """The least room to saturation counts for all."""
+    camera = Camera(bits=12, black_level=[60, 70, 80], saturation=[4000, 4050, 4095], gain=0.5)
+    alike = one_black(camera)
+    assert (alike.black_level, alike.saturation, alike.gain) == (70, 4000 - 60 + 70, 0.5)
+    with pytest.raises(InputError, match=r"camera\.gain lists several numbers, but all pixels"):
+        one_black(Camera(bits=12, gain=[0.5, 0.6, 0.5]))

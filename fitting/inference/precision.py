@@ -1,6 +1,6 @@
 """Searches for an optimum take 16 digits, of which a sum over many samples leaves 7 at best."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import Parameter, signature
 from typing import ParamSpec, TypeVar
@@ -34,14 +34,45 @@ def in_double(function: Callable[P, T]) -> Callable[P, T]:
                 f"{getattr(function, '__name__', 'function')} takes {placed} of its arguments by "
                 f"their place; write {named}."
             )
-        if "mcmc" in kwargs and "mcmc" not in by_name:
-            raise TypeError(
-                f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the "
-                "command has; give sampling=SamplingOptions(), from fitting, for a chain."
-            )
+        refuse_word_of_command(function, kwargs)
         if jax.dtypes.canonicalize_dtype(np.float64) == np.float64:
             return function(*args, **kwargs)  # a context that changes nothing would compile anew
         with jax.enable_x64(True):
             return function(*args, **kwargs)
+
+    return done
+
+
+def refuse_word_of_command(function: Callable[..., object], given: Mapping[str, object]) -> None:
+    """Refuses `mcmc`, which the command has and no function, by what a function has instead.
+
+    Args:
+        function: that was called.
+        given: arguments by keyword.
+
+    Raises:
+        TypeError: where `mcmc` is among them.
+    """
+    if "mcmc" in given and "mcmc" not in signature(function).parameters:
+        raise TypeError(
+            f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the command "
+            "has; give sampling=SamplingOptions(), from fitting, for a chain."
+        )
+
+
+def in_words_of_its_own(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, with words of the command answered in one sentence.
+
+    Args:
+        function: that takes sampling options.
+
+    Returns:
+        The same function.
+    """
+
+    @wraps(function)
+    def done(*args: P.args, **kwargs: P.kwargs) -> T:
+        refuse_word_of_command(function, kwargs)
+        return function(*args, **kwargs)
 
     return done

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from photographs import photograph
 
+from fitting import joint, noise, reflectance
+from fitting.reflectance.from_files.calibration import calibrate as of_files
 from fitting.response import Camera, calibrate, fit_response_curve, from_stack, read_exposure_stack
 from fitting.response.calibration import radiance_images
 from fitting.response.code_bins import code_bins
@@ -310,8 +312,9 @@ def test_photographs_of_two_iso_speeds_are_for_the_user_to_choose(tmp_path):
 def test_the_word_of_the_command_is_answered():
     codes = np.random.default_rng(5).integers(1, 200, (2, 20, 20))
     stack = from_stack(codes, (0.5, 1.0), camera=Camera(bits=8))
-    with pytest.raises(TypeError, match=r"calibrate has no argument mcmc.*sampling=Sampling"):
-        calibrate(stack, mcmc=True)
+    for one in (calibrate, noise.calibrate, joint.calibrate, reflectance.calibrate, of_files):
+        with pytest.raises(TypeError, match=r"calibrate has no argument mcmc.*sampling=Sampling"):
+            one(stack, mcmc=True)
 
 
 def test_a_16_bit_file_may_be_left_aligned_for_init(tmp_path):

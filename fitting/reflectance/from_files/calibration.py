@@ -24,6 +24,7 @@ from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import SamplingOptions, for_group
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
+from ...inference.precision import in_words_of_its_own
 from ...report.notebook import ShownInNotebooks
 from ..models import REFLECTANCES, amplitude, check_index, has_lobe, shape_range, unit_brdf
 from ..names import INDEX, Model, Objective
@@ -87,6 +88,7 @@ class BRDFCalibration(ShownInNotebooks):
     posterior: Posterior | None
 
 
+@in_words_of_its_own
 def calibrate(
     measured: MeasuredBRDF,
     *,
