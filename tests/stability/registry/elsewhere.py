@@ -219,6 +219,7 @@ ELSEWHERE = (
         "test_photometric_stereo",
         """
             fitting.reflectance.stereo: photometric_stereo
+            fitting.reflectance.stereo_misfit: departures
         """,
     ),
     Elsewhere(
@@ -657,7 +658,8 @@ ELSEWHERE = (
             fitting.joint.misfit: over_images stretched stretched_log_density
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
             fitting.joint.model: cell_errors cost log_likelihood log_posterior predicted signal
-            fitting.joint.model: stored values_at weights
+            fitting.joint.model: stored values_at weights by_image of_one_image
+            fitting.joint.model: log_likelihood_by_image
             fitting.joint.prediction: predict score
             fitting.joint.start: first_noise first_reflectance parameters scatter_scales
             fitting.joint.turns: fit_turned likeliest_turns
@@ -665,12 +667,13 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_brdf_fit test_comparison test_fitted_material",
+        "test_brdf_fit test_comparison test_fitted_material foreign/test_surfaces",
         """
-            fitting.reflectance.from_files.calibration: amplitudes calibrate log_density
+            fitting.reflectance.from_files.calibration: albedo amplitudes calibrate log_density
             fitting.reflectance.from_files.calibration: parameter_space
             fitting.reflectance.from_files.errors: best distinguished errors prediction_of_held_out
             fitting.reflectance.from_files.errors: exceeds_signal metric ratio weight_by_incidence
+            fitting.reflectance.from_files.errors: describes
             fitting.reflectance.from_files.fit: compressed darkness fit_model fit_models reflected
             fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
             fitting.reflectance.models: is_searched
@@ -702,6 +705,8 @@ ELSEWHERE = (
             fitting.reflectance.from_images.posterior: channel_posterior composite
             fitting.reflectance.from_images.posterior: composite_log_density
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
+            fitting.reflectance.from_images.shading_check: without_strangers
+            fitting.reflectance.from_images.read: lightless_images
             fitting.reflectance.from_images.samples: gather lobe_geometry make_samples
             fitting.reflectance.from_images.samples: of_some_pixels select
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
