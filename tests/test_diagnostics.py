@@ -60,3 +60,17 @@ def test_scaling_a_parameter_changes_nothing():
         identifiability(SPACE, gram).inflation,
         rtol=1e-6,
     )
+
+
+@pytest.mark.parametrize(("error", "told"), [(0.003, False), (0.2, True)])
+def test_confusion_is_told_where_knowing_more_would_help(error, told):
+    """A gain and an identity parameter at 5, each with this relative error, 22 times wider than if
+    the other were known."""
+    space = (Parameter("gain", symbol="K", unit="1", transform="log"), SPACE[1])
+    spread = np.array([1.0, 5.0]) * error
+    covariance = np.outer(spread, spread) * np.array([[1, 0.999], [0.999, 1]])
+    judged = identifiability(space, np.linalg.inv(covariance), vector=np.array([0.3, 5.0]))
+    assert bool(judged.sentences) == told
+    np.testing.assert_allclose(judged.inflation, (1 - 0.999**2) ** -0.5)
+    for sentence in judged.sentences:
+        assert "is known to 20 %, 22 times less well" in sentence

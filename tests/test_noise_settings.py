@@ -528,3 +528,14 @@ def test_intervals_of_many_joint_fits_hold_the_truth():
             for own, iso in zip(one, ISO, strict=True)
         ]
         assert ("quantum_efficiency", "gain") in fitted(SETTINGS, wrong).freed
+
+
+@pytest.mark.parametrize(
+    ("values", "serves"), [((100.0, 101.0, 103.0), True), ((100.0, 160.0), False)]
+)
+def test_settings_that_differ_by_little_share_a_value_that_is_less_well_known(values, serves):
+    spread = float(np.std(values))
+    pooled = Pooled(tuple(range(len(values))), float(np.mean(values)), 0.1, 1e3, spread=spread)
+    assert not pooled.holds
+    assert pooled.serves == serves
+    assert pooled.known_to == pytest.approx(np.hypot(0.1, spread))

@@ -110,13 +110,17 @@ def _linear_model(calibration: NoiseCalibration) -> str:
 
 
 def _misfit(calibration: NoiseCalibration) -> list[str]:
-    linear = calibration.linear
+    linear, chosen = calibration.linear, calibration.chosen
     if linear.p_value >= MISFIT:
         return []
+    gain = float(linear.values["system_gain"])
+    said = f"its K is {gain:.5g} DN/e⁻, and the small error it would claim is not to be used"
+    if chosen is not linear:
+        off = 100 * (gain / float(chosen.values["system_gain"]) - 1)
+        said = f"its K of {gain:.5g} DN/e⁻ is {off:+.2g} % off that of the model that is used"
     return [
         f"{_linear_model(calibration)} does not explain the measurement: chi-square per degree of "
-        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}, so its gain and "
-        "the small error that it would claim are not used."
+        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}; {said}."
     ]
 
 

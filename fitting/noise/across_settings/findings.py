@@ -10,6 +10,7 @@ from ..levels import Levels
 from ..misfit import MISFIT
 from .calibration import CameraCalibration
 from .fit import Axis, Claim, OwnDeviation, Quantity
+from .pooled import Pooled
 from .proportional import proportional_gain
 from .sensor import is_impossible
 
@@ -165,24 +166,31 @@ def _dark_current(calibration: CameraCalibration) -> list[str]:
     return []
 
 
+def _given(pooled: Pooled) -> str:
+    """What becomes of a value on which the settings do not agree."""
+    if not pooled.serves:
+        return "no shared value is given"
+    return "they differ by little, by which the error of the shared value is widened"
+
+
 def _pooled(calibration: CameraCalibration) -> list[str]:
     told = []
     if calibration.prnu is not None and not calibration.prnu.holds:
         told.append(
             f"PRNU is not the same at every setting ({format_p(calibration.prnu.p_value)}): uneven "
-            "light that moved, or a non-linearity of the pixels; no shared value is given."
+            f"light that moved, or a non-linearity of the pixels; {_given(calibration.prnu)}."
         )
     if calibration.dsnu is not None and not calibration.dsnu.holds:
         told.append(
             "DSNU in electrons is not the same at every setting "
             f"({format_p(calibration.dsnu.p_value)}): a pattern behind the amplifier shrinks with "
-            "gain, and dark current of unequal pixels grows with temperature; no shared value is "
-            "given."
+            "gain, and dark current of unequal pixels grows with temperature; "
+            f"{_given(calibration.dsnu)}."
         )
     if calibration.full_well is not None and not calibration.full_well.holds:
         told.append(
             "The settings whose wells fill do not agree on how many electrons they hold "
-            f"({format_p(calibration.full_well.p_value)}); no shared value is given."
+            f"({format_p(calibration.full_well.p_value)}); {_given(calibration.full_well)}."
         )
     if calibration.full_well is None:
         told.append(

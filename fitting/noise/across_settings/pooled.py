@@ -18,6 +18,7 @@ from ..misfit import MISFIT, p_value
 from ..parts import Part
 from ..pattern import SEEN
 
+ALIKE = 0.1  # relative deviation of settings up to which one value, less well known, serves all
 AT_FULL_SCALE = 0.98  # of it, from which a brightest level counts as the converter's end
 
 
@@ -31,6 +32,7 @@ class Pooled:
         error: its standard error; of a pattern by temporal noise alone.
         chi_square: of the settings about it.
         parts: of a pattern's variance, in which the die stands for its population.
+        spread: deviation of the settings from the value, rms, in its unit.
     """
 
     settings: tuple[int, ...]
@@ -38,6 +40,7 @@ class Pooled:
     error: float
     chi_square: float
     parts: tuple[Part, ...] = ()
+    spread: float = 0.0
 
     @property
     def p_value(self) -> float:
@@ -46,6 +49,16 @@ class Pooled:
     @property
     def holds(self) -> bool:
         return self.p_value >= MISFIT
+
+    @property
+    def serves(self) -> bool:
+        """Whether one value is given: settings agree, or differ by little."""
+        return self.holds or self.spread < ALIKE * abs(self.value)
+
+    @property
+    def known_to(self) -> float:
+        """Standard error, with the settings' deviation where they do not agree."""
+        return self.error if self.holds else float(np.hypot(self.error, self.spread))
 
     @property
     def seen(self) -> bool:
@@ -87,7 +100,8 @@ def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
         return None
     index, values, errors = (np.array(column) for column in zip(*found, strict=True))
     average, _, chi_square = _average(values, errors)
-    return Pooled(tuple(index.tolist()), average, float(errors.min()), chi_square)
+    spread = float(np.sqrt(np.mean((values - average) ** 2)))
+    return Pooled(tuple(index.tolist()), average, float(errors.min()), chi_square, spread=spread)
 
 
 def pattern(
@@ -116,7 +130,8 @@ def pattern(
         return None
     settings, values, errors, parts = zip(*found, strict=True)
     average, error, chi_square = _average(np.array(values), np.array(errors))
-    return Pooled(settings, average, error, chi_square, parts[int(np.argmin(errors))])
+    spread = float(np.sqrt(np.mean((np.array(values) - average) ** 2)))
+    return Pooled(settings, average, error, chi_square, parts[int(np.argmin(errors))], spread)
 
 
 def _average(values: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:

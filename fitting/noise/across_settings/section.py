@@ -230,17 +230,17 @@ def _read_noises(
 def _of_die(calibration: CameraCalibration) -> list[Estimate]:
     found = []
     well = calibration.full_well
-    if well is not None and well.holds:
+    if well is not None and well.serves:
         steps = ndtri(QUANTILES)
-        ends = well.value * np.exp(steps * well.error / well.value)
-        found.append(quantile_estimate(FULL_WELL, well.value, well.error, ends))
+        ends = well.value * np.exp(steps * well.known_to / well.value)
+        found.append(quantile_estimate(FULL_WELL, well.value, well.known_to, ends))
     for what, pooled, scale in (
         (DSNU, calibration.dsnu, 1.0),
         (PRNU, calibration.prnu, 100.0),
     ):
-        if pooled is not None and pooled.holds:
+        if pooled is not None and pooled.serves:
             under = "temporal noise; take more frames"
-            found.append(_root(what, pooled.value, pooled.error, under, scale, pooled.parts))
+            found.append(_root(what, pooled.value, pooled.known_to, under, scale, pooled.parts))
     return found
 
 

@@ -176,11 +176,11 @@ def _interpolated(
 
 
 def _value(pooled: Pooled | None) -> float | None:
-    return None if pooled is None or not pooled.holds else pooled.value
+    return None if pooled is None or not pooled.serves else pooled.value
 
 
 def _deviation(pooled: Pooled | None) -> float | None:
     """Square root of a pattern's variance, where it is seen and shared."""
-    if pooled is None or not pooled.holds or not pooled.seen:
+    if pooled is None or not pooled.serves or not pooled.seen:
         return None
     return float(np.sqrt(pooled.value))
