@@ -142,7 +142,7 @@ def photograph(
     """
     check_given("photograph: view", view, View)
     if samples is None:
-        _check_lens(view)
+        check_lens(view)
     height, width = view.resolution
     dtype = view.pixel_pitch.dtype
     seed = None if samples is None else seed_of(samples.key)
@@ -311,7 +311,7 @@ def mean_of_samples(
     return mean, jax.tree.map(lambda x: safe_sqrt(x / (float(count) * (count - 1))), squares)
 
 
-def _check_lens(view: View) -> None:
+def check_lens(view: View) -> None:
     """`ValueError` for a thin lens that one ray a pixel would show as a pinhole, all in focus."""
     if isinstance(view, ThinLens) and is_known(view.f_number) and np.isfinite(view.f_number):
         raise ValueError(

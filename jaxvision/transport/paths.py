@@ -398,4 +398,10 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     """
     check_given("path_traced: scene", scene, Scene)
     check_given("path_traced: view", view, View)
+    return _path_traced(key, scene, view, method)
+
+
+@eqx.filter_jit
+def _path_traced(key: Key, scene: Scene, view: View, method: Paths) -> Traced:
+    """One program for each kind of scene and view: an eager loop over new functions has none."""
     return photograph(path_along(scene, method), view, PixelSamples(key, method.samples))

@@ -25,7 +25,7 @@ from ..brdf import is_delta
 from ..geometry import Ray
 from ..lights import Quadrature, rules_of
 from ..rendering import Along, PixelSamples, photograph
-from ..rendering.pixel_loop import in_blocks
+from ..rendering.pixel_loop import check_lens, in_blocks
 from ..scene import Scene, View
 from ._emitters import Toward, shining_ahead, toward_each, transmitted
 from ._vertices import (
@@ -297,6 +297,16 @@ def ray_traced(
     """
     check_given("ray_traced: scene", scene, Scene)
     check_given("ray_traced: view", view, View)
+    if samples is None:
+        check_lens(view)
+    return _ray_traced(scene, view, rays, rule, samples)
+
+
+@eqx.filter_jit
+def _ray_traced(
+    scene: Scene, view: View, rays: int, rule: Quadrature, samples: PixelSamples | None
+) -> Image:
+    """One program for each kind of scene and view: an eager loop over new functions has none."""
     along = ray_tree_along(scene, rays=rays, rule=rule)
     # `vmap` would follow the blocks that have no ray left
     return photograph(along, view, samples, several=False).radiance

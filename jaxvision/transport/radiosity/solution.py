@@ -4,6 +4,7 @@ Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind, and quads 
 the elements directly, with shadows; what then leaves them, patches exchange.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -82,6 +83,19 @@ def radiosity(
         ValueError: for a scene without surfaces, an unknown method, or one that needs a table
             where there is a function.
     """
+    return _radiosity(scene, plan, table, rule, method, rays)
+
+
+@eqx.filter_jit
+def _radiosity(
+    scene: Scene,
+    plan: Plan,
+    table: Float[Array, "elements patches"] | Product | None,
+    rule: Rule,
+    method: str,
+    rays: int,
+) -> Solution:
+    """One program for each kind of scene and plan: eager loops over new functions have none."""
     shapes = shapes_of(scene)
     receivers = receivers_of(scene, plan, shapes)
     given = form_factor_table(scene, plan, rays=rays) if table is None else table
