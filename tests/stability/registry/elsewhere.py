@@ -448,6 +448,20 @@ ELSEWHERE = (
         """,
     ),
     Elsewhere(
+        WORDS,
+        "foreign/test_scenes",
+        """
+            transport.missing: missing_light
+        """,
+    ),
+    Elsewhere(
+        TABLES,
+        "test_optics_distortion",
+        """
+            optics.views: opencv_view
+        """,
+    ),
+    Elsewhere(
         DRAWS,
         "test_transport_light test_transport_paths test_hemisphere",
         """
@@ -476,8 +490,9 @@ ELSEWHERE = (
     ),
     Elsewhere(
         SOLVERS,
-        "test_posterior test_nuts test_convergence test_importance",
+        "test_posterior test_nuts test_convergence test_importance test_fit",
         """
+            fitting.inference.differences: seen_by_differences
             fitting.inference.blocks: begun length next_length stacked store
             fitting.inference.convergence: autocorrelation_times effective_draws split_r_hat
             fitting.inference.convergence: without_bias
