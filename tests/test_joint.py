@@ -27,11 +27,12 @@ from fitting.joint.findings import findings
 from fitting.joint.fit import fit_channel
 from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.halves import Halves, widened
-from fitting.joint.misfit import over_images
+from fitting.joint.misfit import _by_image, over_images
 from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
 from fitting.joint.start import parameters, scatter_scales
+from fitting.joint.turns import fit_turned
 from fitting.joint.unequal_pixels import unequal_pixels
 from fitting.rig import Camera, SphereGeometry
 from jaxvision import Phong, Vec, read_material
@@ -584,6 +585,21 @@ def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prn
     off = fit.vector[own] - truth
     assert np.sqrt(np.mean((off / wider) ** 2)) < 1.6
     assert (wider > 1.5 * alone).all()
+
+
+@pytest.mark.long
+def test_images_whose_lights_were_turned_are_judged_one_by_one():
+    """The angles of the lights have their axis of images last; the scores of all images sum to the
+    gradient of the likelihood, which at the best fit is that of the priors."""
+    lab = Lab(Sphere(direction_sd=np.radians(1.0)), gamma=1.0)
+    fit = fit_turned(photographed(lab, 0), 0, Form("phong", 1.5), fit_gamma=False)
+    assert fit.data.cells.geometry.about is not None
+    vector = jnp.asarray(fit.vector)
+    scores, _ = _by_image(vector, fit.data)
+    whole = jax.grad(log_likelihood)(vector, replace(fit.data, levels=None))
+    size = np.sqrt(np.diagonal(fit.information))
+    np.testing.assert_allclose((np.asarray(scores).sum(axis=0) - whole) / size, 0, atol=1e-6)
+    assert over_images(fit) is None
 
 
 @pytest.mark.slow
