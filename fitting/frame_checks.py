@@ -668,7 +668,7 @@ class Stated:
     Attributes:
         name: of the frame.
         path: where it lies.
-        exposure: s.
+        exposure: s; 0 where the rig states none.
         group: of frames that see the same light through the same lens.
     """
 

@@ -9,6 +9,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from fitting.noise import Camera, calibrate, from_frames
+from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.response import from_stack
 from fitting.response.read import read_exposure_stack
 from jaxvision.errors import InputError
@@ -273,3 +274,21 @@ def test_heads_of_two_gains_are_the_user_s_to_decide(tmp_path):
     (tmp_path / "rig.toml").write_text("\n".join(entries))
     with pytest.raises(InputError, match=r"0\.jpg says ISO 100, that of 1\.jpg ISO 400"):
         read_exposure_stack(tmp_path)
+
+
+def test_a_light_that_was_taken_at_another_gain_is_named(tmp_path):
+    y, x = (np.mgrid[:40, :40] - 19.5) / 18.0
+    z = np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))
+    entries = ["[camera]", "bits = 8", "[geometry]"]
+    entries += ["sphere = { centre = [19.5, 19.5], radius = 18.0 }"]
+    for i, toward in enumerate([(0.6, 0, 0.8), (-0.6, 0, 0.8), (0, 0.6, 0.8), (0, 0, 1)]):
+        shade = np.clip(x * toward[0] - y * toward[1] + z * toward[2], 0, 1)
+        image = np.where(z > 0, 200 * shade, 0).astype(np.uint8)
+        with_head(tmp_path / f"{i}.jpg", image, iso=800 if i == 2 else 100)
+        entries += ["[[light]]", f'file = "{i}.jpg"', f"direction = {list(toward)}"]
+    (tmp_path / "rig.toml").write_text("\n".join(entries))
+    found = read_reflectance_observation(tmp_path)
+    assert found.files == ("0.jpg", "1.jpg", "3.jpg")
+    assert found.findings[0] == (
+        "2.jpg was left out: its head says ISO 800, those of the others ISO 100."
+    )

@@ -17,6 +17,7 @@ from jaxvision.errors import InputError
 from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
+from ...frame_checks import Stated, odd_heads, refuse_half
 from ...inference.formatting import format_percent
 from ...observation import Load, in_region, one_black, read_mask, read_stack, to_one_black
 from ...rig import Camera, Geometry, Light, Purpose, Rig, SphereGeometry, as_rig, require
@@ -121,6 +122,7 @@ def read_reflectance_observation(
             f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; {PURPOSE} needs "
             "demosaicked images (or one plane), so convert them and remove the pattern."
         )
+    rig, told = _without_odd_heads(rig)
     frames = _read_frames(rig, load)
     shape = (frames.shape[2], frames.shape[3])
     rows, columns, normals = _surface(rig, rig.geometry, shape, load)
@@ -150,7 +152,7 @@ def read_reflectance_observation(
         gamma=camera.encoding,
         gain=camera.gain,
         read_noise=camera.read_noise,
-        findings=(*how, *_assumptions(rig), *_mask_without_effect(rig, shape, load)),
+        findings=(*told, *how, *_assumptions(rig), *_mask_without_effect(rig, shape, load)),
         uncertain={
             name: np.array([getattr(light, name) or 0.0 for light in rig.light])
             for name in OF_LIGHTS
@@ -160,6 +162,16 @@ def read_reflectance_observation(
     )
     _refuse_unusable(rig, observation)
     return observation
+
+
+def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
+    """A rig without the lights whose images' heads speak against those of most, and why."""
+    stated = [Stated(light.file, rig.path(light.file), 0.0) for light in rig.light]
+    odd, _ = odd_heads(rig.folder, stated)
+    refuse_half(rig.folder, odd, len(stated))
+    gone = {name for one in odd for name in one.names}
+    kept = tuple(light for light in rig.light if light.file not in gone)
+    return rig.model_copy(update={"light": kept}), [one.sentence for one in odd]
 
 
 def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w"]:
