@@ -2,6 +2,7 @@
 rig, flats and darks of the same camera."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,11 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
+from ..frame_checks import Shown, odd_frames, refuse_half, shown
 from ..noise.settings import require_one_setting
 from ..observation import Load, one_black, read_stack, to_one_black
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
-from ..rig import Rig, SiteCamera, as_rig
+from ..rig import Dark, Flat, Rig, SiteCamera, as_rig
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def read_joint_measurement(
     rig = as_rig(rig)
     observation = read_reflectance_observation(rig, load=load)
     encoded = observation.gamma is not None
-    findings = []
+    rig, findings = _without_odd_frames(rig, load)
     if encoded and rig.dark:
         findings.append(
             "The files are gamma encoded: darks, at the foot of the curve, were left out."
@@ -82,6 +84,40 @@ def read_joint_measurement(
         levels=_levels(rig, len(observation.channels), load, with_darks=not encoded),
         findings=tuple(findings),
     )
+
+
+def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
+    """A rig without the flats and darks that do not belong with the others, and why."""
+    told: list[str] = []
+    black = np.zeros(0)
+    kept: dict[str, list[Flat | Dark]] = {"dark": [], "flat": []}
+    for kind in kept:
+        entries: Sequence[Flat | Dark] = getattr(rig, kind)
+        if not entries:
+            continue
+        levels = [_shown(rig, entry, load) for entry in entries]
+        light = [getattr(entry, "photons", None) or entry.exposure for entry in entries]
+        is_flat = kind == "flat"
+        floor = np.median(black) if black.size else one_black(rig.camera).black_level or 0.0
+        odd = odd_frames(
+            levels, light=light, black=np.full(len(levels), floor) if is_flat else None
+        )
+        refuse_half(rig.folder, odd, sum(len(level) for level in levels))
+        told += [one.sentence for one in odd]
+        gone = {name for one in odd for name in one.names}
+        black = np.array([one.mean for level in levels for one in level if one.name not in gone])
+        for entry in entries:
+            if files := tuple(name for name in entry.files if name not in gone):
+                kept[kind].append(entry.model_copy(update={"files": files}))
+    return rig.model_copy(update={kind: tuple(own) for kind, own in kept.items()}), told
+
+
+def _shown(rig: Rig, entry: Flat | Dark, load: Load) -> list[Shown]:
+    """What is kept of the frames of a level, of colours their mean."""
+    stack = read_stack(rig, entry.files, load=load)
+    grey = stack.mean(axis=3) if stack.ndim == 4 else stack
+    top = one_black(rig.camera).clip_level
+    return [shown(name, frame, top=top) for name, frame in zip(entry.files, grey, strict=True)]
 
 
 def _levels(

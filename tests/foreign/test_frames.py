@@ -8,10 +8,12 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from fitting.joint import from_photographs as joint_photographs
 from fitting.noise import Camera, calibrate, from_frames
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.response import from_stack
 from fitting.response.read import read_exposure_stack
+from fitting.rig import SphereGeometry
 from jaxvision.errors import InputError
 
 GAIN, BLACK, READ_NOISE, FULL = 0.4, 64.0, 2.3, 4095
@@ -292,3 +294,19 @@ def test_a_light_that_was_taken_at_another_gain_is_named(tmp_path):
     assert found.findings[0] == (
         "2.jpg was left out: its head says ISO 800, those of the others ISO 100."
     )
+
+
+def test_a_flat_of_a_joint_measurement_that_does_not_belong_is_named():
+    y, x = (np.mgrid[:40, :40] - 19.5) / 18.0
+    z = np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))
+    lights = np.array([(0.6, 0, 0.8), (-0.6, 0, 0.8), (0, 0.6, 0.8), (0, 0, 1)])
+    shades = [np.clip(x * a - y * b + z * c, 0, 1) for a, b, c in lights]
+    ball = SphereGeometry(centre=(19.5, 19.5), radius=18.0)
+    given = {"camera": Camera(bits=12, black_level=BLACK), "sphere": ball}
+    flats = [[frame(e, 40 + 3 * i + k) for k in range(3)] for i, e in enumerate((500, 2000, 4000))]
+    flats[1][2] = np.zeros((64, 64), np.uint16)
+    images = [np.round(BLACK + 3000 * shade).astype(np.uint16) for shade in shades]
+    found = joint_photographs(images, lights, flats=flats, darks=DARKS[:1], **given)
+    assert found.levels is not None
+    np.testing.assert_allclose(found.levels[0].freedom, [2 * 4095, 4095, 2 * 4095, 4095])
+    assert found.findings[0].startswith("flats[1][2] was left out: 100 % of its pixels are 0 DN")

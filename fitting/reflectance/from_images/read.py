@@ -116,13 +116,13 @@ def read_reflectance_observation(
     """
     rig = as_rig(rig)
     require(rig, PURPOSE)
-    assert rig.geometry is not None
     if rig.camera.pattern is not None:
         raise InputError(
             f"{rig.folder}: camera.pattern says the images are a Bayer mosaic; {PURPOSE} needs "
             "demosaicked images (or one plane), so convert them and remove the pattern."
         )
     rig, told = _without_odd_heads(rig)
+    assert rig.geometry is not None
     frames = _read_frames(rig, load)
     shape = (frames.shape[2], frames.shape[3])
     rows, columns, normals = _surface(rig, rig.geometry, shape, load)
