@@ -648,8 +648,10 @@ def _darker(
             lit = np.maximum(one, other) > min(one.min(), other.min()) + 0.02 * full_scale
             clear = lit & (np.minimum(one, other) < 0.95 * full_scale)
             if clear.sum() >= FEWEST_CLEAR:
-                found[i, j] = np.mean(one[clear] < other[clear]) > 0.5
-                found[j, i] = np.mean(other[clear] < one[clear]) > 0.5
+                # By more than images differ that show hardly any light.
+                less = 0.01 * full_scale
+                found[i, j] = np.mean(one[clear] < other[clear] - less) > 0.5
+                found[j, i] = np.mean(other[clear] < one[clear] - less) > 0.5
     return found
 
 
