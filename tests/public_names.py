@@ -108,6 +108,8 @@ STATIC = {
     "jaxvision.transport.paths.path_along",
     "jaxvision.transport.ray_tree.ray_tree_along",
     "jaxvision.transport.radiosity.gather.radiosity_rays",
+    "jaxvision.optics.views.opencv_view",
+    "jaxvision.transport.missing.missing_light",
     "jaxvision.hemisphere.product_nodes",
     "jaxvision.transport.radiosity.patches.plan_patches",
     "jaxvision.transport.radiosity.solve.shoot",
