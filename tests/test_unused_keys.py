@@ -94,7 +94,7 @@ def numbers(x):
         return [(key, numbers(value)) for key, value in x.items()]
     if isinstance(x, tuple | list):
         return [numbers(value) for value in x]
-    return np.asarray(x).tolist() if hasattr(x, "shape") else repr(x)
+    return str(np.asarray(x).tolist()) if hasattr(x, "shape") else repr(x)  # NaN is as NaN
 
 
 @pytest.mark.parametrize("kind", READ)
