@@ -22,6 +22,7 @@ from .shared import Found, drift, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
+ASTRAY = 0.5  # relative deviation of a gain from which it is none
 
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
@@ -113,14 +114,13 @@ def _misfit(calibration: NoiseCalibration) -> list[str]:
     linear, chosen = calibration.linear, calibration.chosen
     if linear.p_value >= MISFIT:
         return []
-    gain = float(linear.values["system_gain"])
-    said = f"its K is {gain:.5g} DN/e⁻, and the small error it would claim is not to be used"
-    if chosen is not linear:
-        off = 100 * (gain / float(chosen.values["system_gain"]) - 1)
-        said = f"its K of {gain:.5g} DN/e⁻ is {off:+.2g} % off that of the model that is used"
+    # By how much it matters; of a fit that went astray the number itself says nothing.
+    off = float(linear.values["system_gain"]) / float(chosen.values["system_gain"]) - 1
+    moved = f" ({100 * off:+.2g} % off)" if 0 < abs(off) < ASTRAY else ""
     return [
         f"{_linear_model(calibration)} does not explain the measurement: chi-square per degree of "
-        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}; {said}."
+        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}, so its gain"
+        f"{moved} and the small error that it would claim are not used."
     ]
 
 
