@@ -240,6 +240,15 @@ ELSEWHERE = (
     ),
     Elsewhere(
         WORDS,
+        "foreign/test_noise foreign/test_frames",
+        """
+            fitting.codes: converter_in_words
+            fitting.frame_checks: listed refuse_half shown
+            fitting.noise.periodic: periodic_in_words
+        """,
+    ),
+    Elsewhere(
+        WORDS,
         "test_lazy_names",
         """
             lazy_names.*
@@ -341,9 +350,9 @@ ELSEWHERE = (
     ),
     Elsewhere(
         CHOICES,
-        "test_from_memory",
+        "test_from_memory foreign/test_exposure_stacks",
         """
-            fitting.inference.precision: in_double
+            fitting.inference.precision: in_double in_words_of_its_own refuse_word_of_command
         """,
     ),
     Elsewhere(
@@ -376,7 +385,7 @@ ELSEWHERE = (
         "test_rendering test_transport_paths",
         """
             rendering.direct: can_shade direct_along sorted_scene
-            rendering.pixel_loop: each in_blocks mean_of_samples numbers_of photograph
+            rendering.pixel_loop: check_lens each in_blocks mean_of_samples numbers_of photograph
             shading: lighting reflected_radiance
             shadows: clear
             transport.paths: path_along
@@ -594,13 +603,14 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_noise test_emva1288 test_photon_transfer test_noise_shared test_noise_neighbours",
+        "test_noise test_emva1288 test_photon_transfer test_noise_shared test_noise_neighbours "
+        "foreign/test_noise",
         """
             fitting.noise.brighter_fatter.*
-            fitting.noise.calibration: calibrate sheet_estimate
+            fitting.noise.calibration: calibrate finest_read_noise sheet_estimate widened
             fitting.noise.choice: choose_model dark_scatter
-            fitting.noise.emva1288: derived_figures evaluate linearity_deviation linearity_errors
-            fitting.noise.emva1288: ranges sheet statistics
+            fitting.noise.emva1288: derived_figures evaluate is_floored least_dark_variance
+            fitting.noise.emva1288: linearity_deviation linearity_errors ranges sheet statistics
             fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet noise_data
             fitting.noise.fit: observations start_vector
             fitting.noise.levels: linear_levels rounding_step saturation_index
@@ -612,13 +622,22 @@ ELSEWHERE = (
             fitting.noise.pattern: fitted_pattern pattern_variance standard_pattern unequal_gains
             fitting.noise.pattern: unequal_offsets
             fitting.noise.quantised: quantised_moments window_for
+            fitting.noise.periodic: periodic_structure quarters residues unequal_gains_of
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
             fitting.noise.misfit.*
             fitting.noise.window.*
             fitting.noise.shared: believed_lines drift extra_lines fixed_lines one_pattern
             fitting.noise.shared: shared_noise shared_variance temporal_lines
-            fitting.noise.flicker: extra_in_flats
+            fitting.noise.flicker: extra_in_flats without_flicker
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_codes foreign/test_frames",
+        """
+            fitting.codes: converter_of
+            fitting.frame_checks: blank_images odd_exposures odd_frames odd_heads
         """,
     ),
     Elsewhere(
@@ -637,10 +656,11 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_response_curve test_response_gamma test_response",
+        "test_response_curve test_response_gamma test_response foreign/test_exposure_stacks",
         """
+            fitting.response.beyond: below_seen
             fitting.response.shutter: mixed over_tau prior_of
-            fitting.response.calibration: calibrate radiance_images
+            fitting.response.calibration: alike calibrate radiance_images
             fitting.response.code_bins: code_bins interval_variance
             fitting.response.code_pairs: pair_statistics statistics_of_parts total
             fitting.response.curve: fit_response_curve ripple slope_error
@@ -651,8 +671,9 @@ ELSEWHERE = (
             fitting.response.clipping: clear_of_clipping
             fitting.response.flat_places: in_register to_flat_places
             fitting.response.places: equal_classes layout_of tiles_of
-            fitting.response.radiance_map: merge
+            fitting.response.radiance_map: exposure_of_codes merge
             fitting.response.repeats: over_exposures over_tiles widened
+            fitting.response.shape: error_of_departure judged_codes largest largest_departure shapes
             fitting.response.solve: at_centres equations_of inverse roughness shutter_basis solve
             fitting.response.solve: spread_of_times
             fitting.response.weights: cells_of coarsest hat_rule noise_rule observe undithered
