@@ -20,11 +20,13 @@ from jaxtyping import Float
 
 MOST_VALUES = 2**18  # different numbers; frames of more lie on no grid
 CHANCE = 1e-3  # that numbers of step 1 are all multiples of a larger one
-SMOOTH = 4.0  # standard deviation of a frame, in codes, from which its histogram is smooth
-WIDTH = 32  # codes over which a smooth histogram is about constant
+SMOOTH = 1.0  # noise between neighbouring pixels, in codes, from which histograms are smooth
+QUARTILE = 0.9539  # median distance of two normal deviates of standard deviation 1
 EXPECTED = 12.0  # pixels of a code, next to which an empty one is missing
-SIGNIFICANT = 5.0  # standard errors
-PILE, STEEP = 100, 10.0  # pixels at the largest number, and times as many as at those below
+REACH = 4.0  # median distances of codes beyond which the numbers between belong to no signal
+SELDOM = 3.0  # a code is rare where both codes beside it occur so many times as often
+SIGNIFICANT = 5.0  # standard errors, and codes
+PILE, STEEP = 100, 10.0  # pixels at the largest number, and times as many as at any of those below
 COARSE = 3.0  # DN; a finer step cannot be followed through numbers that were rounded again
 FLOAT32 = 2.0**-22  # relative rounding error of numbers that went through single precision
 
@@ -84,7 +86,7 @@ class Codes:
     """
 
     _whole: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    _by_spread: dict[int, np.ndarray] = field(default_factory=dict)  # octave of the deviation
+    _by_noise: dict[int, np.ndarray] = field(default_factory=dict)  # octave of the noise
     _broken: np.ndarray = field(default_factory=lambda: np.zeros((2, 0)))  # values, their counts
     _continuous: bool = False
 
@@ -101,8 +103,8 @@ class Codes:
         if np.array_equal(values, np.floor(values)) and 0 <= values.min() <= values.max() < 2**17:
             counts = np.bincount(values.astype(np.int64))
             self._whole = _sum(self._whole, counts)
-            octave = int(np.log2(max(values.std(), 1.0)))
-            self._by_spread[octave] = _sum(self._by_spread.get(octave, counts[:0]), counts)
+            octave = int(np.floor(np.log2(_noise(frame))))
+            self._by_noise[octave] = _sum(self._by_noise.get(octave, counts[:0]), counts)
             return
         both = [self._broken, np.unique(values, return_counts=True)]
         different, place = np.unique(np.concatenate([x[0] for x in both]), return_inverse=True)
@@ -139,7 +141,7 @@ class Codes:
     def _smooth(self, step: float) -> np.ndarray:
         """Counts of the frames whose histograms are smooth on a grid of this step."""
         found = np.zeros(0, np.int64)
-        for octave, counts in self._by_spread.items():
+        for octave, counts in self._by_noise.items():
             if 2.0**octave >= SMOOTH * step:
                 found = _sum(found, counts)
         return found
@@ -217,6 +219,18 @@ def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.pad(one, (0, size - one.size)) + np.pad(other, (0, size - other.size))
 
 
+def _noise(frame: np.ndarray) -> float:
+    """Deviation of a pixel from those around it, DN, at least a quarter: a scene of few tones has
+    a wide histogram that is not smooth. Pixels two apart are of one colour in a mosaic."""
+    values = np.asarray(frame, float)
+    values = values.reshape(values.shape[0], -1) if values.ndim == 1 else values
+    both = np.concatenate(
+        [np.abs(d).ravel() for d in (values[2:] - values[:-2], values[:, 2:] - values[:, :-2])]
+    )
+    both = both[np.isfinite(both)]
+    return max(float(np.median(both)) / QUARTILE, 0.25) if both.size else 0.25
+
+
 def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | None:
     """Greatest common divisor of the distances of whole numbers, and their remainder; None where
     so few numbers share it by chance."""
@@ -257,32 +271,46 @@ def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, fl
 
 
 def _missing(counts: np.ndarray) -> float:
-    """Share of codes that do not occur between neighbours that many pixels have."""
+    """Share of codes that do not occur between neighbours that many pixels have.
+
+    Where chance or narrow peaks leave codes empty, more of them are rare.
+    """
     used = np.flatnonzero(counts)
+    if used.size < 3:
+        return 0.0
     gaps, many = np.diff(used), counts[used] > EXPECTED
-    near = (gaps <= np.ceil(COARSE)) & many[:-1] & many[1:]
+    both = many[:-1] & many[1:]
+    if not both.any():
+        return 0.0
+    reach = max(np.ceil(COARSE), REACH * float(np.median(gaps[both])))
+    near = (gaps <= reach) & both
     span = int(gaps[near].sum())
     empty = span - int(near.sum())
-    # Of a smooth histogram that expects as many there, a code is empty once in 100,000.
-    if empty < SIGNIFICANT + span * np.exp(-EXPECTED):
+    beside = np.minimum(counts[used[:-2]], counts[used[2:]])
+    close = used[2:] - used[:-2] <= 2 * reach
+    rare = close & (beside > EXPECTED) & (SELDOM * counts[used[1:-1]] < beside)
+    by_chance = span * np.exp(-EXPECTED)
+    if empty < SIGNIFICANT + by_chance + SELDOM * float(rare.sum()):
         return 0.0
     return empty / span
 
 
 def _imbalance(counts: np.ndarray) -> float:
-    """Half of the relative difference of neighbouring steps, of a smooth histogram."""
-    total = int(counts.sum())
-    if counts.size < 2 * WIDTH or not total:
-        return 0.0
-    odd = float(np.sum(counts[1::2])) / total - 0.5
-    found = 2 * abs(odd)
-    return found if found > SIGNIFICANT / np.sqrt(total) else 0.0
+    """Half of the relative difference of neighbouring steps, of a smooth histogram.
+
+    Its error is by how much even and odd codes differ, pair by pair, so that a few codes at which
+    pixels pile up are no imbalance.
+    """
+    pairs = counts[: counts.size // 2 * 2].reshape(-1, 2).astype(float)
+    more = pairs[:, 0] - pairs[:, 1]
+    total, error = pairs.sum(), np.sqrt(np.sum(more**2))
+    return float(abs(more.sum()) / total) if abs(more.sum()) > SIGNIFICANT * error else 0.0
 
 
 def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
     """The largest number, where far more pixels have it than the numbers below."""
     below = counts[:-1][-16:]
     # Of darks that are a few codes wide the largest number may be the most frequent, too.
-    if below.size < 16 or counts[-1] < max(PILE, STEEP * float(below.mean())):
+    if below.size < 16 or counts[-1] < max(PILE, STEEP * float(below.max())):
         return None
     return float(values[-1])

@@ -69,3 +69,73 @@ def test_few_numbers_say_nothing():
     assert converter_of([np.array([[64.0, 80.0]])]) == Converter()
     quiet = [np.round(RNG.normal(64.4, 0.2, (60, 80))) for _ in range(4)]
     assert converter_of(quiet) == Converter()
+
+
+def clean_camera(rng: np.random.Generator) -> list[np.ndarray]:
+    """Flats and darks of any size, gain, light, black level and depth, some of them clipped."""
+    size, bits = rng.choice([32, 64, 100]), rng.choice([8, 10, 12, 14])
+    full, count = 2.0**bits - 1, rng.choice([6, 10, 14, 25])
+    top = rng.choice([0.02, 0.1, 0.6, 0.95, 1.2]) * full
+    gain, read = 2.0 ** (bits - 12) * np.exp(rng.uniform(-4, 1)), rng.uniform(0.3, 8)
+    rise = rng.choice([np.linspace, np.geomspace])
+    light = [*rise(top / gain / 30, top / gain, count), *[0] * 4]
+    falls = 1 - rng.choice([0, 0.3]) * np.linspace(0, 1, size)[:, None]
+    unequal = 1 + rng.choice([0, 0.02]) * rng.standard_normal((size, size))
+    black = rng.choice([0, 2, 0.03 * full])
+    return [
+        np.clip(
+            np.round(
+                gain * (rng.poisson(x * (falls * unequal).clip(0)))
+                + gain * read * rng.standard_normal((size, size))
+                + black
+            ),
+            0,
+            full,
+        )
+        for x in light
+        for _ in range(2)
+    ]
+
+
+def patches(rng: np.random.Generator) -> list[np.ndarray]:
+    """A stack of one scene of few tones and little noise."""
+    light = np.kron(np.exp(0.5 * rng.standard_normal((6, 8))), np.ones((10, 10)))
+    light = light * np.geomspace(1, 300, 80)
+    noise = rng.normal(0, rng.choice([0.3, 1, 2]), (5, 60, 80))
+    counted = rng.poisson(40 * light * 4.0 ** np.arange(-3, 2)[:, None, None])
+    return list(np.clip(np.round(60 + counted / 4 + noise), 0, 4095))
+
+
+def without_alarm(frames: list[np.ndarray], full: tuple[float, ...]) -> bool:
+    found = converter_of(frames)
+    plain = found.step == 1 and found.even and not found.missing and not found.imbalance
+    return plain and found.clips_at in (None, *full)
+
+
+@pytest.mark.parametrize("kind", [clean_camera, patches])
+@pytest.mark.parametrize("count", [20, pytest.param(300, marks=pytest.mark.long)])
+def test_a_clean_camera_raises_no_alarm(kind, count):
+    rng = np.random.default_rng(count)
+    ends = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14))
+    assert sum(not without_alarm(kind(rng), ends) for _ in range(count)) == 0
+
+
+@pytest.mark.parametrize("size", [64, 100])
+@pytest.mark.parametrize(
+    ("changed", "missing"),
+    [
+        (lambda x: np.round(1.05 * x), 1 - 1 / 1.05),
+        (lambda x: np.round(1.3 * x), 1 - 1 / 1.3),
+        (lambda x: np.where(x % 8 == 3, x + 1, x), 1 / 8),
+        (lambda x: np.round(4095 * (x / 4095) ** (1 / 2.2)), 0.09),
+        (lambda x: np.round(65535 * (x / 4095) ** (1 / 2.2)), 0.91),
+    ],
+    ids=["a little wider", "wider", "no eighth code", "gamma", "gamma in 16 bits"],
+)
+def test_codes_that_a_table_leaves_out_are_missed(changed, missing, size):
+    rng = np.random.default_rng(2)
+    light = [x for x in np.linspace(250, 9000, 14) for _ in range(2)]
+    flats = [np.round(0.4 * rng.poisson(x, (size, size)) + 64) for x in light]
+    found = converter_of([changed(flat) for flat in flats])
+    assert not found.even
+    assert found.missing == pytest.approx(missing, abs=0.02)
