@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._types import Scalars
+from .._types import Scalars, refuse_codes
 from ._components import (
     Colours,
     chroma_of,
@@ -47,10 +47,11 @@ def xyz_to_lab(xyz: Colours, white: Float[Array, "3"]) -> Colours:
         (..., 3) L* from 0 to 100, a* and b*, no unit.
 
     Raises:
-        ValueError: for a last axis other than 3, and for integer codes.
+        ValueError: for a last axis other than 3, and for codes.
 
     Source: CIE 15:2018, 8.2.1.
     """
+    refuse_codes(xyz)
     thirds = (_lightness(part / white[i]) for i, part in enumerate(parts(xyz)))
     (fx, x_0), (fy, y_0), (fz, z_0) = thirds
     a, b = (fx - fy) + (x_0 - y_0), (fy - fz) + (y_0 - z_0)
@@ -89,10 +90,11 @@ def xyz_to_luv(xyz: Colours, white: Float[Array, "3"]) -> Colours:
         (..., 3) L* from 0 to 100, u* and v*, no unit.
 
     Raises:
-        ValueError: for a last axis other than 3, and for integer codes.
+        ValueError: for a last axis other than 3, and for codes.
 
     Source: CIE 15:2018, 8.2.2.
     """
+    refuse_codes(xyz)
     x, y, z = parts(xyz)
     fy, y_0 = _lightness(y / white[1])
     lightness = 116 * (fy + y_0)

@@ -42,6 +42,7 @@ def hsv_to_rgb(hsv: Colours) -> Colours:
     Raises:
         ValueError: for a last axis other than 3, and for codes.
     """
+    refuse_codes(hsv)
     hue, saturation, value = parts(hsv)
     sextants = 6 * (hue - jnp.floor(hue))
 
@@ -90,6 +91,7 @@ def hsl_to_rgb(hsl: Colours) -> Colours:
     Raises:
         ValueError: for a last axis other than 3, and for codes.
     """
+    refuse_codes(hsl)
     hue, saturation, lightness = parts(hsl)
     reach = saturation * jnp.minimum(lightness, 1 - lightness)
     twelfths = 12 * (hue - jnp.floor(hue))

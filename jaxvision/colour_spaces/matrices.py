@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._types import Scalars
+from .._types import Scalars, refuse_codes
 from ..colour_data import cone_matrix, rgb_to_xyz_matrix
 from ._components import Colours, by_constant, checked, joined, multiplied, parts
 
@@ -38,13 +38,14 @@ def rgb_to_xyz(rgb: Colours, *, space: str = "sRGB") -> Colours:
         (..., 3) XYZ, relative: Y = 1 is white.
 
     Raises:
-        ValueError: for a last axis other than 3, and for integer codes.
+        ValueError: for a last axis other than 3, and for codes.
 
     Example:
         >>> white = jv.colour_spaces.rgb_to_xyz(jnp.ones(3))
         >>> [round(float(x), 2) for x in white]
         [0.95, 1.0, 1.09]
     """
+    refuse_codes(rgb)
     return by_constant(rgb, rgb_to_xyz_matrix(space))
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import or_one
-from .._types import Scalars, as_relative, print_by_name
+from .._types import Scalars, as_relative, is_known, print_by_name, refuse_codes
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
 from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
 
@@ -31,7 +31,7 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
         (...) relative.
 
     Raises:
-        ValueError: for fewer than two points or unequal shapes.
+        ValueError: for fewer than two points or unequal shapes, and for codes beyond the inputs.
 
     Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes.
 
@@ -46,6 +46,8 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
             "inputs and outputs must be (points,) with at least two points, got shapes "
             f"{inputs.shape} and {outputs.shape}."
         )
+    if is_known(inputs) and inputs[-1] <= 100:  # a curve through codes takes codes
+        refuse_codes(x)
     slopes = _monotone_slopes(inputs, outputs)
     within = jnp.where(x < inputs[0], inputs[0], jnp.where(x > inputs[-1], inputs[-1], x))
     k = jnp.clip(jnp.searchsorted(inputs, within, side="right") - 1, 0, inputs.shape[0] - 2)

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import in_range, takes_numbers
 from .._numerics import divide, log1p, polynomial, safe_log, smallest_divisor
-from .._types import AMOUNT, DIVISOR, Scalars, as_relative
+from .._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
 
 
 @takes_numbers
@@ -22,10 +22,13 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
     Returns:
         (...) relative.
 
+    Raises:
+        ValueError: for codes.
+
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002,
     equations 3 and 4.
     """
-    x = as_relative(x)
+    refuse_codes(x := as_relative(x))
     positive = jnp.maximum(x, 0)
     mapped = _saturating(positive)
     if white is not None:
@@ -86,9 +89,13 @@ def filmic(x: Scalars) -> Scalars:
     Returns:
         (...) relative, in [0, 1].
 
+    Raises:
+        ValueError: for codes.
+
     Source: the fit of Narkowicz, "ACES Filmic Tone Mapping Curve" (2016).
     """
-    positive = jnp.maximum(as_relative(x), 0)
+    refuse_codes(x := as_relative(x))
+    positive = jnp.maximum(x, 0)
     # both sides over x^2 where x is large, so that nothing overflows
     dark = positive < 1
     small = jnp.where(dark, positive, 1)
@@ -111,11 +118,12 @@ def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
         (...) relative.
 
     Raises:
-        ValueError: for a strength below 0.
+        ValueError: for a strength below 0, and codes.
 
     Source: the mu-law of ITU-T G.711.
     """
-    positive = jnp.maximum(as_relative(x), 0)
+    refuse_codes(x := as_relative(x))
+    positive = jnp.maximum(x, 0)
     return _log_ratio(*jnp.broadcast_arrays(positive, jnp.asarray(strength, positive.dtype)))
 
 

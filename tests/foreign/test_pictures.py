@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import ndimage, sparse
+from scipy import sparse
 
 import jaxvision as jv
 
@@ -112,9 +112,24 @@ def test_rgb_pictures_are_not_layers():
         jv.colour_spaces.rgb_to_hsv,
         jv.colour_spaces.rgb_to_hsl,
         jv.colour_spaces.rgb_to_ycbcr,
+        jv.colour_spaces.rgb_to_xyz,
+        jv.colour_spaces.hsv_to_rgb,
+        jv.colour_spaces.hsl_to_rgb,
+        lambda x: jv.colour_spaces.xyz_to_lab(x, np.ones(3)),
+        lambda x: jv.colour_spaces.xyz_to_luv(x, np.ones(3)),
+        jv.point_ops.reinhard,
+        jv.point_ops.filmic,
+        lambda x: jv.point_ops.log_curve(x, 100.0),
+        lambda x: jv.tone_curve(x, [0.0, 0.5, 1.0], [0.0, 0.6, 1.0]),
     ],
 )
 def test_codes_are_no_colours(encode):
     with pytest.raises(ValueError, match="divide the codes"):
         encode(np.round(255 * RGB))
     encode(1000 * RGB)  # scene-linear light beyond white
+
+
+def test_a_tone_curve_through_codes_takes_codes():
+    codes = np.linspace(0, 255, 16).round()
+    seen = jv.tone_curve(codes, [0.0, 255.0], [0.0, 510.0])
+    np.testing.assert_allclose(seen, 2 * codes, rtol=1e-6)
