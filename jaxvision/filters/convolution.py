@@ -75,7 +75,10 @@ def correlate(
 ) -> Filtered:
     """Correlation with a kernel: g[p] = sum over i of kernel[i] f[p + i - anchor].
 
-    The kernel lies on the picture as it is written.
+    The kernel lies on the picture as it is written. Without an anchor its entry (kh // 2, kw // 2)
+    lies on the pixel: the second of the two middle rows or columns of an even kernel. A kernel may
+    be larger than the picture. It then reads on beyond the border as far as it reaches, where
+    "wrap", "mirror" and "reflect_101" repeat themselves and "extend" goes on along its line.
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import sparse
+from scipy import ndimage, sparse
 
 import jaxvision as jv
 
@@ -133,3 +133,33 @@ def test_a_tone_curve_through_codes_takes_codes():
     codes = np.linspace(0, 255, 16).round()
     seen = jv.tone_curve(codes, [0.0, 255.0], [0.0, 510.0])
     np.testing.assert_allclose(seen, 2 * codes, rtol=1e-6)
+
+
+SCIPY = {
+    "zero": "constant",
+    "constant": "constant",
+    "clamp": "nearest",
+    "wrap": "grid-wrap",
+    "mirror": "reflect",
+    "reflect_101": "mirror",
+}
+
+
+@pytest.mark.parametrize("border", jv.padding.BORDERS)
+@pytest.mark.parametrize("method", ["auto", pytest.param("fft", marks=pytest.mark.long)])
+def test_an_even_kernel_of_several_pictures_size(border, method):
+    """SciPy's sums; those that it lacks entry by entry: a straight line goes on, and weights
+    outside do not count."""
+    random = np.random.default_rng(3)
+    picture, kernel = random.uniform(size=(3, 2)), random.uniform(0.1, 1, size=(10, 14))
+    fill = 0.3 if border == "constant" else 0.0
+    got = jv.filters.correlate(picture, kernel, border=border, fill=fill, method=method)
+    if border in SCIPY:
+        wanted = ndimage.correlate(picture, kernel, mode=SCIPY[border], cval=fill)
+    elif border == "normalised_zero":
+        sums = (ndimage.correlate(x, kernel, mode="constant") for x in (picture, np.ones((3, 2))))
+        wanted = np.divide(*sums)
+    else:
+        wide = np.pad(picture, ((5, 4), (7, 6)), mode="reflect", reflect_type="odd")
+        wanted = ndimage.correlate(wide, kernel, mode="constant")[5:8, 7:9]
+    np.testing.assert_allclose(got, wanted, rtol=1e-5)
