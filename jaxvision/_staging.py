@@ -12,14 +12,19 @@ box, and 14 times for direct light.
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .programs import on_processor
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def _found() -> Any:
@@ -55,6 +60,23 @@ def _helps() -> bool:
 def at_a_time(of_core: int) -> int:
     """How many rays or entries a loop takes: `of_core` on a processor, many more elsewhere."""
     return of_core if on_processor() else max(of_core, _OF_KERNEL)
+
+
+def one_program(function: Callable[P, R]) -> Callable[P, R]:
+    """`function`, compiled once for each kind of its arguments: arrays are free, all else is
+    static. Inside another program it is a part of that one, as if it were not compiled apart.
+
+    XLA compiles an eager loop anew if the function that it repeats is new, as a closure is.
+    """
+    compiled = cast(Any, eqx.filter_jit)(function, inline=True)
+
+    @wraps(function)
+    def of_kind(*args: P.args, **kwargs: P.kwargs) -> R:
+        # equinox takes NumPy's numbers for arrays, but numbers among the settings are static
+        known = (x.item() if isinstance(x, np.generic) else x for x in args)
+        return compiled(*known, **kwargs)
+
+    return of_kind
 
 
 def stored(function: Callable[..., Any], *arguments: Any) -> Any:

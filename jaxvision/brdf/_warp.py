@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._numerics import divide, running_sum, safe_sqrt
+from .._staging import one_program
 from .._types import Scalar
 from ._interpolation import among, in_unit
 
@@ -95,6 +96,7 @@ def _invert_linear(c0: Scalar, c1: Scalar, area: Scalar) -> Scalar:
     return jnp.clip(divide(2 * area, denominator, where=positive), 0, 1)
 
 
+@one_program
 def warp(w: Warp, at: Slices, u: Square) -> tuple[Square, Scalar]:
     """(position, density there) of uniform numbers (x, y) in [0, 1]^2."""
     ux, uy = u

@@ -109,13 +109,8 @@ def correlate(
         beside = {"anchor": row, "border": border, "fill": fill, "method": method}
         return correlate(picture[None], weights[None], **beside)[0]
     check_picture(picture)
-    size = _size(weights)
-    if weights.ndim == 3:
-        _check_bands(weights.shape[2], picture)
-    check_border(border)
-    method = _method(method, weights, picture)
-    terms = _factored(weights, picture) if method == "separable" else (weights,)
-    return filtered(picture, terms, fill, Settings(_anchor(anchor, size), border, method))
+    terms, settings = summed(weights, picture, anchor=anchor, border=border, method=method)
+    return filtered(picture, terms, fill, settings)
 
 
 @takes_numbers
@@ -218,6 +213,25 @@ def correlate_separable(
 
 
 # ---------------------------------------------------------------- choices
+
+
+def summed(
+    kernel: AnyKernel,
+    picture: Picture,
+    *,
+    anchor: Sequence[int] | None = None,
+    border: str = "mirror",
+    method: str = "auto",
+) -> tuple[Terms, Settings]:
+    """What `filtered` needs to sum a kernel, no unit, in the best way, chosen by its numbers where
+    they are known. `ValueError` as for `correlate`."""
+    size = _size(kernel)
+    if kernel.ndim == 3:
+        _check_bands(kernel.shape[2], picture)
+    check_border(border)
+    method = _method(method, kernel, picture)
+    terms = _factored(kernel, picture) if method == "separable" else (kernel,)
+    return terms, Settings(_anchor(anchor, size), border, method)
 
 
 def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from .._arguments import takes_numbers
 from .._numerics import dot, or_one
+from .._staging import one_program
 from .._types import Scalars
 from .._vector import Vec, Vec3, as_vec
 from .polygon import nodes_integral, rectangle_irradiance
@@ -64,7 +65,11 @@ def adaptive_irradiance(
     points, normals = as_vec(points), as_vec(normals)
     if points.x.size == 0:
         raise ValueError("adaptive_irradiance: points must hold at least one receiver, got none.")
+    return _adaptive(light, points, normals, float(tolerance))
 
+
+@one_program
+def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -> Array:
     def by_nodes(order: int):
         def integral(light: RectangleLight, points: Vec, normals: Vec) -> Array:
             # in units of the longer edge, so that fourth powers stay in range

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool
 
 from .._arguments import takes_numbers
 from .._numerics import divide, smallest_divisor
+from .._staging import one_program
 from .._types import Scalar
 from ..scene import Distortion
 
@@ -114,6 +115,7 @@ def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 
 
 @jax.custom_jvp
+@one_program
 def _undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """The inverse of `_bent` by Newton's method, with the derivative of the implicit function."""
     accuracy = 4 * jnp.finfo(x.dtype).eps * jnp.maximum(jnp.abs(x), jnp.abs(y))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt32
 
 from .._random import Stream
+from .._staging import one_program
 from ..lights import LightFieldLight, Rule, Window
 from ..lights.light_field import light_field_ray
 from ..scene import Scene
@@ -42,6 +43,18 @@ def render_light_field(
         >>> record(jv.Scene(lamp, [])).radiance.ravel().tolist()
         [2.0, 2.0]
     """
+    radiance = _recorded(scene, aperture, focal, tuple(map(int, resolution)), rule)
+    return LightFieldLight(radiance, aperture, focal)
+
+
+@one_program
+def _recorded(
+    scene: Scene,
+    aperture: Window,
+    focal: Window,
+    resolution: tuple[int, ...],
+    rule: Rule,
+) -> Float[Array, "s t u v bands"]:
     along = direct_along(scene, rule)
     axes = [jnp.linspace(0, 1, count, dtype=aperture.corner.dtype) for count in resolution]
     places = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 4)
@@ -51,5 +64,4 @@ def render_light_field(
         return along(rays, Stream(numbers, None, None))
 
     numbers = jnp.arange(len(places), dtype=jnp.uint32)
-    radiance = in_blocks(block, places, numbers, keep=())
-    return LightFieldLight(radiance.reshape(*resolution, -1), aperture, focal)
+    return in_blocks(block, places, numbers, keep=()).reshape(*resolution, -1)

@@ -312,7 +312,8 @@ def mean_of_samples(
 
 
 def check_lens(view: View) -> None:
-    """`ValueError` for a thin lens that one ray a pixel would show as a pinhole, all in focus."""
+    """`ValueError` for a thin lens, with an f-number (no unit) that is finite and known, which one
+    ray a pixel would show as a pinhole, all in focus."""
     if isinstance(view, ThinLens) and is_known(view.f_number) and np.isfinite(view.f_number):
         raise ValueError(
             "a ThinLens defocuses by rays spread over its aperture: give samples, or use a Pinhole "

@@ -27,8 +27,9 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import polynomial
+from .._staging import one_program
 from .._types import Key, Scalar, Scalars
-from ..filters import correlate
+from ..filters.convolution import Settings, Terms, filtered, summed
 from ..scene import BrighterFatter, ShotNoise
 from ._draws import Frame, check_image, needed
 from .exposure import Counts
@@ -75,11 +76,27 @@ def gathered(
     check_image("Sensor.brighter_fatter", electrons.shape)
     parts = effect.steps
     kernel = _unfolded(effect.kernel) * (parts / (parts - 1))
+    # outside the loop, where the kernel's numbers may be known
+    terms, settings = summed(kernel, electrons, border="mirror")
+    return _in_parts(key, electrons, terms, settings, parts, shot_noise, full_well)
+
+
+@one_program
+def _in_parts(
+    key: Key | None,
+    electrons: Counts,
+    terms: Terms,
+    settings: Settings,
+    parts: int,
+    shot_noise: ShotNoise | None,
+    full_well: Scalar | None,
+) -> Counts:
+    """The charges after so many parts of the exposure."""
     arriving = electrons / parts
 
     def part(i: Array, held: Counts) -> Counts:
         repelling = held if full_well is None else jnp.minimum(held, full_well)
-        potential = correlate(repelling, kernel, border="mirror")
+        potential = filtered(repelling, terms, 0.0, settings)
         more = jnp.maximum(arriving + _drift(arriving, potential), 0)
         if shot_noise is not None:
             more = count(jax.random.fold_in(needed(key, Frame.SHOT), i), more, shot_noise)

@@ -33,6 +33,7 @@ from jaxtyping import Array, Bool, UInt32
 from .._arguments import takes_numbers
 from .._numerics import divide, polynomial, safe_sqrt, smallest_divisor, with_gradient_of
 from .._random import seed_of
+from .._staging import one_program
 from .._types import Key, Scalars, is_known
 from ..scene import FastPoissonShotNoise, GaussianShotNoise, ShotNoise
 from ._draws import (
@@ -114,6 +115,7 @@ def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
     return jnp.where(few, summed, _by_rejection(key, jnp.where(many, mean, SUMMED_MEAN), ~many))
 
 
+@one_program
 def _by_rejection(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
     """Poisson draws of means of at least 10; the whole part of the mean where that is `done`.
 

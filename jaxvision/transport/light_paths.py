@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from .._arguments import takes_numbers
 from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from .._random import Stream, seed_of, uniforms
-from .._staging import TILE, at_a_time, together
+from .._staging import TILE, at_a_time, one_program, together
 from .._types import Key, Scalar, check_count, check_given
 from .._vector import Vec, as_vec
 from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
@@ -102,6 +102,14 @@ def light_traced(
                 f"Scene.surfaces[{i}] shines without end, which leaves light no place to start "
                 "from; give it a shape of finite area, or trace paths from the eye."
             )
+    return _with_sources(key, scene, view, seen, paths, depth)
+
+
+@one_program
+def _with_sources(
+    key: Key, scene: Scene, view: View, seen: Traced, paths: int, depth: int
+) -> Traced:
+    """`seen`, the picture of what shines, with the light that it throws."""
     world = world_of(scene)
     ball = ball_around([surface.shape for surface in scene.surfaces])
     seed = seed_of(jax.random.fold_in(key, 1))

@@ -33,7 +33,7 @@ from .._bands import Bands, apart, plus, times
 from .._numerics import divide, dot
 from .._random import Stream, Word, seed_of, uniforms
 from .._shown import Shown
-from .._staging import at_a_time, stored
+from .._staging import at_a_time, one_program, stored
 from .._types import Colour, Key, Scalar, Scalars, check_choice, check_count, check_given
 from ..brdf import is_delta
 from ..geometry import Ray
@@ -133,6 +133,11 @@ def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Col
     Returns:
         (bands,) W m^-2 sr^-1, the mean of which over streams is the radiance along the ray.
     """
+    return _path_sample(scene, ray, stream, method)
+
+
+@one_program
+def _path_sample(scene: Scene, ray: Ray, stream: Stream, method: Paths) -> Colour:
     return jnp.stack(_walk(world_of(scene), ray, stream, method))
 
 
@@ -302,6 +307,11 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
         >>> float(jv.path_radiance(key, jv.Scene(wall, []), ray, method=method).radiance[0])
         0.75
     """
+    return _path_radiance(key, scene, ray, method)
+
+
+@one_program
+def _path_radiance(key: Key, scene: Scene, ray: Ray, method: Paths) -> Traced:
     world, seed, pixel = world_of(scene), seed_of(key), jnp.zeros((), jnp.uint32)
     radiance, error = mean_of_samples(
         lambda number: _walk(world, ray, Stream(pixel, number, seed), method),
@@ -362,9 +372,16 @@ def path_traced_pixels(
     """
     check_given("path_traced_pixels: scene", scene, Scene)
     check_given("path_traced_pixels: view", view, View)
+    pixels = jnp.asarray(rows), jnp.asarray(columns)
+    return _traced_pixels(key, scene, view, pixels, method, first_sample)
+
+
+@one_program
+def _traced_pixels(
+    key: Key, scene: Scene, view: View, pixels: tuple[Array, Array], method: Paths, first: int
+) -> Traced:
     samples = PixelSamples(key, method.samples)
-    along, pixels = path_along(scene, method), (jnp.asarray(rows), jnp.asarray(columns))
-    return photograph(along, view, samples, pixels=pixels, first_sample=first_sample)
+    return photograph(path_along(scene, method), view, samples, pixels=pixels, first_sample=first)
 
 
 @takes_numbers
@@ -401,7 +418,6 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     return _path_traced(key, scene, view, method)
 
 
-@eqx.filter_jit
+@one_program
 def _path_traced(key: Key, scene: Scene, view: View, method: Paths) -> Traced:
-    """One program for each kind of scene and view: an eager loop over new functions has none."""
     return photograph(path_along(scene, method), view, PixelSamples(key, method.samples))

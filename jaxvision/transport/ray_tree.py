@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import dot
-from .._staging import TILE, at_a_time
+from .._staging import TILE, at_a_time, one_program
 from .._types import Colour, Image, check_count, check_given
 from .._vector import Vec, as_array
 from ..brdf import is_delta
@@ -81,6 +81,11 @@ def ray_tree_radiance(
         >>> print(jv.transport.ray_tree_radiance(jv.Scene(lamp, []), ray, rays=1))
         [2.]
     """
+    return _ray_tree(scene, ray, rays, rule)
+
+
+@one_program
+def _ray_tree(scene: Scene, ray: Ray, rays: int, rule: Quadrature) -> Colour:
     world = world_of(scene)
     rays, rules = _followed(world, rays), _rules(scene, world, rule)
 
@@ -105,6 +110,11 @@ def ray_tree_radiances(
     Returns:
         (n, bands) W m^-2 sr^-1.
     """
+    return _ray_trees(scene, along, rays, rule)
+
+
+@one_program
+def _ray_trees(scene: Scene, along: Ray, rays: int, rule: Quadrature) -> Float[Array, "n bands"]:
     world = world_of(scene)
     rays, rules = _followed(world, rays), _rules(scene, world, rule)
 
@@ -302,11 +312,10 @@ def ray_traced(
     return _ray_traced(scene, view, rays, rule, samples)
 
 
-@eqx.filter_jit
+@one_program
 def _ray_traced(
     scene: Scene, view: View, rays: int, rule: Quadrature, samples: PixelSamples | None
 ) -> Image:
-    """One program for each kind of scene and view: an eager loop over new functions has none."""
     along = ray_tree_along(scene, rays=rays, rule=rule)
     # `vmap` would follow the blocks that have no ray left
     return photograph(along, view, samples, several=False).radiance

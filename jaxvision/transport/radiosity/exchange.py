@@ -18,6 +18,7 @@ from ..._arguments import takes_numbers
 from ..._numerics import dot, norm, reciprocal
 from ..._quadrature import KRONECKER_STEPS
 from ..._random import Stream, uniforms
+from ..._staging import one_program
 from ..._types import Scalar, check_count
 from ..._vector import Vec
 from ...geometry import (
@@ -63,6 +64,11 @@ def form_factor_table(
     Raises:
         ValueError: for fewer than one ray, or a scene without surfaces.
     """
+    return _table(scene, plan, rays, elements)
+
+
+@one_program
+def _table(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> Array:
     of = _pairs_of(scene, plan, rays, elements)
 
     def rows(receivers: Tile) -> Array:
@@ -98,6 +104,17 @@ def exchanged(
     Raises:
         ValueError: for fewer than one ray, or a scene without surfaces.
     """
+    return _exchanged(scene, plan, sent, rays, elements)
+
+
+@one_program
+def _exchanged(
+    scene: Scene,
+    plan: Plan,
+    sent: Float[Array, "patches bands"],
+    rays: int,
+    elements: Array | None,
+) -> Float[Array, "rows bands"]:
     of = _pairs_of(scene, plan, rays, elements)
     missing = len(of.senders[0]) * TILE - of.counts[1]
     light = jnp.pad(sent, ((0, missing), (0, 0))).reshape(-1, TILE, sent.shape[1])

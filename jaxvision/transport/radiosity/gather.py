@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._groups import group_by_structure, take
 from ..._numerics import dot
 from ..._random import Stream
-from ..._staging import stored
+from ..._staging import one_program, stored
 from ..._types import Colour, Image, Scalar, check_given
 from ..._vector import Vec, where
 from ...geometry import (
@@ -41,6 +41,7 @@ from ...lights import (
     shifted_lattice,
 )
 from ...rendering import Along, PixelSamples, each, numbers_of, photograph
+from ...rendering.pixel_loop import check_lens
 from ...scene import Light, Scene, Shape, View
 from ._faces import face_place
 from ._grid import Plan, around_place
@@ -80,6 +81,13 @@ def radiosity_along(
     Returns:
         (bands,) W m^-2 sr^-1.
     """
+    return _radiance(scene, plan, solution, ray, rule, gather)
+
+
+@one_program
+def _radiance(
+    scene: Scene, plan: Plan, solution: Solution, ray: Ray, rule: Rule, gather: MonteCarlo | None
+) -> Colour:
     enclosure = _enclosure_of(scene, plan, solution)
     rules = rules_of(scene, rule, count=len(enclosure.sources))
     return _along(enclosure, ray, rules, gather)
@@ -139,6 +147,21 @@ def radiosity_image(
     """
     check_given("radiosity_image: scene", scene, Scene)
     check_given("radiosity_image: view", view, View)
+    if samples is None:
+        check_lens(view)
+    return _image(scene, plan, solution, view, rule, samples, gather)
+
+
+@one_program
+def _image(
+    scene: Scene,
+    plan: Plan,
+    solution: Solution,
+    view: View,
+    rule: Rule,
+    samples: PixelSamples | None,
+    gather: MonteCarlo | None,
+) -> Image:
     along = radiosity_rays(scene, plan, solution, rule=rule, gather=gather)
     return photograph(along, view, samples).radiance
 

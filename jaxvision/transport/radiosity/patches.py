@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from ..._arguments import takes_numbers
 from ..._numerics import divide, norm, normalize, reciprocal
 from ..._shown import Shown
-from ..._staging import stored, together
+from ..._staging import one_program, stored, together
 from ..._vector import Vec, as_vec
 from ...brdf.lambert import Lambert
 from ...hemisphere import cross
@@ -129,7 +129,12 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
 
 def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]:
     """`patches_of` for several splits, m, compiled as one piece of code."""
-    measured = stored(partial(_measured, plan=plan, splits=tuple(splits)), scene)
+    return _patches_at(scene, plan, tuple(splits))
+
+
+@one_program
+def _patches_at(scene: Scene, plan: Plan, splits: tuple[int, ...]) -> list[Patches]:
+    measured = stored(partial(_measured, plan=plan, splits=splits), scene)
     start, results = 0, []
     for split in splits:
         surfaces = surfaces_of(plan, split=split)

@@ -4,13 +4,12 @@ Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind, and quads 
 the elements directly, with shadows; what then leaves them, patches exchange.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arguments import takes_numbers
 from ..._shown import Shown
-from ..._staging import TILE, at_a_time, in_tiles
+from ..._staging import TILE, at_a_time, in_tiles, one_program
 from ..._types import Colour
 from ..._vector import Vec
 from ...geometry import Sorted
@@ -83,11 +82,12 @@ def radiosity(
         ValueError: for a scene without surfaces, an unknown method, or one that needs a table
             where there is a function.
     """
-    return _radiosity(scene, plan, table, rule, method, rays)
+    # a function of the caller's may give something else at each call: no program is kept of it
+    solve = _solved if callable(table) else _solved_by_table
+    return solve(scene, plan, table, rule, method, rays)
 
 
-@eqx.filter_jit
-def _radiosity(
+def _solved(
     scene: Scene,
     plan: Plan,
     table: Float[Array, "elements patches"] | Product | None,
@@ -95,7 +95,6 @@ def _radiosity(
     method: str,
     rays: int,
 ) -> Solution:
-    """One program for each kind of scene and plan: eager loops over new functions have none."""
     shapes = shapes_of(scene)
     receivers = receivers_of(scene, plan, shapes)
     given = form_factor_table(scene, plan, rays=rays) if table is None else table
@@ -122,6 +121,9 @@ def _radiosity(
     return Solution(solved + by_lights, irradiance, sent, receivers.elements.area <= 0)
 
 
+_solved_by_table = one_program(_solved)
+
+
 def direct_irradiance(
     scene: Scene, elements: Patches, *, rule: Rule = DEFAULT_RULE
 ) -> Float[Array, "elements bands"]:
@@ -136,6 +138,11 @@ def direct_irradiance(
     Returns:
         (elements, bands) W m^-2.
     """
+    return _direct(scene, elements, rule)
+
+
+@one_program
+def _direct(scene: Scene, elements: Patches, rule: Rule) -> Float[Array, "elements bands"]:
     return _lit(scene, elements, rule, shapes_of(scene))
 
 

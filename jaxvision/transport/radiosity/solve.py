@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arguments import takes_numbers
 from ..._numerics import divide, or_one
+from ..._staging import one_program
 from ..._types import Scalar, as_float, check_choice, check_shape, print_by_name
 
 if TYPE_CHECKING:
@@ -76,7 +77,6 @@ def solve_radiosity(
         >>> print(jv.transport.radiosity.solve_radiosity(table, half, sent).ravel().round(6))
         [4. 2.]
     """
-    import lineax
 
     check_choice("method", method, ("direct", "iterative", "progressive"))
     if not callable(table):
@@ -89,6 +89,15 @@ def solve_radiosity(
     table = as_float(table)
     if method == "progressive":
         return _progressive(table, albedo, sent, tolerance, limit)
+    return _by_lineax(table, albedo, sent, method, tolerance)
+
+
+@one_program
+def _by_lineax(
+    table: Table, albedo: PatchSpectra, sent: PatchSpectra, method: str, tolerance: float
+) -> PatchSpectra:
+    import lineax
+
     solver = lineax.LU() if method == "direct" else _gmres(tolerance)
 
     structure = jax.ShapeDtypeStruct(table.shape[:1], table.dtype)
@@ -139,7 +148,11 @@ def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int
     Returns:
         (patches, bands) W m^-2.
     """
+    return _bounced(table, albedo, sent, count)
 
+
+@one_program
+def _bounced(table: Table, albedo: PatchSpectra, sent: PatchSpectra, count: int) -> PatchSpectra:
     def once(_: Int[Array, ""], radiosity: PatchSpectra) -> PatchSpectra:
         return sent + albedo * (table @ radiosity)
 
@@ -175,6 +188,13 @@ def shoot(
         Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast Radiosity
         Image Generation", SIGGRAPH 1988.
     """
+    return _shot(table, albedo, sent, tolerance, limit)
+
+
+@one_program
+def _shot(
+    table: Table, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float, limit: int
+) -> tuple[PatchSpectra, PatchSpectra]:
     most = _most_added(table, albedo)
 
     def state_of(radiosity: PatchSpectra, unshot: PatchSpectra, shots: Array) -> State:
@@ -239,6 +259,7 @@ def ambient_estimate(
     return albedo * ((share * unshot).sum(axis=0) / (1 - mean_albedo))[None, :]
 
 
+@one_program
 def _progressive(
     table: Table, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float, limit: int
 ) -> PatchSpectra:
