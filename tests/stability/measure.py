@@ -12,13 +12,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from oracle_numbers import DIGITS, LONG
+from oracle_numbers import DIGITS, LONG, MP
 from registry.entry import Entry
 
 HARD = 32  # hard cases of a function, filled up from its domain: one size, one program
 MANY, SLOW = 1_000_000, 300  # points drawn in float32
 CHECKED = 3  # of the worst points 60 digits look again
 STEP = "1e-20"
+FINE = 120  # digits of slopes, of which a step of 1e-20 and results that hardly move take many
 
 
 @dataclass
@@ -129,7 +130,7 @@ def conditions(entry, points):
 
 def slopes(entry, points):
     """For each argument and part: its slopes (points, components), which are kinks, and the
-    largest f / x, by differences in 60 digits."""
+    largest f / x, by differences in many digits."""
     h = DIGITS.c(STEP)
     columns = [DIGITS.array(column) for column in points]
     middle = truth(entry, DIGITS, points)
@@ -165,7 +166,9 @@ def gradient_errors(entry, points):
     found = [np.asarray(g) for g in program(*map(jnp.asarray, points))]
     limits = np.finfo(points[0].dtype)
     worst, endless = 0.0, sum(int((~np.isfinite(g)).sum()) for g in found)
-    for i, p, true, kink, size in slopes(entry, points):
+    with MP.workdps(FINE):
+        expected = list(slopes(entry, points))
+    for i, p, true, kink, size in expected:
         got = found[i][:, p].reshape(true.shape)
         scale = np.maximum(np.abs(true).max(-1), size * entry.of_quotient).astype(np.float64)
         known = np.where(np.isfinite(got), got, 0)

@@ -236,7 +236,7 @@ def all_rows(only: str, kept: Kept) -> dict[str, list[Row]]:
 def page(rows, composed):
     every = [row for several in rows.values() for row in several]
     wrong = [row for row in every if not row.holds]
-    outside = f"{len(wrong)} rows lie outside." if wrong else "no row lies outside."
+    outside = f"rows that lie outside: {len(wrong)}." if wrong else "no row lies outside."
     text = HEAD.format(
         many=MANY,
         slow=SLOW,
