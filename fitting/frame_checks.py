@@ -19,6 +19,7 @@ from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 from jaxvision.image_settings import ImageSettings, read_settings
 
+from .copies import Copies
 from .inference.formatting import format_percent
 
 SIDE, BLOCKS = 128, 16  # pixels of a frame that are kept, along each side; blocks of them
@@ -43,6 +44,7 @@ ROUNDED = 0.1  # relative difference of an exposure from the one that a camera p
 WARMER = 5.0  # K, by which sensors drift while frames are taken
 
 ALONE = "it is the only frame that is left of its level"
+COPIED = "{} are equal in every pixel, so that one of them at most was taken as stated"
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,7 @@ def odd_frames(
     if black is not None:
         _light_of_levels(compared)
         _noise_of_levels_beside(compared)
+        _copies_across(compared)
     return compared.odd
 
 
@@ -300,6 +303,20 @@ def _copies(levels: _Levels) -> None:
         if again:
             copied = frames[first[frames[again[0]].sample.tobytes()]].name
             levels.remove(level, again, f"equal to {copied} in every pixel, as a copy is")
+
+
+def _copies_across(levels: _Levels) -> None:
+    """Frames of one level that are in another one too, where nothing told which is the copy."""
+    copies = Copies()
+    for level, frames in enumerate(levels.frames):
+        for frame in frames if levels.light[level] > 0 else ():
+            copies.add(frame.name, frame.sample)
+    for names in copies.found:
+        for level, frames in enumerate(levels.frames):
+            places = [i for i, frame in enumerate(frames) if frame.name in names]
+            if places:
+                levels.remove(level, places, COPIED.format(listed(names)))
+    levels.without_single_frames()
 
 
 def _means(levels: _Levels) -> None:
@@ -552,7 +569,7 @@ def odd_exposures(
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
-    for test in (_of_another_scene, _out_of_order):
+    for test in (_copied_exposures, _of_another_scene, _out_of_order):
         for i, reason in test(frames, seconds, left, full_scale).items():
             odd.append(Odd((frames[i].name,), reason))
             left.remove(i)
@@ -588,6 +605,17 @@ def _clear(
     kept = (one > least[0]) & (other > least[1])
     kept &= (one < 0.95 * full_scale) & (other < 0.95 * full_scale)
     return one[kept], other[kept]
+
+
+def _copied_exposures(
+    frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
+) -> dict[int, str]:
+    """Images that are equal in every pixel, though their exposures are not."""
+    copies = Copies()
+    for i in left:
+        copies.add(frames[i].name, frames[i].sample)
+    found = {name: COPIED.format(listed(names)) for names in copies.found for name in names}
+    return {i: found[frames[i].name] for i in left if frames[i].name in found}
 
 
 def _of_another_scene(

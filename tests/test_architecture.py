@@ -63,8 +63,8 @@ FLOORS = [
 KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "lazy_names", "plain_arrays", "programs"}
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
-    {"rig", "inference", "codes"},
-    {"copies", "frame_checks", "observation", "poisson", "report", "rig_from_folder"},
+    {"rig", "inference", "codes", "copies"},
+    {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
     {"photographs"},
     {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
     {"accuracy", "demo", "joint"},

@@ -33,11 +33,15 @@ def test_a_copied_flat_is_left_out_by_name_and_saturated_ones_are_not():
     assert left_out[1].startswith("flats[2][0] was left out: it is the only frame")
 
 
-def test_a_flat_of_another_level_is_refused_by_name():
-    lit, dark, levels = flats((200, 900, 1600, 1600, 2200, 2900, 5000))
-    lit[2][1] = lit[3][0]
-    with pytest.raises(InputError, match=r"flats\[3\]\[0\]: is flats\[2\]\[1\] in every pixel"):
-        photon_transfer(lit, dark, levels)
+def test_a_flat_that_is_in_another_level_too_is_left_out_by_name():
+    lit, dark, levels = flats((200, 500, 900, 1600, 1600, 1900, 2200, 2900, 5000))
+    lit[3][1] = lit[4][0]
+    bright = photon_transfer(lit, dark, levels).bright
+    both = "flats[3][1] and flats[4][0] are equal in every pixel"
+    assert bright.left_out[0].startswith(f"flats[3][1] was left out: {both}, so that one")
+    assert bright.left_out[1].startswith(f"flats[4][0] was left out: {both}, so that one")
+    assert len(bright.left_out) == 4  # with their fellows
+    assert list(bright.light) == [200, 500, 900, 1900, 2200, 2900, 5000]
 
 
 def test_frames_without_light_may_be_equal():
@@ -48,14 +52,19 @@ def test_frames_without_light_may_be_equal():
     assert "in every pixel" in photon_transfer(lit, dark, levels).bright.left_out[0]
 
 
-def test_a_copied_exposure_is_refused_by_name():
+def test_a_copied_exposure_is_left_out_by_name():
     rng = np.random.default_rng(0)
     scene = rng.uniform(0, 60, (32, 32))
-    times = [1.0, 2.0, 4.0]
+    times = [0.5, 1.0, 2.0, 4.0, 8.0]
     stack = [np.clip(scene * t + rng.normal(0, 1, scene.shape), 0, 255).round() for t in times]
-    from_stack(stack, times, camera=Camera(bits=8))
-    with pytest.raises(InputError, match=r"is .* in every pixel.*copy"):
-        from_stack([stack[0], stack[1], stack[1]], times, camera=Camera(bits=8))
+    camera = Camera(bits=8)
+    assert not from_stack(stack, times, camera=camera).remarks
+    found = from_stack([*stack[:2], stack[1], *stack[3:]], times, camera=camera)
+    told = [one for one in found.remarks if "equal in every pixel" in one]
+    assert len(told) == 2
+    assert list(found.planes[0].exposures) == [0.5, 4.0, 8.0]
+    with pytest.raises(InputError, match=r"equal in every pixel.*decide which belong"):
+        from_stack([stack[0], stack[1], stack[1]], times[:3], camera=camera)
 
 
 def test_white_frames_with_dead_pixels_say_nothing():

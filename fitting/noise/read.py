@@ -16,7 +16,6 @@ from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter
-from ..copies import Copies
 from ..frame_checks import ALONE, Odd, Shown, Stated, odd_frames, odd_heads, refuse_half, shown
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
@@ -249,15 +248,11 @@ def _reduced(
     gone += compared
     refuse_half(rig.folder, gone, count)
     names = {name for one in compared for name in one.names}
-    copies = Copies()
-    for i, entry in enumerate(entries):
+    for i in range(len(entries)):
         kept = [frame for frame in shows[i] if frame.name not in names]
         if len(kept) < len(shows[i]):
             left = [frame.name for frame in kept]
             found[i] = _level(rig, left, channel, load, []) if left else None
-        for frame in kept if _is_lit(rig, entry) else ():
-            copies.add(frame.name, frame.sample)
-    copies.refuse(rig.folder)
     there = [i for i, level in enumerate(found) if level is not None]
     if not there:
         raise InputError(f"{rig.folder}: no level has two frames; {gone[0].sentence}")
@@ -312,11 +307,6 @@ class _Level(NamedTuple):
     shown: tuple[Shown, ...]
     residues: np.ndarray
     quarters: np.ndarray
-
-
-def _is_lit(rig: Rig, entry: Flat | Dark) -> bool:
-    """Whether shot noise tells its frames apart."""
-    return isinstance(entry, Flat) and _light(rig, entry) != 0
 
 
 def _level(

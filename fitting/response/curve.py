@@ -38,6 +38,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
 
+from ..copies import Copies
 from ..inference.formatting import format_percent
 from .beyond import below_seen
 from .code_bins import MAX_BINS, CodeBins, code_bins, interval_variance
@@ -207,10 +208,18 @@ def fit_response_curve(
         The curve.
 
     Raises:
-        InputError: when fewer than 100 pixels are neither black nor clipped in two exposures, or
-            when the exposures fall into sets that share no such pixel, or agree on no
-            rising curve.
+        InputError: when fewer than 100 pixels are neither black nor clipped in two exposures, when
+            two exposures are equal, when the exposures fall into sets that share no such pixel, or
+            agree on no rising curve.
     """
+    copies = Copies()
+    for i, seen in enumerate(codes):
+        copies.add(f"exposure {i}", seen)
+    for first, second, *_ in copies.found:
+        raise InputError(
+            f"{first} and {second} are equal at every pixel, so one is a copy of the other; give "
+            "each exposure its own image."
+        )
     clip = 2.0**bits - 1 if clip is None else clip
     bins = code_bins(bits, black, clip, count=most_bins, step=step, origin=origin)
     coarse = code_bins(bits, black, clip, count=PILOT_BINS, step=step, origin=origin)

@@ -15,7 +15,6 @@ from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
 from ..codes import Converter, converter_of
-from ..copies import Copies
 from ..frame_checks import Stated, blank_images, odd_exposures, odd_heads, refuse_half, shown
 from ..inference.formatting import format_percent
 from ..observation import Load, in_region, read_frame, read_stack, split_channels
@@ -209,15 +208,12 @@ def _planes(
             f"{where} all last {times[0]:g} s; give at least two different exposure times."
         )
     frames = [images[entry.file] for entry in entries]
-    copies = Copies()
     for entry, frame in zip(entries, frames, strict=True):
-        copies.add(entry.file, frame)
         if frame.shape != frames[0].shape:
             raise InputError(
                 f"{rig.path(entry.file)}: is {frame.shape}, but {entries[0].file} is "
                 f"{frames[0].shape}; all images of one stack need the same size."
             )
-    copies.refuse(rig.folder)
     darker = float(np.mean(frames[-1] < frames[0]))
     if darker > MOSTLY and np.mean(frames[-1] > frames[0]) < 1 - MOSTLY:
         raise InputError(
