@@ -135,11 +135,13 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
     from .noise.across_settings.calibration import calibrate_one, calibrate_settings
     from .noise.across_settings.read import reduce_by_setting
-    from .noise.across_settings.section import sections, without_whole
+    from .noise.across_settings.section import sections, unread, without_whole
+    from .noise.settings import Setting
     from .report.inputs import with_inputs
 
+    failed: dict[Setting, InputError] = {}
     with step("reading frames"):
-        frames = reduce_by_setting(rig, channel=channel)
+        frames = reduce_by_setting(rig, channel=channel, failed=failed)
     own = []
     with step("fitting photon transfer of each setting") as progress:
         for i, one in enumerate(frames):
@@ -151,7 +153,9 @@ def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "l
             whole, *others = sections(calibrate_settings(frames, calibrations=own, seed=seed))
         except InputError as error:
             whole, *others = without_whole(frames, own, str(error))
-    return [with_inputs(whole, rig, "photon transfer"), *others]
+    told = tuple(f"{setting.label} was left out: {why}" for setting, why in failed.items())
+    whole = replace(whole, findings=(*told, *whole.findings)) if told else whole
+    return [with_inputs(whole, rig, "photon transfer"), *others, *unread(failed)]
 
 
 def response(

@@ -34,12 +34,13 @@ from fitting.noise.across_settings.fit import fitted
 from fitting.noise.across_settings.model import BOLTZMANN_EV, log_density
 from fitting.noise.across_settings.pooled import Pooled
 from fitting.noise.across_settings.proportional import proportional_gain
-from fitting.noise.across_settings.section import section
+from fitting.noise.across_settings.read import reduce_by_setting
+from fitting.noise.across_settings.section import section, unread
 from fitting.noise.across_settings.setting import FROM_BOTH, Told, told_by_darks
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.model import NoiseData, cost
 from fitting.noise.quantities import DARK_CURRENT, OFFSET, READ_NOISE, RESPONSIVITY, SYSTEM_GAIN
-from fitting.rig import Camera
+from fitting.rig import Camera, load_rig
 from jaxvision.camera_files import read_sensor
 from jaxvision.errors import InputError
 from jaxvision.io import write_image
@@ -370,6 +371,26 @@ def test_rigs_of_several_settings_are_read_one_by_one(tmp_path):
         (folder / "rig.toml").write_text(text.replace(old, new))
         with pytest.raises(InputError, match=words):
             read_by_setting(folder)
+
+
+def test_a_setting_that_cannot_be_read_is_left_out_with_the_darks_of_its_gain(tmp_path):
+    folder = write_rig(tmp_path)
+    first = next(iter(folder.glob("flat_6_293_*.tif")))
+    for file in folder.glob("flat_6_293_*.tif"):
+        file.write_bytes(first.read_bytes())  # all flats are one image
+    failed = {}
+    read = reduce_by_setting(load_rig(folder), failed=failed)
+    assert [one.setting.label for one in read] == ["0 dB, 293 K"]
+    assert [setting.label for setting in failed] == ["6 dB, 293 K", "6 dB, 303 K"]
+    alone, of_darks = unread(failed)
+    assert (alone.kind, alone.title) == (
+        "noise_6_db_293_k",
+        "Camera noise by photon transfer: 6 dB, 293 K",
+    )
+    assert "half of its" in alone.failure
+    assert "its darks have no flats of their gain" in of_darks.failure
+    with pytest.raises(InputError):
+        reduce_by_setting(load_rig(folder))
 
 
 @pytest.mark.slow

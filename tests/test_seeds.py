@@ -128,7 +128,7 @@ def test_a_seed_reaches_every_setting_and_the_fit_of_all(monkeypatch):
         seeds.append(("all", seed))
 
     across = "fitting.noise.across_settings"
-    monkeypatch.setattr(f"{across}.read.reduce_by_setting", lambda rig, channel: ["low", "high"])
+    monkeypatch.setattr(f"{across}.read.reduce_by_setting", lambda rig, **_: ["low", "high"])
     monkeypatch.setattr(f"{across}.calibration.calibrate_one", calibrate_one)
     monkeypatch.setattr(f"{across}.calibration.calibrate_settings", calibrate_settings)
     monkeypatch.setattr(f"{across}.section.sections", lambda calibration: ["whole"])

@@ -10,7 +10,7 @@ from ...inference.precision import in_double
 from ...observation import Load
 from ...rig import Rig, load_rig
 from ..read import check, reduce_darks, reduce_rig
-from ..settings import by_setting
+from ..settings import Setting, by_setting
 from .setting import FramesOfSetting
 
 
@@ -36,7 +36,11 @@ def read_by_setting(
 
 
 def reduce_by_setting(
-    rig: Rig, *, channel: str = "", load: Load = read_image
+    rig: Rig,
+    *,
+    channel: str = "",
+    load: Load = read_image,
+    failed: dict[Setting, InputError] | None = None,
 ) -> tuple[FramesOfSetting, ...]:
     """As `read_by_setting`, of a rig that was read.
 
@@ -44,26 +48,43 @@ def reduce_by_setting(
         rig: with `[[flat]]` and `[[dark]]`.
         channel: site of a Bayer mosaic; empty for the first green.
         load: how an image is had by its path.
+        failed: takes the settings that cannot be used, and why, which are then left out; None to
+            refuse the rig.
 
     Returns:
         One for each gain and temperature, in their order.
 
     Raises:
-        InputError: for what cannot be used.
+        InputError: for what cannot be used; with `failed`, where no setting can be.
     """
     rigs = by_setting(rig)
+    found: dict[Setting, FramesOfSetting] = {}
     lit = {setting.gain for setting, own in rigs.items() if own.flat}
-    found = []
-    for setting, own in rigs.items():
+    for setting in sorted(rigs, key=lambda one: not rigs[one].flat):  # flats first
         place = Path(rig.folder) / f"({setting.label})" if len(rigs) > 1 else rig.folder
-        if not own.dark:
-            raise InputError(f"{place}: its flats have no darks of their gain and temperature.")
-        if own.flat:
-            frames = reduce_rig(own, channel=channel, load=load)
-            check(place, frames)
-        elif setting.gain in lit:
-            frames = reduce_darks(own, channel=channel, load=load)
-        else:
-            raise InputError(f"{place}: its darks have no flats of their gain at any temperature.")
-        found.append(FramesOfSetting(setting, frames))
-    return tuple(found)
+        try:
+            found[setting] = _reduced(place, setting, rigs[setting], lit, channel, load)
+        except InputError as error:
+            if failed is None:
+                raise
+            failed[setting] = error
+            lit = {one.gain for one in rigs if rigs[one].flat and one not in failed}
+    if not found and failed:
+        raise next(iter(failed.values()))
+    return tuple(found[setting] for setting in rigs if setting in found)
+
+
+def _reduced(
+    place: Path, setting: Setting, own: Rig, lit: set[float | None], channel: str, load: Load
+) -> FramesOfSetting:
+    """One setting; `lit` has the gains of which there are flats."""
+    if not own.dark:
+        raise InputError(f"{place}: its flats have no darks of their gain and temperature.")
+    if own.flat:
+        frames = reduce_rig(own, channel=channel, load=load)
+        check(place, frames)
+    elif setting.gain in lit:
+        frames = reduce_darks(own, channel=channel, load=load)
+    else:
+        raise InputError(f"{place}: its darks have no flats of their gain at any temperature.")
+    return FramesOfSetting(setting, frames)

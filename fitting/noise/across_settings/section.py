@@ -1,6 +1,6 @@
 """A camera over its settings as its reader sees it: estimates, findings, tables and pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +16,9 @@ from ...report.section import Section, Table
 from ..calibration import NoiseCalibration
 from ..parts import Part, deviation_quantiles, sampling_variance
 from ..pattern import SEEN
+from ..section import TITLE as TITLE_OF_ONE
 from ..section import section as section_of_one
+from ..settings import Setting
 from .calibration import CameraCalibration
 from .figures import camera_pictures
 from .findings import NAMES, findings
@@ -110,6 +112,25 @@ def without_whole(
     return [whole, *_of_settings(frames, calibrations)]
 
 
+def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
+    """Settings whose frames cannot be used.
+
+    Args:
+        failed: why, of each.
+
+    Returns:
+        A section each, that says so.
+    """
+    return [
+        Section(_kind(s.label), f"{TITLE_OF_ONE}: {s.label}", (), (str(why),), failure=str(why))
+        for s, why in failed.items()
+    ]
+
+
+def _kind(label: str) -> str:
+    return "_".join([KIND, *label.lower().replace(",", "").replace("-", "minus_").split()])
+
+
 def _of_settings(
     frames: Sequence[FramesOfSetting],
     calibrations: Sequence[NoiseCalibration | InputError | None],
@@ -123,10 +144,9 @@ def _of_settings(
 
 def _of_setting(calibration: NoiseCalibration, label: str) -> Section:
     alone = section_of_one(calibration)
-    kind = "_".join([KIND, *label.lower().replace(",", "").replace("-", "minus_").split()])
     return replace(
         alone,
-        kind=kind,
+        kind=_kind(label),
         title=f"{alone.title}: {label}",
         pictures=alone.pictures[:1],
         estimates=tuple(replace(one, group=label) for one in alone.estimates),
