@@ -77,7 +77,7 @@ def clean_camera(rng: np.random.Generator) -> list[np.ndarray]:
     full, count = 2.0**bits - 1, rng.choice([6, 10, 14, 25])
     top = rng.choice([0.02, 0.1, 0.6, 0.95, 1.2]) * full
     gain, read = 2.0 ** (bits - 12) * np.exp(rng.uniform(-4, 1)), rng.uniform(0.3, 8)
-    rise = rng.choice([np.linspace, np.geomspace])
+    rise = np.linspace if rng.random() < 0.5 else np.geomspace
     light = [*rise(top / gain / 30, top / gain, count), *[0] * 4]
     falls = 1 - rng.choice([0, 0.3]) * np.linspace(0, 1, size)[:, None]
     unequal = 1 + rng.choice([0, 0.02]) * rng.standard_normal((size, size))

@@ -18,6 +18,7 @@ from .neighbours import are_known
 from .parts import Part, deviation_quantiles
 from .pattern import unequal_gains, unequal_offsets
 from .periodic import periodic_in_words
+from .raw_frames import BLOCK, is_compressed, processing_in_words
 from .shared import Found, drift, temporal_lines
 
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
@@ -32,8 +33,9 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *measurement.bright.left_out,
         *measurement.dark.left_out,
         *flicker_in_words(measurement, calibration.flicker),
+        *processing_in_words(measurement, calibration.usable),
         *_efficiency(calibration),
-        *periodic_in_words(calibration.periodic, _shown(calibration, "system_gain")[0]),
+        *_periodic(calibration),
         *_converter(calibration),
         *_linearity(calibration),
         *_random_effects(calibration),
@@ -65,6 +67,13 @@ def is_impossible(calibration: NoiseCalibration) -> bool:
     return calibration.efficiency is not None and calibration.efficiency > 1
 
 
+def _periodic(calibration: NoiseCalibration) -> list[str]:
+    """What was found, without the blocks of a compression."""
+    blocks = is_compressed(calibration.measurement, calibration.usable)
+    found = [one for one in calibration.periodic if not (blocks and one.period == BLOCK)]
+    return periodic_in_words(tuple(found), _shown(calibration, "system_gain")[0])
+
+
 def _efficiency(calibration: NoiseCalibration) -> list[str]:
     if calibration.efficiency is not None and calibration.efficiency < LEAST_EFFICIENCY:
         return [
@@ -77,8 +86,9 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
     return [
         f"The quantum efficiency comes out at {100 * (calibration.efficiency or 0):.3g} %, which "
         "no sensor has: either photons are stated too low (give photons per pixel and exposure, "
-        "not per area or second), or the images were smoothed or interpolated, which lowers the "
-        "variance and the gain read off it. No sensor is made from it."
+        "not per area or second), or the images were averaged, denoised, compressed, smoothed or "
+        "interpolated, which lowers the variance and the gain read off it; give raw frames. No "
+        "sensor is made from it."
     ]
 
 

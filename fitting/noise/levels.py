@@ -48,6 +48,10 @@ class Levels(eqx.Module):
         residues: (levels, 2, 3, residues) means of the frames' average and of their variance, by
             row, by column and by place in a cell (`periodic`); None where pixels are not known.
         quarters: (levels, 2, 4) the same of the quarters of a frame.
+        local_pattern: (levels,) what stays from frame to frame, by differences of neighbours, DN^2;
+            None where pixels are not known.
+        blocks: (levels, 2, 8) covariance of a pixel and the one below (beside) it, by row (column)
+            modulo 8, DN^2; None where pixels are not known, or not next to each other.
         left_out: frames that do not belong, and why, in sentences.
     """
 
@@ -62,6 +66,8 @@ class Levels(eqx.Module):
     covariances: Float[Array, "levels lags lags"] | None = None
     residues: Float[Array, "levels 2 3 residues"] | None = None
     quarters: Float[Array, "levels 2 4"] | None = None
+    local_pattern: Float[Array, " levels"] | None = None
+    blocks: Float[Array, "levels 2 8"] | None = None
     left_out: tuple[str, ...] = eqx.field(static=True, default=())
     flicker: Float[Array, "2 levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())

@@ -16,7 +16,17 @@ from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter
-from ..frame_checks import ALONE, Odd, Shown, Stated, odd_frames, odd_heads, refuse_half, shown
+from ..frame_checks import (
+    ALONE,
+    Odd,
+    Shown,
+    Stated,
+    listed,
+    odd_frames,
+    odd_heads,
+    refuse_half,
+    shown,
+)
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
@@ -24,6 +34,7 @@ from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels,
 from .levels_table import read_table
 from .neighbours import Neighbours
 from .periodic import quarters, residues
+from .raw_frames import BLOCK, block_products, local_variance, tone_curve
 from .settings import require_one_setting
 from .shared import shared_variance
 from .variance_parts import Moments
@@ -108,6 +119,12 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         remarks.append(f"Of the {rig.camera.pattern} mosaic the {channel} sites were used.")
     elif len(rig.camera.sites) > 1:
         remarks.append(f"Of the {len(rig.camera.sites)} taps the pixels of {channel} were used.")
+    lossy = [name for entry in (*flats, *darks) for name in entry.files if _is_jpeg(name)]
+    if lossy:
+        remarks.append(
+            f"{listed(lossy)} are JPEG, which rounds and drops noise and mostly has a tone curve: "
+            "gain, read noise and quantum efficiency are not the camera's. Give raw frames."
+        )
     stated = rig.camera.at(channel).clip_level
     if converter.clips_at is not None and converter.clips_at < stated - max(converter.step, 1.0):
         remarks.append(
@@ -150,6 +167,10 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     codes = Codes()
     darks = _reduced(rig, _pooled(rig.dark), channel, load, codes, odd=odd["dark"])
     return replace(darks, converter=codes.converter())
+
+
+def _is_jpeg(name: str) -> bool:
+    return Path(name).suffix.lower() in (".jpg", ".jpeg")
 
 
 def _full_scale(stated: float, converter: Converter) -> float:
@@ -274,6 +295,8 @@ def _reduced(
         covariances=covariances,
         residues=jnp.asarray([row.residues for row in rows]),
         quarters=jnp.asarray([row.quarters for row in rows]),
+        local_pattern=jnp.asarray([row.local_pattern for row in rows]),
+        blocks=jnp.asarray([row.blocks for row in rows]) if adjacent else None,
         left_out=tuple(one.sentence for one in gone),
     )
 
@@ -307,6 +330,8 @@ class _Level(NamedTuple):
     shown: tuple[Shown, ...]
     residues: np.ndarray
     quarters: np.ndarray
+    local_pattern: float
+    blocks: np.ndarray
 
 
 def _level(
@@ -386,6 +411,7 @@ class _Sums:
         self._total, self._squares = np.zeros_like(first), np.zeros_like(first)
         self._shifts: list[float] = []
         self._lines, self._neighbours = Moments(first), Neighbours(first.shape)
+        self._blocks = np.zeros((2, BLOCK))
 
     def add(self, name: str, frame: np.ndarray) -> None:
         """One more frame, or the first."""
@@ -398,6 +424,7 @@ class _Sums:
         self._squares += deviation**2
         self._lines.add(deviation)
         self._neighbours.add(deviation)
+        self._blocks += block_products(deviation)
 
     def level(self) -> _Level:
         """The statistics of two frames or more."""
@@ -408,17 +435,22 @@ class _Sums:
         wandering = float(np.var(self._shifts, ddof=1))
         parts = self._lines.temporal(float(temporal.mean()), wandering)
         variance = parts.of_a_pixel
+        covariances = self._neighbours.covariances(total, variance, parts.frames)
+        passing = variance - (covariances[0, 1] + covariances[1, 0]) / 2
+        blocks = (count * self._blocks - block_products(total)) / (count * (count - 1))
         return _Level(
             mean=float(average.mean()),
             variance=variance,
             spatial=float(average.var(ddof=1)),
             frames=float(count),
             lines=(parts.rows, parts.columns, *self._lines.fixed(average, parts), parts.frames),
-            covariances=self._neighbours.covariances(total, variance, parts.frames),
+            covariances=covariances,
             shape=self.first.shape,
             shown=tuple(self.shown),
             residues=residues(average, temporal),
             quarters=quarters(average, temporal),
+            local_pattern=local_variance(average) - passing / count,
+            blocks=blocks - parts.frames,
         )
 
 
@@ -483,11 +515,18 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
         )
     if measurement.photons_known and float(bright.light.max()) <= 0:
         raise InputError(f"{file}: no flat has any photons; give the light of each level.")
+    exponent = tone_curve(measurement)
+    if exponent is not None:
+        raise InputError(
+            f"{file}: the signal grows as the light to the power of {exponent:.2g}, and its noise "
+            "not with it, as after a tone curve (gamma, sRGB), from which no gain follows; give "
+            "raw, linear frames."
+        )
     if bool(jnp.all(dark.variance == 0)):
         raise InputError(
             f"{file}: no dark varies from frame to frame (mean {float(dark.mean.max()):g} DN), so "
-            "black is clipped or the frames are copies; raise the camera's black level and give "
-            "independent frames."
+            "black is clipped, the frames are copies, or compression (JPEG) took their noise; "
+            "raise the camera's black level and give independent raw frames."
         )
     if bool(jnp.all(bright.variance == 0)):
         raise InputError(
@@ -500,8 +539,8 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
     if _most_shot_noise(measurement) < SEEN:
         raise InputError(
             f"{file}: the flats vary no more from frame to frame than the darks do, so no shot "
-            "noise is seen, from which the gain is read off; give raw frames, neither averaged nor "
-            "smoothed, and more light."
+            "noise is seen, from which the gain is read off; give raw frames, neither averaged, "
+            "smoothed nor compressed, and more light."
         )
     brightest = float(bright.mean.max()) / min(measurement.converter.step or 1.0, 1.0)
     if (measurement.full_scale or 0) > 255 and brightest <= 255:

@@ -1,5 +1,6 @@
 """Frames that do not belong are named and left out, and what remains gives the camera."""
 
+import io
 from fractions import Fraction
 from itertools import pairwise
 
@@ -9,7 +10,9 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from fitting.joint import from_photographs as joint_photographs
-from fitting.noise import Camera, calibrate, from_frames
+from fitting.noise import Camera, calibrate, from_frames, read_photon_transfer
+from fitting.noise.levels import linear_levels
+from fitting.noise.raw_frames import processing_in_words, tone_curve
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.response import from_stack
 from fitting.response.read import read_exposure_stack
@@ -310,3 +313,91 @@ def test_a_flat_of_a_joint_measurement_that_does_not_belong_is_named():
     assert found.levels is not None
     np.testing.assert_allclose(found.levels[0].freedom, [2 * 4095, 4095, 2 * 4095, 4095])
     assert found.findings[0].startswith("flats[1][2] was left out: 100 % of its pixels are 0 DN")
+
+
+def enough(kind):
+    """Flats and darks of 64 x 64 pixels that something was done to."""
+    rng = np.random.default_rng(4)
+
+    def raw(electrons, gain=GAIN, black=BLACK, noise=READ_NOISE):
+        counted = rng.poisson(electrons, (64, 64)) + rng.normal(0, noise, (64, 64))
+        return gain * counted + black
+
+    def jpeg(electrons):
+        eight = np.clip(np.round(raw(electrons, 0.025, 4, 20)), 0, 255).astype(np.uint8)
+        kept = io.BytesIO()
+        Image.fromarray(eight).save(kept, "JPEG", quality=90)
+        return np.asarray(Image.open(kept))
+
+    def curved(electrons):
+        linear = np.clip((np.round(raw(electrons)) - BLACK) / (FULL - BLACK), 0, 1)
+        if kind == "gamma":
+            return np.round(255 * linear ** (1 / 2.2))
+        low = linear <= 0.0031308
+        return np.round(255 * np.where(low, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))
+
+    def level(electrons, count):
+        if kind in ("jpeg", "gamma", "sRGB"):
+            return [(jpeg if kind == "jpeg" else curved)(electrons) for _ in range(count)]
+        running, frames = raw(electrons), []
+        for _ in range(8 + count):
+            running = 0.5 * running + 0.5 * raw(electrons)
+            frames.append(np.clip(np.round(running), 0, FULL))
+        return frames[8:]
+
+    flats = [level(x, 12 if i == 7 else 2) for i, x in enumerate(ELECTRONS)]
+    return flats, [level(0, 2) for _ in range(14)]
+
+
+def measured_of(kind):
+    bits = 12 if kind == "denoised" else 8
+    return from_frames(*enough(kind), list(TIMES), ELECTRONS / 0.6, camera=Camera(bits=bits))
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("jpeg", "across every eighth row and column, as in JPEG"),
+        ("denoised", "the frames of a level share noise, as after temporal denoising"),
+    ],
+)
+def test_noise_that_was_processed_is_named(kind, words):
+    measured = measured_of(kind)
+    (told,) = processing_in_words(measured, linear_levels(measured))
+    assert words in told
+
+
+@pytest.mark.parametrize("kind", ["gamma", "sRGB"])
+def test_frames_behind_a_tone_curve_are_refused_as_such(kind):
+    with pytest.raises(InputError, match="after a tone curve"):
+        measured_of(kind)
+
+
+def test_raw_frames_are_taken_as_raw():
+    measured = read()
+    assert processing_in_words(measured, linear_levels(measured)) == []
+
+
+def test_saturation_and_light_that_is_stated_wrongly_are_no_tone_curve():
+    bright = np.concatenate([ELECTRONS, [12000, 15000, 20000, 30000, 60000]])
+    flats = [[frame(x, 800 + 2 * i), frame(x, 801 + 2 * i)] for i, x in enumerate(bright)]
+    of = {"camera": Camera(bits=12), "dark_exposures": [TIMES[0]]}
+    for stated in (bright / 0.6, (bright / 0.6) ** 1.4):
+        assert tone_curve(from_frames(flats, DARKS[:1], [0.01] * 19, stated, **of)) is None
+
+
+def test_jpeg_files_are_named(tmp_path):
+    """Of a quality that leaves no blocks to be seen."""
+    rng, text = np.random.default_rng(6), "[camera]\nbits = 8\n"
+    for i, electrons in enumerate([0, *np.linspace(500, 9000, 8)]):
+        kind = "flat" if electrons else "dark"
+        names = [f"{kind}_{i}_{j}.jpg" for j in range(2)]
+        for name in names:
+            signal = 0.025 * (rng.poisson(electrons, (32, 32)) + rng.normal(0, 40, (32, 32))) + 8
+            eight = np.clip(np.round(signal), 0, 255).astype(np.uint8)
+            Image.fromarray(eight).save(tmp_path / name, quality=98)
+        text += f"[[{kind}]]\nfiles = {names}\nexposure = 0.01\n"
+        text += f"photons = {2 * electrons}\n" if electrons else ""
+    (tmp_path / "rig.toml").write_text(text)
+    (told,) = [one for one in read_photon_transfer(tmp_path).remarks if "JPEG" in one]
+    assert told.startswith("flat_1_0.jpg, flat_1_1.jpg, flat_2_0.jpg and 15 more are JPEG, which")
