@@ -408,7 +408,9 @@ def _blocks(levels: _Levels, level: int, frame: Shown) -> np.ndarray:
         np.diff([*starts, size]) for starts, size in zip(edges, frame.sample.shape, strict=True)
     ]
     means = sums / np.outer(*sizes)
-    signal = 0.0 if levels.black is None else abs(float(means.mean() - levels.black[level]))
+    if levels.black is None:
+        return (means - means.mean()) / levels.scale(level)
+    signal = abs(float(means.mean() - levels.black[level]))
     return (means - means.mean()) / max(signal, levels.noise[level], 1e-9)
 
 

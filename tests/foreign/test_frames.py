@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from fitting.frame_checks import odd_frames, shown
 from fitting.joint import from_photographs as joint_photographs
 from fitting.noise import Camera, calibrate, from_frames, read_photon_transfer
 from fitting.noise.levels import linear_levels
@@ -401,3 +402,18 @@ def test_jpeg_files_are_named(tmp_path):
     (tmp_path / "rig.toml").write_text(text)
     (told,) = [one for one in read_photon_transfer(tmp_path).remarks if "JPEG" in one]
     assert told.startswith("flat_1_0.jpg, flat_1_1.jpg, flat_2_0.jpg and 15 more are JPEG, which")
+
+
+@pytest.mark.parametrize("seed", [9, 28, 36, 46])
+def test_darks_that_hardly_leave_one_code_are_no_bad_frames(seed):
+    """Noise of rows, a tenth of a code as that of pixels, lifts a few rows."""
+    rng, small = np.random.default_rng(seed), [0.1, 0.13, 0.16][seed % 3]
+    seen = [
+        [
+            shown(f"{i} {j}", np.round(64 + small * noise), top=FULL)
+            for j in range([2, 4][seed // 9 % 2])
+            for noise in [rng.standard_normal((32, 32)) + rng.standard_normal((32, 1))]
+        ]
+        for i in range(3)
+    ]
+    assert odd_frames(seen, light=[0.01, 0.1, 1.0]) == []
