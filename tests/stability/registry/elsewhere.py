@@ -493,8 +493,9 @@ ELSEWHERE = (
     ),
     Elsewhere(
         CHOICES,
-        "test_integral",
+        "test_integral test_filters",
         """
+            filters.convolution: summed
             filters.integral: integral_image
         """,
     ),
