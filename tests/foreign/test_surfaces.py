@@ -133,6 +133,10 @@ def black(dn):
     dn[:, 4] = 64
 
 
+def unlit(dn):
+    dn[:, 4] = 64 + np.random.default_rng(5).normal(0, 1.25, dn[:, 4].shape)
+
+
 def saturated(dn):
     dn[:, 4] = 2**14
 
@@ -147,6 +151,7 @@ def swapped(dn):
 
 STRANGERS = [
     (black, {4: "is dark"}),
+    (unlit, {4: "is dark"}),
     (saturated, {4: "is saturated"}),
     (copied, {4: "is a copy"}),
     (swapped, {4: "its shading shows", 9: "its shading shows"}),

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.special import ndtri
 
 from jaxvision.errors import InputError
 from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
@@ -27,6 +28,8 @@ PURPOSE: Purpose = "a reflectance calibration"
 HOLD_OUT_EVERY = 4  # lights kept for testing where the rig names none: every fourth
 FEWEST_LIGHTS_TO_SPLIT = 4
 FEWEST_PIXELS = 50
+DARK_ERRORS = 4.0  # of an image's median, up to which it lies at the black level
+DARK_SHARE = 0.05  # of the signal that the other images let one expect, below which one is dark
 OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
 NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
 
@@ -382,13 +385,30 @@ def lightless_images(observation: ReflectanceObservation) -> dict[int, str]:
         By index in what state all of its lit pixels are: dark or saturated.
     """
     found = {}
+    dark = _dark(observation)
     for i, lit in enumerate(observation.cosine > 0):
         seen = observation.dn[:, i, lit]
         if (seen >= observation.clip).all():
             found[i] = "saturated"
-        elif (seen <= observation.black + 1).all():
+        elif (seen <= observation.black + 1).all() or dark[i]:
             found[i] = "dark"
     return found
+
+
+def _dark(observation: ReflectanceObservation) -> Bool[np.ndarray, " lights"]:
+    """Which images lie at the black level within their own noise, where the others' brightness
+    lets one expect far more."""
+    signal = (observation.dn - observation.black).mean(axis=0)
+    driven = observation.intensity.mean(axis=0)[:, None] * observation.falloff * observation.cosine
+    median, error, drive = np.zeros((3, len(signal)))
+    for i, lit in enumerate(observation.cosine > 0):
+        median[i] = np.median(signal[i, lit])
+        spread = np.median(np.abs(signal[i, lit] - median[i])) / ndtri(0.75)
+        error[i] = spread * np.sqrt(np.pi / 2 / np.count_nonzero(lit))
+        drive[i] = np.median(driven[i, lit])
+    expected = drive * np.median(median / drive)
+    at_black = np.abs(median) <= 1 + DARK_ERRORS * np.hypot(error, observation.black_sd)
+    return at_black & (median < DARK_SHARE * expected)
 
 
 def _refuse_clipped_or_dark(
