@@ -69,6 +69,21 @@ def test_three_incidences_are_fitted_with_wide_intervals(tmp_path):
     assert high - low > 2 * 1.96 * alone  # wider than noise that counts as independent makes them
 
 
+def glossy(wi, wo):
+    """Normalised Phong: .1, .5 and exponent 40."""
+    cosine = np.maximum(np.sum(wi * [-1, -1, 1] * wo, axis=-1), 0)
+    return 0.1 + 0.5 * 42 / (2 * np.pi) * cosine**40
+
+
+@pytest.mark.long
+def test_three_incidences_fit_as_many_parameters(tmp_path):
+    found = sections(tmp_path / "gloss.brdf", [10, 40, 70], glossy, 0.01).estimates
+    for name, truth in (("diffuse", 0.1), ("specular", 0.5), ("exponent", 40)):
+        low, high = find(found, name).interval_95
+        assert low - 0.5 * (high - low) < truth < high + 0.5 * (high - low)
+        assert high - low < 0.05 * truth
+
+
 @pytest.mark.parametrize(
     ("model", "diffuse", "specular", "shape", "expected"),
     [

@@ -186,7 +186,7 @@ def _log_covariance(
     fit: ModelFit, space: ParameterSpace
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Of the logarithms: amplitudes, which may vanish without an incidence, by their relative
-    deviations."""
+    deviations. No more incidences than parameters tell no correlations, which are then 0."""
     whole = _natural(fit.whole, space)
     left_out = np.stack([_natural(one, space) for one in fit.without])
     scale = np.where(whole > 0, whole, 1)
@@ -194,7 +194,9 @@ def _log_covariance(
     for i, parameter in enumerate(space):
         if parameter.name not in ("diffuse", "specular"):
             logs[:, i] = np.log(left_out[:, i])
-    return _jackknife(logs)
+    covariance = _jackknife(logs)
+    told = len(fit.without) > len(space)
+    return covariance if told else np.diag(np.diagonal(covariance))
 
 
 def amplitudes(fit: ModelFit) -> Amplitudes:
