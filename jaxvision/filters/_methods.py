@@ -29,6 +29,7 @@ _MOST_TAPS = 128
 # To what share of itself a sum is right after a transform in float32 and in float64, by bytes.
 _RIGHT = {4: 1e-4, 8: 1e-9}
 _TILE = 256  # pixels a side that are looked at by themselves
+_MOST_RANGES = 128  # of magnitudes in one plane: each takes 6 decades of the 630 of float64
 _SEEN = 64  # pixels a side of the windows whose largest value is looked at, at most
 
 
@@ -174,23 +175,26 @@ def _by_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
     not reach gets none of its rounding, and NaN and infinity stay within their windows."""
     with jax.enable_x64(True):
         wide = spectrum.real.dtype
-        finite, weights = jnp.where(jnp.isfinite(f), f, 0).astype(wide), k.astype(wide)
+        finite, weights = (jnp.where(jnp.isfinite(x), x, 0).astype(wide) for x in (f, k))
         scale = jnp.abs(finite).max()
         scale = jnp.where(scale > 0, scale, 1)
         above = jnp.finfo(wide).eps ** -0.55
 
-        def step(state: tuple[Planes, Planes]) -> tuple[Planes, Planes]:
-            rest, total = state
+        def step(state: tuple[Planes, Planes, Array]) -> tuple[Planes, Planes, Array]:
+            rest, total, ranges = state
             size = jnp.abs(rest)
             rounding = _rounding(jnp.sqrt(jnp.square(size).mean()), size.max(), weights)
             large = size * _sum(weights) >= above * rounding
             result = _transformed(jnp.where(large, rest, 0), spectrum)[:, :, :h, :w]
             total = total + jnp.where(jnp.abs(result) >= rounding, result, 0)
-            return jnp.where(large, 0, rest), total
+            return jnp.where(large, 0, rest), total, ranges + 1
+
+        def is_left(state: tuple[Planes, Planes, Array]) -> Bool[Array, ""]:
+            return (state[0] != 0).any() & (state[2] < _MOST_RANGES)
 
         h, w = (a - b + 1 for a, b in zip(f.shape[2:], k.shape[2:], strict=True))
-        start = finite / scale, jnp.zeros((1, 1, h, w), wide)
-        _, total = lax.while_loop(lambda state: (state[0] != 0).any(), step, start)
+        start = finite / scale, jnp.zeros((1, 1, h, w), wide), jnp.zeros((), jnp.int32)
+        _, total, _ = lax.while_loop(is_left, step, start)
         total = (total * scale).astype(f.dtype)
         known = jnp.isfinite(f).all() & jnp.isfinite(k).all()
         return lax.cond(known, lambda: total, lambda: _with_unknown(total, f, k))

@@ -53,6 +53,15 @@ def test_a_dead_pixel_spoils_its_window_only(value):
     np.testing.assert_allclose(fft, direct, rtol=1e-5)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("method", ["auto", "fft"])
+def test_a_kernel_that_is_not_finite_ends(method, value):
+    """The windows of each pixel, continued beyond the border, hold all taps."""
+    kernel = STAR.copy()
+    kernel[3, 3] = value
+    assert np.isnan(filters.correlate(night(1e7), kernel, method=method)).all()
+
+
 @pytest.mark.long
 def test_slopes_through_a_transform_are_those_of_the_sum():
     picture, kernel = jnp.asarray(stars(0.01)), jnp.asarray(STAR)
