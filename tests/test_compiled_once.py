@@ -10,7 +10,8 @@ import jax
 import pytest
 from examples import ROOMS, examples_of
 
-from jaxvision.sensor import exposed
+from jaxvision.scene import FastPoissonShotNoise, PoissonShotNoise, Sensor
+from jaxvision.sensor import count, exposed, raw_image
 
 QUICK = {"compositing", "matting", "point_ops"}
 # One for each loop that many functions of a slow room share.
@@ -66,6 +67,21 @@ def test_a_second_call_compiles_nothing(room, programs):
 def test_a_shared_loop_is_compiled_once(room, function, programs):
     assert function in examples_of(room)
     assert not compiled_again(room, programs, function)
+
+
+@pytest.mark.parametrize("law", [PoissonShotNoise(), FastPoissonShotNoise()])
+def test_a_count_is_compiled_once(law, programs):
+    """In the examples' rooms the counts are Gaussian, without a loop."""
+    key, mean = jax.random.key(0), jax.numpy.full((5, 1, 1), 50.0)
+    sensor = Sensor(quantum_efficiency=1.0, gain=1.0, bits=12, shot_noise=law)
+
+    def twice():
+        return count(key, mean, law), raw_image(key, sensor, mean)
+
+    jax.block_until_ready(twice())
+    before = len(programs)
+    jax.block_until_ready(twice())
+    assert len(programs) == before
 
 
 @pytest.mark.long
