@@ -400,3 +400,32 @@ def test_rows_and_columns_need_an_image():
         sensor = s.Sensor(**{field: 0.1})
         with pytest.raises(ValueError, match=r"an image \(..., h, w, bands\), got shape \(5, 1\)"):
             raw_image(KEY, sensor, jnp.ones((5, 1)), die_key=DIE)
+
+
+@pytest.mark.parametrize("law", [s.PoissonShotNoise(), s.FastPoissonShotNoise()])
+@pytest.mark.parametrize("mean", [5, 100])
+def test_counts_of_narrow_and_whole_means_are_those_of_float32(law, mean):
+    truth = count(KEY, jnp.full(500, mean, jnp.float32), law)
+    for dtype in (jnp.float16, jnp.bfloat16, jnp.uint8, jnp.int32):
+        got = count(KEY, jnp.full(500, mean, dtype), law)
+        assert got.dtype == (
+            dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
+        )
+        np.testing.assert_array_equal(got, truth.astype(got.dtype))
+
+
+def test_a_float16_frame_has_the_noise_of_its_light():
+    sensor = s.Sensor(
+        quantum_efficiency=1.0,
+        full_well=10_000.0,
+        gain=1.0,
+        bits=12,
+        hot_pixels=s.HotPixels(0.1, 300.0),
+        shot_noise=s.PoissonShotNoise(),
+    )
+    with jax.numpy_dtype_promotion("standard"):
+        frames = [
+            raw_image(KEY, sensor, flat(100.0, (100, 100, 1)).astype(dtype), die_key=DIE)
+            for dtype in (jnp.float16, jnp.float32)
+        ]
+    np.testing.assert_allclose(*(np.asarray(x, float) for x in frames), rtol=2e-3, atol=1)

@@ -66,12 +66,18 @@ def needed(key: Key | None, use: Frame | Die) -> Key:
 
 def gaussian(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
     """Standard Gaussian draws of that shape, no unit."""
-    return upper_quantile(words(key, use, shape), dtype)
+    return upper_quantile(words(key, use, shape), at_least_single(dtype)).astype(dtype)
 
 
 def uniform(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Draws uniform in (0, 1] of that shape, no unit, with full relative precision near 0."""
-    return tail_probability(words(key, use, shape), dtype)
+    """Draws uniform in (0, 1] of that shape, no unit, with full relative precision near 0; in
+    float32 where the dtype is narrower, which would round them to 0 or 1."""
+    return tail_probability(words(key, use, shape), at_least_single(dtype))
+
+
+def at_least_single(dtype: DTypeLike) -> jnp.dtype:
+    """The dtype that random bits are counted in: 2^32 is beyond float16."""
+    return jnp.dtype(dtype if jnp.dtype(dtype).itemsize >= 4 else jnp.float32)
 
 
 def along_columns(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:

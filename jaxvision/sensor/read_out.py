@@ -145,5 +145,5 @@ def _hum(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> S
     """An offset that oscillates over the rows, of random phase."""
     check_image("Sensor.banding", shape)
     rows = jnp.arange(shape[-3], dtype=dtype).reshape(*(1,) * (len(shape) - 3), -1, 1, 1)
-    phase = uniform(key, Frame.BANDING, (), dtype)
+    phase = uniform(key, Frame.BANDING, (), dtype).astype(dtype)
     return banding.amplitude * jnp.sin(2 * np.pi * (rows / banding.period + phase))

@@ -34,11 +34,12 @@ from .._arguments import takes_numbers
 from .._numerics import divide, polynomial, safe_sqrt, smallest_divisor, with_gradient_of
 from .._random import seed_of
 from .._staging import one_program
-from .._types import Key, Scalars, is_known
+from .._types import Key, Scalars, as_float, is_known
 from ..scene import FastPoissonShotNoise, GaussianShotNoise, ShotNoise
 from ._draws import (
     Frame,
     Words,
+    at_least_single,
     from_middle,
     gaussian,
     subkey,
@@ -50,6 +51,7 @@ from ._draws import (
 
 MOST_ELECTRONS = 2.0**31  # largest Poisson mean: up to here the samplers' errors were measured
 SUMMED_MEAN = 10.0  # up to here the distribution is summed; Hörmann's constants hold above
+MOST_PROPOSALS = 256  # each is accepted with a chance above 1/2; the count is NaN after so many
 SUMMED_COUNTS = 38  # P(N >= 38) is 4e-11 at a mean of 10, below the smallest uniform number
 
 
@@ -72,7 +74,8 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
         shot_noise: which distribution is drawn.
 
     Returns:
-        (...) electrons in the dtype of `mean`; whole numbers unless Gaussian.
+        (...) electrons in the dtype of `mean`, floating where that is whole; whole numbers unless
+        Gaussian. Draws of a narrower dtype than float32 are those of float32, rounded to it.
 
     Raises:
         ValueError: a mean of Poisson draws is known and above 2^31.
@@ -83,9 +86,13 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
         >>> print(round(float(drawn.var() / drawn.mean()), 1))  # as of Poisson's distribution
         1.0
     """
+    if not jnp.issubdtype(mean.dtype, jnp.floating):
+        mean = as_float(mean)
+    given, mean = mean.dtype, mean.astype(at_least_single(mean.dtype))
     if isinstance(shot_noise, GaussianShotNoise):
         expected = jnp.maximum(mean, 0)
-        return expected + safe_sqrt(expected) * gaussian(key, Frame.SHOT, mean.shape, mean.dtype)
+        noise = gaussian(key, Frame.SHOT, mean.shape, mean.dtype)
+        return (expected + safe_sqrt(expected) * noise).astype(given)
     _check_countable(mean)
     expected = jnp.maximum(jax.lax.stop_gradient(mean), 0)
     bits = words(key, Frame.SHOT, mean.shape)
@@ -94,7 +101,8 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
     else:
         drawn = _exact_poisson(subkey(key, Frame.SHOT), bits, expected)
     # also where the mean is NaN, for which no comparison holds
-    return _along_draw(jnp.where(expected <= MOST_ELECTRONS, drawn, jnp.nan), mean)
+    counted = _along_draw(jnp.where(expected <= MOST_ELECTRONS, drawn, jnp.nan), mean)
+    return counted.astype(given)
 
 
 def _check_countable(mean: Scalars) -> None:
@@ -141,7 +149,11 @@ def _by_rejection(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
 
     # one array of state, NaN where nothing is drawn yet: XLA would compute two of them apart
     start = jnp.zeros((), jnp.uint32), jnp.where(done, 0, jnp.nan).astype(mean.dtype)
-    _, steps = jax.lax.while_loop(lambda state: jnp.isnan(state[1]).any(), proposed, start)
+
+    def is_left(state: tuple[UInt32[Array, ""], Scalars]) -> Bool[Array, ""]:
+        return jnp.isnan(state[1]).any() & (state[0] < MOST_PROPOSALS)
+
+    _, steps = jax.lax.while_loop(is_left, proposed, start)
     return whole + steps
 
 
