@@ -14,11 +14,12 @@ from fitting.inference.estimates import find
 from fitting.reflectance import from_files
 from fitting.reflectance.from_files.calibration import albedo
 from fitting.reflectance.from_files.fit import LobeFit, ModelFit
-from fitting.reflectance.from_files.read import read_measured_brdf
+from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
 from fitting.reflectance.from_files.section import section
 from fitting.reflectance.from_images.section import section as images_section
 from fitting.reflectance.from_images.shading_check import without_strangers
 from fitting.rig import Camera, Light, SphereGeometry
+from jaxvision.brdf.measured import BRDFSamples
 from jaxvision.errors import InputError
 
 VIEWERS = np.radians(np.arange(2.0, 85, 4))
@@ -82,6 +83,28 @@ def test_three_incidences_fit_as_many_parameters(tmp_path):
         low, high = find(found, name).interval_95
         assert low - 0.5 * (high - low) < truth < high + 0.5 * (high - low)
         assert high - low < 0.05 * truth
+
+
+@pytest.mark.parametrize(
+    ("spoil", "gone"),
+    [
+        (lambda values: np.minimum(values, 1.5), lambda exact: exact >= 1.5),
+        (lambda values: np.round(values, 1), None),
+        (lambda values: np.where(values > 0.11, 0.11, 0.10), None),
+        (lambda values: values, None),
+    ],
+    ids=["clipped", "rounded", "flat", "exact"],
+)
+def test_samples_that_share_the_largest_value_are_clipped(spoil, gone):
+    theta_i, theta_o, phi = (
+        axis.ravel() for axis in np.meshgrid(np.radians([10, 25, 40, 55]), VIEWERS, AZIMUTHS)
+    )
+    exact = glossy(direction(theta_i, 0 * phi), direction(theta_o, phi + np.pi))
+    samples = BRDFSamples(theta_i, 0 * phi, theta_o, phi + np.pi, spoil(exact)[:, None], None)
+    read = from_samples("gloss", samples, weights=np.ones(len(phi)))
+    left_out = np.count_nonzero(gone(exact)) if gone else 0
+    assert len(read.values) == len(exact) - left_out
+    assert (left_out > 0) == any("clipped, and were left out" in s for s in read.findings)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxvision import Vec, as_vec
 from jaxvision.brdf import evaluate
@@ -37,6 +37,9 @@ LOWEST_VIEWER = np.cos(np.radians(80.0))
 SAME_INCIDENCE = np.radians(1.0)  # of elevation: samples closer than this share an incidence
 FEWEST_INCIDENCES = 3  # two to fit and one to test on
 FEWEST_SAMPLES = 20
+FEWEST_CLIPPED = 5  # samples that hold the largest value, from which it may be a limit
+PILED = 3  # times as many as hold the next largest: a step of rounding holds about as many
+PEAK = 1.5  # times the median of the others: a lobe, no matt surface
 HORIZON = np.radians(89.5)  # elevations beyond are rounding about the horizon
 # f_r in sr^-1 beyond any measurement: an instrument that sees 1e-6 sr, which is finer than any
 # goniometer, reads at most 1e6 from a perfect mirror; the blackest coatings reflect 1e-4.
@@ -193,6 +196,21 @@ def from_samples(
             f"{source}: a value of {farthest:g} is beyond {LARGEST:g} sr^-1, which no measured "
             "BRDF reaches; remove the rows that mark missing data, or convert the unit."
         )
+    clipped = seen & _clipped(values, samples, seen)
+    if clipped.any():
+        left = seen & ~clipped
+        enough = left.sum() >= FEWEST_SAMPLES
+        enough = enough and len(_incidences(theta_i[left])[1]) >= FEWEST_INCIDENCES
+        findings += (
+            f"{format_percent(clipped.sum() / seen.sum(), decimals=1)} of the samples hold exactly "
+            f"the largest value, {values[seen].max():g} sr^-1: they are clipped, and "
+            + (
+                "were left out."
+                if enough
+                else "too few would be left without them, so that lobes come out too wide."
+            ),
+        )
+        seen = left if enough else seen
     if not values[seen].max() > 0:
         raise InputError(f"{source}: no value is positive; the file holds no reflectance.")
     if (values[seen].mean(axis=0) <= 0).any():
@@ -235,6 +253,25 @@ def from_samples(
         wavelengths=nanometres,
         findings=findings,
     )
+
+
+def _clipped(
+    values: Float[np.ndarray, "n bands"], samples: BRDFSamples, seen: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Samples that share the largest value of a band over a part of the lobe, where one direction,
+    or a step of rounding, would explain only some."""
+    wi, wo = sample_directions(samples)
+    half = np.stack([np.asarray(a + b) for a, b in zip(wi, wo, strict=True)], axis=-1)
+    tilt = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
+    found = np.zeros(len(seen), bool)
+    for band in values.T:
+        levels, counts = np.unique(band[seen], return_counts=True)
+        top = seen & (band == levels[-1])
+        places = np.unique(np.round(tilt[top] / SAME_INCIDENCE))
+        piled = counts[-1] >= FEWEST_CLIPPED and len(places) > 2
+        if piled and len(levels) > 1 and counts[-1] >= PILED * counts[-2]:
+            found |= top & (levels[-1] > PEAK * np.median(band[seen & ~top]))
+    return found
 
 
 def _check_signal(
