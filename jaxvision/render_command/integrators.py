@@ -139,6 +139,7 @@ def lacking(source: SceneFile, settings: RenderEntry) -> list[str]:
             source.scene,
             integrator=settings.integrator,
             depth=settings.depth,
+            rule=_rule(settings, jax.random.key(settings.seed)),
             view=source.view,
             surfaces=source.surfaces,
             lights=source.lights,

@@ -28,13 +28,27 @@ from .._types import check_choice
 from .._vector import as_array, as_vec, where
 from ..brdf import is_body, is_delta
 from ..geometry import Ray, ball_around, has_area, surface_area
-from ..lights import EnvironmentMap, RectangleLight, can_be_seen, incident
+from ..lights import (
+    EnvironmentMap,
+    Quadrature,
+    RectangleLight,
+    Rule,
+    can_be_seen,
+    incident,
+    light_nodes,
+    rules_of,
+)
+from ..lights.environment import environment_node
 from ..optics import view_ray
 from ..scene import Light, Plane, Quad, Scene, Shape, Surface, TriangleMesh, View
+from ..shadows import DEFAULT_RULE
 from ._vertices import Surfaces, branches, leave, meet, surfaces_of
+from .ray_tree import DEFAULT_RULE as RULE_OF_RAYS
 
 Integrator = Literal["direct", "rays", "path", "light", "radiosity"]
 RARE = 1e-3  # share of paths that find a lamp by chance; below, few pictures have enough of them
+MISSED = 0.1  # of an environment's largest irradiance; a smooth sky's is off by less
+_ROWS = 64  # of an environment whose pixels are summed as they are; of fewer, places between
 _FACES = 24  # of mirrors and glass in a row that are counted
 _SIDE = 24  # rays along each side of the picture that are followed to count them
 _NAMED = 3  # objects that a sentence names
@@ -45,6 +59,7 @@ def missing_light(
     *,
     integrator: Integrator,
     depth: int | None = None,
+    rule: Rule | None = None,
     view: View | None = None,
     surfaces: Sequence[str] | None = None,
     lights: Sequence[str] | None = None,
@@ -52,8 +67,9 @@ def missing_light(
     """One sentence for each kind of light of a scene that an integrator leaves out.
 
     Mirrors and glass hide lamps without a size (points, directions) from `path`, what they throw
-    onto other surfaces from `direct` and `rays`, and themselves from `light`. The rules look at the
-    kinds of lamps and materials, not at where they stand: the light that a sentence names may be
+    onto other surfaces from `direct` and `rays`, and themselves from `light`. The sun of an
+    environment falls between the directions of a quadrature. But for that, the sentences look at
+    the kinds of lamps and materials, not at where they stand: the light that one names may be
     little. Light that bounces between matt surfaces, which `direct` and `rays` leave out by their
     nature, is not told.
 
@@ -63,6 +79,8 @@ def missing_light(
             (`light_traced`) or "radiosity".
         depth: a count (no unit), the most pieces of a path, of "rays" the rays of a tree; with
             `view` it is compared with the faces of glass and mirrors in a row. None: not looked at.
+        rule: how "direct", "rays" and "radiosity" sample lights without a rule of their own; None:
+            the integrator's default.
         view: of the camera, or None: then it is taken to see every mirror and glass.
         surfaces: name of each surface; None: their places in the scene.
         lights: name of each light; None: their places in the scene.
@@ -93,6 +111,12 @@ def missing_light(
             f"Missing: light of {_list(shining)} on other surfaces, whose emission is only seen; "
             "integrator = 'path' has it."
         )
+    if integrator in ("direct", "rays", "radiosity") and len(turning) < len(own):
+        default = RULE_OF_RAYS if integrator == "rays" else DEFAULT_RULE
+        rules = rules_of(scene, default if rule is None else rule)
+        for name, light, its_rule in zip(lamps, scene.lights, rules, strict=True):
+            if isinstance(light, EnvironmentMap) and isinstance(its_rule, Quadrature):
+                found += _between_directions(name, light, its_rule, integrator)
     if not turning or integrator == "radiosity":
         return found
     matt = len(turning) < len(own)
@@ -167,6 +191,62 @@ def _list(names: Sequence[str]) -> str:
 
 def _emits(surface: Surface) -> bool:
     return surface.emission is not None and bool(np.asarray(surface.emission).any())
+
+
+def _between_directions(
+    name: str, light: EnvironmentMap, rule: Quadrature, integrator: Integrator
+) -> list[str]:
+    """A sentence where a quadrature passes by much of an environment's light, or counts it too
+    often."""
+    power = np.asarray(light.radiance, float).mean(axis=-1)
+    rows, columns = (size * -(-_ROWS // power.shape[0]) for size in power.shape)
+    edges = np.cos(np.linspace(0, np.pi, rows + 1))
+    cosine = np.cos((np.arange(rows) + 0.5) * np.pi / rows)
+    around = (np.arange(columns) + 0.5) / columns
+    places = np.stack(np.meshgrid((1 - cosine) / 2, around, indexing="ij"), -1).reshape(-1, 2)
+    weights = np.repeat((edges[:-1] - edges[1:]) / (2 * columns), columns)
+    if rows == power.shape[0]:
+        turn = np.pi * (1 - 2 * places[:, 1])
+        height = 1 - 2 * places[:, 0]
+        across = np.sqrt(np.maximum(1 - height**2, 0))
+        own_axes = np.stack([across * np.cos(turn), across * np.sin(turn), height], -1)
+        whole = own_axes @ np.asarray(light.rotation, float), 4 * np.pi * power.ravel() * weights
+    else:
+        whole = _arriving(light, places, weights)
+    brightest = whole[0][np.argmax(whole[1])]
+    normals = np.concatenate([np.eye(3), -np.eye(3), brightest[None]])
+    nodes, shares = (np.asarray(x) for x in light_nodes(light, rule, light.radiance.dtype))
+    found, true = (
+        np.array([np.maximum(directions @ normal, 0) @ amounts for normal in normals])
+        for directions, amounts in (_arriving(light, nodes, shares), whole)
+    )
+    worst = int(np.argmax(np.abs(found - true)))
+    if not abs(found[worst] - true[worst]) > MISSED * true.max():
+        return []
+    facing = ", ".join(f"{x:.2f}" for x in normals[worst] + 0.0)
+    lost = found[worst] < true[worst]
+    cures = "" if integrator == "rays" else "rule = 'balanced' or 'monte_carlo', or "
+    return [
+        f"{'Missing' if lost else 'Too much'}: light of {name}. On a surface that faces ({facing}) "
+        f"its irradiance is {true[worst]:.3g} W/m^2, of which quadrature of order {rule.order} "
+        f"finds {found[worst]:.3g}, {found[worst] / true[worst]:.2g} times as much: its "
+        f"{len(nodes)} directions {'pass by' if lost else 'meet by chance'} a small bright part, "
+        f"such as a sun. Set {cures}integrator = 'path', or take the sun out of the map and add "
+        "a directional light."
+    ]
+
+
+def _arriving(
+    light: EnvironmentMap, places: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """World directions of places of the unit square, and the mean over bands of what each sends, W
+    m^-2."""
+    dtype = light.radiance.dtype
+    sent = jax.vmap(lambda u: environment_node(light, jnp.zeros(3, dtype), u))(
+        jnp.asarray(places, dtype)
+    )
+    amounts = np.asarray(sent.irradiance, float).mean(axis=-1) * weights
+    return np.asarray(as_array(sent.direction), float), amounts
 
 
 def _rarely_found(

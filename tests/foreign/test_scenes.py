@@ -95,6 +95,49 @@ def test_lamps_that_paths_behind_glass_hardly_meet_are_named():
     assert missing_light(jv.Scene([FLOOR, PANE], [even]), integrator="path") == []
 
 
+def _sky_with_sun(rows, sun):
+    sky = np.full((rows, 2 * rows, 1), 0.01)
+    sky[rows // 8, rows // 3] = sun
+    return jv.environment_map(sky)
+
+
+@pytest.mark.parametrize(
+    ("rows", "own"), [(32, None), (128, None), (128, jv.Quadrature(16))], ids=str
+)
+def test_a_sun_between_the_directions_of_a_quadrature_is_named(rows, own):
+    """The sum of the map's own pixels is the oracle, and the sentence's number is the picture's."""
+    sun = 4e4
+    scene = jv.Scene([FLOOR], [_sky_with_sun(rows, sun)], rules=(own,))
+    (said,) = missing_light(scene, integrator="direct")
+    edges = np.cos(np.pi * np.arange(rows + 1) / rows)
+    middle = np.cos(np.pi * (rows // 8 + 0.5) / rows)
+    true = sun * (edges[rows // 8] - edges[rows // 8 + 1]) * np.pi / rows * middle
+    given = float(said.split("irradiance is ")[1].split()[0])
+    if "(0.00, 0.00, 1.00)" in said:
+        assert abs(given / true - 1) < 0.02
+    else:  # it faces the sun
+        assert abs(given * middle / true - 1) < 0.02
+    assert "lights[0]" in said
+    assert "'balanced'" in said
+    assert "'balanced'" not in missing_light(scene, integrator="rays")[0]
+    key = jax.random.key(0)
+    assert (
+        missing_light(replace(scene, rules=None), integrator="direct", rule=jv.MonteCarlo(key, 8))
+        == []
+    )
+    assert missing_light(scene, integrator="path") == []
+
+
+def test_skies_that_a_quadrature_finds_are_not_named():
+    height = np.cos(np.pi * (np.arange(64) + 0.5) / 64)[:, None, None]
+    cloudy = np.where(height > 0, (1 + 2 * height) / 3, 0.1) * np.ones((1, 128, 1))
+    even = np.ones((4, 8, 1))
+    for sky in (cloudy, even, 0 * even):
+        for integrator in ("direct", "rays", "radiosity"):
+            scene = jv.Scene([FLOOR], [jv.environment_map(sky)])
+            assert missing_light(scene, integrator=integrator) == []
+
+
 def test_an_open_mesh_of_glass_is_named():
     corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
