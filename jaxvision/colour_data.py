@@ -9,7 +9,7 @@ formula: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknow
 `InputError` that lists the known ones.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import as_float, require_metres
-from .errors import InputError
+from .errors import InputError, nearest
 from .spectra import daylight
 
 # Correlated colour temperatures in K of the tabulated phases of daylight: nominal on the older
@@ -378,11 +378,7 @@ def luma_weights(standard: str) -> tuple[float, float, float]:
 def _entry(table: Mapping[str, Any], name: str, kind: str) -> Any:
     if isinstance(name, str) and name in table:
         return table[name]
-    raise InputError(f"No {kind} {name!r}; use one of {_listed(table)}.")
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(sorted(map(str, names)))
+    raise InputError(f"No {kind} {name!r}; {nearest(str(name), map(str, table))}.")
 
 
 def _nanometres(wavelengths: Float[Array, " bands"]) -> Float[np.ndarray, " bands"]:

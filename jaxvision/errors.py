@@ -62,7 +62,10 @@ def nearest(word: str, known: Iterable[str]) -> str:
     words = sorted(known)
     if not words:
         return "there are none"
-    match = difflib.get_close_matches(word, words, n=1)
+    folded = {one.casefold(): one for one in reversed(words)}
+    match = difflib.get_close_matches(word, words, n=1) or [
+        folded[one] for one in difflib.get_close_matches(word.casefold(), folded, n=1)
+    ]
     return f"the nearest is {match[0]!r}" if match else f"use one of {', '.join(words)}"
 
 

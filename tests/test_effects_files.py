@@ -42,7 +42,7 @@ def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
     render_to_file(source, whole, SETTINGS)
     full = np.asarray(read_image(whole), float)
     if not full.max() > 0:
-        with pytest.raises(InputError, match="the picture is dark"):
+        with pytest.raises(InputError, match="is black; leave the tolerance out"):
             pruned_for(source, SETTINGS, "1%")
         return
     pruned = pruned_for(source, SETTINGS, "1%")

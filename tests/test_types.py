@@ -108,7 +108,7 @@ def test_signatures_of_rooms_say_names_too(root):
     assert len(said) > 20
     assert max(map(len, said)) <= 800
     assert not [one for one in said if "_SupportsArray" in one or "FieldInfo" in one]
-    assert "bits: int, black_level: Optional[float]" in str(inspect.signature(fitting.joint.Camera))
+    assert "bits: int, gamma: Optional[float]" in str(inspect.signature(fitting.joint.Camera))
 
 
 def test_what_numpy_makes_an_array_of_has_a_name():

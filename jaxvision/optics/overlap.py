@@ -176,7 +176,10 @@ def _side(
         away_x, away_y = x - right, y - down
         square = away_x * away_x + away_y * away_y
         outside = square > radius * radius
-        shrunk = radius * jax.lax.rsqrt(or_one(square, outside))
+        # a point on the rim may be outside here and inside there: XLA computes its square twice,
+        # with and without fused multiply-adds, so that the factor must be right in either case
+        reach = jnp.maximum(square, radius * radius)
+        shrunk = radius * jax.lax.rsqrt(or_one(reach, reach > 0))
         return (
             jnp.where(outside, right + away_x * shrunk, x),
             jnp.where(outside, down + away_y * shrunk, y),
