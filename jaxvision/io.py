@@ -29,7 +29,7 @@ from ._jpeg_markers import jpeg_extras
 from ._netpbm_files import NETPBM_FORMATS, read_netpbm
 from ._png_chunks import PALETTE as PNG_PALETTE
 from ._png_chunks import PngChunks, png_chunks
-from ._radiance_files import is_radiance, read_radiance
+from ._radiance_files import END_OF_RANGE, is_radiance, read_radiance
 from ._targa_head import targa_bits
 from ._tiff_tags import (
     BITS,
@@ -574,8 +574,8 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
     Args:
         path: the file. uint8 and uint16 go to PNG or TIFF at their own depth, uint8 of one or three
-            channels to JPEG, floating arrays to EXR or HDR (HDR: three channels, shared exponent,
-            steps of about 1 %).
+            channels to JPEG, floating arrays to EXR or HDR (HDR: three channels of light from 0 to
+            1.7e38, shared exponent, steps of about 1 %).
         pixels: (h, w) or (h, w, channels), codes or any unit.
         quality: of a JPEG, 1 to 100 on libjpeg's scale. Colour is stored at half the resolution
             below 90, at full resolution from 90 on.
@@ -597,6 +597,11 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
     _check_format(file, array.dtype)
     if suffix == ".hdr" and (array.ndim != 3 or array.shape[2] != 3):
         raise InputError(f"{file}: Radiance HDR holds three channels, got {array.shape}.")
+    if suffix == ".hdr" and (wrong := int((~((array >= 0) & (array < END_OF_RANGE))).sum())):
+        raise InputError(
+            f"{file}: {wrong} values are negative, not finite, or {END_OF_RANGE:.2g} and more, "
+            "which Radiance HDR cannot hold; write EXR."
+        )
     if suffix in JPEG_FORMATS and not (array.ndim == 2 or array.shape[2] in (1, 3)):
         raise InputError(f"{file}: JPEG holds one or three channels, got {array.shape}.")
     if not 1 <= quality <= 100:

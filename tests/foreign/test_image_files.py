@@ -355,6 +355,18 @@ def test_no_light_is_lost_by_writing_and_reading_radiance(tmp_path):
     assert abs(ratio - 1).max() < 1 / 255  # half a step of .5
 
 
+@pytest.mark.parametrize("value", [-0.5, np.nan, np.inf, 2.0**127, 3.3e38])
+def test_what_radiance_cannot_hold_is_not_written(tmp_path, value):
+    light = np.ones((2, 3, 3), np.float32)
+    light[1, 2, 0] = value
+    with pytest.raises(InputError, match=r"1 values are negative, not finite, or .*; write EXR"):
+        write_image(tmp_path / "a.hdr", light)
+    assert not (tmp_path / "a.hdr").exists()
+    light[1, 2] = 0.99 * 2.0**127
+    write_image(tmp_path / "a.hdr", light)
+    np.testing.assert_allclose(read_image(tmp_path / "a.hdr"), light, rtol=1 / 128)
+
+
 def test_exposure_and_colour_correction_are_undone(tmp_path):
     head = b"EXPOSURE=2\nSOFTWARE=x\nEXPOSURE= 0.25\nCOLORCORR= 1 2 4\nCOLORCORR=1 1 .5\n"
     write_hdr(tmp_path / "a.hdr", RGBE, head=head)
