@@ -95,8 +95,11 @@ def _attributes(file: Path) -> dict[str, Any]:
     try:
         for attribute in source.spec().extra_attribs:
             with suppress(UnicodeDecodeError):  # its name or value, damaged, is no text
-                if isinstance(attribute.value, str | int | float):
-                    found[attribute.name] = attribute.value
+                value = attribute.value
+                if isinstance(value, tuple) and len(value) == 1:  # as TIFF gives a list of one
+                    (value,) = value
+                if isinstance(value, str | int | float):
+                    found[attribute.name] = value
         found[_CODES] = {"uint8": 8, "uint16": 16}.get(str(source.spec().format))
     finally:
         source.close()

@@ -69,6 +69,21 @@ def write_tiff(
     Path(path).write_bytes(out)
 
 
+def write_with_directory(path, codes, bits, tag, entries, *, tags=(), subfile=0):
+    """A TIFF with a second directory, to which a tag of the first points."""
+    at = 0
+    for _ in range(2):  # the second time with the place known
+        write_tiff(path, codes, bits, tags={**dict(tags), tag: (4, [at])}, subfile=subfile)
+        at = Path(path).stat().st_size
+    table = struct.pack(">H", len(entries))
+    for name, (kind, value) in sorted(entries.items()):
+        table += struct.pack(">HHI", name, kind, 1) + struct.pack(
+            f">{'H2x' if kind == 3 else 'I'}", value
+        )
+    with Path(path).open("ab") as stream:
+        stream.write(table + bytes(4))
+
+
 def write_png(path, codes, depth, *, colour=0, chunks=()):
     """A PNG packed by hand (ISO/IEC 15948)."""
 
@@ -122,6 +137,16 @@ def test_every_code_of_a_tiff_of_any_depth(tmp_path, bits, order):
     assert read.dtype == (np.uint8 if bits <= 8 else np.uint16)
     np.testing.assert_array_equal(read, codes)
     assert read_settings(tmp_path / "a.tif").bits == bits
+
+
+@pytest.mark.parametrize("within", [True, False])
+def test_the_sensitivity_in_a_tiff_is_read(tmp_path, within):
+    codes, file = np.zeros((2, 3), int), tmp_path / "a.tif"
+    if within:
+        write_with_directory(file, codes, 8, 34665, {34855: (3, 400)})
+    else:  # in the main directory, as TIFF/EP has it
+        write_tiff(file, codes, 8, tags={34855: (3, [400])})
+    assert read_settings(file).iso == 400
 
 
 @pytest.mark.parametrize("bits", [1, 4, 8, 12, 16])
