@@ -404,7 +404,7 @@ def _undone(
     if chunks:
         bits = 8 if chunks.colour_type == PNG_PALETTE else chunks.depth
     elif page:
-        bits = page.first(BITS, full)
+        bits = page.first(BITS, 1)
     elif spec.get_int_attribute("targa:version"):
         bits = targa_bits(file)
     if bits < full:

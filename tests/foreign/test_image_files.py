@@ -52,6 +52,7 @@ def write_tiff(
             279: (4, [len(data)]),
             **dict(tags),
         }
+        entries = {tag: entry for tag, entry in entries.items() if entry}
         start = len(out)
         after = start + 2 + 12 * len(entries) + 4
         table, blobs = struct.pack(order + "H", len(entries)), b""
@@ -137,6 +138,13 @@ def test_every_code_of_a_tiff_of_any_depth(tmp_path, bits, order):
     assert read.dtype == (np.uint8 if bits <= 8 else np.uint16)
     np.testing.assert_array_equal(read, codes)
     assert read_settings(tmp_path / "a.tif").bits == bits
+
+
+def test_a_tiff_that_says_nothing_of_its_depth_has_one_bit(tmp_path):
+    codes = np.random.default_rng(0).integers(0, 2, (5, 11))
+    write_tiff(tmp_path / "a.tif", codes, 1, tags={258: None})
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), codes)
+    assert read_settings(tmp_path / "a.tif").bits == 1
 
 
 @pytest.mark.parametrize("within", [True, False])
