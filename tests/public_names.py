@@ -123,6 +123,7 @@ STATIC |= {"jaxvision.brdf._registry.register_delta"}
 STATIC |= {"jaxvision.lights._registry.register_extended"}
 STATIC |= {"jaxvision.geometry._places.has_area", "jaxvision.lights._registry.can_be_seen"}
 STATIC |= {"jaxvision._quadrature.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
+STATIC |= {"jaxvision.rendering.pixel_loop.check_lens", "jaxvision.filters.convolution.summed"}
 STATIC |= {  # which rule each light has
     f"jaxvision.lights._samples.{name}"
     for name in ("lights_by_rule", "rule_for", "rule_of_each", "rules_of", "split_by_rule")

@@ -183,6 +183,7 @@ def _poisson_probability(excess: Scalars, mean: Scalars) -> Scalars:
 _ARCTANH = {4: [1 / k for k in (9, 7, 5, 3)], 8: [1 / k for k in range(17, 1, -2)]}
 
 
+@takes_numbers
 def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
     """n ln(n / mean) - excess without the digits that its terms lose: Loader's D_0.
 
@@ -200,6 +201,7 @@ def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
     return excess * v + 2 * n * jnp.where(square < 0.01, near, jnp.log(n / mean) / 2 - v)
 
 
+@takes_numbers
 def stirling_remainder(n: Scalars) -> Scalars:
     """ln n! - (n + 1/2) ln n + n - ln(2 pi) / 2, no unit, by its continued fraction: to 1e-5 at
     n = 1 and 1e-13 from 30 counts on."""
