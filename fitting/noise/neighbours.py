@@ -62,24 +62,24 @@ class Neighbours:
         self._products, self._count = np.zeros((REACH + 1, REACH + 1)), 1
 
     def add(self, deviation: np.ndarray) -> None:
-        """One more frame, less the first."""
+        """One more frame, less the first and without its shift of the mean."""
         self._count += 1
         self._products += self._of(deviation)
 
-    def covariances(self, total: np.ndarray, variance: float, drift: float) -> Lags:
+    def covariances(self, total: np.ndarray, variance: float, lost: float) -> Lags:
         """Covariances, the variance at offset (0, 0).
 
         Args:
-            total: (h, w) sum of the frames, each less the first, DN.
+            total: (h, w) sum of the frames as added, DN.
             variance: of pixels, DN^2.
-            drift: variance that all pixels share, DN^2.
+            lost: variance of a frame's mean by the noise of its own pixels, DN^2.
 
         Returns:
             (lags, lags) DN^2, at offsets of 0, 1, ... rows and columns.
         """
         count = self._count
         found = (count * self._products - self._of(total)) / (count * (count - 1))
-        found -= drift
+        found += lost
         found[0, 0] = variance
         return found
 

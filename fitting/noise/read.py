@@ -420,22 +420,27 @@ class _Sums:
         self._shifts.append(float(deviation.mean()))
         if len(self.shown) == 1:
             return
+        self._lines.add(deviation)
+        # Light that drifts between the frames moves all pixels together: no noise of pixels, and
+        # products would mix it with that noise.
+        deviation = deviation - self._shifts[-1]
         self._total += deviation
         self._squares += deviation**2
-        self._lines.add(deviation)
         self._neighbours.add(deviation)
         self._blocks += block_products(deviation)
 
     def level(self) -> _Level:
         """The statistics of two frames or more."""
         count, total = len(self.shown), self._total
-        average = self.first + total / count
+        average = self.first + total / count + np.mean(self._shifts)
         temporal = (count * self._squares - total**2) / (count * (count - 1))
-        # Light that drifts between the frames moves all pixels together: no noise of pixels.
         wandering = float(np.var(self._shifts, ddof=1))
-        parts = self._lines.temporal(float(temporal.mean()), wandering)
+        parts = self._lines.temporal(float(temporal.mean()) + wandering, wandering)
         variance = parts.of_a_pixel
-        covariances = self._neighbours.covariances(total, variance, parts.frames)
+        # A frame's mean holds the noise of its own pixels, too, which went with it.
+        lost = wandering - parts.frames
+        temporal += lost
+        covariances = self._neighbours.covariances(total, variance, lost)
         passing = variance - (covariances[0, 1] + covariances[1, 0]) / 2
         blocks = (count * self._blocks - block_products(total)) / (count * (count - 1))
         return _Level(
@@ -450,7 +455,7 @@ class _Sums:
             residues=residues(average, temporal),
             quarters=quarters(average, temporal),
             local_pattern=local_variance(average) - passing / count,
-            blocks=blocks - parts.frames,
+            blocks=blocks + lost,
         )
 
 

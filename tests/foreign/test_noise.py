@@ -10,6 +10,7 @@ from scipy.stats import norm, poisson
 
 from fitting import folders, noise
 from fitting.noise.levels import linear_levels
+from fitting.noise.neighbours import above_dark, copies
 from fitting.noise.periodic import periodic_in_words, periodic_structure
 from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.section import section
@@ -273,3 +274,28 @@ def test_the_command_calibrates_each_tap(tmp_path):
         assert abs(found.value - gain) < 3.5 * found.standard_error
     assert sections[0].tables[0].title == "Sites by likelihood"
     assert len(sections[0].tables[0].rows) == 2
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_a_lamp_that_flickers_between_frames_is_no_capacitance_and_no_amplifier(count):
+    rng = np.random.default_rng(count)
+
+    def frame(photons):
+        light = photons * (1 + 0.03 * rng.standard_normal()) if photons else 0.0
+        electrons = rng.poisson(QE * light, SHAPE) + 4 * rng.standard_normal(SHAPE)
+        return np.clip(np.round(K * electrons + 64), 0, 4095)
+
+    flats = [[frame(p) for _ in range(count)] for p in PHOTONS]
+    darks = [[frame(0.0), frame(0.0)] for _ in PHOTONS]
+    measured = noise.from_frames(
+        flats, darks, [0.01] * len(PHOTONS), list(PHOTONS), camera=noise.Camera(bits=12)
+    )
+    assert measured.bright.left_out == ()
+    assert periodic_structure(measured, linear_levels(measured)) == ()
+    found, variances = above_dark(measured.bright, measured.dark)
+    shares = np.sum(found * copies(), axis=(1, 2))
+    errors = np.sqrt(np.sum(variances * copies() ** 2, axis=(1, 2)))
+    assert np.abs(shares / errors).max() < 4
+    gains = measured.bright.quarters[:, 1] - measured.dark.quarters[:, 1]
+    own = measured.bright.variance - measured.dark.variance.mean()
+    assert np.abs(gains / own[:, None] - 1).max() < 5 * np.sqrt(2 / (64 * 16 * (count - 1)))
