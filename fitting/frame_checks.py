@@ -426,8 +426,9 @@ def _noise(levels: _Levels) -> None:
     for level, frames in enumerate(levels.frames):
         if len(frames) < 3 or levels.noise[level] == 0:
             continue
-        middle = np.median([frame.sample for frame in frames], axis=0)
-        variances = np.array([_trimmed(frame.sample - middle) for frame in frames])
+        alike = _of_one_mean(frames, None if levels.black is None else levels.black[level])
+        middle = np.median(alike, axis=0)
+        variances = np.array([_trimmed(sample - middle) for sample in alike])
         if not (variances > 0).all():
             continue
         logs = np.log(variances)
@@ -437,6 +438,17 @@ def _noise(levels: _Levels) -> None:
         far = _parted(np.abs(logs - np.median(logs)), limit, lambda: None)
         if far is not None:
             _take(levels, level, far, _noise_in_words(variances, np.median(variances), frames))
+
+
+def _of_one_mean(frames: Sequence[Shown], black: float | None) -> list[np.ndarray]:
+    """Samples of frames as if all had the middle one's mean: flats of a lamp that flickers are
+    scaled above black, all others shifted."""
+    means = np.array([frame.mean for frame in frames])
+    middle = float(np.median(means))
+    if black is None or np.any(means - black <= MOST * (middle - black)):
+        return [frame.sample - mean + middle for frame, mean in zip(frames, means, strict=True)]
+    scales = (middle - black) / (means - black)
+    return [(one.sample - black) * s + black for one, s in zip(frames, scales, strict=True)]
 
 
 def _noise_in_words(

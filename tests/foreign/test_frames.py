@@ -417,3 +417,23 @@ def test_darks_that_hardly_leave_one_code_are_no_bad_frames(seed):
         for i in range(3)
     ]
     assert odd_frames(seen, light=[0.01, 0.1, 1.0]) == []
+
+
+@pytest.mark.parametrize("count", [5, 8])
+def test_good_frames_of_a_flickering_lamp_are_not_called_smoothed(count):
+    """Of pixels that are unequal by a percent, under light that falls off toward the corners."""
+    die = 1 + 0.01 * np.random.default_rng(99).standard_normal((64, 64))
+    x = np.linspace(-1, 1, 64)
+    die *= 1 - 0.2 * (x**2 + x[:, None] ** 2)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+
+        def flat(mean, rng=rng):
+            lit = mean * (1 + 0.03 * rng.standard_normal()) * die
+            return np.round(GAIN * (rng.poisson(lit) + rng.normal(0, READ_NOISE, (64, 64))) + BLACK)
+
+        levels = [
+            [shown(f"{i}_{j}", flat(x), top=FULL) for j in range(count)]
+            for i, x in enumerate(ELECTRONS)
+        ]
+        assert odd_frames(levels, light=ELECTRONS, black=np.full(14, BLACK)) == []
