@@ -103,7 +103,7 @@ def test_names_make_levels_of_flats_and_darks(tmp_path):
         for ms in (2, 10, 250):
             for frame in range(2):
                 pixels = np.full((6, 8), 100 + 12 * ms, np.uint16)
-                pixels[0, :3] -= (1, 2, 3)
+                pixels[0, :3] = 100 + 12 * ms - np.arange(1, 4)
                 write_image(tmp_path / f"{kind}_{ms}ms_{frame}.tif", pixels)
     path, found = write_rig(tmp_path)
     rig = load_rig(path)
