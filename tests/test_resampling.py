@@ -32,6 +32,36 @@ def test_batches_bands_and_constants():
     np.testing.assert_allclose(resize(np.full((9, 9), 3.0), (4, 13)), 3.0, rtol=1e-6)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("method", ["nearest", "linear", "cubic", "lanczos3", "lanczos5"])
+@pytest.mark.parametrize("size", [(7, 9), (50, 64), (23, 40)])
+def test_a_dead_pixel_stays_where_the_kernel_reaches(value, method, size):
+    """A unit column and row tell the weights; the sum leaves the others as they were."""
+    place = (11, 17)
+    weights = []
+    for side, count, at in zip(PICTURE.shape, size, place, strict=True):
+        own = np.asarray(resize(np.eye(side)[:, at, None], (count, 1), method=method))[:, 0]
+        weights.append(np.where(np.abs(own) > 1e-6, own, 0))
+    weight = np.outer(*weights).astype(np.float32)
+    dead = PICTURE.copy()
+    dead[place] = 0
+    truth = np.asarray(resize(dead, size, method=method))
+    with np.errstate(invalid="ignore"):
+        truth = np.where(weight != 0, weight * np.float32(value), truth)
+    dead[place] = value
+    np.testing.assert_allclose(resize(dead, size, method=method), truth, rtol=1e-5, atol=1e-6)
+    assert (weight == 0).mean() > 0.2
+
+
+def test_slopes_beside_a_dead_pixel():
+    dead = PICTURE.copy()
+    dead[11, 17] = np.nan
+    slopes = [jax.grad(lambda f: jnp.nansum(resize(f, (7, 9))))(f) for f in (dead, PICTURE)]
+    assert np.isfinite(slopes[0]).all()
+    np.testing.assert_allclose(slopes[0][:3], slopes[1][:3], rtol=1e-5)
+    assert slopes[0][11, 17] == 0
+
+
 @pytest.mark.parametrize(
     ("border", "theirs"),
     [

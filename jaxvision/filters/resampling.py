@@ -41,7 +41,8 @@ def resize(
         antialias: widen the kernel where the picture shrinks, so that every pixel counts.
 
     Returns:
-        size, or with batch and bands, in the picture's unit. Constants stay constant.
+        size, or with batch and bands, in the picture's unit. Constants stay constant. NaN and
+        infinity stay where the kernel reaches them, and get no slope.
 
     Raises:
         ValueError: for an array that is no picture, an unknown method, and a size below 1.
@@ -61,8 +62,45 @@ def resize(
 @partial(jax.jit, static_argnames=("size", "method", "antialias"))
 def _resized(picture: AnyPicture, size: tuple[int, int], method: str, antialias: bool) -> Floats:
     image, restore = as_planes(picture)
-    shape = (image.shape[0], *size, image.shape[3])
-    return restore(jax.image.resize(image, shape, method, antialias=antialias))
+    n, h, w, c = image.shape
+    scaled = partial(jax.image.resize, method=method, antialias=antialias)
+    if method == "nearest":
+        return restore(scaled(image, (n, *size, c)))
+    known = jnp.isfinite(image)
+    total = scaled(jnp.where(known, image, 0), (n, *size, c))  # by matrices, where 0 NaN is NaN
+
+    def with_unknown() -> Floats:
+        rows, columns = (
+            scaled(jnp.eye(side, dtype=image.dtype), (count, side))
+            for side, count in zip((h, w), size, strict=True)
+        )
+        return _with_unknown(total, image, rows, columns)
+
+    return restore(jax.lax.cond(known.all(), lambda: total, with_unknown))
+
+
+def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -> Floats:
+    """The sums of the finite values, and what NaN and infinity that have a weight make of them."""
+    least = 4 * jnp.finfo(image.dtype).eps  # what rounding makes of a weight of 0
+
+    def count(chosen: Floats, sign: int) -> Floats:
+        """How many of the chosen pixels have a weight of that sign."""
+        values = chosen.astype(jnp.float32)
+        return sum(
+            jnp.einsum(
+                "ih,nhwc,jw->nijc",
+                (own * rows > least).astype(jnp.float32),
+                values,
+                (sign * own * columns > least).astype(jnp.float32),
+            )
+            for own in (1, -1)
+        )
+
+    positive, negative, nan = jnp.isposinf(image), jnp.isneginf(image), jnp.isnan(image)
+    up = count(positive, 1) + count(negative, -1) > 0.5
+    down = count(positive, -1) + count(negative, 1) > 0.5
+    spoilt = (count(nan, 1) + count(nan, -1) > 0.5) | (up & down)
+    return jnp.where(spoilt, jnp.nan, jnp.where(up, jnp.inf, jnp.where(down, -jnp.inf, total)))
 
 
 @takes_numbers
