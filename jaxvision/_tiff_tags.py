@@ -3,12 +3,23 @@ BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import BinaryIO
 
-_SIZES = {1: 1, 3: 2, 4: 4, 5: 8, 7: 1, 13: 4, 16: 8}  # bytes of a value, by the type of its tag
-_LETTERS = {1: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q"}
-SUBFILE, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 258, 262, 320, 330
+_SIZES = {
+    1: 1,
+    3: 2,
+    4: 4,
+    5: 8,
+    7: 1,
+    13: 4,
+    16: 8,
+    18: 8,
+}  # bytes of a value, by the type of its tag
+_LETTERS = {1: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q", 18: "Q"}
+SUBFILE, ROWS, COLUMNS, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 257, 256, 258, 262, 320, 330
 SAMPLE_FORMAT = 339  # 1: whole numbers without a sign
 CFA_SIZE, CFA_COLOURS = 33421, 33422
 WHITE_IS_ZERO, PALETTE, INKS, MOSAIC = 0, 3, 5, 32803  # photometric interpretations
@@ -16,6 +27,7 @@ LIGHT = (0, 1, 2, 3, 4, 6, MOSAIC, 34892)  # grey, RGB, palettes, YCbCr, mosaics
 REDUCED, MASK = 1, 4  # bits of SUBFILE: a smaller copy, a mask of another picture
 _MOST_VALUES = 3 << 16  # of a colour map
 _MOST_PICTURES = 1 << 16
+_MOST_INNER = 64  # of one picture
 
 
 @dataclass(frozen=True)
@@ -25,10 +37,12 @@ class TiffPicture:
     Attributes:
         values: whole numbers by tag.
         places: of the first value of each tag, bytes from the beginning of the file.
+        inner: the pictures in directories of its own (SubIFDs), which its decoder does not give.
     """
 
     values: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     places: Mapping[int, int] = field(default_factory=dict)
+    inner: tuple["TiffPicture", ...] = ()
 
     def first(self, tag: int, otherwise: int = 0) -> int:
         """The first value of a tag."""
@@ -55,8 +69,8 @@ def tiff_pictures(file: Path) -> list[TiffPicture]:
         file: any.
 
     Returns:
-        One entry a picture, in order; none for a file that is not TIFF. A damaged chain ends where
-        the damage is: its decoder says more.
+        One entry a picture, in order, each with those in its own directories; none for a file that
+        is not TIFF. A damaged chain ends where the damage is: its decoder says more.
     """
     with file.open("rb") as stream:
         head = stream.read(16)
@@ -64,38 +78,53 @@ def tiff_pictures(file: Path) -> list[TiffPicture]:
         version = struct.unpack(f"{order}H", head[2:4])[0] if order and len(head) >= 8 else 0
         if version not in (42, 43):
             return []
-        big = version == 43
-        word, count_letter, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
-        at = struct.calcsize(word)
-        (here,) = struct.unpack(f"{order}{word}", head[8:16] if big else head[4:8])
+        layout = _Layout(order, big=version == 43)
+        (here,) = layout.words(head[8:16] if layout.big else head[4:8])
         found: list[TiffPicture] = []
         seen: set[int] = set()
-        try:
+        with suppress(struct.error, OSError, OverflowError):
             while here and here not in seen and len(found) < _MOST_PICTURES:
                 seen.add(here)
-                stream.seek(here)
-                (count,) = struct.unpack(
-                    f"{order}{count_letter}", stream.read(struct.calcsize(count_letter))
-                )
-                entries = stream.read(entry * min(count, 4096))
-                (following,) = struct.unpack(f"{order}{word}", stream.read(at))
-                values, places = {}, {}
-                for start in range(0, len(entries), entry):
-                    tag, kind = struct.unpack_from(f"{order}HH", entries, start)
-                    (number,) = struct.unpack_from(f"{order}{word}", entries, start + 4)
-                    size = _SIZES.get(kind, 0) * number
-                    if kind not in _LETTERS or not 0 < number <= _MOST_VALUES:
-                        continue
-                    place = here + struct.calcsize(count_letter) + start + 4 + at
-                    if size > at:
-                        (place,) = struct.unpack_from(f"{order}{word}", entries, start + 4 + at)
-                    stream.seek(place)
-                    values[tag] = struct.unpack(
-                        f"{order}{number}{_LETTERS[kind]}", stream.read(size)
-                    )
-                    places[tag] = place
-                found.append(TiffPicture(values, places))
-                here = following
-        except (struct.error, OSError, OverflowError):
-            pass
+                picture, here = layout.directory(stream, here)
+                inner = []
+                with suppress(struct.error, OSError, OverflowError):
+                    for at in picture.values.get(SUB_IFDS, ())[:_MOST_INNER]:
+                        inner.append(layout.directory(stream, at)[0])
+                found.append(replace(picture, inner=tuple(inner)))
         return found
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the numbers of a file stand: the order of bytes, and words of 8 bytes in BigTIFF."""
+
+    order: str
+    big: bool
+
+    def words(self, data: bytes) -> tuple[int, ...]:
+        return struct.unpack(f"{self.order}{'Q' if self.big else 'I'}", data)
+
+    def directory(self, stream: BinaryIO, here: int) -> tuple[TiffPicture, int]:
+        """The tags at one place of a file, and the place of the next directory."""
+        word, count_letter, entry = ("Q", "Q", 20) if self.big else ("I", "H", 12)
+        order, at = self.order, struct.calcsize(word)
+        stream.seek(here)
+        (count,) = struct.unpack(
+            f"{order}{count_letter}", stream.read(struct.calcsize(count_letter))
+        )
+        entries = stream.read(entry * min(count, 4096))
+        (following,) = self.words(stream.read(at))
+        values, places = {}, {}
+        for start in range(0, len(entries), entry):
+            tag, kind = struct.unpack_from(f"{order}HH", entries, start)
+            (number,) = struct.unpack_from(f"{order}{word}", entries, start + 4)
+            size = _SIZES.get(kind, 0) * number
+            if kind not in _LETTERS or not 0 < number <= _MOST_VALUES:
+                continue
+            place = here + struct.calcsize(count_letter) + start + 4 + at
+            if size > at:
+                (place,) = struct.unpack_from(f"{order}{word}", entries, start + 4 + at)
+            stream.seek(place)
+            values[tag] = struct.unpack(f"{order}{number}{_LETTERS[kind]}", stream.read(size))
+            places[tag] = place
+        return TiffPicture(values, places), following

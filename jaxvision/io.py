@@ -34,10 +34,12 @@ from ._targa_head import targa_bits
 from ._tiff_tags import (
     BITS,
     COLOUR_MAP,
+    COLUMNS,
     INKS,
     LIGHT,
     PALETTE,
     PHOTOMETRIC,
+    ROWS,
     WHITE_IS_ZERO,
     TiffPicture,
     tiff_pictures,
@@ -234,7 +236,7 @@ def _read_by_openimageio(
         else:
             pixels = _pixels(file, source, number, chosen, sample)
             pixels = _undone(file, pixels, spec, chunks, page)
-        _name_unused(file, source.format_name(), spec, chunks)
+        _name_unused(file, source.format_name(), spec, chunks, page)
     pixels = _in_display_window(file, pixels, spec)
     return pixels[..., 0] if pixels.shape[2] == 1 else pixels, names
 
@@ -468,9 +470,16 @@ def _from_palette(file: Path, number: int, page: TiffPicture) -> np.ndarray:
     return colours
 
 
-def _name_unused(file: Path, kind: str, spec: Any, chunks: PngChunks | None) -> None:
+def _name_unused(
+    file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
+) -> None:
     """Warns of what the head says and no array holds."""
-    said = []
+    said = [
+        f"its picture of {x.first(ROWS)} x {x.first(COLUMNS)} and {x.first(BITS, 1)} bits in a "
+        "SubIFD: export it as a file of its own"
+        for x in (page.inner if page else ())
+        if not x.is_copy
+    ]
     orientation = spec.get_int_attribute("Orientation", 1)
     if orientation not in (0, 1):
         said.append(f"its orientation (tag {orientation}): rows and columns are as stored")

@@ -586,6 +586,17 @@ def test_pages_of_a_tiff_are_named_and_copies_are_not(tmp_path):
         read_image(tmp_path / "b.tif")
 
 
+def test_a_picture_in_a_subifd_is_named(tmp_path):
+    inside = {254: (4, 0), 256: (3, 60), 257: (3, 40), 258: (3, 16)}
+    file = tmp_path / "a.tif"
+    write_with_directory(file, np.zeros((4, 6), int), 8, 330, inside)
+    with pytest.warns(UserWarning, match="its picture of 40 x 60 and 16 bits in a SubIFD"):
+        assert read_image(file).shape == (4, 6)
+    write_with_directory(file, np.zeros((4, 6), int), 8, 330, {**inside, 254: (4, 1)})
+    with warnings.catch_warnings(action="error"):
+        read_image(file)  # a smaller copy
+
+
 @pytest.mark.parametrize("suffix", [".tif", ".png", ".jpg"])
 def test_an_orientation_is_named(tmp_path, suffix):
     image = pytest.importorskip("PIL.Image")
