@@ -479,8 +479,24 @@ def _signals(levels: _Levels, there: list[int]) -> np.ndarray:
 
 
 def _light_of_levels(levels: _Levels) -> None:
-    """Levels whose light departs from that of both neighbours in the same direction, as no smooth
-    response makes it."""
+    """Levels without light, and those whose light departs from that of both neighbours in the same
+    direction, as no smooth response makes it."""
+    assert levels.black is not None
+    there = _lit(levels)
+    if len(there) < FEWEST_LEVELS:
+        return
+    signal, light = _signals(levels, there), levels.light[there]
+    told = float(np.median(signal / light)) * light
+    noise = np.maximum(levels.noise[there], 1 / np.sqrt(12))
+    for place in np.flatnonzero((signal < HALF * noise) & (told > SURE * noise)):
+        frames = levels.frames[there[place]]
+        mean = float(np.median([frame.mean for frame in frames]))
+        reason = (
+            f"the mean is {mean:.5g} DN, {levels.black[there[place]]:.5g} DN without light, where "
+            f"the other levels tell a signal of {told[place]:.3g} DN, as where the lamp was off or "
+            "the shutter closed"
+        )
+        levels.remove(there[place], range(len(frames)), reason)
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
         return
@@ -521,11 +537,13 @@ def _noise_of_levels_beside(levels: _Levels) -> None:
     sizes = np.array([levels.frames[i][0].sample.size for i in there])
     for place in _peaks(np.log(rates[:count]), np.log(OTHER_NOISE), np.sqrt(2 / sizes)):
         ratio = rates[place] / _beside(rates, place)
+        less = "copies, averaged or smoothed frames do"
+        more = "frames do that moved, or that were taken at another gain"
         levels.remove(
             there[place],
             range(len(levels.frames[there[place]])),
             f"they differ from each other by {ratio:.2g} times the variance that the levels "
-            "beside them tell for their signal, as copies, averaged or smoothed frames do",
+            f"beside them tell for their signal, as {less if ratio < 1 else more}",
         )
 
 

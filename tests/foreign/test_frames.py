@@ -437,3 +437,20 @@ def test_good_frames_of_a_flickering_lamp_are_not_called_smoothed(count):
             for i, x in enumerate(ELECTRONS)
         ]
         assert odd_frames(levels, light=ELECTRONS, black=np.full(14, BLACK)) == []
+
+
+@pytest.mark.parametrize("level", [1, 7, 13])
+def test_a_level_without_light_is_called_so(level):
+    off = [frame(0, 900), frame(0, 901)]
+    measured = read([off if i == level else frames for i, frames in enumerate(FLATS)])
+    (sentence,) = measured.bright.left_out
+    assert f"flats[{level}][0] and flats[{level}][1] were left out" in sentence
+    assert "as where the lamp was off or the shutter closed" in sentence
+    assert "averaged" not in sentence
+
+
+def test_a_level_of_too_much_variance_is_not_called_copied():
+    rng = np.random.default_rng(0)
+    loud = [np.round(x + rng.normal(0, 60, (64, 64))).clip(0, FULL) for x in FLATS[7]]
+    (sentence,) = read([loud if i == 7 else x for i, x in enumerate(FLATS)]).bright.left_out
+    assert "as frames do that moved" in sentence
