@@ -27,6 +27,11 @@ from .._numerics import norm, normalize
 from .._types import check_choice
 from .._vector import as_array, as_vec, where
 from ..brdf import is_body, is_delta
+from ..brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
+from ..brdf.dichromatic import Dichromatic
+from ..brdf.gaussian_lobe import GaussianLobe, GaussianLobeBRDF
+from ..brdf.phong import NormalisedPhong, Phong, PhongBRDF
+from ..brdf.torrance_sparrow import TorranceSparrow
 from ..geometry import Ray, ball_around, has_area, surface_area
 from ..lights import (
     EnvironmentMap,
@@ -40,7 +45,7 @@ from ..lights import (
 )
 from ..lights.environment import environment_node
 from ..optics import view_ray
-from ..scene import Light, Plane, Quad, Scene, Shape, Surface, TriangleMesh, View
+from ..scene import Light, Material, Plane, Quad, Scene, Shape, Surface, TriangleMesh, View
 from ..shadows import DEFAULT_RULE
 from ._vertices import Surfaces, branches, leave, meet, surfaces_of
 from .ray_tree import DEFAULT_RULE as RULE_OF_RAYS
@@ -68,10 +73,12 @@ def missing_light(
 
     Mirrors and glass hide lamps without a size (points, directions) from `path`, what they throw
     onto other surfaces from `direct` and `rays`, and themselves from `light`. The sun of an
-    environment falls between the directions of a quadrature. But for that, the sentences look at
-    the kinds of lamps and materials, not at where they stand: the light that one names may be
-    little. Light that bounces between matt surfaces, which `direct` and `rays` leave out by their
-    nature, is not told.
+    environment falls between the directions of a quadrature, and a narrow gloss between its samples
+    of a lamp. What such a gloss throws onto other surfaces `path` meets by chance alone.
+
+    Where mirrors and glass stand is not looked at: the light that a sentence names may be little.
+    Light that bounces between matt surfaces, which `direct` and `rays` leave out by their nature,
+    is not told.
 
     Args:
         scene: surfaces and lights, with known numbers.
@@ -117,6 +124,10 @@ def missing_light(
         for name, light, its_rule in zip(lamps, scene.lights, rules, strict=True):
             if isinstance(light, EnvironmentMap) and isinstance(its_rule, Quadrature):
                 found += _between_directions(name, light, its_rule, integrator)
+            if isinstance(its_rule, Quadrature) and integrator != "radiosity":
+                found += _too_narrow(name, light, its_rule, own, integrator)
+    if integrator == "path":
+        found += _rarely_in_lobe(scene, lamps, own)
     if not turning or integrator == "radiosity":
         return found
     matt = len(turning) < len(own)
@@ -236,6 +247,101 @@ def _between_directions(
     ]
 
 
+def _too_narrow(
+    name: str,
+    light: Light,
+    rule: Quadrature,
+    own: Sequence[tuple[str, Surface]],
+    integrator: Integrator,
+) -> list[str]:
+    """A sentence for each surface whose lobe lies between the samples of a quadrature."""
+    found = []
+    for surface_name, surface in own:
+        width = min(_lobe(surface.material))
+        match light:
+            case RectangleLight():
+                angle, wide = _angle(light, surface.shape), width
+            case EnvironmentMap():  # it shines on all sides of a highlight: half a node is enough
+                angle, wide = np.pi, 3 * width
+            case _:
+                return []
+        if angle > rule.order * wide:
+            cure = "integrator = 'path'" if integrator == "rays" else "rule = 'balanced'"
+            found.append(
+                f"Narrow: the reflection of {name} in {surface_name} is too bright or too dark. "
+                f"Its lobe is {width:.2g} rad wide, and the samples of quadrature of order "
+                f"{rule.order} lie {angle / rule.order:.2g} rad apart. Set {cure}, or order to "
+                f"{int(np.ceil(angle / width))} or more."
+            )
+    return found
+
+
+def _lobe(material: Material) -> tuple[float, float]:
+    """Widths of the narrowest lobe, rad, along and across; pi where it is broad or not known.
+
+    A lobe of alpha has 2 alpha, the solid angle of which is 1 / its largest density in sr^-1 over
+    pi; the others have as much for an equal half width."""
+    match material:
+        case Dichromatic():
+            return min(_lobe(material.body), _lobe(material.interface))
+        case TorranceSparrow():
+            along, across = np.broadcast_to(2 * np.asarray(material.roughness, float), 2)
+        case Phong() | PhongBRDF() | NormalisedPhong():
+            along = across = 2 / max(float(material.exponent), 1e-3) ** 0.5
+        case Blinn() | BlinnBRDF() | NormalisedBlinn():  # about the half vector
+            along = across = 4 / max(float(material.exponent), 1e-3) ** 0.5
+        case GaussianLobe() | GaussianLobeBRDF():
+            along = across = 2**0.5 / max(float(material.concentration), 1e-3)
+        case _:
+            return np.pi, np.pi
+    if not np.asarray(material.specular).any():
+        return np.pi, np.pi
+    return min(float(along), np.pi), min(float(across), np.pi)
+
+
+def _angle(light: RectangleLight, shape: Shape) -> float:
+    """Rad, the longer side of a lamp seen from the middle of a surface, or from its half depth."""
+    corner, u, v = (np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v))
+    middle = corner + (u + v) / 2
+    if isinstance(shape, Plane):
+        away = abs(float((middle - np.asarray(shape.point, float)) @ _unit(shape.normal)))
+    else:
+        low, high = _corners(shape).min(axis=0), _corners(shape).max(axis=0)
+        away = float(np.linalg.norm(middle - (low + high) / 2))
+        away = max(away, float((high - low).min()) / 2)
+    side = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)))
+    return 2 * float(np.arctan2(side / 2, away))
+
+
+def _rarely_in_lobe(
+    scene: Scene, lamps: Sequence[str], own: Sequence[tuple[str, Surface]]
+) -> list[str]:
+    """A sentence for each surface whose lobe throws light where paths hardly ever look for it."""
+    matt = [surface for _, surface in own if not is_delta(surface.material)]
+    found = []
+    for name, surface in own:
+        along, across = _lobe(surface.material)
+        if along * across >= RARE or len(matt) < 2:
+            continue
+        chances = [
+            along * across + (_chance(light, matt) if can_be_seen(light) else 0)
+            for light in scene.lights
+        ]
+        rare = [(lamp, c) for lamp, c in zip(lamps, chances, strict=True) if c < RARE]
+        if rare:
+            names, met = zip(*rare, strict=True)
+            found.append(_rare(_list(names), name, max(met)))
+    return found
+
+
+def _rare(light: str, faces: str, chance: float) -> str:
+    return (
+        f"Rare: light of {light} on other surfaces by {faces} is met by chance alone, by at most "
+        f"one path in {round(1 / chance):,}. Few samples show noise or nothing, and errors that "
+        "are too small. Set integrator = 'light', which finds it on purpose."
+    )
+
+
 def _arriving(
     light: EnvironmentMap, places: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -262,13 +368,7 @@ def _rarely_found(
         for name, surface in own
         if _emits(surface) and has_area(surface.shape)
     ]
-    return [
-        f"Rare: light of {name} on other surfaces by {faces} is met by chance alone, by at most "
-        f"one path in {round(1 / chance):,}: few samples show noise or nothing, and errors that "
-        "are too small; integrator = 'light' finds it on purpose."
-        for name, chance in chances
-        if 0 < chance < RARE
-    ]
+    return [_rare(name, faces, chance) for name, chance in chances if 0 < chance < RARE]
 
 
 def _chance(light: Light, matt: Sequence[Surface]) -> float:

@@ -138,6 +138,56 @@ def test_skies_that_a_quadrature_finds_are_not_named():
             assert missing_light(scene, integrator=integrator) == []
 
 
+def _glossy(alpha, **kwargs):
+    return replace(FLOOR, material=jv.TorranceSparrow([0.0], [1.0], alpha, **kwargs))
+
+
+# Beside each, what `Quadrature` says of its error under a lamp as wide as it is far.
+@pytest.mark.parametrize(
+    ("material", "order", "said"),
+    [
+        (jv.TorranceSparrow([0.0], [1.0], 0.01), 8, True),
+        (jv.TorranceSparrow([0.0], [1.0], [0.3, 0.01]), 8, True),
+        (jv.TorranceSparrow([0.0], [1.0], 0.05), 8, True),  # -16 %
+        (jv.TorranceSparrow([0.0], [1.0], 0.02), 16, True),  # -27 %
+        (jv.PhongBRDF([0.1], [1.0], 1000.0), 8, True),  # 120 %
+        (jv.GaussianLobeBRDF([0.1], [1.0], 22.0), 8, True),  # as that
+        (jv.TorranceSparrow([0.0], [1.0], 0.1), 8, False),  # -0.9 %
+        (jv.TorranceSparrow([0.0], [1.0], 0.05), 16, False),  # -0.8 %
+        (jv.TorranceSparrow([0.0], [1.0], 0.02), 32, False),  # -3 %
+        (jv.PhongBRDF([0.1], [1.0], 1000.0), 24, False),  # 0.5 %
+        (jv.PhongBRDF([0.1], [1.0], 200.0), 8, False),
+        (jv.BlinnBRDF([0.1], [1.0], 200.0), 8, False),
+        (jv.TorranceSparrow([0.1], [0.0], 0.01), 8, False),  # no gloss
+    ],
+)
+def test_a_lobe_between_the_samples_of_a_lamp_is_named(material, order, said):
+    lamp = jv.RectangleLight([-1.0, -1, 2], [0.0, 2, 0], [2.0, 0, 0], [5.0])
+    scene = jv.Scene([replace(FLOOR, material=material)], [lamp])
+    found = missing_light(scene, integrator="direct", rule=jv.Quadrature(order))
+    assert [s[:7] for s in found] == ["Narrow:"] * said
+    key = jax.random.key(0)
+    assert missing_light(scene, integrator="direct", rule=jv.Balanced(key, 8)) == []
+    assert missing_light(scene, integrator="path") == []
+
+
+def test_a_lobe_between_the_directions_of_a_sky_is_named():
+    even = jv.environment_map(np.ones((8, 16, 1)))
+    for alpha, count in ((0.03, 1), (0.1, 0)):  # -57 %, +4.6 %
+        found = missing_light(jv.Scene([_glossy(alpha)], [even]), integrator="direct")
+        assert len(found) == count
+
+
+def test_what_a_nearly_smooth_wall_throws_is_rare_to_paths():
+    sun = jv.DirectionalLight([1.0, 0, 1], [1.0])
+    for alpha, words in ((1e-3, "one path in 250,000"), (0.1, "")):
+        wall = replace(_glossy(alpha), shape=jv.Quad([-2.0, -2, 0], [0.0, 4, 0], [0.0, 0, 4]))
+        found = missing_light(jv.Scene([FLOOR, wall], [sun]), integrator="path")
+        assert len(found) == bool(words)
+        assert words in "".join(found)
+        assert missing_light(jv.Scene([wall], [sun]), integrator="path") == []
+
+
 def test_an_open_mesh_of_glass_is_named():
     corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
