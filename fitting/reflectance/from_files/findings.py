@@ -124,7 +124,7 @@ def _impossible(calibration: BRDFCalibration) -> list[str]:
     return [
         f"{LABELS[calibration.model]} as fitted is impossible: it reflects {found[most]:.2g} times "
         f"the light that falls on it along the normal{band} (its albedo), and no surface reflects "
-        "more than 1 times."
+        "more than all of it."
     ]
 
 

@@ -323,7 +323,8 @@ def _intensities(rig: Rig, channels: int) -> Float[np.ndarray, "channels lights"
         if len(light.intensity) not in (1, channels):
             raise InputError(
                 f"{rig.folder}: light {light.file} has {len(light.intensity)} intensities, but the "
-                f"images have {channels} channels; give one intensity per channel."
+                f"images have {channels} channel{'s' * (channels > 1)}; give one intensity per "
+                "channel."
             )
         columns.append(np.broadcast_to(light.intensity, channels))
     return np.stack(columns, axis=1).astype(np.float64)
