@@ -3,7 +3,7 @@ per colour channel (or Bayer site) and group of images."""
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -21,6 +21,9 @@ from .places import layout_of
 from .radiance_map import RadianceMap, merge
 from .read import ExposureStack, Plane
 from .solve import STEADIEST
+
+FEWEST_TO_LEAVE_OUT = 4  # exposures: any two of three agree on some curve
+MOST_PIXELS = 300_000  # of a plane, by which an image is suspected
 
 
 @dataclass(frozen=True)
@@ -94,8 +97,42 @@ def calibrate(
             skipped.append((plane, str(error)))
     if not channels:
         plane, reason = skipped[0]
-        raise InputError(f"{plane.files[0]} and its stack ({plane.label}): {reason}")
+        suspects = _suspects(plane, stack, seed)
+        raise InputError(f"This stack ({plane.label}): {reason}{_of_suspects(suspects)}")
     return ResponseCalibration(stack, tuple(channels), tuple(skipped), sampling, seed)
+
+
+def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
+    """The images without each of which the others agree; told by a part of the pixels."""
+    count = len(plane.files)
+    if count < FEWEST_TO_LEAVE_OUT:
+        return []
+    coarse = int(np.ceil(np.sqrt(plane.mask.size / MOST_PIXELS)))
+    found = []
+    for i, name in enumerate(plane.files):
+        others = np.arange(count) != i
+        without = replace(
+            plane,
+            files=tuple(other for other in plane.files if other != name),
+            exposures=plane.exposures[others],
+            codes=plane.codes[others, ::coarse, ::coarse],
+            mask=plane.mask[::coarse, ::coarse],
+        )
+        with contextlib.suppress(InputError):
+            _calibrate(without, stack, None, seed)
+            found.append(name)
+    return found
+
+
+def _of_suspects(names: list[str]) -> str:
+    if not names:
+        return ""
+    if len(names) == 1:
+        return f" Without {names[0]} the others agree: check its exposure time and gain first."
+    several = f"{', '.join(names[:-1])} or {names[-1]}"
+    return (
+        f" Without {several} the others agree: check the exposure times and gains of these first."
+    )
 
 
 def _calibrate(

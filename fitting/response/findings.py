@@ -44,9 +44,11 @@ def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
         if not channel.curve.monotone
     ]
     found.append(_black_in_words(channels))
+    told = " ".join(calibration.stack.remarks)
     for channel in channels:
         dropped = len(channel.plane.exposures) - len(channel.curve.exposures)
-        if dropped:
+        dropped -= sum(f"{name} was left out" in told for name in channel.plane.files)
+        if dropped > 0:
             found.append(
                 f"{channel.plane.label or 'The stack'}: {dropped} of "
                 f"{len(channel.plane.exposures)} exposures share no unclipped pixels with another "
@@ -281,7 +283,14 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
-    rough = [c for c in channels if c.curve.smoothness <= ROUGHEST]
+    """Not of a channel whose curve is a gamma within its errors: no bend of it shows."""
+    if not any(c.curve.smoothness <= ROUGHEST for c in channels):
+        return ""
+    rough = [
+        c
+        for c, shape in zip(channels, shapes(channels), strict=True)
+        if c.curve.smoothness <= ROUGHEST and (shape.shown > 0 or np.isnan(shape.size))
+    ]
     if not rough:
         return ""
     names = ", ".join(c.plane.label or "grey" for c in rough)

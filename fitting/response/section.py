@@ -12,6 +12,7 @@ from ..report.left_out import left_out_tables
 from ..report.section import Columns, Picture, Section, Table
 from . import figures
 from .calibration import ChannelResponse, ResponseCalibration, radiance_images
+from .curve import ResponseCurve
 from .findings import findings
 from .gamma import GAMMA, SHUTTER_ERROR
 from .shape import Shape, largest_departure, shapes
@@ -155,18 +156,26 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
     for code in picks:
         cells: list[Any] = [f"{code:g}"]
         for channel in shown:
-            place = int(np.argmin(np.abs(channel.curve.codes - code)))
-            value = np.exp(channel.curve.log_exposure[place])
-            error = value * channel.curve.standard_error[place]
-            seen = channel.curve.seen[place]
-            cells.append(format_with_error(value, error) + ("" if seen else " (extrapolated)"))
+            cells.append(_at_code(channel.curve, code))
         rows.append(tuple(cells))
     return Table(
         "Response curve",
         ("code (DN)", *(channel.plane.label or "grey" for channel in shown)),
         tuple(rows),
-        "Exposure of each code relative to mid-scale, with its standard error.",
+        "Exposure of each code relative to mid-scale, with its standard error. A dash stands for "
+        "codes that the channel does not have above its black.",
     )
+
+
+def _at_code(curve: ResponseCurve, code: float) -> str | None:
+    """Exposure at a code, straight between codes in logarithms of both above black."""
+    if not max(curve.bins.black, curve.bins.edges[0]) < code <= curve.bins.edges[-1]:
+        return None
+    place = np.log(code - curve.bins.black)
+    value = np.exp(np.interp(place, curve.bins.log_codes, curve.log_exposure))
+    error = value * np.interp(place, curve.bins.log_codes, curve.standard_error)
+    seen = curve.seen[np.argmin(np.abs(curve.codes - code))]
+    return format_with_error(value, error) + ("" if seen else " (extrapolated)")
 
 
 def _settings(calibration: ResponseCalibration) -> dict[str, Any]:

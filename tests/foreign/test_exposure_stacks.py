@@ -15,6 +15,7 @@ from fitting.response.code_bins import code_bins
 from fitting.response.curve import ripple
 from fitting.response.radiance_map import exposure_of_codes, merge
 from fitting.response.read import floor_level
+from fitting.response.section import _curve_table
 from fitting.response.shape import shapes
 from fitting.rig_from_folder import rig_of
 from jaxvision.errors import InputError
@@ -368,3 +369,56 @@ def test_a_stack_that_never_reaches_mid_scale_has_a_curve():
     gap = (curve.log_exposure - truth)[seen]
     assert seen.sum() > 50
     assert np.abs(gap - np.median(gap)).max() < 0.02
+
+
+def linear_channel(black, codes):
+    """A linear response that is known exactly, relative to code 1064."""
+    above = codes - black
+    width = np.diff(codes)[0]
+    curve = SimpleNamespace(
+        bins=SimpleNamespace(
+            black=black, edges=codes[[0, -1]] + [-0.5, width], log_codes=np.log(above)
+        ),
+        codes=codes,
+        log_exposure=np.log(above / 1000),
+        standard_error=np.full(len(codes), 1e-4),
+        seen=np.ones(len(codes), bool),
+    )
+    return SimpleNamespace(curve=curve, plane=SimpleNamespace(label=f"black {black:g}"))
+
+
+def test_the_table_of_the_curve_shows_each_channel_at_the_codes_of_the_first():
+    first, other = (
+        linear_channel(64.0, np.arange(65.0, 4000, 1)),
+        linear_channel(512.0, np.arange(513.0, 4000, 7)),
+    )
+    for code, *exposures in _curve_table([first, other]).rows:
+        for shown, black in zip(exposures, (64, 512), strict=True):
+            truth = (float(code) - black) / 1000
+            if truth <= 0:
+                assert shown is None
+            else:
+                assert float(shown.split()[0]) == pytest.approx(truth, rel=2e-4)
+
+
+TIMES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("times", "gains", "culprit"),
+    [
+        (TIMES * [1, 1, 1.6, 1, 1], [1, 1, 1, 1, 1], "images[2]"),
+        (TIMES, [1, 1, 1, 2, 1], "images[3]"),
+    ],
+    ids=["time", "gain"],
+)
+@pytest.mark.long
+def test_the_image_that_contradicts_the_others_is_named(times, gains, culprit):
+    rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)
+    images = [
+        shot(light * t, rng, black=64 / g, read_noise=2, gain=1, top=4095 / g) * np.uint16(g)
+        for t, g in zip(TIMES, gains, strict=True)
+    ]
+    with pytest.raises(InputError, match=r"^This stack") as raised:
+        calibrate(from_stack(images, times, camera=Camera(bits=12, black_level=64.0)))
+    assert f"Without {culprit} the others agree" in str(raised.value)
