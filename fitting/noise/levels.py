@@ -45,7 +45,7 @@ class Levels(eqx.Module):
         covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
             and columns, the variance at (0, 0), DN^2; None where pixels are not known, or not next
             to each other.
-        residues: (levels, 2, 3, residues) means of the frames' average and of their variance, by
+        residues: (levels, 2, 5, residues) means of the frames' average and of their variance, by
             row, by column and by place in a cell (`periodic`); None where pixels are not known.
         quarters: (levels, 2, 4) the same of the quarters of a frame.
         local_pattern: (levels,) what stays from frame to frame, by differences of neighbours, DN^2;
@@ -64,7 +64,7 @@ class Levels(eqx.Module):
     spatial_variance: Float[Array, " levels"] | None = None
     shared: SharedVariance | None = None
     covariances: Float[Array, "levels lags lags"] | None = None
-    residues: Float[Array, "levels 2 3 residues"] | None = None
+    residues: Float[Array, "levels 2 5 residues"] | None = None
     quarters: Float[Array, "levels 2 4"] | None = None
     local_pattern: Float[Array, " levels"] | None = None
     blocks: Float[Array, "levels 2 8"] | None = None

@@ -2,10 +2,10 @@
 rows, halves with a converter each.
 
 Where neighbouring columns go through two amplifiers, or pixels of a mosaic see two colours, rows or
-columns repeat after 2, 4 or 8. Statistics of the pixels are kept by row and by column, each modulo
-16, and by place in a cell of 4 x 4; those of one class are replicates, whose own scatter says what
-chance and unequal lines do, so that an F-test finds a period. Gains K of classes or of halves that
-differ are no gain of any pixel when they are taken together.
+columns repeat after 2 to 8. Statistics of the pixels are kept by row and by column, each modulo 16
+and modulo 30, and by place in a cell of 4 x 4; those of one class are replicates, whose own scatter
+says what chance and unequal lines do, so that an F-test finds a period. Gains K of classes or of
+halves that differ are no gain of any pixel when they are taken together.
 """
 
 from dataclasses import dataclass
@@ -19,35 +19,49 @@ from .levels import PhotonTransfer
 from .shared import believed_lines
 
 RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
+LONGER = 30  # modulo which 3, 5 and 6 are seen
 CELL = 4
 PERIODS = (2, 4, 8)
 LINES = ("rows", "columns")
 CHANCE = 1e-4  # that a camera without structure shows as much
 SMALL = 0.1  # of a pixel's temporal noise; structure below it changes nothing that noise does not
 BENT = 0.2  # of a difference in signal: what a curved characteristic may make of it in gain
-WORDS = {2: "Even and odd {0}", 4: "The {0} of every four", 8: "The {0} of every eight"}
+WORDS = {
+    2: "Even and odd {0}",
+    3: "The {0} of every three",
+    4: "The {0} of every four",
+    5: "The {0} of every five",
+    6: "The {0} of every six",
+    8: "The {0} of every eight",
+}
 
 
-def residues(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 3 residues"]:
-    """Means by row and by column modulo 16, and by place in a cell of 4 x 4.
+def residues(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 5 residues"]:
+    """Means by row and by column modulo 16, by place in a cell of 4 x 4, and by row and by column
+    modulo 30.
 
     Args:
         average: (h, w) of the frames of a level, DN.
         temporal: (h, w) variance, DN^2.
 
     Returns:
-        Of both; NaN of frames with fewer than 32 rows or columns.
+        Of both, NaN beyond 16; NaN of frames with fewer than 32 rows or columns, and modulo 30 of
+        fewer than 60.
     """
-    found = np.full((2, 3, RESIDUES), np.nan)
+    found = np.full((2, 5, LONGER), np.nan)
     if min(average.shape) < 2 * RESIDUES:
         return found
     for own, plane in zip(found, (average, temporal), strict=True):
         rows, columns = plane.mean(axis=1), plane.mean(axis=0)
-        own[0] = [rows[i::RESIDUES].mean() for i in range(RESIDUES)]
-        own[1] = [columns[i::RESIDUES].mean() for i in range(RESIDUES)]
         cell = [plane[i::CELL, j::CELL].mean() for i in range(CELL) for j in range(CELL)]
-        own[2] = cell
+        own[:3, :RESIDUES] = _modulo(rows, RESIDUES), _modulo(columns, RESIDUES), cell
+        if min(average.shape) >= 2 * LONGER:
+            own[3:] = _modulo(rows, LONGER), _modulo(columns, LONGER)
     return found
+
+
+def _modulo(lines: np.ndarray, count: int) -> list[float]:
+    return [float(lines[i::count].mean()) for i in range(count)]
 
 
 def quarters(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 4"]:
@@ -109,18 +123,21 @@ def periodic_structure(
         return ()
     matched = np.asarray(measurement.dark_of)[usable]
     lit, unlit = np.asarray(bright.residues)[usable], np.asarray(dark.residues)
-    signal, shot = np.moveaxis(lit - unlit[matched], 1, 0)  # (levels, 3, residues) each
+    signal, shot = np.moveaxis(lit - unlit[matched], 1, 0)  # (levels, 5, residues) each
     weight = 1 / np.asarray(bright.variance)[usable][:, None, None] ** 2
     gains = np.sum(weight * signal * shot, axis=0) / np.sum(weight * signal**2, axis=0)
-    share = np.mean(signal / signal.mean(axis=2, keepdims=True), axis=0)
+    share = np.mean(signal / signal[:, :1, :RESIDUES].mean(axis=2, keepdims=True), axis=0)
     black = unlit[:, 0].mean(axis=0)
     top = int(np.argmax(np.asarray(bright.mean)[usable]))
     of_dark = float(np.sqrt(np.median(np.asarray(dark.variance))))
-    of_top = float(np.sqrt(np.asarray(bright.variance)[usable][top]) / signal[top].mean())
-    known = float(np.std(gains[0], ddof=1) / np.mean(gains[0]) / np.sqrt(RESIDUES))
+    of_top = float(
+        np.sqrt(np.asarray(bright.variance)[usable][top]) / signal[top, 0, :RESIDUES].mean()
+    )
+    of_rows = gains[0, :RESIDUES]
+    known = float(np.std(of_rows, ddof=1) / np.mean(of_rows) / np.sqrt(RESIDUES))
     least = {"gains": known, "offsets": SMALL * of_dark, "signals": SMALL * of_top}
     values = {"gains": gains, "offsets": black, "signals": share}
-    if not np.isfinite(gains).all():
+    if not np.isfinite(gains[:3, :RESIDUES]).all():
         return tuple(_unequal_halves(measurement, usable, matched))
 
     def that_matter(classes: dict[str, tuple[float, ...]], signals: tuple[float, ...]) -> dict:
@@ -130,17 +147,21 @@ def periodic_structure(
         return {name: own for name, own in classes.items() if _spread(name, own) > small[name]}
 
     found: list[Periodic] = []
-    cells = {name: own for name, one in values.items() if (own := _cell_classes(one[2]))}
-    of_cells = tuple(share[2].reshape(2, 2, 2, 2).mean(axis=(0, 2)).ravel().tolist())
+    cells = {name: own for name, one in values.items() if (own := _cell_classes(one[2, :RESIDUES]))}
+    of_cells = tuple(share[2, :RESIDUES].reshape(2, 2, 2, 2).mean(axis=(0, 2)).ravel().tolist())
     if cells := that_matter(cells, of_cells):
         found.append(Periodic("mosaic", 2, **cells))
     for kind, where in enumerate(LINES):
-        periods = {name: _period(one[kind]) for name, one in values.items() if name not in cells}
+        periods = {name: _period(one, kind) for name, one in values.items() if name not in cells}
         period = max(periods.values(), default=0)
         if not period:
             continue
-        lines = {name: _classes(values[name][kind], period) for name, own in periods.items() if own}
-        if lines := that_matter(lines, _classes(share[kind], period)):
+        lines = {
+            name: _classes(values[name], kind, period)
+            for name, own in periods.items()
+            if own and period % own == 0
+        }
+        if lines := that_matter(lines, _classes(share, kind, period)):
             found.append(Periodic(where, period, **lines))
     return (*found, *_unequal_halves(measurement, usable, matched))
 
@@ -150,18 +171,31 @@ def _spread(name: str, values: tuple[float, ...]) -> float:
     return float(np.std(values) / (np.mean(values) if name == "gains" else 1.0))
 
 
-def _classes(values: np.ndarray, period: int) -> tuple[float, ...]:
-    return tuple(values.reshape(-1, period).mean(axis=0).tolist())
+def _classes(values: Float[np.ndarray, "5 residues"], kind: int, period: int) -> tuple[float, ...]:
+    own = values[kind, :RESIDUES] if RESIDUES % period == 0 else values[3 + kind]
+    return tuple(own.reshape(-1, period).mean(axis=0).tolist())
 
 
-def _period(values: Float[np.ndarray, " residues"]) -> int:
-    """The shortest period beyond which nothing is left to explain; 0 without any."""
-    chosen, explained = 0, np.full(RESIDUES, values.mean())
-    for period in PERIODS:
-        fitted = np.tile(values.reshape(-1, period).mean(axis=0), RESIDUES // period)
+def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
+    """The shortest period of rows (kind 0) or columns (1) beyond which nothing is left to explain;
+    0 without any."""
+    found, longer = _shortest(values[kind, :RESIDUES], PERIODS), values[3 + kind]
+    if found > 2 or not np.isfinite(longer).all():
+        return found
+    if found == 2:
+        return max(found, _shortest(longer, (2, 6)))
+    return max(_shortest(longer, (3, 6)), _shortest(longer, (5,)))
+
+
+def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) -> int:
+    """Of periods that divide each other; 0 where none explains more than chance."""
+    count = len(values)
+    chosen, explained = 0, np.full(count, values.mean())
+    for period in periods:
+        fitted = np.tile(values.reshape(-1, period).mean(axis=0), count // period)
         more = period - (chosen or 1)
         gain, left = np.sum((fitted - explained) ** 2), np.sum((values - fitted) ** 2)
-        degrees = RESIDUES - period
+        degrees = count - period
         if gain > 0 and fdtrc(more, degrees, gain / more / max(left / degrees, 1e-300)) < CHANCE:
             chosen, explained = period, fitted
     return chosen

@@ -214,9 +214,16 @@ def test_two_amplifiers_are_found_and_named():
         ({"offset": 64 + 3.0 * (ROW % 8 == 5)}, "rows", 8, "offsets"),
         ({"light": np.where(ROW % 2, 0.97, 1.0)}, "rows", 2, "signals"),
         ({"light": MOSAIC}, "mosaic", 2, "signals"),
+        ({"gain": np.array([0.25, 0.27, 0.31])[COLUMN % 3]}, "columns", 3, "gains"),
+        ({"gain": np.array([0.25, 0.27, 0.31])[ROW % 3]}, "rows", 3, "gains"),
+        ({"offset": 64 + np.array([0.0, 2, 5, 1, 3])[COLUMN % 5]}, "columns", 5, "offsets"),
+        ({"gain": np.array([0.25, 0.31, 0.26, 0.28, 0.23, 0.3])[ROW % 6]}, "rows", 6, "gains"),
         ({"gain": np.where(RIGHT, 0.28, 0.25)}, "left and right halves", 0, "gains"),
     ],
-    ids=["four taps", "eight rows", "interlaced", "mosaic", "halves"],
+    ids=[
+        *("four taps", "eight rows", "interlaced", "mosaic", "three taps", "three rows"),
+        *("five columns", "six rows", "halves"),
+    ],
 )
 def test_structure_of_a_known_period_is_found(camera, where, period, what):
     (found,) = structure(read_out(np.random.default_rng(7), **camera))
@@ -299,3 +306,10 @@ def test_a_lamp_that_flickers_between_frames_is_no_capacitance_and_no_amplifier(
     gains = measured.bright.quarters[:, 1] - measured.dark.quarters[:, 1]
     own = measured.bright.variance - measured.dark.variance.mean()
     assert np.abs(gains / own[:, None] - 1).max() < 5 * np.sqrt(2 / (64 * 16 * (count - 1)))
+
+
+def test_three_amplifiers_are_named_with_their_taps():
+    frames = read_out(np.random.default_rng(7), gain=np.array([0.25, 0.27, 0.31])[COLUMN % 3])
+    first, *_ = periodic_in_words(structure(frames), 0.28)
+    assert first.startswith("The columns of every three differ in gain by 2")
+    assert "camera.taps = [1, 3]" in first
