@@ -74,7 +74,7 @@ def tiff_pictures(file: Path) -> list[TiffPicture]:
     """
     with file.open("rb") as stream:
         head = stream.read(16)
-        order = {b"II": "<", b"MM": ">"}.get(head[:2])
+        order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
         version = struct.unpack(f"{order}H", head[2:4])[0] if order and len(head) >= 8 else 0
         if version not in (42, 43):
             return []
