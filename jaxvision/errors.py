@@ -1,4 +1,5 @@
-"""Errors of input: the exception that users of the tools see, and hints for misspelt words."""
+"""Errors of input: the exception that users of the tools see, hints for misspelt words, and names
+and texts that are not UTF-8."""
 
 import difflib
 import errno
@@ -101,3 +102,31 @@ def unwritable(error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{said}; make room or choose another path"
     return f"{said}; choose another path"
+
+
+def plain_text(file: Path) -> str:
+    """The content of a text file in UTF-8, with a byte order mark or without.
+
+    Args:
+        file: there.
+
+    Returns:
+        The text, its lines divided by newlines.
+
+    Raises:
+        InputError: for UTF-16 and UTF-32, and for a byte that is not UTF-8, as in Latin-1.
+    """
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        data = error.object
+        if not data.startswith((b"\xff\xfe", b"\xfe\xff")) and b"\0" not in data[:4]:
+            line = data.count(b"\n", 0, error.start) + 1
+            raise InputError(
+                f"{file}: line {line} holds the byte {data[error.start]:#x}, which is not UTF-8 "
+                "but perhaps Latin-1; save it as UTF-8."
+            ) from None
+        text = "\0"
+    if "\0" in text[:4]:
+        raise InputError(f"{file}: is text in UTF-16 or UTF-32; save it as UTF-8.")
+    return text

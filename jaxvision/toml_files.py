@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ._plain_content import DEEPEST, check_content, check_size
-from .errors import InputError, nearest
+from .errors import InputError, nearest, plain_text
 
 # A number and its unit, as in `exposure = 0.5 ms`.
 _WITH_UNIT = re.compile(
@@ -72,7 +72,7 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     check_size(file)
     text = ""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = plain_text(file)
         if found := _LONG_KEY.search(text):
             line = text.count("\n", 0, found.end()) + 1
             raise InputError(f"{file}: line {line} has a key of more than {DEEPEST} parts.")
@@ -81,7 +81,7 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
         raise InputError(f"{file}: is nested more than {DEEPEST} deep; flatten it.") from None
     except InputError:
         raise
-    except ValueError as error:  # not TOML, not UTF-8, or a number of thousands of digits
+    except ValueError as error:  # not TOML, or a number of thousands of digits
         line = _line_of(error, text)
         if with_unit := _WITH_UNIT.fullmatch(line):
             raise InputError(

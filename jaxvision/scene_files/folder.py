@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, plain_text
 
 
 class Folder:
@@ -20,8 +20,4 @@ class Folder:
 
     def text(self, name: str) -> str:
         """The content of a text file; `InputError` if it is not text."""
-        path = self.file(name)
-        try:
-            return path.read_text(encoding="utf-8")
-        except UnicodeDecodeError as error:
-            raise InputError(f"{path}: not a text file ({error.reason}).") from error
+        return plain_text(self.file(name))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..._plain_content import DEEPEST, check_size
-from ...errors import InputError, nearest
+from ...errors import InputError, nearest, plain_text
 from .transforms import transform_of
 
 _PLAIN = {"float", "integer", "boolean", "string", "vector", "point", "rgb", "spectrum"}
@@ -279,8 +279,8 @@ class _Reader:
         if "filename" in given:
             file = self._file.parent / given["filename"]
             try:
-                lines = file.read_text(encoding="utf-8").splitlines()
-            except (OSError, UnicodeDecodeError) as error:
+                lines = plain_text(file).splitlines()
+            except OSError as error:
                 raise InputError(f"{place}: {file.name} cannot be read ({error}).") from error
             rows = [line.split("#")[0].split() for line in lines]
             pairs = [" ".join(row) for row in rows if row]
