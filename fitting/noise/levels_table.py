@@ -13,7 +13,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision.errors import InputError
+from jaxvision.errors import InputError, plain_text
 
 from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, rounding_step
 
@@ -44,6 +44,12 @@ def read_table(file: Path, bits: int | None) -> PhotonTransfer:
         )
     light = _column(file, columns, "photons_per_pixel")
     exposure = _column(file, columns, units[0]) * EXPOSURE_UNITS[units[0]]
+    for name in units[1:]:
+        if not np.allclose(columns[name] * EXPOSURE_UNITS[name], exposure, rtol=1e-3, atol=0):
+            raise InputError(
+                f"{file}: columns {units[0]} and {name} contradict each other; delete the "
+                "wrong one."
+            )
     frames = columns.get(FRAMES_COLUMN, np.full(len(light), 2.0))
     pixels = _pixels(file, columns, frames)
     moments = _moments(file, columns, frames, pixels)
@@ -76,17 +82,22 @@ def read_table(file: Path, bits: int | None) -> PhotonTransfer:
 
 def _columns(file: Path) -> dict[str, np.ndarray]:
     try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if row and not row[0].startswith("#")]
+        lines = plain_text(file).splitlines(keepends=True)
+        rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
     except FileNotFoundError as error:
         raise InputError(f"{file}: no such table; check the name and the folder.") from error
-    except (UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"{file}: not a CSV table ({error}); export it again.") from error
     if any("\n" in cell for row in rows for cell in row):
         raise InputError(f"{file}: a quotation mark is not closed on its line; take it away.")
     if len(rows) < 2:
         raise InputError(f"{file}: holds no rows under its heads; give one row per level of light.")
     heads = [name.strip() for name in rows[0]]
+    for mark, word in ((";", "semicolons"), ("\t", "tabs")):
+        if len(heads) == 1 and mark in heads[0]:
+            raise InputError(f"{file}: its cells stand between {word}; separate them by commas.")
+    if twice := [name for name in heads if name and heads.count(name) > 1]:
+        raise InputError(f"{file}: has column {twice[0]} more than once; delete the wrong one.")
     numbers = np.empty((len(rows) - 1, len(heads)))
     for i, row in enumerate(rows[1:]):
         if len(row) != len(heads):

@@ -7,6 +7,7 @@ import pytest
 from scene_texts import BALL
 from typer.testing import CliRunner
 
+from fitting.noise.levels_table import read_table
 from fitting.rig import load_rig
 from jaxvision.camera_files import read_camera, read_sensor
 from jaxvision.cli import app
@@ -125,3 +126,61 @@ def test_options_without_effect_are_named(tmp_path):
     (tmp_path / "a.pgm").write_bytes(b"P5 2 2 255\n" + bytes(4))
     said = CliRunner().invoke(app, ["inspect", str(tmp_path / "a.pgm"), "--row", "1"]).output
     assert "jaxvision: --row has no effect without --out" in said
+
+
+def test_toml_with_a_byte_order_mark_is_read(tmp_path):
+    (tmp_path / "sensor.toml").write_text("[sensor]\ngain = 0.5\n", encoding="utf-8-sig")
+    assert float(read_sensor(tmp_path / "sensor.toml").gain) == 0.5
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.__name__)
+@pytest.mark.parametrize(
+    ("encoding", "reason"),
+    [
+        ("utf-16", "is text in UTF-16 or UTF-32; save it as UTF-8"),
+        ("utf-16-le", "is text in UTF-16 or UTF-32; save it as UTF-8"),
+        ("utf-32-be", "is text in UTF-16 or UTF-32; save it as UTF-8"),
+        ("latin-1", "line 2 holds the byte 0xb5, which is not UTF-8 but perhaps Latin-1; save it"),
+    ],
+)
+def test_text_of_another_encoding_is_named(tmp_path, reader, encoding, reason):
+    file = tmp_path / "rig.toml"
+    file.write_bytes("[camera]\nname = 'µ'\n".encode(encoding))
+    with pytest.raises(InputError, match=reason):
+        reader(tmp_path if reader is load_rig else file)
+
+
+HEADS = (
+    "photons_per_pixel,exposure_ms,mean_bright_DN,var_bright_DN2,mean_dark_DN,var_dark_DN2,pixels"
+)
+ROWS = ["0,1,10,2,10,2,1000", "100,1,60,27,10,2,1000", "200,1,110,52,10,2,1000"]
+
+
+def table(heads, rows):
+    return "\n".join([heads, *rows]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (
+            table(HEADS + ",exposure_ms", [row + ",2" for row in ROWS]),
+            "has column exposure_ms more than once; delete the wrong one",
+        ),
+        (
+            table(HEADS + ",exposure_s", [row + ",1" for row in ROWS]),
+            "columns exposure_s and exposure_ms contradict each other; delete the wrong one",
+        ),
+        (table(HEADS, ROWS).replace(",", ";"), "between semicolons; separate them by commas"),
+        (table(HEADS, ROWS).replace(",", "\t"), "between tabs; separate them by commas"),
+        (table(HEADS + ",µ", [row + ",1" for row in ROWS]), "line 1 holds the byte 0xb5"),
+    ],
+)
+def test_a_table_that_contradicts_itself_is_refused(tmp_path, text, reason):
+    file = tmp_path / "levels.csv"
+    file.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=reason):
+        read_table(file, 12)
+    agreeing = table(HEADS + ",exposure_s", [row + ",0.001" for row in ROWS])
+    file.write_text(agreeing, encoding="utf-8-sig")
+    assert float(read_table(file, 12).bright.exposure[0]) == pytest.approx(1e-3)
