@@ -26,6 +26,9 @@ UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
 _USAGE_ERROR: Any = typer.BadParameter.mro()[1]  # of every mistake in words; not exported
 PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
 _SIDE_BY_SIDE = 4  # records of a table
+# What help says an option takes that has no word of its own.
+_WORDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH"}
+_WORDS_BY_NAME = {"seconds": "SECONDS", "measure": "SECONDS"}
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
     list[str] | None,
@@ -46,11 +49,18 @@ Scheduler = Annotated[
 ]
 
 
-def _without_type_of_flags(params: Any) -> Any:
-    """Parameters of a command whose help says no type beside a flag, which takes no value."""
+def _in_plain_words(params: Any, ctx: Any) -> Any:
+    """Parameters of a command whose help says in a word what an option takes: nothing beside a
+    flag, and beside an argument its name alone."""
     for param in params:
-        if getattr(param, "is_flag", False) and param.metavar is None:
-            param.metavar = ""
+        if param.param_type_name == "argument":
+            param.display_type_rich = lambda ctx: None
+        elif getattr(param, "is_flag", False):
+            param.metavar = param.metavar or ""
+        elif param.metavar is None:
+            word = _WORDS.get(param.type_descriptor.annotation)
+            word = word or param.display_type(ctx).strip("<>")  # the choices
+            param.metavar = _WORDS_BY_NAME.get(param.name, word)
     return params
 
 
@@ -61,14 +71,14 @@ class _Command(TyperCommand):
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
 
     def get_params(self, ctx: Any) -> Any:
-        return _without_type_of_flags(super().get_params(ctx))
+        return _in_plain_words(super().get_params(ctx), ctx)
 
 
 class _Group(TyperGroup):
     """Sub-commands whose words, paths among them, and whose working folder are text."""
 
     def get_params(self, ctx: Any) -> Any:
-        return _without_type_of_flags(super().get_params(ctx))
+        return _in_plain_words(super().get_params(ctx), ctx)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         try:

@@ -353,6 +353,15 @@ def test_examples_of_the_help_are_arguments_that_a_command_takes(program):
             command.make_context(name, arguments)
 
 
+@pytest.mark.parametrize("program", [jaxvision.cli.app, app])
+def test_help_says_in_words_what_options_take(program):
+    for name in typer.main.get_command(program).commands:
+        status, shown, _ = called(program, name, "--help")
+        assert status == 0
+        assert not re.search(r"<[\w| -]+>", shown), name
+        assert "SECONDS" in shown or "--seconds" not in shown
+
+
 def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
     """As of `| head -1`: no sentence about a full disc, no traceback at the end."""
     script = (
