@@ -568,7 +568,7 @@ def test_what_the_picture_lacks_is_said_and_stands_in_its_head(tmp_path):
     )
     (tmp_path / "scene.toml").write_text(text + mirror + plate)
     status, _, error = run(tmp_path / "scene.toml", "--out", tmp_path / "o.exr", "--no-preview")
-    words = 'Missing: light of light[1] on other surfaces by surface "plate"'
+    words = 'Missing: light of light[1] that reaches other surfaces by way of surface "plate".'
     assert status == 0
     assert words in error
     assert words in head(tmp_path / "o.exr")[1]["jaxvision:lacks"]

@@ -101,8 +101,8 @@ def missing_light(
         >>> pane = jv.Surface(jv.Box([0, 0, 1], [2, 2, 0.05]), jv.Glass(1.5))
         >>> scene = jv.Scene([floor, pane], [jv.PointLight([0, 0, 2], [4.0])])
         >>> for sentence in jv.transport.missing_light(scene, integrator="path"):
-        ...     print(sentence[:72])
-        Missing: light of lights[0] on other surfaces by surfaces[1], since no p
+        ...     print(sentence.split(". ")[0])
+        Missing: light of lights[0] that reaches other surfaces by way of surfaces[1]
     """
     check_choice("missing_light: integrator", integrator, get_args(Integrator))
     named = surfaces or [f"surfaces[{i}]" for i in range(len(scene.surfaces))]
@@ -115,8 +115,8 @@ def missing_light(
     found = []
     if integrator == "direct" and shining:
         found.append(
-            f"Missing: light of {_list(shining)} on other surfaces, whose emission is only seen; "
-            "integrator = 'path' has it."
+            f"Missing: light of {_list(shining)} on other surfaces. Emission is only seen here. "
+            "Set integrator = 'path', which has it."
         )
     if integrator in ("direct", "rays", "radiosity") and len(turning) < len(own):
         default = RULE_OF_RAYS if integrator == "rays" else DEFAULT_RULE
@@ -137,35 +137,42 @@ def missing_light(
     before = behind = np.zeros(0, int)
     if view is not None:
         before, behind = (np.asarray(x) for x in _counted(scene, view, *_grid(view)))
-    elsewhere = f"light of {_list([*placed, *sized, *shining])} on other surfaces"
+    elsewhere = "Missing: light of {} that reaches other surfaces by way of " + faces + ". "
     match integrator:
         case "direct":
             if clear:
                 found.append(
-                    f"Missing: all light through {_list(clear)}, black here and with full shadows; "
-                    "integrator = 'rays' shows what is behind."
+                    f"Missing: all light through {_list(clear)}, black here and with full shadows. "
+                    "Set integrator = 'rays', which shows what is behind."
                 )
             if opaque:
                 found.append(
-                    f"Missing: the surfaces that {_list(opaque)} would show; integrator = 'rays' "
-                    "has them."
+                    f"Missing: the surfaces that {_list(opaque)} would show. Set integrator = "
+                    "'rays', which has them."
                 )
             if matt:
-                found.append(f"Missing: {elsewhere} by {faces}: {_cure(placed, sized + shining)}")
+                found.append(
+                    elsewhere.format(_list([*placed, *sized, *shining]))
+                    + "Direct light ends at mirrors and glass. "
+                    + _cure(placed, sized + shining)
+                )
         case "rays" if matt:
             found.append(
-                f"Missing: {elsewhere} by {faces} (caustics, and all light behind glass): "
-                f"{_cure(placed, sized + shining)}"
+                elsewhere.format(_list([*placed, *sized, *shining]))
+                + "Rays from the camera do not find caustics, nor any light behind glass. "
+                + _cure(placed, sized + shining)
             )
         case "path" if placed and matt:
             found.append(
-                f"Missing: light of {_list(placed)} on other surfaces by {faces}, since no path "
-                f"that leaves a mirror or glass meets a lamp without a size: {_cure(placed, [])}"
+                elsewhere.format(_list(placed))
+                + "A path that leaves a mirror or glass cannot meet a lamp without a size. "
+                + _cure(placed, [])
             )
         case "light" if view is None or before.any():
             found.append(
-                f"Missing: what the camera sees in or through {faces}, black here; integrator = "
-                "'path' has it, but for light of lamps without a size by mirrors or glass."
+                f"Missing: what the camera sees in or through {faces}, black here. Set integrator "
+                "= 'path', which lacks only light of lamps without a size by way of mirrors or "
+                "glass."
             )
     if integrator == "path" and matt:
         found += _rarely_found(scene, lamps, own, faces)
@@ -181,15 +188,14 @@ def missing_light(
 
 
 def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
-    """Which integrator has light that mirrors and glass throw onto other surfaces."""
+    """What to do about light that mirrors and glass throw onto other surfaces."""
     if not placed:
-        return "integrator = 'path' has it."
-    of_sized = f"'path' has that of {_list(sized)}, " if sized else ""
-    them = "it" if len(placed) == 1 else "them"
+        return "Set integrator = 'path', which has it."
+    of_sized = f"For that of {_list(sized)} set integrator = 'path'. " if sized else ""
+    whose = f"For that of {_list(placed)} set" if sized else "Set"
     return (
-        f"integrator = {of_sized}'light' has it on surfaces that the camera sees neither in "
-        f"mirrors nor through glass; for others give {_list(placed)} a size, and trace {them} by "
-        "'path'."
+        f"{of_sized}{whose} integrator = 'light', in which mirrors, glass and what they show are "
+        f"black, or give {_list(placed)} a size and set integrator = 'path'."
     )
 
 

@@ -32,7 +32,8 @@ def test_light_of_a_point_behind_a_window_is_named(integrator):
     said = " ".join(missing_light(BEHIND_GLASS, integrator=integrator, view=BELOW))
     assert "lights[0]" in said
     assert "surfaces[1]" in said
-    assert "'light' has it" in said
+    assert "integrator = 'light'" in said
+    assert max(len(sentence.split()) for sentence in said.split(". ")) <= 30
 
 
 def test_what_finds_all_light_says_nothing():
