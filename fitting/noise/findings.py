@@ -24,6 +24,7 @@ from .shared import Found, drift, temporal_lines
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
 ASTRAY = 0.5  # relative deviation of a gain from which it is none
+SAID = 2.0  # standard errors below which an offset of the light is not told
 
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
@@ -145,7 +146,7 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
     if "compression" in chosen.values:
         told += _compression(calibration)
     if "light_offset" in chosen.values:
-        told.append(_light_offset(calibration))
+        told += _light_offset(calibration)
     return [*told, *_neighbours(calibration)]
 
 
@@ -200,25 +201,27 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
     ]
 
 
-def _light_offset(calibration: NoiseCalibration) -> str:
+def _light_offset(calibration: NoiseCalibration) -> list[str]:
     chosen = calibration.chosen
     offset, error = _shown(calibration, "light_offset")
+    if abs(offset) < SAID * error:
+        return []
     way = "more" if offset > 0 else "less"
     data = chosen.data
     if not data.photons_known:
-        return (
+        return [
             f"Every exposure lasts {format_with_error(abs(offset) * 1e6, error * 1e6)} µs {way} "
             f"than recorded ({abs(offset) / error:.0f} standard errors)."
-        )
+        ]
     bright = np.asarray(data.lit) > 0
     exposure, light = np.asarray(data.exposure)[bright], np.asarray(data.light)[bright]
     timed = exposure > 0
     rate = np.median(light[timed] / exposure[timed])
     late = "" if np.ptp(exposure) == 0 else f", as if the shutter were off by {offset / rate:.2g} s"
-    return (
+    return [
         f"Every exposure gets {format_with_error(abs(offset), error)} photons {way} than recorded "
         f"({abs(offset) / error:.0f} standard errors){late} or light leaked."
-    )
+    ]
 
 
 def _random_effects(calibration: NoiseCalibration) -> list[str]:
@@ -277,9 +280,10 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
     told = []
     window = calibration.chosen.data.window
     if window is not None:
+        count = len(np.unique(window.levels))
         told.append(
             "Black is clipped or read noise is too small to smooth the rounding: at "
-            f"{len(np.unique(window.levels))} levels the likelihood uses the exact moments of the "
+            f"{count} level{'s' * (count > 1)} the likelihood uses the exact moments of the "
             "clipped, rounded signal; the standard's figures are biased there."
         )
     least = least_dark_variance(calibration.measurement)

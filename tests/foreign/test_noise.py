@@ -1,6 +1,7 @@
 """Photon transfer of cameras that are not the project's own: their sheets against the truth."""
 
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import pytest
 from scipy.stats import norm, poisson
 
 from fitting import folders, noise
+from fitting.noise.findings import _light_offset
 from fitting.noise.levels import linear_levels
 from fitting.noise.neighbours import above_dark, copies
 from fitting.noise.periodic import periodic_in_words, periodic_structure
@@ -313,3 +315,12 @@ def test_three_amplifiers_are_named_with_their_taps():
     first, *_ = periodic_in_words(structure(frames), 0.28)
     assert first.startswith("The columns of every three differ in gain by 2")
     assert "camera.taps = [1, 3]" in first
+
+
+@pytest.mark.parametrize(("offset", "said"), [(-11e-6, 0), (-49e-6, 0), (-60e-6, 1)])
+def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said):
+    told = SimpleNamespace(
+        chosen=SimpleNamespace(data=SimpleNamespace(photons_known=False)),
+        shown={"light_offset": SimpleNamespace(value=offset, standard_error=25e-6)},
+    )
+    assert len(_light_offset(told)) == said
