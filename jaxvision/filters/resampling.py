@@ -86,7 +86,7 @@ def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -
     def count(chosen: Floats, sign: int) -> Floats:
         """How many of the chosen pixels have a weight of that sign."""
         values = chosen.astype(jnp.float32)
-        return sum(
+        same, opposite = (
             jnp.einsum(
                 "ih,nhwc,jw->nijc",
                 (own * rows > least).astype(jnp.float32),
@@ -95,6 +95,7 @@ def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -
             )
             for own in (1, -1)
         )
+        return same + opposite
 
     positive, negative, nan = jnp.isposinf(image), jnp.isneginf(image), jnp.isnan(image)
     up = count(positive, 1) + count(negative, -1) > 0.5
