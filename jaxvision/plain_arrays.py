@@ -4,6 +4,7 @@ What reads only their numbers would lose the rest without a word. A mask becomes
 missing number everywhere here; the others are refused.
 """
 
+import datetime
 from typing import Any
 
 import numpy as np
@@ -34,32 +35,51 @@ def plain_array(name: str, value: Any) -> Any:
         The same, but a masked array as its numbers, NaN where a floating number is masked.
 
     Raises:
-        InputError: for masked whole numbers, which cannot be NaN, and for arrays with units,
-            coordinates or an index.
+        InputError: for masked whole numbers, which cannot be NaN, for arrays with units,
+            coordinates or an index, and for spans of time, which have a unit too.
 
     Example:
         >>> jv.plain_arrays.plain_array("data", np.ma.masked_greater([1.0, 9.0], 5))
         array([ 1., nan])
     """
-    if isinstance(value, np.ma.MaskedArray):
-        return _without_mask(name, value)
     if type(value) in (list, tuple):
         if all(type(part) in (float, int) for part in value):
             return value
         parts = [plain_array(name, part) for part in value]
         same = all(new is old for new, old in zip(parts, value, strict=True))
         return value if same else parts
-    if isinstance(value, int | float | str) or type(value) is np.ndarray or value is None:
+    if isinstance(value, int | float | str) or value is None:
+        return value
+    _refuse_spans(name, value)
+    if type(value) is np.ndarray:
+        if value.dtype == object:
+            for part in value.flat:
+                plain_array(f"a number of {name}", part)
         return value
     for base in type(value).__mro__:
         package = base.__module__.partition(".")[0]
         if package in _CARRIED and hasattr(value, "shape"):
             carried, numbers = _CARRIED[package]
+            if package == "astropy" and getattr(value, "unit", None) is None:
+                break  # a column of a table, or an array with a mask
             raise InputError(
                 f"{name} is a {type(value).__name__} with {carried}, which would be lost; give "
                 f"its numbers in the documented unit and order of axes, as {numbers} does."
             )
-    return value
+    if hasattr(value, "unmasked"):  # of astropy
+        value = np.ma.array(value.unmasked, mask=value.mask)
+    return _without_mask(name, value) if isinstance(value, np.ma.MaskedArray) else value
+
+
+def _refuse_spans(name: str, value: Any) -> None:
+    """NumPy reads a span of time as a number of whatever unit it has."""
+    is_array = isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "m"
+    if is_array or isinstance(value, datetime.timedelta):
+        kind = getattr(value, "dtype", type(value).__name__)
+        raise InputError(
+            f"{name} holds times with a unit ({kind}), which would be lost; give "
+            "numbers, of seconds by x / numpy.timedelta64(1, 's')."
+        )
 
 
 def _without_mask(name: str, value: np.ma.MaskedArray) -> np.ndarray:
