@@ -44,8 +44,47 @@ def in_memory(
         InputError: for entries that no rig file may have.
     """
     rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig", first=0, called=called)
-    stored = {rig.path(n): np.asarray(plain_array(n, image)) for n, image in images.items()}
+    stored = {rig.path(n): _unmasked(n, image) for n, image in images.items()}
     return rig, stored.__getitem__
+
+
+def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
+    """An image as an array; a mask of its own is not heeded, and refused where it hides pixels."""
+    if isinstance(image, np.ma.MaskedArray) and (hidden := int(np.ma.count_masked(image))):
+        raise InputError(
+            f"{name} is a masked array, {hidden} of its {image.size} numbers masked, and an image "
+            "has no mask of its own here; give its .data, and leave the pixels out of all images "
+            "by the argument mask where there is one, else by camera.region."
+        )
+    return np.asarray(plain_array(name, image))
+
+
+def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
+    """The numbers of a list, such as exposures, in their order.
+
+    Args:
+        name: of the argument.
+        values: (n,) in the documented unit.
+
+    Returns:
+        n numbers.
+
+    Raises:
+        InputError: for what is no list of numbers, and for arrays with a unit, an index or
+            coordinates, whose order or scale may be another.
+
+    Example:
+        >>> from fitting.observation import each
+        >>> print(each("exposures", np.array([0.5, 1.0])))
+        [0.5, 1.0]
+    """
+    plain = plain_array(name, values)
+    try:
+        if getattr(plain, "dtype", np.dtype(float)).kind in "iuf":
+            return [float(x) for x in plain]
+    except (TypeError, ValueError):
+        pass
+    raise InputError(f"{name} must be a list of numbers, got {values!r:.80}.")
 
 
 def require_as_many(what: str, given: Sized, as_: str, others: Sized) -> None:

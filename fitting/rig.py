@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from jaxvision.errors import InputError
+from jaxvision.plain_arrays import plain_array
 from jaxvision.toml_files import (
     Count,
     Entry,
@@ -81,6 +82,10 @@ Kelvin = Annotated[Finite, AfterValidator(kelvin)]
 
 def _plain(value: Any) -> Any:
     """An array as the lists that a rig file has; anything else as it is."""
+    try:
+        value = plain_array("this", value)
+    except InputError as error:  # pydantic names the field
+        raise ValueError(str(error).removesuffix(".")) from None
     return value.tolist() if hasattr(value, "tolist") else value
 
 

@@ -1,6 +1,8 @@
 """Arrays that carry more than numbers: a mask is used or refused, units, coordinates and an index
 are refused in one sentence, at every entrance."""
 
+import datetime
+import re
 import warnings
 from functools import partial
 from pathlib import Path
@@ -12,6 +14,8 @@ import pandas
 import pytest
 import xarray
 from astropy import units
+from astropy.table import Column, MaskedColumn
+from astropy.utils.masked import Masked
 from examples import ROOMS, examples_of
 from fuzz.arguments import at, places, with_at
 from public_names import traced
@@ -151,6 +155,78 @@ def test_calibrations_refuse_what_they_would_lose(kind):
     if kind is not masked:
         said = refusal(lambda: reflectance.photometric_stereo(kind(frames * 1.0), lights))
         assert said.startswith("images is a")
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (MaskedColumn([1.0, 2.0], mask=[0, 1], unit="nm"), "MaskedColumn with a unit"),
+        (Masked([1.0, 2.0] * units.nm, mask=[0, 1]), "MaskedQuantity with a unit"),
+        (np.array([1 * units.nm, 2 * units.nm], object), "Quantity with a unit"),
+        ([1 * units.nm, 2 * units.nm], "Quantity with a unit"),
+        (np.array([300], "m8[us]"), r"unit \(timedelta64\[us\]\)"),
+        ([datetime.timedelta(seconds=1)], r"unit \(timedelta\)"),
+    ],
+)
+def test_a_unit_below_a_mask_or_in_a_list_is_refused(value, words):
+    assert re.search(words, refusal(lambda: jv.plain_arrays.plain_array("x", value)))
+    refusal(lambda: jv.as_float(value))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [MaskedColumn([1.0, 2.0], mask=[0, 1]), Masked(np.array([1.0, 2.0]), mask=[0, 1])],
+)
+def test_a_mask_of_astropy_without_a_unit_is_nan(value):
+    np.testing.assert_array_equal(jv.as_float(value), [1, np.nan])
+    np.testing.assert_array_equal(jv.as_float(Column([1.0, 2.0])), [1, 2])
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        pandas.Series([0.1, 0.2, 0.3, 0.4], index=[3, 2, 1, 0]),
+        xarray.DataArray([0.1, 0.2, 0.3, 0.4]),
+        [0.1, 0.2, 0.3, 0.4] * units.ms,
+        np.array([100, 200, 300, 400], "m8[us]"),
+        np.array(["2020", "2021", "2022", "2023"], "M8[s]"),
+        0.1,
+        [0.1, "b", 0.3, 0.4],
+    ],
+)
+def test_exposures_and_photons_are_numbers_in_their_order(times):
+    frames = np.random.default_rng(0).poisson(100.0, (4, 2, 8, 8))
+    numbers, camera = [0.1, 0.2, 0.3, 0.4], noise.Camera(bits=8)
+    read = partial(noise.from_frames, frames, frames, camera=camera)
+    calls = {
+        "exposures": [
+            lambda: read(times),
+            lambda: noise.darks_from_frames(frames, times, camera=camera),
+            lambda: response.from_stack(frames[:, 0], times, camera=camera),
+        ],
+        "photons": [lambda: read(numbers, times)],
+        "dark_exposures": [lambda: read(numbers, dark_exposures=times)],
+    }
+    for name, every in calls.items():
+        for call in every:
+            said = refusal(call)
+            assert said.startswith(f"{name} ")
+            assert len(said) < LONGEST
+
+
+@pytest.mark.parametrize("kind", [int, float])
+def test_masked_images_are_told_what_leaves_pixels_out(kind):
+    odd = masked(np.random.default_rng(0).poisson(100.0, (8, 8)).astype(kind))
+    said = refusal(lambda: response.from_stack([odd, odd], [1, 2], camera=response.Camera(bits=8)))
+    assert "1 of its 64 numbers masked" in said
+    assert "the argument mask" in said
+    assert "nan" not in said
+
+
+def test_a_camera_names_the_field_with_a_unit_or_an_index():
+    for value in (1 * units.adu, pandas.Series([1.0, 2.0])):
+        with pytest.raises(ValueError, match=r"gain\n.*this is a \w+ with an? (unit|index)"):
+            noise.Camera(bits=8, taps=(1, 2), gain=value)
 
 
 def test_plots_draw_no_masked_number():

@@ -6,7 +6,7 @@ from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import in_double
-from ..observation import MEMORY, in_memory, require_as_many, require_frames
+from ..observation import MEMORY, each, in_memory, require_as_many, require_frames
 from ..rig import Camera
 from .levels import Levels, PhotonTransfer
 from .read import check, reduce_darks, reduce_rig
@@ -54,15 +54,17 @@ def from_frames(
     """
     require_frames("flats", flats)
     require_frames("darks", darks)
+    exposures = each("exposures", exposures)
     require_as_many("exposures", exposures, "levels of flats", flats)
     if photons is not None:
+        photons = each("photons", photons)
         require_as_many("photon counts", photons, "levels of flats", flats)
     if dark_exposures is None and len(darks) != len(flats):
         raise InputError(
             f"len(darks) is {len(darks)} and len(flats) {len(flats)}, so darks need exposures of "
             "their own; give dark_exposures."
         )
-    times = exposures if dark_exposures is None else dark_exposures
+    times = exposures if dark_exposures is None else each("dark_exposures", dark_exposures)
     require_as_many("dark_exposures", times, "sets of darks", darks)
     images = {
         f"{kind}[{i}][{j}]": frame
@@ -71,13 +73,12 @@ def from_frames(
         for j, frame in enumerate(level)
     }
     flat = [
-        {"files": _names("flats", i, level), "exposure": float(exposures[i])}
-        | ({} if photons is None else {"photons": float(photons[i])})
+        {"files": _names("flats", i, level), "exposure": exposures[i]}
+        | ({} if photons is None else {"photons": photons[i]})
         for i, level in enumerate(flats)
     ]
     dark = [
-        {"files": _names("darks", i, level), "exposure": float(times[i])}
-        for i, level in enumerate(darks)
+        {"files": _names("darks", i, level), "exposure": times[i]} for i, level in enumerate(darks)
     ]
     called = {
         "flat.exposure": "exposures",
@@ -120,10 +121,11 @@ def darks_from_frames(
         [64. 64.] [5. 5.]
     """
     require_frames("darks", darks)
+    exposures = each("exposures", exposures)
     require_as_many("exposures", exposures, "sets of darks", darks)
     images = {f"darks[{i}][{j}]": frame for i, s in enumerate(darks) for j, frame in enumerate(s)}
     dark = [
-        {"files": _names("darks", i, level), "exposure": float(exposures[i])}
+        {"files": _names("darks", i, level), "exposure": exposures[i]}
         for i, level in enumerate(darks)
     ]
     called = {"dark.exposure": "exposures"}

@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from jaxvision import ArrayLike
 
-from ..observation import in_memory, require_as_many, require_several_images
+from ..observation import each, in_memory, require_as_many, require_several_images
 from ..rig import Camera
 from .read import ExposureStack, read_exposure_stack
 
@@ -46,9 +46,10 @@ def from_stack(
         [('grey', (3, 20, 20))]
     """
     require_several_images("images", images)
+    exposures = each("exposures", exposures)
     require_as_many("exposures", exposures, "images", images)
     entries = [
-        {"file": f"images[{i}]", "exposure": float(exposure), "exposure_sd": exposure_sd}
+        {"file": f"images[{i}]", "exposure": exposure, "exposure_sd": exposure_sd}
         for i, exposure in enumerate(exposures)
     ]
     named = {f"images[{i}]": image for i, image in enumerate(images)}
