@@ -80,6 +80,10 @@ def noise(
         InputError: for what cannot be calibrated.
     """
     table = path.suffix.lower() == ".csv"
+    if table and channel:
+        raise InputError(f"{path}: is a table of one channel; leave out the channel {channel!r}.")
+    if path.is_dir() and bits is not None:
+        raise InputError(f"{path}: camera.bits of the rig counts; leave out the bits, {bits}.")
     rig = None if table else read_rig(path, "photon transfer")
     if table:
         existing(path)

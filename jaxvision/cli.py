@@ -216,7 +216,7 @@ def render(
     from .effects.certificate import summary
     from .render_command import lacking, pruned_for, render_to_file, with_resolution
     from .scene_files import read_scene
-    from .scene_files.schema import overridden
+    from .scene_files.schema import idle, overridden
     from .tasks import workers as workers_of
 
     source = read_scene(file)
@@ -229,6 +229,10 @@ def render(
         "tile": tile,
     }
     settings = overridden(source.render, given)
+    for name in idle(settings.integrator, given):
+        warnings.warn(
+            f"--{name} has no effect with the integrator {settings.integrator!r}.", stacklevel=2
+        )
     shown = None if no_preview else preview or out.parent / f"{out.stem}.png"
     if resolution:
         wanted = _pair("--resolution", resolution)

@@ -84,6 +84,11 @@ class RenderEntry(Entry):
         return {**usual, **given}
 
 
+def idle(integrator: str, given: Mapping[str, Any]) -> list[str]:
+    """Those of some settings, None where not given, that an integrator does not use."""
+    return [name for name in _IDLE[integrator] if given.get(name) is not None]
+
+
 def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]:
     """The materials and the keys of `[render]` in a file that change no picture.
 
@@ -96,10 +101,12 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
     """
     integrator = entry.render.integrator
     given = content.get("render", {})
-    idle = [f"render.{name}" for name in _IDLE[integrator] if name in given]
     used = {surface.material for surface in entry.surface}
     return [
-        *(f"{name} has no effect with the integrator {integrator!r}" for name in idle),
+        *(
+            f"render.{name} has no effect with the integrator {integrator!r}"
+            for name in idle(integrator, given)
+        ),
         *(f"material {name!r} is on no surface" for name in entry.material if name not in used),
     ]
 

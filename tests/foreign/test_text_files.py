@@ -4,9 +4,11 @@ import json
 import tracemalloc
 
 import pytest
+import tomli_w
 from scene_texts import BALL
 from typer.testing import CliRunner
 
+from fitting.cli import app as fitting_app
 from fitting.noise.levels_table import read_table
 from fitting.rig import load_rig
 from jaxvision.camera_files import read_camera, read_sensor
@@ -184,3 +186,28 @@ def test_a_table_that_contradicts_itself_is_refused(tmp_path, text, reason):
     agreeing = table(HEADS + ",exposure_s", [row + ",0.001" for row in ROWS])
     file.write_text(agreeing, encoding="utf-8-sig")
     assert float(read_table(file, 12).bright.exposure[0]) == pytest.approx(1e-3)
+
+
+@pytest.mark.filterwarnings("default")
+def test_options_of_another_integrator_are_named(tmp_path):
+    (tmp_path / "scene.toml").write_text(BALL)
+    words = ["--resolution", "1x1", "--no-preview", "--out", str(tmp_path / "a.exr")]
+    words = ["render", str(tmp_path / "scene.toml"), "--integrator", "direct", *words]
+    said = CliRunner().invoke(app, [*words, "--depth", "3"]).stderr
+    assert "--depth has no effect with the integrator 'direct'" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["levels.csv", "--channel", "red"], "table of one channel; leave out the channel 'red'"),
+        ([".", "--bits", "8"], "camera.bits of the rig counts; leave out the bits, 8"),
+    ],
+)
+def test_options_of_another_kind_of_measurement_are_refused(tmp_path, words, reason):
+    (tmp_path / "levels.csv").write_text(table(HEADS, ROWS))
+    rig = {"camera": {"bits": 12}, "flat": [{"files": ["a.png"], "exposure": 1.0, "photons": 1.0}]}
+    (tmp_path / "rig.toml").write_text(tomli_w.dumps(rig))
+    found = CliRunner().invoke(fitting_app, ["noise", str(tmp_path / words[0]), *words[1:]])
+    assert found.exit_code != 0
+    assert reason in " ".join(found.stderr.split())
