@@ -40,11 +40,11 @@ def look_at(
     Args:
         position: (3,) m.
         target: (3,) m.
-        up: (3,) any vector not along the line of sight, no unit. Traced along it, right and down
-            are 0.
+        up: (3,) any vector not along the line of sight, no unit.
 
     Returns:
-        (3, 3), no unit: rows are the unit axes right, down and forward in the world.
+        (3, 3), no unit: rows are the unit axes right, down and forward in the world. Where the
+        arguments are traced and no rotation follows from them, all are NaN.
 
     Raises:
         ValueError: where the position is the target, or up lies along the line of sight: no
@@ -71,8 +71,10 @@ def look_at(
                 f"{upward.tolist()} for a sight along {sight.tolist()}."
             )
     forward = as_array(normalize(target - position))
-    right = as_array(normalize(jnp.cross(forward, up)))
-    return jnp.stack([right, jnp.cross(forward, right), forward])
+    across = jnp.cross(forward, as_array(normalize(up)))
+    right = as_array(normalize(across))
+    rotation = jnp.stack([right, jnp.cross(forward, right), forward])
+    return jnp.where(norm(across) > PARALLEL, rotation, jnp.nan)
 
 
 def opencv_view(

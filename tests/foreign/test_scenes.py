@@ -228,6 +228,17 @@ def test_what_cannot_be_meant_is_refused(case):
         call()
 
 
+def test_no_direction_to_look_at_is_nan_where_it_is_traced():
+    look, place, up = jax.jit(jv.look_at), np.ones(3), np.array([0.0, 0, 1])
+    for nowhere in (look(place, place, up), look(place, place + up, up), look(place, up, 0 * up)):
+        assert np.isnan(nowhere).all()
+    found = look(place, 0 * place, 1e-3 * up)
+    assert np.allclose(found @ found.T, np.eye(3), atol=1e-6)
+    assert np.allclose(found[2], -1 / np.sqrt(3), atol=1e-6)
+    slope = jax.grad(lambda x: look(x, 0 * x, up)[2, 0])(place)
+    assert np.allclose(slope, np.array([-2.0, 1, 1]) / 3**1.5, atol=1e-6)
+
+
 def test_what_can_be_meant_is_kept():
     assert jv.TorranceSparrow([0.0], [1.0], 1.5).roughness == 1.5
     assert float(jv.Sensor(prnu=0.3).prnu) == pytest.approx(0.3)
