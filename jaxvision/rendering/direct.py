@@ -159,7 +159,8 @@ def render(
 
     What surfaces emit is seen, and lights nothing here; in `transport` it does. Glass is black and
     throws full shadows, a mirror shows lamps with a size and no surfaces: `transport.missing_light`
-    says what that leaves out of a scene.
+    says what that leaves out of a scene. A lamp that is turned away from all surfaces leaves them
+    dark: `scene_checks.idle_lamps` names it. The command `jaxvision render` prints both.
 
     A derivative by the place of a lamp, a camera or a shape leaves out moving edges, those of
     shadows and outlines: over a floor with a ball under a lamp of 0.5 m it is 30 % short. It is
