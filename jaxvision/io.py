@@ -52,6 +52,7 @@ from .raw_files import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
 _LOG = logging.getLogger("jaxvision.io")
 INTEGER_FORMATS = (".png", ".tif", ".tiff")
 JPEG_FORMATS = (".jpg", ".jpeg")
+LONGEST_JPEG = 65535  # rows or columns
 FLOAT_FORMATS = (".exr", ".hdr")
 READ_ONLY_FORMATS = (*NETPBM_FORMATS, ".tga")
 LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists each, path and all
@@ -236,6 +237,8 @@ def _read_by_openimageio(
         else:
             pixels = _pixels(file, source, number, chosen, sample)
             pixels = _undone(file, pixels, spec, chunks, page)
+            if source.format_name() == "gif" and _is_grey(pixels):
+                pixels, names = pixels[..., :1], ("grey",)
         _name_unused(file, source.format_name(), spec, chunks, page)
     pixels = _in_display_window(file, pixels, spec)
     return pixels[..., 0] if pixels.shape[2] == 1 else pixels, names
@@ -377,6 +380,11 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
             stacklevel=5,
         )
     own_names = [spec.channelnames[i].rpartition(".")[2] for i in chosen]
+    if picture == "xyz":
+        warnings.warn(
+            f"{file}: holds CIE X, Y and Z, not R, G and B; they are given as they are.",
+            stacklevel=5,
+        )
     if picture not in ("rgb", "y"):
         return chosen, tuple(own_names)
     return chosen, tuple(_NAMES.get(name.lower()) or name for name in own_names)
@@ -414,6 +422,11 @@ def _undone(
     if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO and full == 16:
         pixels = (2**bits - 1) - pixels  # which the decoder does itself up to 8 bits
     return _significant(file, pixels, bits, chunks) if chunks else pixels
+
+
+def _is_grey(pixels: np.ndarray) -> bool:
+    """Whether colours of 8 bits are greys that hide nothing."""
+    return bool((pixels[..., 3:] == 255).all() and (pixels[..., :3] == pixels[..., :1]).all())
 
 
 def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
@@ -613,6 +626,14 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
         )
     if suffix in JPEG_FORMATS and not (array.ndim == 2 or array.shape[2] in (1, 3)):
         raise InputError(f"{file}: JPEG holds one or three channels, got {array.shape}.")
+    if suffix == ".png" and array.ndim == 3 and array.shape[2] > 4:
+        raise InputError(
+            f"{file}: PNG holds one to four channels, got {array.shape[2]}; write TIFF."
+        )
+    if suffix in JPEG_FORMATS and max(array.shape[:2]) > LONGEST_JPEG:
+        raise InputError(
+            f"{file}: JPEG holds at most {LONGEST_JPEG} rows and columns, got {array.shape[:2]}."
+        )
     if not 1 <= quality <= 100:
         raise InputError(f"{file}: quality is 1 to 100, got {quality}.")
     attributes: dict[str, str | int] = {"oiio:UnassociatedAlpha": 1}

@@ -467,6 +467,36 @@ def test_channels_of_an_exr_are_found_by_name(tmp_path):
     assert read_channels(tmp_path / "d.exr")[1] == ("Z",)
 
 
+def test_xyz_is_named(tmp_path):
+    write_exr(tmp_path / "a.exr", ["X", "Y", "Z"])
+    with pytest.warns(UserWarning, match="holds CIE X, Y and Z, not R, G and B"):
+        assert read_channels(tmp_path / "a.exr")[1] == ("X", "Y", "Z")
+
+
+def test_a_grey_gif_is_grey(tmp_path):
+    codes = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    image = pytest.importorskip("PIL.Image")
+    image.fromarray(codes).save(tmp_path / "a.gif")
+    read, names = read_channels(tmp_path / "a.gif")
+    np.testing.assert_array_equal(read, codes)
+    assert names == ("grey",)
+    colours = np.stack([codes, codes, codes + 1], -1)
+    image.fromarray(colours).save(tmp_path / "b.gif")
+    np.testing.assert_array_equal(read_image(tmp_path / "b.gif")[..., :3], colours)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "reason"),
+    [
+        ("a.png", (2, 3, 5), "PNG holds one to four channels, got 5; write TIFF"),
+        ("a.jpg", (1, 65536), "JPEG holds at most 65535 rows and columns"),
+    ],
+)
+def test_what_a_format_cannot_hold_is_said(tmp_path, name, shape, reason):
+    with pytest.raises(InputError, match=reason):
+        write_image(tmp_path / name, np.zeros(shape, np.uint8))
+
+
 def test_layers_of_an_exr_are_chosen_by_name(tmp_path):
     names = [f"{side}.{colour}" for side in ("left", "right") for colour in "RGB"]
     values = write_exr(tmp_path / "a.exr", names)
