@@ -39,6 +39,15 @@ def test_false_colour_has_a_scale_in_its_unit():
     assert np.isfinite(flat.images[0].norm(3.0))
 
 
+def test_a_logarithmic_histogram_says_what_it_leaves_out():
+    values = np.geomspace(1e-3, 1e3, 400, dtype=np.float32).reshape(20, 20)
+    assert "below" not in plots.histogram(values).get_xlabel()
+    values[0, :3] = 0, -1, np.nan
+    axes = plots.histogram(values)
+    assert axes.get_xlabel().endswith("\n2 values at or below 0 not drawn")
+    assert axes.patches[0].get_data().values.sum() == 397
+
+
 def test_a_histogram_counts_what_numpy_counts():
     codes = RNG.integers(0, 256, (40, 50), dtype=np.uint8)
     steps = plots.histogram(codes).patches[0].get_data()

@@ -72,7 +72,8 @@ def draw_picture(
 
 
 def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequence[str]) -> None:
-    """Counts in equal bins: of codes, of values, or of log10 of the values (high dynamic range)."""
+    """Counts in equal bins: of codes, of values, or of log10 of the values (high dynamic range),
+    whose label says how many are at or below 0."""
     bands = pixels.shape[-1]
     values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
     finite = values[np.isfinite(values)]
@@ -118,6 +119,8 @@ def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequen
     axis.set_xlim(edges[0], edges[-1])
     axis.locator_params(axis="x", nbins=6)  # more run together where each has a minus
     label = f"log10 of the value ({unit})" if logarithmic else f"value ({unit})"
+    if logarithmic and (hidden := int((pixels <= 0).sum())):
+        label += f"\n{hidden:,} value{'s' * (hidden > 1)} at or below 0 not drawn"
     width = edges[1] - edges[0]
     axis.set(xlabel=label, ylabel=f"pixels per bin of {width:.3g}", title="histogram")
     axis.grid(alpha=0.3)

@@ -163,7 +163,8 @@ def histogram(
     image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None
 ) -> "Axes":
     """Counts of the values of each channel, in bins of equal width; of log10 of the values where
-    they span more than three decades.
+    they span more than three decades. Values at or below 0 have no logarithm: the label of the axis
+    says how many there are.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative.
