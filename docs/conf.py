@@ -61,7 +61,7 @@ if not all(reachable(address) for address, _ in intersphinx_mapping.values()):
     intersphinx_mapping = {}
 
 # Pages of wide tables, which have the room of the contents beside them.
-TABLES = ("errors", "coverage", "comparison", "effects", "speed")
+TABLES = ("errors", "coverage", "comparison", "effects", "foreign_inputs", "speed")
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"jaxvision {version}"
