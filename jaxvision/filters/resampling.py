@@ -11,7 +11,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax.scipy.ndimage import map_coordinates
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._arguments import takes_numbers
 from .._types import check_choice, check_count, check_shape
@@ -83,7 +83,7 @@ def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -
     """The sums of the finite values, and what NaN and infinity that have a weight make of them."""
     least = 4 * jnp.finfo(image.dtype).eps  # what rounding makes of a weight of 0
 
-    def count(chosen: Floats, sign: int) -> Floats:
+    def count(chosen: Bool[Array, "..."], sign: int) -> Floats:
         """How many of the chosen pixels have a weight of that sign."""
         values = chosen.astype(jnp.float32)
         same, opposite = (

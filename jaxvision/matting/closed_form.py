@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._arguments import takes_numbers
 from .._shown import Shown
-from .._types import as_relative, is_known
+from .._types import Scalar, as_relative, is_known
 from ..errors import InputError
 from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsened, v_cycle
@@ -103,9 +103,9 @@ def closed_form_matte(
 def _solved(
     image: Float[Array, "h w bands"],
     trimap: Float[Array, "h w"],
-    epsilon: float,
-    confidence: float | None,
-    tolerance: float,
+    epsilon: Scalar,
+    confidence: Scalar | None,
+    tolerance: Scalar,
     max_steps: int,
 ) -> Matte:
     """The matte of checked arguments, one program for each size."""

@@ -18,7 +18,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from .._arguments import takes_numbers
-from .._types import as_relative, print_by_name
+from .._types import Scalar, as_relative, print_by_name
 from ..compositing import checked_alpha
 
 Picture = Float[Array, "h w bands"]
@@ -82,7 +82,7 @@ def estimate_foreground(
 
 @partial(jax.jit, static_argnames=("coarse_steps", "fine_steps"))
 def _over_levels(
-    image: Picture, alpha: Alpha, regularisation: float, coarse_steps: int, fine_steps: int
+    image: Picture, alpha: Alpha, regularisation: Scalar, coarse_steps: int, fine_steps: int
 ) -> tuple[Picture, Picture]:
     """Both pictures from checked arguments, one program for each size."""
     rows, columns = image.shape[:2]
@@ -110,7 +110,7 @@ def _relaxed(
     background: Picture,
     image: Picture,
     alpha: Alpha,
-    regularisation: float,
+    regularisation: Scalar,
     steps: int,
 ) -> tuple[Picture, Picture]:
     """Jacobi's iteration: of the two equations of each pixel, neighbours fixed,
