@@ -264,10 +264,12 @@ def _too_narrow(
     found = []
     for surface_name, surface in own:
         width = min(_lobe(surface.material))
+        if width >= np.pi:
+            continue
         match light:
             case RectangleLight():
                 angle, wide = _angle(light, surface.shape), width
-            case EnvironmentMap():  # it shines on all sides of a highlight: half a node is enough
+            case EnvironmentMap():  # light from all sides: three widths apart are as good
                 angle, wide = np.pi, 3 * width
             case _:
                 return []
@@ -285,8 +287,8 @@ def _too_narrow(
 def _lobe(material: Material) -> tuple[float, float]:
     """Widths of the narrowest lobe, rad, along and across; pi where it is broad or not known.
 
-    A lobe of alpha has 2 alpha, the solid angle of which is 1 / its largest density in sr^-1 over
-    pi; the others have as much for an equal half width."""
+    A facet lobe has 2 alpha; the others have as much at an equal half width.
+    """
     match material:
         case Dichromatic():
             return min(_lobe(material.body), _lobe(material.interface))
