@@ -4,12 +4,14 @@ JPEG       noise that neighbours share, except across the borders of blocks of 8
 denoising  frames that share noise: a pattern that grows as the signal does, as shot noise, and
            not as offsets and gains of pixels, d + p x^2
 gamma      a signal that grows as a power of the light, and noise that does not grow with it
+
+Pixels that are dead, at 0 or at the top code in every frame, tell nothing at all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from .levels import PhotonTransfer
 
@@ -21,6 +23,8 @@ FEWEST_FOR_PATTERN = 7  # levels, for a polynomial of four terms
 FEWEST_FOR_CURVE = 3
 BELOW_SATURATION = 0.8  # of the largest signal; levels above it may be saturated
 STRAIGHT = 0.85  # exponent of the light below which a signal is curved
+MOST_DEAD = 0.1  # share of the pixels; of more, something else is the cause
+APART = 240  # pixels at most from a dead one to that in its place; multiples of all periods sought
 GROWS = 0.7  # share of what noise gains over black that must be in proportion to the signal
 
 
@@ -40,6 +44,78 @@ def block_products(deviation: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "2 
         for own, along in zip(found, (below, beside), strict=True):
             own[:] = [along[i::BLOCK].mean() for i in range(BLOCK)]
     return found
+
+
+def dead_pixels(frames: Iterable[np.ndarray], top: float) -> Bool[np.ndarray, "h w"] | None:
+    """Pixels that are at 0 in every frame, or at the top code in every frame.
+
+    Args:
+        frames: (h, w) each, flats and darks, the brightest flat and a dark first: where these show
+            no such pixel, no more are looked at.
+        top: the top code.
+
+    Returns:
+        True where a pixel is dead; None where none is, or more than a tenth of all.
+    """
+    low = high = None
+    for i, frame in enumerate(frames):
+        if frame.ndim != 2 or (low is not None and frame.shape != low.shape):
+            return None
+        low = (frame <= 0) & (True if low is None else low)
+        high = (frame >= top) & (True if high is None else high)
+        if i and not (low.any() or high.any()):
+            return None
+    if low is None or high is None or not 0 < (low | high).mean() <= MOST_DEAD:
+        return None
+    return low | high
+
+
+def without_dead(frame: np.ndarray, dead: Bool[np.ndarray, "h w"]) -> np.ndarray:
+    """A frame whose dead pixels have the number of another one, always the same: too far for noise
+    that neighbours share, and at the same place of a mosaic and of periods up to 8.
+
+    Args:
+        frame: (h, w).
+        dead: where pixels are dead.
+
+    Returns:
+        A copy; a frame of another size as it is.
+    """
+    if frame.shape != dead.shape:
+        return frame
+    found, left = frame.copy(), dead.copy()
+    for step in (APART, 48, 24, 16, 8):
+        for along in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1)):
+            shift = (along[0] * step, along[1] * step)
+            if all(abs(x) < size for x, size in zip(shift, frame.shape, strict=True)):
+                here = left & ~np.roll(dead, shift, (0, 1))
+                found[here] = np.roll(frame, shift, (0, 1))[here]
+                left &= ~here
+    return found
+
+
+def dead_in_words(dead: Bool[np.ndarray, "h w"], top: float) -> str:
+    """A sentence on dead pixels, whole rows and columns by number.
+
+    Args:
+        dead: where pixels are dead.
+        top: the top code.
+
+    Returns:
+        The sentence.
+    """
+    lines = []
+    for axis, name in ((0, "column"), (1, "row")):
+        whole = np.flatnonzero(dead.all(axis=axis))
+        if len(whole):
+            shown = ", ".join(str(i) for i in whole[:6]) + ", ..." * (len(whole) > 6)
+            lines.append(f"{name}{'s' * (len(whole) > 1)} {shown}")
+    count = int(dead.sum())
+    where = f" ({' and '.join(lines)})" if lines else ""
+    return (
+        f"{count} of {dead.size} pixels{where} read 0 in every frame, or {top:g} in every frame, "
+        "as dead pixels do: they were left out, and others of the same frame took their place."
+    )
 
 
 def local_variance(average: Float[np.ndarray, "h w"]) -> float:

@@ -2,7 +2,8 @@
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,7 +35,15 @@ from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels,
 from .levels_table import read_table
 from .neighbours import Neighbours
 from .periodic import quarters, residues
-from .raw_frames import BLOCK, block_products, local_variance, tone_curve
+from .raw_frames import (
+    BLOCK,
+    block_products,
+    dead_in_words,
+    dead_pixels,
+    local_variance,
+    tone_curve,
+    without_dead,
+)
 from .settings import require_one_setting
 from .shared import shared_variance
 from .variance_parts import Moments
@@ -107,7 +116,11 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
             "photons (or irradiance) for every [[flat]], or vary the exposure."
         )
     channel = channel or _first_site(rig.camera)
-    codes = Codes()
+    codes, top = Codes(), rig.camera.at(channel).clip_level
+    dead = dead_pixels(_stored(rig, flats, darks, load), top)
+    if dead is not None:
+        remarks.append(dead_in_words(dead, top))
+        load = _load_without(dead, load)
     dark = _reduced(rig, darks, channel, load, codes, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
     bright = _reduced(rig, flats, channel, load, codes, odd=odd["flat"], light=amounts, dark=dark)
@@ -167,6 +180,21 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     codes = Codes()
     darks = _reduced(rig, _pooled(rig.dark), channel, load, codes, odd=odd["dark"])
     return replace(darks, converter=codes.converter())
+
+
+def _stored(
+    rig: Rig, flats: Sequence[Flat], darks: Sequence[Dark], load: Load
+) -> Iterator[np.ndarray]:
+    """All frames that can be read, of the brightest flats and of a dark the first ones first."""
+    names = [entry.files[0] for entry in (flats[-1], darks[0])]
+    names += [name for entry in (*flats, *darks) for name in entry.files if name not in names]
+    for name in names:
+        with suppress(InputError):
+            yield load(rig.path(name))
+
+
+def _load_without(dead: np.ndarray, load: Load) -> Load:
+    return lambda path: without_dead(load(path), dead)
 
 
 def _is_jpeg(name: str) -> bool:

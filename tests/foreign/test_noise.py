@@ -324,3 +324,30 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
         shown={"light_offset": SimpleNamespace(value=offset, standard_error=25e-6)},
     )
     assert len(_light_offset(told)) == said
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_dead_columns_rows_and_pixels_are_left_out(bits):
+    """At 0, and hot pixels at the top code, in every frame."""
+    rng = np.random.default_rng(12)
+    prnu = 1 + 0.01 * rng.standard_normal(SHAPE)
+    flats, darks, *others = read_out(rng, light=prnu)
+    for frame in (frame for level in (*flats, *darks) for frame in level):
+        frame[:, [5, 20, 21]] = 0
+        frame[40] = 0
+        frame[[3, 50], [30, 60]] = 2**bits - 1
+    measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=bits))
+    (remark,) = (told for told in measured.remarks if "dead" in told)
+    assert "255 of 4096 pixels (columns 5, 20, 21 and row 40) read 0" in remark
+    np.testing.assert_allclose(measured.dark.mean, 64, atol=5 * np.sqrt(1.08 / 4096 / 2))
+    assert periodic_structure(measured, linear_levels(measured)) == ()
+    calibration = noise.calibrate(measured)
+    assert_true(estimates(calibration), system_gain=K, read_noise=4.0, prnu=1.0)
+    assert not any("anding" in told for told in section(calibration).findings)
+
+
+def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
+    flats, darks, *others = read_out(np.random.default_rng(13), offset=0.0)
+    flats[-1] = [np.full(SHAPE, 65535.0)] * 2
+    measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=16))
+    assert not any("dead" in told for told in measured.remarks)
