@@ -21,7 +21,8 @@ def names_of(package: str, file: str) -> Attached:
 
     Returns:
         `__getattr__`, `__dir__` and `__all__` of the package. The first raises `AttributeError`
-        for a name that is not listed, which says where below the package it is, or the nearest.
+        for a name that is not listed, which says how to get it from below the package, or the
+        nearest.
     """
     load, listed, offered = lazy_loader.attach_stub(package, file)
 
@@ -30,13 +31,22 @@ def names_of(package: str, file: str) -> Attached:
             return load(name)
         where = None if name.startswith("_") else _home(package, Path(file).parent, name)
         near = difflib.get_close_matches(name, offered, n=1)
-        hint = f"it is {where}.{name}" if where else f"dir({package}) lists what it has"
-        if near and not where:
-            hint = f"the nearest is {near[0]!r}"
+        if where and where.removeprefix(f"{package}.") in offered:
+            hint = f"it is {where}.{name}"
+        elif where:
+            hint = f"from {where} import {name} gives it"
+        elif name.isidentifier() and not name.startswith("_") and _is_module(Path(file), name):
+            hint = f"import {package}.{name} gives it"
+        else:
+            hint = f"the nearest is {near[0]!r}" if near else f"dir({package}) lists what it has"
         said = f"{package} has no {name!r}; {hint}."
         raise AttributeError(said, name=name, obj=sys.modules[package])
 
     return attribute, listed, offered
+
+
+def _is_module(file: Path, name: str) -> bool:
+    return file.with_name(f"{name}.py").exists() or (file.parent / name / "__init__.py").exists()
 
 
 def _home(package: str, folder: Path, name: str) -> str | None:

@@ -10,6 +10,17 @@ import jaxvision
     ("package", "name", "said"),
     [
         (jaxvision, "equalise", "jaxvision has no 'equalise'; it is jaxvision.histogram.equalise."),
+        (
+            jaxvision,
+            "read_settings",
+            "jaxvision has no 'read_settings'; from jaxvision.image_settings import read_settings "
+            "gives it.",
+        ),
+        (
+            jaxvision,
+            "scene_checks",
+            "jaxvision has no 'scene_checks'; import jaxvision.scene_checks gives it.",
+        ),
         (jaxvision, "over", "jaxvision has no 'over'; it is jaxvision.compositing.over."),
         (jaxvision, "Sensr", "jaxvision has no 'Sensr'; the nearest is 'Sensor'."),
         (
@@ -23,7 +34,7 @@ import jaxvision
 )
 def test_a_name_that_is_not_there(package, name, said):
     with pytest.raises(AttributeError) as caught:
-        getattr(package, name)
+        package.__getattr__(name)  # a module may have been imported before
     assert str(caught.value) == said
     assert not hasattr(package, f"_{name}")
 
