@@ -4,7 +4,10 @@ when it is given several, and directions must be unit.
 Numbers are looked at where they are known, outside `jax.jit` and its like; NaN passes.
 """
 
+import sys
+import warnings
 from collections.abc import Callable, Collection, Iterable
+from contextvars import ContextVar
 from functools import cache, wraps
 from inspect import Parameter, signature
 from sys import maxsize
@@ -36,6 +39,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 UNIT_WITHIN = 1e-3  # of a length of 1: components written with three digits
+_WITHIN = ("jaxvision", "jax", "equinox", "contextlib", "functools")  # frames below the caller's
 PLAIN = (bool, int, float, list, tuple, str)
 
 
@@ -105,9 +109,31 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
         for name in _keys(function):
             if name in values:
                 check_key(_place(function, name), values[name])
-        return function(*args, **kwargs)
+        outer = _of_call.get()
+        call = _of_call.set([] if outer is None else outer)
+        try:
+            return function(*args, **kwargs)
+        finally:
+            _of_call.reset(call)
 
     return of_numbers
+
+
+# The warnings of the caller's call that is under way; None between calls.
+_of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
+
+
+def warn_caller(text: str) -> None:
+    """Warns at the line outside the library, once in a call from there."""
+    given = _of_call.get()
+    if given:
+        return
+    if given is not None:
+        given.append(text)
+    frame, level = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _WITHIN:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, stacklevel=level)
 
 
 def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -16,7 +16,6 @@ alpha) has weights of its own, and its exact blur, with colours from within, is
 `compositing.unpremultiply(filters.gaussian(layer, sigma, border="zero"))`.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -26,7 +25,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped
 
-from ._arguments import takes_numbers
+from ._arguments import takes_numbers, warn_caller
 from ._types import as_float, print_by_name
 
 Picture = Shaped[Array | np.ndarray, "*picture"]
@@ -115,11 +114,10 @@ def check_picture(picture: ArrayLike) -> None:
             f"{shape}."
         )
     if len(shape) > 2 and shape[-3] in (3, 4) and min(shape[-2:]) >= _CHANNELS_FIRST:
-        warnings.warn(
+        warn_caller(
             f"a picture is (h, w) or (..., h, w, bands), so shape {shape} is one of {shape[-3]} "
             f"rows and {shape[-1]} bands; if its channels come first, take "
-            "np.moveaxis(picture, -3, -1).",
-            stacklevel=2,
+            "np.moveaxis(picture, -3, -1)."
         )
     if jnp.iscomplexobj(picture):
         raise ValueError(

@@ -163,3 +163,20 @@ def test_an_even_kernel_of_several_pictures_size(border, method):
         wide = np.pad(picture, ((5, 4), (7, 6)), mode="reflect", reflect_type="odd")
         wanted = ndimage.correlate(wide, kernel, mode="constant")[5:8, 7:9]
     np.testing.assert_allclose(got, wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize("function", ["correlate", "resize", "gaussian", "box", "convolve"])
+def test_channels_first_are_told_once_at_the_line_of_the_call(function):
+    settings = {
+        "correlate": {"kernel": np.ones((3, 3))},
+        "convolve": {"kernel": np.ones((3, 3))},
+        "resize": {"size": (30, 31)},
+        "gaussian": {"sigma": 2.0},
+        "box": {"size": 3},
+    }[function]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        getattr(jv.filters, function)(np.ones((3, 37, 38)), **settings)
+    assert len(caught) == 1
+    assert "shape (3, 37, 38)" in str(caught[0].message)
+    assert caught[0].filename == __file__
