@@ -245,6 +245,7 @@ def misfit_table(calibration: JointCalibration) -> Table:
             )
             for fit in calibration.fits
         ),
-        caption="A cell is a set of pixels of like normals in one image. A dash stands for what is "
-        "not needed.",
+        caption="A cell is a set of pixels of like normals in one image. A dash under misfit means "
+        "that cells alone ask for none, as where a free gain and read noise take for noise what "
+        "the model misses; the findings say whether the images agree.",
     )

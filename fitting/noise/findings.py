@@ -129,9 +129,9 @@ def _misfit(calibration: NoiseCalibration) -> list[str]:
     off = float(linear.values["system_gain"]) / float(chosen.values["system_gain"]) - 1
     moved = f" ({100 * off:+.2g} % off)" if 0 < abs(off) < ASTRAY else ""
     return [
-        f"{_linear_model(calibration)} does not explain the measurement: chi-square per degree of "
-        f"freedom {linear.chi_square / linear.degrees:.3g} over {linear.degrees}, so its gain"
-        f"{moved} and the small error that it would claim are not used."
+        f"{_linear_model(calibration)} does not explain the measurement (chi-square is "
+        f"{linear.chi_square:.3g} with {linear.degrees} degrees of freedom). Its gain{moved} and "
+        "the small error that it would claim are not used."
     ]
 
 

@@ -23,7 +23,7 @@ from .read import ExposureStack, Plane
 from .solve import STEADIEST
 
 FEWEST_TO_LEAVE_OUT = 4  # exposures: any two of three agree on some curve
-MOST_PIXELS = 300_000  # of a plane, by which an image is suspected
+MOST_PIXELS = 100_000  # of a plane, by which an image is suspected
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ DRAWN = 0.1  # standard error of ln exposure, up to which the figure shows a dep
 CLUSTERED = 2.0  # pixels that count as one, from which it is said
 MOSTLY_SEEN = 0.8  # share of the codes, below which it is said which are extrapolated
 FEW_FREE = 2  # visible shutter errors below which the prior speaks
+SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
+APART_ERRORS = 3.0  # by which an image's exposure stands apart
 FELT = 0.5  # share of the variance of a curve that its ripple makes, from which it is said
 
 
@@ -114,10 +116,29 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
         else ""
     )
     many = sum(not one.pure for one in found)
+    odd = _oddest_time(channels)
+    doubt = f" A wrong exposure time or gain looks alike: check {odd} first." if odd else ""
     return (
         f"The response is not a pure gamma in {many} of {len(channels)} channels: the measured "
-        f"curve departs {size}{better}. Use the curve rather than gamma."
+        f"curve departs {size}{better}. Use the curve rather than gamma.{doubt}"
     )
+
+
+def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
+    """What to check where the times scatter by more than shutters do: the image that stands apart
+    most, or all times; empty where they do not."""
+    shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SHAKY]
+    if not shaky:
+        return ""
+    worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
+    curve, plane = worst.curve, worst.plane
+    apart = np.abs(curve.shutter_offsets)
+    most = int(np.argmax(apart))
+    clear = apart[most] > APART_ERRORS * curve.shutter_offset_errors[most]
+    if not clear or apart[most] < 2 * np.median(apart):
+        return "the stated times and the gains"
+    place = int(np.argmin(np.abs(plane.exposures - curve.exposures[most])))
+    return f"the time and gain of {plane.files[place]}"
 
 
 def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -304,6 +325,7 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
     found = []
     shaky = [c for c in channels if c.curve.shutter_error is not None]
     few = [c for c in channels if len(c.curve.exposures) - 2 < FEW_FREE]
+    odd = _oddest_time(channels)
     if shaky:
         worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
         found.append(
@@ -312,6 +334,7 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
             f"{100 * (worst.curve.shutter_error or 0.0):.2g} % rms "
             f"({worst.plane.label or 'the grey channel'}): inaccurate shutter times, or a small "
             "misfit of the curve. The intervals include it, and channels of one image share it."
+            + (f" No shutter errs so much: check {odd} first." if odd else "")
         )
     elif not few:
         found.append(

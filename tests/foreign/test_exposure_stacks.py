@@ -15,7 +15,7 @@ from fitting.response.code_bins import code_bins
 from fitting.response.curve import ripple
 from fitting.response.radiance_map import exposure_of_codes, merge
 from fitting.response.read import floor_level
-from fitting.response.section import _curve_table
+from fitting.response.section import _curve_table, section
 from fitting.response.shape import shapes
 from fitting.rig_from_folder import rig_of
 from jaxvision.errors import InputError
@@ -422,3 +422,16 @@ def test_the_image_that_contradicts_the_others_is_named(times, gains, culprit):
     with pytest.raises(InputError, match=r"^This stack") as raised:
         calibrate(from_stack(images, times, camera=Camera(bits=12, black_level=64.0)))
     assert f"Without {culprit} the others agree" in str(raised.value)
+
+
+@pytest.mark.long
+def test_a_time_that_no_shutter_explains_is_named():
+    """The first of ten halving exposures is stated as long as the second: 1/2 of what it had."""
+    rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)
+    times = 2.0 ** np.arange(-9, 1)
+    images = [shot(light * t, rng, black=64, read_noise=2, top=4095) for t in times]
+    stated = [times[0], *times[:-1]]
+    found = section(calibrate(from_stack(images, stated, camera=Camera(bits=12, black_level=64.0))))
+    (said,) = [s for s in found.findings if "check the time and gain of" in s]
+    assert "images[0]" in said
+    assert not any("smoothness lies on" in s for s in found.findings)
