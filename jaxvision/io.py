@@ -692,7 +692,7 @@ def write_exr(
         blocks: (rows, w, channels) each, from the top, any unit.
         shape: (h, w, channels) of the picture.
         channels: their names; a reader gives them back in alphabetical order (except R, G, B, A).
-        attributes: of the file's header.
+        attributes: of the file's header; a number of more than 32 bits becomes text.
 
     Raises:
         InputError: if the file cannot be written.
@@ -723,6 +723,8 @@ def _write(
     if names:
         spec.channelnames = tuple(names)
     for name, value in attributes.items():
+        wide = isinstance(value, int) and not -(2**31) <= value < 2**31  # no number of its format
+        value = str(value) if wide else value
         text = value.encode(errors="replace").decode() if isinstance(value, str) else value
         spec.attribute(name, text)
     if sink is None or not sink.open(str(file), spec):

@@ -16,6 +16,7 @@ from jaxvision.camera_files import read_camera
 from jaxvision.errors import InputError
 from jaxvision.image_settings import read_settings
 from jaxvision.io import read_channels, read_environment, read_image, write_image
+from jaxvision.io import write_exr as write_blocks
 from jaxvision.mesh_files import read_mesh
 
 oiio = pytest.importorskip("OpenImageIO")
@@ -465,6 +466,13 @@ def test_channels_of_an_exr_are_found_by_name(tmp_path):
         np.testing.assert_array_equal(read_image(tmp_path / "c.exr"), values[..., 0])
     write_exr(tmp_path / "d.exr", ["Z"])
     assert read_channels(tmp_path / "d.exr")[1] == ("Z",)
+
+
+@pytest.mark.parametrize("seed", [2**31 - 1, 2**32 - 1])
+def test_the_head_of_an_exr_holds_any_seed(tmp_path, seed):
+    file, block = tmp_path / "a.exr", np.ones((2, 2, 3), np.float32)
+    write_blocks(file, [block], shape=block.shape, attributes={"seed": seed})
+    assert int(oiio.ImageInput.open(str(file)).spec().getattribute("seed")) == seed
 
 
 def test_xyz_is_named(tmp_path):
