@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalars
+from .._types import Scalar, Scalars
 
 Stencil = Float[Array, "5 5 h w"]
 Plane = Float[Array, "h w"]
@@ -23,7 +23,9 @@ Plane = Float[Array, "h w"]
 _WINDOW = tuple(product(range(3), repeat=2))
 
 
-def matting_laplacian(image: Float[Array, "h w bands"], *, epsilon: float = 1e-7) -> Stencil:
+def matting_laplacian(
+    image: Float[Array, "h w bands"], *, epsilon: Scalar | float = 1e-7
+) -> Stencil:
     """The stencil of a picture (h, w, bands), any number of bands; `epsilon` in the unit of light
     squared, relative. `ValueError` below 3 x 3 pixels."""
     rows, columns, bands = image.shape
