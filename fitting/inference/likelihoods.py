@@ -183,7 +183,7 @@ class StudentT(eqx.Module):
         data, prediction = xp.asarray(data), xp.asarray(prediction)
         dof, scale = xp.asarray(self.dof), xp.asarray(self.scale)
 
-        def deviate(z: Numbers, chance: Numbers = 1.0) -> Numbers:
+        def deviate(z: Numbers, chance: Numbers | float = 1.0) -> Numbers:
             """Of `chance` times the probability of less; by its logarithm where that underflows."""
             half = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # of -|z|
             share = chance * xp.where(z > 0, 1 - half, half)

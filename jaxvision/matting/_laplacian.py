@@ -69,7 +69,9 @@ def restricted_to(stencil: Stencil, kept: Plane) -> Stencil:
     return stencil * kept[None, None] * jnp.stack([jnp.stack(row) for row in there])
 
 
-def _whitened_windows(image: Float[Array, "h w bands"], floor: float) -> list[list[Scalars]]:
+def _whitened_windows(
+    image: Float[Array, "h w bands"], floor: Scalar | float
+) -> list[list[Scalars]]:
     """[pixel of the window][band], each (h - 2, w - 2): C^-1 (colour - mean), C C^T the covariance
     plus `floor` on its diagonal.
 

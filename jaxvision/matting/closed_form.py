@@ -124,7 +124,7 @@ def _solved(
     solution, _ = jax.scipy.sparse.linalg.cg(
         lambda x: apply_stencil(system, x),
         wanted,
-        tol=tolerance,
+        tol=tolerance,  # pyright: ignore[reportArgumentType]: it may be traced
         maxiter=max_steps,
         M=lambda r: v_cycle(grids, r),
     )

@@ -513,7 +513,7 @@ def _counted(
             if isinstance(light, RectangleLight):
                 middle = light.corner + (light.edge_u + light.edge_v) / 2
                 toward = as_vec(middle) - met.hit.point
-                direction, distance = normalize(toward), norm(toward)
+                direction, distance = as_vec(normalize(toward)), norm(toward)
             elif not can_be_seen(light):
                 arriving = incident(light, as_array(met.hit.point))
                 direction = as_vec(arriving.direction)
