@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from jaxvision.errors import InputError
-from jaxvision.plain_arrays import plain_array
 from jaxvision.toml_files import (
     Count,
     Entry,
@@ -82,6 +81,12 @@ Kelvin = Annotated[Finite, AfterValidator(kelvin)]
 
 def _plain(value: Any) -> Any:
     """An array as the lists that a rig file has; anything else as it is."""
+    of_a_file = (int, float, str, type(None))
+    parts = value if isinstance(value, list | tuple) else [value]
+    if all(isinstance(part, of_a_file) for part in parts):
+        return value
+    from jaxvision.plain_arrays import plain_array  # which needs NumPy
+
     try:
         value = plain_array("this", value)
     except InputError as error:  # pydantic names the field

@@ -204,9 +204,10 @@ def test_a_wrong_table_is_refused_with_its_column(tmp_path, options, sentence):
 def test_a_missing_or_binary_table_and_a_wrong_depth_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such table"):
         read_photon_transfer(tmp_path / "none.csv")
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(InputError, match="not a CSV table"):
-        read_photon_transfer(tmp_path / "binary.csv")
+    for content, sentence in ((b"\xff\xfe\x00\x81", "UTF-16"), (b"\x00\x01\x81", "binary.csv: ")):
+        (tmp_path / "binary.csv").write_bytes(content)
+        with pytest.raises(InputError, match=sentence):
+            read_photon_transfer(tmp_path / "binary.csv")
     with pytest.raises(InputError, match="more than 8 bits"):
         read_photon_transfer(write_table(tmp_path / "ptc.csv"), bits=8)
 

@@ -257,7 +257,7 @@ def test_illuminants_beyond_their_tables():
 
 
 def test_unknown_names_list_the_known():
-    with pytest.raises(InputError, match=r"No illuminant 'D66'; use one of .*D65"):
+    with pytest.raises(InputError, match=r"No illuminant 'D66'; the nearest is 'D65'\."):
         colour_data.illuminant("D66", GRID)
     with pytest.raises(InputError, match=r"No camera 'x'.*Nikon 5100"):
         colour_data.camera_sensitivities("x", GRID)

@@ -4,6 +4,7 @@ Elementwise on relative values of any shape; the named curves are in `point_ops`
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
@@ -46,7 +47,7 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
             "inputs and outputs must be (points,) with at least two points, got shapes "
             f"{inputs.shape} and {outputs.shape}."
         )
-    if is_known(inputs) and inputs[-1] <= 100:  # a curve through codes takes codes
+    if is_known(inputs) and np.asarray(inputs)[-1] <= 100:  # a curve through codes takes codes
         refuse_codes(x)
     slopes = _monotone_slopes(inputs, outputs)
     within = jnp.where(x < inputs[0], inputs[0], jnp.where(x > inputs[-1], inputs[-1], x))

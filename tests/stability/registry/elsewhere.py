@@ -244,7 +244,7 @@ ELSEWHERE = (
         """
             fitting.codes: converter_in_words
             fitting.frame_checks: listed refuse_half shown
-            fitting.noise.raw_frames: processing_in_words
+            fitting.noise.raw_frames: processing_in_words dead_in_words
             fitting.noise.periodic: periodic_in_words
         """,
     ),
@@ -640,7 +640,8 @@ ELSEWHERE = (
         """
             fitting.codes: converter_of
             fitting.frame_checks: blank_images odd_exposures odd_frames odd_heads
-            fitting.noise.raw_frames: block_products is_compressed local_variance tone_curve
+            fitting.noise.raw_frames: block_products dead_pixels is_compressed local_variance
+            fitting.noise.raw_frames: tone_curve without_dead
         """,
     ),
     Elsewhere(
