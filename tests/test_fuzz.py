@@ -33,7 +33,7 @@ FIRST = int(os.environ.get("JAXVISION_FUZZ_FROM", "0"))
 LONGEST, MEMORY, WORDS = 10.0, 12 * 2**30, 600  # s of CPU, bytes, characters of a message
 NAMES = ("camera", "scene", "material", "rig", "levels", "merl", "rgl", "cornell", "obj", "ply")
 NAMES += ("png", "png16", "tiff", "jpeg", "exr", "hdr", "npy", "mitsuba", "gltf", "glb", "glb_mesh")
-NAMES += ("stl", "fits", "dng", "draws", "tiles", "passes", "chain")
+NAMES += ("stl", "fits", "dng", "draws", "tiles", "passes", "chain", "pgm", "ppm", "pfm", "tga")
 
 
 TEXTS = (".toml", ".csv", ".brdf", ".obj", ".ply", ".xml", ".gltf")

@@ -12,7 +12,7 @@ UNCHECKED = {
     "Sensor(pixel_aperture=0.5)": "Sensor.pixel_aperture must be a record, PixelAperture, got 0.5.",
     "ColourFilter([[1.0]] * 2, pattern=[[0, 1]])": "ColourFilter.pattern must be a tuple of rows, "
     "each a tuple of whole numbers, as in ((0, 1), (1, 2)), got [[0, 1]].",
-    "Demosaicing('RGGB')": "Demosaicing.pattern must be a tuple of rows",
+    "Demosaicing(5)": "Demosaicing.pattern must be a tuple of rows",
     "ChargeTransfer(1e-5, trail=8.5)": "trail must be a whole number of at least 1, got 8.5.",
     "PixelAperture(0.5, oversampling='a')": "must be a whole number of at least 1, got 'a'.",
     "PolygonalAperture(5.5)": "blades must be a whole number of at least 3, got 5.5.",
