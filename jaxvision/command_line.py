@@ -238,9 +238,9 @@ class _Elapsed(logging.Formatter):
 def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") -> Iterator[None]:
     """Context in which errors that a user can correct end the command with one line.
 
-    Input errors and file errors end with exit status 2, an interrupt with 130; a warning becomes
-    one line, of like ones about several files the first and a count. Output that nobody reads any
-    more ends it without one, with 141.
+    Input errors and file errors end with exit status 2, an interrupt with 130. A warning becomes
+    one line; of warnings that many files share, the first is printed, and then their number. A
+    command whose output is no longer read ends without a line, with 141.
 
     Args:
         command: name of the command, the beginning of each line.

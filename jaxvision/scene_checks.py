@@ -158,19 +158,24 @@ def _reaches(shape: Shape, point: np.ndarray, normal: np.ndarray) -> bool:
     return bool(((corners - point) @ normal > 0).any())
 
 
-def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
-    """Whether some of a surface is turned to one of a lamp's places in m, or, `far`, directions."""
-    shape = surface.shape
+def _plane_of(shape: object) -> tuple[np.ndarray, np.ndarray] | None:
+    """A point, m, and the normal, of any length, of a flat shape; None for others."""
     match shape:
         case Plane():
-            start, normal = _array(shape.point), _array(shape.normal)
+            return _array(shape.point), _array(shape.normal)
         case Disc():
-            start, normal = _array(shape.centre), _array(shape.normal)
+            return _array(shape.centre), _array(shape.normal)
         case Quad():
-            start = _array(shape.corner)
             normal = np.cross(_array(shape.edge_u), _array(shape.edge_v))
-        case _:
-            return True
+            return _array(shape.corner), normal
+    return None
+
+
+def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
+    """Whether some of a surface is turned to one of a lamp's places in m, or, `far`, directions."""
+    if (flat := _plane_of(surface.shape)) is None:
+        return True
+    start, normal = flat
     heights = [(place if far else place - start) @ normal for place in places]
     both = surface.two_sided or is_body(surface.material)
     return bool(max(map(abs, heights) if both else heights) > 0)
@@ -303,15 +308,10 @@ def _lies_on(shape: Shape, point: np.ndarray) -> bool:
             axes = np.eye(3) if shape.rotation is None else _array(shape.rotation)
             outside = np.abs(axes @ (point - centre)) - half
             return bool(abs(outside.max()) <= _ROUNDING * size)
-        case Plane():
-            start, normal = _array(shape.point), _array(shape.normal)
-        case Disc():
-            start, normal = _array(shape.centre), _array(shape.normal)
-        case Quad():
-            start = _array(shape.corner)
-            normal = np.cross(_array(shape.edge_u), _array(shape.edge_v))
         case _:
-            return False
+            if (flat := _plane_of(shape)) is None:
+                return False
+            start, normal = flat
     away = point - start
     size = max(np.abs(point).max(), np.abs(start).max(), np.linalg.norm(away))
     if abs(away @ normal) > _ROUNDING * size * np.linalg.norm(normal):

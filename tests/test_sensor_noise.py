@@ -44,7 +44,7 @@ def check_moments(sample, mean, variance, fourth):
 # ------------------------------------------------ random numbers
 
 
-def testthreefry_has_the_published_words():
+def test_threefry_has_the_published_words():
     """The known answers of Random123 (kat_vectors, threefry2x32 20)."""
     ones = 0xFFFFFFFF
     for key, counter, words in [
