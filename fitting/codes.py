@@ -174,9 +174,8 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
 
     Example:
         >>> from fitting.codes import Converter, converter_in_words
-        >>> print(converter_in_words(Converter(step=16.0), 65520.0)[0])
-        Every number is a multiple of 16: the converter has 12 bits, and its rounding counts as \
-16²/12 DN². Figures in DN are in the file's numbers.
+        >>> print(converter_in_words(Converter(step=16.0), 65520.0)[0][:62])
+        Every number is a multiple of 16: the converter has 12 bits, a
     """
     step, origin = converter.step, converter.origin
     if not step:
