@@ -22,7 +22,7 @@ from jaxvision.plots import pictures
 from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread
-from .stereo_misfit import departures
+from .stereo_misfit import FEW_LIGHTS, departures
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
@@ -47,7 +47,8 @@ class Stereo:
         normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights count.
         albedo: (h, w) readings over irradiance.
         normal_sd: (h, w) rad, the standard deviation of the normal's direction, root mean square
-            over the two ways it may tilt; NaN where only three lights count: no residual is left.
+            over the two ways it may tilt: a cone of 2.448 of it has a probability of 95 %. NaN
+            where only three lights count: no residual is left.
         albedo_sd: (h, w) likewise, in the albedo's unit.
         used: (h, w) how many lights count.
         misfit: (h, w) how far the readings depart from Lambert's law by an amount that neighbouring
@@ -131,10 +132,14 @@ def photometric_stereo(
             as a whole, and named.
 
     Returns:
-        Normals, albedo, and standard deviations from the residuals of each pixel. Where these
-        show that the surface is not Lambert's, or the readings not linear, the standard deviations
-        allow for what neighbouring lights then share, and a sentence says so. From fewer than about
-        16 lights a departure that is as large may go unseen.
+        Normals, albedo, and standard deviations from the residuals of each pixel, with those of
+        the other pixels as prior. Where residuals show that the surface is not Lambert's, or the
+        readings not linear, the standard deviations allow for what neighbouring lights then share,
+        and a sentence says so. On simulated balls under 6 to 96 lights, at most 60 degrees from the
+        viewer, cones of 95 % held the normal in 94 to 98 % of the pixels of a matt ball, in 94 to
+        99 % of a glossy one and in 90 to 97 % of a rough one. With fewer than 16 lights, some of
+        which graze, a rough surface rotates normals by more than its residuals show: cones held 54
+        to 67 %, and the sentence says that too.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
@@ -167,7 +172,7 @@ def photometric_stereo(
         misfit = np.where(np.isfinite(albedo), found.size / albedo, np.nan)
         alone = _deviations(normals, albedo, inverse * found.noise[:, None, None])[0]
     if found.seen and np.nanmedian(misfit) > NEGLIGIBLE:
-        findings += (_of_misfit(misfit, normal_sd / alone),)
+        findings += (_of_misfit(misfit, normal_sd / alone, counts.sum(axis=0)),)
     shape = stack.shape[1:]
     return Stereo(
         normals.reshape(*shape, 3),
@@ -191,12 +196,22 @@ def _deviations(
     return np.sqrt(aside) / albedo, np.sqrt(along)
 
 
-def _of_misfit(misfit: Float[np.ndarray, " pixels"], wider: Float[np.ndarray, " pixels"]) -> str:
+def _of_misfit(
+    misfit: Float[np.ndarray, " pixels"],
+    wider: Float[np.ndarray, " pixels"],
+    used: Int[np.ndarray, " pixels"],
+) -> str:
+    few = (
+        f" With as few lights as {np.median(used):.0f} a rough surface may rotate normals twice as "
+        f"far; {FEW_LIGHTS} would show it."
+        if np.median(used) < FEW_LIGHTS
+        else ""
+    )
     return (
         "The surface is not Lambert's, or the readings are not linear: neighbouring lights depart "
         f"from m = E rho n.l alike, by {format_percent(np.nanmedian(misfit), decimals=1)} of the "
         f"albedo (median over pixels). The standard deviations of normals allow for it and are "
-        f"{np.nanmedian(wider):.1f} times what noise alone makes them."
+        f"{np.nanmedian(wider):.1f} times what noise alone makes them.{few}"
     )
 
 
