@@ -65,8 +65,8 @@ STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section
 FITTING_FLOORS = [
     {"rig", "inference", "codes", "copies"},
     {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
-    {"photographs"},
-    {"noise", "response", "reflectance", "fits", "sensor_likelihoods"},
+    {"photographs", "fits"},
+    {"noise", "response", "reflectance", "sensor_likelihoods"},
     {"accuracy", "demo", "joint"},
     {"checks"},
     {"folders"},

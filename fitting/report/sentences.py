@@ -1,13 +1,63 @@
-"""Findings of several channels, said once."""
+"""Findings: a table of sentences with their conditions, and those of several channels said once."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, cast
 
 from .colours import OF_CHANNEL
+
+Numbers = Mapping[str, Any]
 
 _LABELLED = re.compile(r"([\w ]{1,24}): (.+)", re.DOTALL)
 _CHANNEL = re.compile(rf"(?<!\w)(?:{'|'.join(OF_CHANNEL)})$")
 _NUMBER = re.compile(r"(?<![\w.])[-+−]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
+
+
+class Finding(NamedTuple):
+    """A sentence of a report.
+
+    Attributes:
+        key: names it.
+        condition: from a calibration to whether the sentence is said, or to its numbers by name;
+            several of these say it several times, None or none not at all.
+        sentence: to be formatted with the numbers.
+    """
+
+    key: str
+    condition: Callable[[Any], bool | Numbers | Iterable[Numbers] | None]
+    sentence: str
+
+
+def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
+    """The sentences of a table that a calibration calls for.
+
+    Args:
+        table: in the order in which they are read.
+        calibration: given to every condition.
+
+    Returns:
+        The sentences with their numbers.
+
+    Example:
+        >>> from fitting.report.sentences import Finding, said
+        >>> def above(x):
+        ...     return {"x": x} if x > 1 else None
+        >>> table = [Finding("above one", above, "{x:.2f} exceeds 1.")]
+        >>> said(table, 1.25), said(table, 0.5)
+        (('1.25 exceeds 1.',), ())
+    """
+    found = []
+    for row in table:
+        numbers = row.condition(calibration)
+        every: Iterable[Numbers]
+        if isinstance(numbers, bool) or numbers is None:
+            every = [{}] if numbers else []
+        elif isinstance(numbers, Mapping):
+            every = [cast(Numbers, numbers)]
+        else:
+            every = numbers
+        found += [row.sentence.format_map(one) for one in every]
+    return tuple(found)
 
 
 def said_once(findings: Sequence[str]) -> tuple[str, ...]:

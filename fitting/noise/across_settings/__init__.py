@@ -1,11 +1,11 @@
 """Photon transfer of one camera at several gains and temperatures, in one fit.
 
-setting         of one setting, what it tells of the quantities that settings share
+setting         what one setting tells of the quantities that settings share
 read            flats and darks of a rig, setting by setting
-model           the laws of gain and temperature
-fit             generalised least squares, and which claims of the model hold
+statement       the laws of gain and temperature as a `Problem`, and which of them hold
 pooled          full well and fixed pattern, averaged over settings
 calibration     everything together
 sensor          the camera at any gain and temperature
-findings figures section    what a report says and shows
+findings        every sentence of a report, with its condition
+figures section what else a report shows
 """

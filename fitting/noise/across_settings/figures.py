@@ -9,14 +9,11 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from ...inference.parameters import names
 from ...report.colours import BLUE
 from ...report.section import Picture
 from ..figures import GREY, ORANGE, SIZE
 from .calibration import CameraCalibration
-from .model import BOLTZMANN_EV
-from .proportional import proportional_gain
-from .setting import FROM_DARKS
+from .statement import BOLTZMANN_EV, proportional_gain
 
 POINTS = 200  # of a drawn curve
 HALF_BAND = (0.025, 0.975)  # quantiles of what is shaded
@@ -49,7 +46,7 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
             )
         )
     if len({setting.temperature for setting in calibration.settings}) > 1 and any(
-        known for known in _dark_points(calibration)[0]
+        {"dark_current", "dark_signal_rate"} & {*told.names} for told in calibration.fit.told
     ):
         found.append(
             Picture(
@@ -68,15 +65,13 @@ def gain_figure(calibration: CameraCalibration) -> Figure:
     """K against the stated gain, and its deviations from proportion."""
     fit = calibration.fit
     factor = np.array([setting.gain_factor for setting in calibration.settings])
-    proportion = proportional_gain(calibration)
+    proportion = proportional_gain(fit)
     assert proportion is not None
     scale = proportion[0]
     figure, upper, lower = _panels()
-    alone = [i for i, told in enumerate(fit.told) if "system_gain" in told.names]
-    log_gain, error = np.array([_told(calibration, i, "system_gain") for i in alone]).T
+    alone, log_gain, error = _alone(calibration, "system_gain")
     shared = np.exp(np.asarray(calibration.figures.log_gain))
-    count = fit.model.sizes[0]
-    spread = np.sqrt(np.diagonal(fit.covariance))[:count][np.asarray(fit.model.gain_of)]
+    spread = np.sqrt(np.diagonal(fit.covariance))[np.asarray(fit.fit.problem.inputs["system_gain"])]
     upper.loglog(factor, shared, "o", color=ORANGE, ms=8, mfc="none", label="all settings together")
     upper.loglog(factor[alone], np.exp(log_gain), ".", color=BLUE, ms=6, label="each by itself")
     ends = np.array([factor.min(), factor.max()])
@@ -91,8 +86,11 @@ def gain_figure(calibration: CameraCalibration) -> Figure:
     lower.errorbar(factor, off, 196 * spread, fmt="o", color=ORANGE, ms=8, mfc="none", lw=1.5)
     lower.axhline(0, color="k", lw=0.8, ls="--")
     lower.set_ylabel("off proportion [%]")
-    lower.set_xlabel(_gain_label(calibration))
-    _mark(lower, calibration)
+    unit = "ISO speed" if calibration.settings[0].gain_unit == "ISO" else "factor"
+    lower.set_xlabel(f"stated gain [{unit}]")
+    factors = np.unique(factor)
+    lower.set_xticks(factors, [f"{one:.4g}" for one in factors], minor=False)
+    lower.set_xticks([], minor=True)
     return figure
 
 
@@ -101,14 +99,15 @@ def read_noise_figure(calibration: CameraCalibration) -> Figure:
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
     figure, axis, lower = _panels()
-    alone = [i for i, told in enumerate(fit.told) if "read_noise" in told.names]
-    value, error = np.array([_told(calibration, i, "read_noise") for i in alone]).T
-    if fit.model.read_noise_law:
+    alone, value, error = _alone(calibration, "read_noise")
+    best, draws = fit.fit.values, fit.fit.draws
+    if "variance_before_gain" in best:
         x = np.geomspace(gain.min() / 1.15, 1.15 * gain.max(), POINTS)
-        place = names(fit.space).index("variance_before_gain")
-        before, behind = np.asarray(fit.solution.vector)[place : place + 2]
-        drawn = calibration.posterior.samples[:, place : place + 2]
-        low, high = _band(np.sqrt(np.maximum(drawn[:, :1] + drawn[:, 1:] / x**2, 0)))
+        variances = "variance_before_gain", "variance_behind_gain"
+        before, behind = (float(best[name]) for name in variances)
+        of_draws = (draws[name].reshape(-1, 1) for name in variances)
+        drawn = next(of_draws) + next(of_draws) / x**2
+        low, high = np.quantile(np.sqrt(np.maximum(drawn, 0)), HALF_BAND, axis=0)
         curve = np.sqrt(before + behind / x**2)
         _shade(axis, lower, x, curve, low, high, "law")
         if before > 0:
@@ -139,19 +138,24 @@ def read_noise_figure(calibration: CameraCalibration) -> Figure:
 def dark_current_figure(calibration: CameraCalibration) -> Figure:
     """Dark current against the inverse of temperature."""
     fit = calibration.fit
-    known, kelvin, value, error = _dark_points(calibration)
+    gain = np.exp(np.asarray(calibration.figures.log_gain))
+    points = [told.dark_current(k) for told, k in zip(fit.told, gain, strict=True)]
+    value, error = np.array(points).T
+    kelvin = np.array([setting.temperature or ZERO_CELSIUS for setting in fit.settings])
+    known = np.isfinite(value)
     x = 1000 / kelvin
     figure, axis, lower = _panels()
     floor = np.inf
     expected = np.asarray(calibration.figures.dark_current)
-    if fit.model.dark_current_law:
-        place = names(fit.space).index("dark_current")
+    best, draws = fit.fit.values, fit.fit.draws
+    if "activation_energy" in best:
         line = np.linspace(x.min(), x.max(), POINTS)
         colder = -(line / 1000 - 1 / (fit.reference or 1.0)) / BOLTZMANN_EV
-        log_rate, energy = np.asarray(fit.solution.vector)[place : place + 2]
-        curve = np.exp(log_rate + energy * colder)
-        drawn = calibration.posterior.samples[:, place : place + 2]
-        low, high = _band(drawn[:, :1] * np.exp(drawn[:, 1:] * colder))
+        energy = float(best["activation_energy"])
+        curve = best["dark_current"] * np.exp(energy * colder)
+        drawn = np.exp(draws["activation_energy"].reshape(-1, 1) * colder)
+        drawn = draws["dark_current"].reshape(-1, 1) * drawn
+        low, high = np.quantile(drawn, HALF_BAND, axis=0)
         _shade(axis, lower, line, curve, low, high, f"Arrhenius' law, E = {energy:.3g} eV")
         floor = float(low.min())
     seen = known & (value > 1.96 * error)
@@ -208,31 +212,11 @@ def _shade(
     )
 
 
-def _dark_points(
-    calibration: CameraCalibration,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Whether it is told, temperature, dark current in e-/s and its error, of each setting."""
-    fit = calibration.fit
-    gain = np.exp(np.asarray(calibration.figures.log_gain))
-    rows = []
-    for i, (setting, told) in enumerate(zip(fit.settings, fit.told, strict=True)):
-        if "dark_current" in told.names:
-            row = (1.0, *_told(calibration, i, "dark_current"))
-        elif FROM_DARKS[0] in told.names:
-            rate, error = _told(calibration, i, FROM_DARKS[0])
-            row = 1.0, rate / gain[i], error / gain[i]
-        else:
-            row = 0.0, 0.0, 0.0
-        rows.append((row[0], setting.temperature or ZERO_CELSIUS, *row[1:]))
-    known, kelvin, value, error = np.array(rows).T
-    return known > 0, kelvin, value, error
-
-
-def _told(calibration: CameraCalibration, i: int, name: str) -> tuple[float, float]:
-    """What a setting tells of a quantity, and its error."""
-    told = calibration.fit.told[i]
-    place = told.names.index(name)
-    return float(told.values[place]), float(np.sqrt(told.covariance[place, place]))
+def _alone(calibration: CameraCalibration, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The settings that tell a quantity by themselves, what they tell and its errors."""
+    value, error = np.array([told.of(name) for told in calibration.fit.told]).T
+    alone = np.flatnonzero(np.isfinite(value))
+    return alone, value[alone], error[alone]
 
 
 def _aside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
@@ -242,22 +226,6 @@ def _aside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
         own = np.flatnonzero(x == place)
         order[own] = np.arange(len(own)) - (len(own) - 1) / 2
     return 1 + 0.02 * order
-
-
-def _band(drawn: Float[np.ndarray, "draws points"]) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.quantile(drawn, HALF_BAND, axis=0)
-    return low, high
-
-
-def _gain_label(calibration: CameraCalibration) -> str:
-    unit = calibration.settings[0].gain_unit
-    return "stated gain [ISO speed]" if unit == "ISO" else "stated gain [factor]"
-
-
-def _mark(axis: Axes, calibration: CameraCalibration) -> None:
-    factors = sorted({setting.gain_factor for setting in calibration.settings})
-    axis.set_xticks(factors, [f"{factor:.4g}" for factor in factors], minor=False)
-    axis.set_xticks([], minor=True)
 
 
 def _plain_ticks(axis: Axis) -> None:

@@ -1,18 +1,17 @@
-"""What a camera over its settings has to say, in sentences: what is not shared first."""
+"""Every sentence about a camera over its settings, with its condition: what is not shared first."""
+
+from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
-from ...inference.diagnostics import identifiability
 from ...inference.formatting import format_p, format_with_error
-from ...inference.parameters import names
 from ...inference.trust import convergence_in_words
+from ...report.sentences import Finding, Numbers, said
 from ..levels import Levels
 from ..misfit import MISFIT
 from .calibration import CameraCalibration
-from .fit import Axis, Claim, OwnDeviation, Quantity
-from .pooled import Pooled
-from .proportional import proportional_gain
-from .sensor import is_impossible
+from .statement import Axis, Law, OwnDeviation, Quantity, proportional_gain
 
 HALF_GAP, GAP = 0.56, 1.12  # eV, of silicon at room temperature
 FAR = 3.0  # standard errors
@@ -22,208 +21,263 @@ NAMES: dict[Quantity, str] = {
     "read_noise": "read noise",
     "dark_current": "dark current",
 }
-CAUSES: dict[tuple[Quantity, Axis], str] = {
-    ("system_gain", "temperature"): "The conversion gain changes with temperature ({own}), as "
-    "amplifiers and references do; each setting has its own.",
-    ("quantum_efficiency", "gain"): "The quantum efficiency is not the same at every gain ({own}). "
-    "No amplifier changes how many electrons a photon frees, so photons are stated wrongly at some "
-    "gain, or its images were smoothed or denoised, which lowers the variance and the gain read "
-    "off it; each gain has its own.",
-    ("quantum_efficiency", "temperature"): "The quantum efficiency is not the same at every "
-    "temperature ({own}): the lamp drifted from its stated photons, or the band edge of the sensor "
-    "moves at this wavelength; each temperature has its own.",
-    ("read_noise", "gain"): "Read noise does not follow from noise before and behind one amplifier "
-    "({own}), as where a camera switches its conversion gain between two ranges, or filters images "
-    "of high gain; each gain has its own.",
-    ("read_noise", "temperature"): "Read noise changes with temperature ({own}); each setting has "
-    "its own, and the law over gain is not used.",
-    ("dark_current", "gain"): "Dark current in electrons is not the same at every gain ({own}), as "
-    "where the camera subtracts a part of it from its black level; each setting has its own.",
-    ("dark_current", "temperature"): "Dark current does not follow Arrhenius' law ({own}): two "
-    "mechanisms, glow or stray light, a black level that compensates, or temperatures that are not "
-    "the sensor's; each temperature has its own.",
-}
 
 
 def findings(calibration: CameraCalibration) -> tuple[str, ...]:
     """Every finding, the most consequential first."""
+    return said(FINDINGS, calibration)
+
+
+def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
+    """A claim that failed, with its largest deviations."""
+    claim = next((one for one in calibration.fit.claims if one.law == law), None)
+    if claim is None or claim.holds:
+        return None
+    # with one degree of freedom all are as significant, but for rounding
+    most = sorted(claim.own, key=lambda one: -round(abs(one.value) / one.error, 3))[:3]
+    scale, unit = (1, "e⁻/s") if law == ("dark_current", "temperature") else (100, "%")
+    rivals = [NAMES[rival[0]] for rival in claim.rivals if rival not in calibration.fit.freed]
+    return {
+        "own": ", ".join(f"{one.label}: {_signed(one, scale)} {unit}" for one in most),
+        "chi_square": claim.chi_square,
+        "degrees": claim.degrees,
+        "p": format_p(claim.p_value),
+        "rivals": " and ".join(dict.fromkeys(rivals)),
+    }
+
+
+def _rivals(law: Law, calibration: CameraCalibration) -> Numbers | None:
+    """The quantities that failed with a claim and not without it."""
+    claim = _claim(law, calibration)
+    return claim if claim and claim["rivals"] else None
+
+
+def _given_up(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, Finding]:
+    law: Law = quantity, axis
+    key = f"{quantity} over {axis}"
     return (
-        *calibration.left_out,
-        *_impossible(calibration),
-        *_claims(calibration),
-        *_misfit(calibration),
-        *_stated_gain(calibration),
-        *_dark_current(calibration),
-        *_pooled(calibration),
-        *_single(calibration),
-        *_solver(calibration),
+        Finding(
+            key,
+            partial(_claim, law),
+            sentence + " Chi-square {chi_square:.4g} over {degrees} ({p}).",
+        ),
+        Finding(
+            f"{key}: rivals",
+            partial(_rivals, law),
+            "Before that, {rivals} seemed not to be shared either; the frames then no longer say "
+            "so, but hardly tell these apart.",
+        ),
     )
-
-
-def _impossible(calibration: CameraCalibration) -> list[str]:
-    if not is_impossible(calibration):
-        return []
-    return [
-        "The quantum efficiency comes out above 100 %, which no sensor has: give photons per pixel "
-        "and exposure, and images that were not smoothed. No sensor is written."
-    ]
-
-
-def _claims(calibration: CameraCalibration) -> list[str]:
-    fit = calibration.fit
-    failed = [claim for claim in fit.claims if not claim.holds]
-    told = []
-    for claim in failed:
-        told.append(
-            CAUSES[claim.quantity, claim.axis].format(own=_own(claim))
-            + f" Chi-square {claim.chi_square:.4g} over {claim.degrees} "
-            f"({format_p(claim.p_value)})."
-        )
-        rivals = [NAMES[name] for name, axis in claim.rivals if (name, axis) not in fit.freed]
-        if rivals:
-            told.append(
-                f"Before that, {' and '.join(dict.fromkeys(rivals))} seemed not to be shared "
-                "either; the frames then no longer say so, but hardly tell these apart."
-            )
-    return told
-
-
-def _own(claim: Claim) -> str:
-    """The deviations beyond chance, the largest first."""
-    most = sorted(claim.own, key=lambda one: -abs(one.value) / one.error)[:3]
-    if (claim.quantity, claim.axis) == ("dark_current", "temperature"):
-        scale, unit = 1, "e⁻/s"
-    else:
-        scale, unit = 100, "%"
-    return ", ".join(f"{one.label}: {_signed(one, scale)} {unit}" for one in most)
 
 
 def _signed(one: OwnDeviation, scale: float = 100) -> str:
     return format_with_error(scale * one.value, scale * one.error, signed=True)
 
 
-def _misfit(calibration: CameraCalibration) -> list[str]:
+def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
+    """Chi-square of the fit, where it is beyond chance or is not."""
     fit = calibration.fit
-    ratio = fit.chi_square / max(fit.degrees, 1)
-    words = (
-        f"chi-square per degree of freedom {ratio:.2f} over {fit.degrees} ({format_p(fit.p_value)})"
-    )
-    if fit.inflation > 1:
-        return [
-            f"What is left is beyond chance: {words}, so all errors are multiplied by "
-            f"{np.sqrt(fit.inflation):.2f}."
-        ]
-    shared = "With that, the" if fit.freed else "All"
-    return [f"{shared} settings agree with one camera: {words}."]
+    if (fit.fit.noise > 1) != beyond:
+        return None
+    return {
+        "who": "With that, the" if fit.freed else "All",
+        "ratio": fit.fit.misfit.chi_square / max(fit.degrees, 1),
+        "degrees": fit.degrees,
+        "p": format_p(fit.p_value),
+        "factor": fit.fit.noise,
+    }
 
 
-def _stated_gain(calibration: CameraCalibration) -> list[str]:
-    found = proportional_gain(calibration)
-    if found is None:
-        return []
-    scale, p_value, own = found
-    unit = "unit of ISO speed" if calibration.settings[0].gain_unit == "ISO" else "factor of gain"
-    if p_value >= MISFIT:
-        return [
-            f"The conversion gain is proportional to the stated one: {scale:.4g} DN/e⁻ a {unit} "
-            f"({format_p(p_value)})."
-        ]
-    worst = max(own, key=lambda one: abs(one.value) / one.error)
-    return [
-        "The conversion gain is not proportional to the stated one: at "
-        f"{worst.label} it is {_signed(worst)} % off the others "
-        f"({format_p(p_value)}), so the stated gain is a label there; use the measured K."
-    ]
+def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
+    """Whether the gain is proportional to the stated one, of several gains."""
+    found = proportional_gain(calibration.fit)
+    if found is None or (found[1] >= MISFIT) != holds:
+        return None
+    worst = max(found[2], key=lambda one: abs(one.value) / one.error)
+    stated = "unit of ISO speed" if calibration.settings[0].gain_unit == "ISO" else "factor of gain"
+    return {
+        "scale": found[0],
+        "unit": stated,
+        "p": format_p(found[1]),
+        "label": worst.label,
+        "off": _signed(worst),
+    }
 
 
-def _dark_current(calibration: CameraCalibration) -> list[str]:
+def _unknown_dark_law(told: bool, calibration: CameraCalibration) -> bool:
+    """Whether dark current, told by the settings or not, has no law over several temperatures that
+    was not given up."""
     fit = calibration.fit
-    warmth = {setting.temperature for setting in fit.settings}
-    if not fit.model.dark_current_law:
-        if len(warmth) > 1 and not fit.model.sizes[3]:
-            return [
-                "No setting has darks of three different exposures, so nothing is known of dark "
-                "current over temperature."
-            ]
-        law = {("dark_current", "gain"), ("dark_current", "temperature")} & fit.freed
-        if len(warmth) > 1 and not law:
-            return [
-                "Dark current is within its error at the warmest temperature, so that its law is "
-                "not determined; take darks of longer exposure."
-            ]
-        return []
-    place = names(fit.space).index("activation_energy")
-    energy = float(fit.solution.vector[place])
-    error = float(np.sqrt(fit.covariance[place, place]))
-    below, above = (HALF_GAP - energy) / error, (energy - GAP) / error
-    if max(below, above) > FAR:
-        return [
-            f"The activation energy of {format_with_error(energy, error)} eV is outside of "
-            f"{HALF_GAP} to {GAP} eV, between generation in silicon's depletion region and "
-            "diffusion: the stated temperatures are not the sensor's, or stray light or glow adds "
-            "to the dark current."
-        ]
-    return []
+    free = {parameter.name for parameter in fit.fit.problem.free}
+    several = len({setting.temperature for setting in fit.settings}) > 1
+    given_up = any(quantity == "dark_current" for quantity, _ in fit.freed)
+    lawless = several and "activation_energy" not in free and not given_up
+    return lawless and ("dark_current" in free) == told
 
 
-def _given(pooled: Pooled) -> str:
-    """What becomes of a value on which the settings do not agree."""
-    if not pooled.serves:
-        return "no shared value is given"
-    return "they differ by little, by which the error of the shared value is widened"
+def _energy(calibration: CameraCalibration) -> Numbers | None:
+    """An activation energy that is none of silicon."""
+    labels = [parameter.name for parameter in calibration.fit.fit.problem.space]
+    if "activation_energy" not in labels:
+        return None
+    place = labels.index("activation_energy")
+    energy = float(calibration.fit.vector[place])
+    error = float(np.sqrt(calibration.fit.covariance[place, place]))
+    if max(HALF_GAP - energy, energy - GAP) <= FAR * error:
+        return None
+    return {"energy": format_with_error(energy, error), "low": HALF_GAP, "high": GAP}
 
 
-def _pooled(calibration: CameraCalibration) -> list[str]:
-    told = []
-    if calibration.prnu is not None and not calibration.prnu.holds:
-        told.append(
-            f"PRNU is not the same at every setting ({format_p(calibration.prnu.p_value)}): uneven "
-            f"light that moved, or a non-linearity of the pixels; {_given(calibration.prnu)}."
-        )
-    if calibration.dsnu is not None and not calibration.dsnu.holds:
-        told.append(
-            "DSNU in electrons is not the same at every setting "
-            f"({format_p(calibration.dsnu.p_value)}): a pattern behind the amplifier shrinks with "
-            "gain, and dark current of unequal pixels grows with temperature; "
-            f"{_given(calibration.dsnu)}."
-        )
-    if calibration.full_well is not None and not calibration.full_well.holds:
-        told.append(
-            "The settings whose wells fill do not agree on how many electrons they hold "
-            f"({format_p(calibration.full_well.p_value)}); {_given(calibration.full_well)}."
-        )
-    if calibration.full_well is None:
-        told.append(
-            "At no setting does a well fill before the converter's range ends, so full well is not "
-            "determined; add brighter flats at the lowest gain."
-        )
-    return told
+def _differs(name: str, calibration: CameraCalibration) -> Numbers | None:
+    """An average over settings that do not agree."""
+    pooled = getattr(calibration, name)
+    if pooled is None or pooled.holds:
+        return None
+    given = "they differ by little, by which the error of the shared value is widened"
+    return {
+        "p": format_p(pooled.p_value),
+        "given": given if pooled.serves else "no shared value is given",
+    }
 
 
-def _single(calibration: CameraCalibration) -> list[str]:
-    """What the settings say by themselves that a reader of the whole has to know."""
-    told = []
-    darks = [one.setting.label for one in calibration.frames if isinstance(one.frames, Levels)]
-    if darks:
-        told.append(f"Darks alone: {'; '.join(darks)}.")
-    curved = [
-        one.setting.label
-        for one, own in zip(calibration.frames, calibration.calibrations, strict=True)
-        if own is not None and "compression" in own.chosen.values
-    ]
-    if curved:
-        told.append(
-            f"The camera is not linear at {'; '.join(curved)}: gain and efficiency are those at "
-            "zero signal."
-        )
-    return told
+def _labels(chosen: Iterable[bool], calibration: CameraCalibration) -> Numbers | None:
+    several = zip(calibration.settings, chosen, strict=True)
+    labels = "; ".join(setting.label for setting, is_so in several if is_so)
+    return {"labels": labels} if labels else None
 
 
-def _solver(calibration: CameraCalibration) -> list[str]:
-    solution = calibration.fit.solution
-    judged = identifiability(calibration.fit.space, np.asarray(solution.information))
-    # Means know ratios of gains far better than variances know each gain: no confusion, by design.
-    told = [] if judged.determined else list(judged.sentences)
-    if not bool(solution.converged):
-        told.insert(0, "The fit did not converge; its figures are not to be used.")
-    return [*told, convergence_in_words(calibration.posterior)]
+def _darks_alone(calibration: CameraCalibration) -> Numbers | None:
+    return _labels((isinstance(one.frames, Levels) for one in calibration.frames), calibration)
+
+
+def _curved(calibration: CameraCalibration) -> Numbers | None:
+    own = calibration.calibrations
+    curved = (one is not None and "compression" in one.chosen.values for one in own)
+    return _labels(curved, calibration)
+
+
+_LEFT = "chi-square per degree of freedom {ratio:.2f} over {degrees} ({p})"
+
+FINDINGS = (
+    Finding("left out", lambda c: [{"why": why} for why in c.left_out], "{why}"),
+    Finding(
+        "impossible",
+        lambda c: c.is_impossible,
+        "The quantum efficiency comes out above 100 %, which no sensor has: give photons per pixel "
+        "and exposure, and images that were not smoothed. No sensor is written.",
+    ),
+    *_given_up(
+        *("system_gain", "temperature"),
+        "The conversion gain changes with temperature ({own}), as amplifiers and references do; "
+        "each setting has its own.",
+    ),
+    *_given_up(
+        *("quantum_efficiency", "gain"),
+        "The quantum efficiency is not the same at every gain ({own}). No amplifier changes how "
+        "many electrons a photon frees, so photons are stated wrongly at some gain, or its images "
+        "were smoothed or denoised, which lowers the variance and the gain read off it; each gain "
+        "has its own.",
+    ),
+    *_given_up(
+        *("quantum_efficiency", "temperature"),
+        "The quantum efficiency is not the same at every temperature ({own}): the lamp drifted "
+        "from its stated photons, or the band edge of the sensor moves at this wavelength; each "
+        "temperature has its own.",
+    ),
+    *_given_up(
+        *("read_noise", "gain"),
+        "Read noise does not follow from noise before and behind one amplifier ({own}), as where a "
+        "camera switches its conversion gain between two ranges, or filters images of high gain; "
+        "each gain has its own.",
+    ),
+    *_given_up(
+        *("read_noise", "temperature"),
+        "Read noise changes with temperature ({own}); each setting has its own, and the law over "
+        "gain is not used.",
+    ),
+    *_given_up(
+        *("dark_current", "gain"),
+        "Dark current in electrons is not the same at every gain ({own}), as where the camera "
+        "subtracts a part of it from its black level; each setting has its own.",
+    ),
+    *_given_up(
+        *("dark_current", "temperature"),
+        "Dark current does not follow Arrhenius' law ({own}): two mechanisms, glow or stray light, "
+        "a black level that compensates, or temperatures that are not the sensor's; each "
+        "temperature has its own.",
+    ),
+    Finding(
+        "misfit",
+        partial(_misfit, True),
+        f"What is left is beyond chance: {_LEFT}, so all errors are multiplied by {{factor:.2f}}.",
+    ),
+    Finding(
+        "agreement", partial(_misfit, False), f"{{who}} settings agree with one camera: {_LEFT}."
+    ),
+    Finding(
+        "proportional",
+        partial(_proportion, True),
+        "The conversion gain is proportional to the stated one: {scale:.4g} DN/e⁻ a {unit} ({p}).",
+    ),
+    Finding(
+        "not proportional",
+        partial(_proportion, False),
+        "The conversion gain is not proportional to the stated one: at {label} it is {off} % off "
+        "the others ({p}), so the stated gain is a label there; use the measured K.",
+    ),
+    Finding(
+        "dark current unknown",
+        partial(_unknown_dark_law, False),
+        "No setting has darks of three different exposures, so nothing is known of dark current "
+        "over temperature.",
+    ),
+    Finding(
+        "dark current unseen",
+        partial(_unknown_dark_law, True),
+        "Dark current is within its error at the warmest temperature, so that its law is not "
+        "determined; take darks of longer exposure.",
+    ),
+    Finding(
+        "activation energy",
+        _energy,
+        "The activation energy of {energy} eV is outside of {low} to {high} eV, between generation "
+        "in silicon's depletion region and diffusion: the stated temperatures are not the "
+        "sensor's, or stray light or glow adds to the dark current.",
+    ),
+    Finding(
+        "PRNU",
+        partial(_differs, "prnu"),
+        "PRNU is not the same at every setting ({p}): uneven light that moved, or a non-linearity "
+        "of the pixels; {given}.",
+    ),
+    Finding(
+        "DSNU",
+        partial(_differs, "dsnu"),
+        "DSNU in electrons is not the same at every setting ({p}): a pattern behind the amplifier "
+        "shrinks with gain, and dark current of unequal pixels grows with temperature; {given}.",
+    ),
+    Finding(
+        "full well",
+        partial(_differs, "full_well"),
+        "The settings whose wells fill do not agree on how many electrons they hold ({p}); "
+        "{given}.",
+    ),
+    Finding(
+        "no full well",
+        lambda c: c.full_well is None,
+        "At no setting does a well fill before the converter's range ends, so full well is not "
+        "determined; add brighter flats at the lowest gain.",
+    ),
+    Finding("darks alone", _darks_alone, "Darks alone: {labels}."),
+    Finding(
+        "not linear",
+        _curved,
+        "The camera is not linear at {labels}: gain and efficiency are those at zero signal.",
+    ),
+    Finding(
+        "not converged",
+        lambda c: not c.fit.fit.optimum.stationary,
+        "The fit did not converge; its figures are not to be used.",
+    ),
+    Finding("posterior", lambda c: {"told": convergence_in_words(c.posterior)}, "{told}"),
+)

@@ -7,7 +7,7 @@ that its error is that of the best of them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,11 +66,7 @@ class Pooled:
 
 
 def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
-    """Whether the converter's range ends before the well is full.
-
-    Args:
-        calibration: of one setting.
-    """
+    """Whether the converter's range ends before the well of one setting is full."""
     measurement = calibration.measurement
     if measurement.full_scale is None:
         return False
@@ -80,43 +76,26 @@ def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
 
 
 def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
-    """Electrons at saturation where the well fills first.
-
-    Args:
-        calibrations: of the settings; None where there are darks alone.
-
-    Returns:
-        The average; None where no well was filled.
-    """
-    found = []
-    for i, one in enumerate(calibrations):
-        if one is None or one.within.saturation is None or ends_at_full_scale(one):
-            continue
-        names = [estimate.name for estimate in one.sheet]
-        if "saturation_electrons" in names:
-            estimate = find(one.sheet, "saturation_electrons", method=LIKELIHOOD)
-            found.append((i, estimate.value or 0.0, estimate.standard_error or 0.0))
+    """Electrons at saturation where the well fills first; None where no well was filled."""
+    found = {
+        i: find(one.sheet, "saturation_electrons", method=LIKELIHOOD)
+        for i, one in enumerate(calibrations)
+        if one is not None
+        and one.within.saturation is not None
+        and not ends_at_full_scale(one)
+        and "saturation_electrons" in [estimate.name for estimate in one.sheet]
+    }
     if not found:
         return None
-    index, values, errors = (np.array(column) for column in zip(*found, strict=True))
-    average, _, chi_square = _average(values, errors)
-    spread = float(np.sqrt(np.mean((values - average) ** 2)))
-    return Pooled(tuple(index.tolist()), average, float(errors.min()), chi_square, spread=spread)
+    values, errors = np.array([(e.value or 0.0, e.standard_error or 0.0) for e in found.values()]).T
+    pooled = _average(tuple(found), values, errors)
+    return replace(pooled, error=float(errors.min()))
 
 
 def pattern(
     calibrations: Sequence[NoiseCalibration | None], gains: np.ndarray, which: str
 ) -> Pooled | None:
-    """DSNU or PRNU, squared.
-
-    Args:
-        calibrations: of the settings; None where there are darks alone.
-        gains: (settings,) DN/e-.
-        which: "dsnu" or "prnu".
-
-    Returns:
-        The average; None where only sums over the pixels are known.
-    """
+    """ "dsnu" or "prnu" squared, by gains in DN/e-; None where only sums over pixels are known."""
     found = []
     for i, one in enumerate(calibrations):
         if one is None or one.patterns is None:
@@ -129,13 +108,14 @@ def pattern(
     if not found:
         return None
     settings, values, errors, parts = zip(*found, strict=True)
-    average, error, chi_square = _average(np.array(values), np.array(errors))
-    spread = float(np.sqrt(np.mean((np.array(values) - average) ** 2)))
-    return Pooled(settings, average, error, chi_square, parts[int(np.argmin(errors))], spread)
+    pooled = _average(settings, np.array(values), np.array(errors))
+    return replace(pooled, parts=parts[int(np.argmin(errors))])
 
 
-def _average(values: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
-    """Weighted mean, its standard error, and chi-square about it."""
+def _average(settings: tuple[int, ...], values: np.ndarray, errors: np.ndarray) -> Pooled:
+    """Weighted mean, its standard error, chi-square about it and the settings' deviation."""
     weights = 1 / errors**2
     average = float(np.average(values, weights=weights))
-    return average, float(weights.sum() ** -0.5), float(np.sum(weights * (values - average) ** 2))
+    chi_square = float(np.sum(weights * (values - average) ** 2))
+    spread = float(np.sqrt(np.mean((values - average) ** 2)))
+    return Pooled(settings, average, float(weights.sum() ** -0.5), chi_square, spread=spread)

@@ -42,21 +42,8 @@ def reduce_by_setting(
     load: Load = read_image,
     failed: dict[Setting, InputError] | None = None,
 ) -> tuple[FramesOfSetting, ...]:
-    """As `read_by_setting`, of a rig that was read.
-
-    Args:
-        rig: with `[[flat]]` and `[[dark]]`.
-        channel: site of a Bayer mosaic; empty for the first green.
-        load: how an image is had by its path.
-        failed: takes the settings that cannot be used, and why, which are then left out; None to
-            refuse the rig.
-
-    Returns:
-        One for each gain and temperature, in their order.
-
-    Raises:
-        InputError: for what cannot be used; with `failed`, where no setting can be.
-    """
+    """As `read_by_setting`, of a rig that was read; `failed` takes the settings that cannot be used
+    and why, which are then left out, None refuses the rig."""
     rigs = by_setting(rig)
     found: dict[Setting, FramesOfSetting] = {}
     lit = {setting.gain for setting, own in rigs.items() if own.flat}

@@ -1,25 +1,25 @@
 """A calibrated camera as a sensor at any gain and temperature in its range."""
 
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxvision import ArrheniusDarkCurrent, PoissonShotNoise, Sensor
 from jaxvision.camera_files import write_sensor
 from jaxvision.errors import InputError
 
-from ...inference.parameters import to_unconstrained
 from ...inference.precision import in_double
-from ..levels import PhotonTransfer
+from ...inference.problem import values_from
+from ..levels import Levels, PhotonTransfer
 from ..sensor import DRAWS
 from ..settings import Setting
 from .calibration import CameraCalibration
-from .model import figures, no_deviations, parts
-from .pooled import Pooled
+from .statement import figures
 
 
 @in_double
@@ -49,48 +49,29 @@ def sensor_at(
         InputError: for a gain or a temperature out of the range that was measured, and for more
             electrons than photons.
     """
-    if is_impossible(calibration):
+    if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")
     stated = _within([s.gain for s in calibration.settings], gain, "gain")
     warmth = _within([s.temperature for s in calibration.settings], temperature, "temperature")
     unit = calibration.settings[0].gain_unit
     factor = Setting(stated, unit).gain_factor
-    space, samples = calibration.posterior.space, calibration.posterior.samples
-    rows = np.linspace(0, len(samples) - 1, min(DRAWS, len(samples))).astype(int)
-    drawn = to_unconstrained(space, jnp.asarray(samples[rows]))
-    vectors = jnp.concatenate([calibration.fit.solution.vector[None], drawn])
-
-    @jax.jit
-    def sensors(vectors: Float[Array, "draws parameters"]) -> Sensor:
-        return eqx.filter_vmap(lambda one: _sensor(calibration, one, factor, warmth))(vectors)
-
-    every = sensors(vectors)
+    posterior = calibration.posterior
+    rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
+    drawn = np.concatenate([posterior.mode[None], posterior.samples[rows.astype(int)]])
+    every = eqx.filter_jit(jax.vmap(partial(_sensor, calibration, factor, warmth)))(
+        jnp.asarray(drawn)
+    )
     return jax.tree.map(lambda x: x[0], every), jax.tree.map(lambda x: x[1:], every)
 
 
 def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Path) -> None:
-    """Writes the sensor at a gain and the warmest temperature, its draws beside it.
-
-    Args:
-        calibration: of the camera.
-        gain: as the settings state it; None where there is one alone.
-        path: ending in .toml.
-    """
+    """Writes the sensor at a gain, as the settings state it, and at the warmest temperature, its
+    draws beside it."""
     warmest = calibration.fit.reference
     best, draws = sensor_at(calibration, gain=gain, temperature=warmest)
     at = Setting(gain, calibration.settings[0].gain_unit, warmest).label
     about = f"Fitted by photon transfer over gains and temperatures, at {at}; light is photons per "
     write_sensor(best, path, draws=draws, about=about + "pixel and second.")
-
-
-def is_impossible(calibration: CameraCalibration) -> bool:
-    """Whether more electrons are counted than photons arrive at some setting.
-
-    Args:
-        calibration: of a camera.
-    """
-    at = calibration.figures
-    return at.log_efficiency is not None and bool(jnp.max(at.log_efficiency) > 0)
 
 
 def _within(known: list[float | None], asked: float | None, word: str) -> float | None:
@@ -108,79 +89,62 @@ def _within(known: list[float | None], asked: float | None, word: str) -> float 
 
 
 def _sensor(
-    calibration: CameraCalibration, vector: Array, factor: float, warmth: float | None
+    calibration: CameraCalibration, factor: float, warmth: float | None, natural: Array
 ) -> Sensor:
-    fit = calibration.fit
-    at = figures(fit.model, vector, no_deviations(len(fit.settings)))
-    log_factor = np.log([s.gain_factor for s in fit.settings])
-    kelvin = np.array([s.temperature or 1.0 for s in fit.settings])
+    """The sensor of natural parameters, at a factor of gain and a temperature in K."""
+    problem = calibration.fit.fit.problem
+    values = values_from(problem, natural)
+    at = figures(values, problem.inputs)
+    log_factor = np.log([s.gain_factor for s in calibration.settings])
+    kelvin = np.array([s.temperature or 1.0 for s in calibration.settings])
 
     def between(values: Array) -> Array:
-        return _interpolated(values, log_factor, float(np.log(factor)), kelvin, warmth or 1.0)
+        """Linear over temperature at each measured gain, then over the logarithm of gain."""
+        at_gains = []
+        for one in np.unique(log_factor):
+            own = np.flatnonzero(log_factor == one)
+            own = own[np.argsort(kelvin[own])]
+            at_gains.append(jnp.interp(warmth or 1.0, kelvin[own], values[own]))
+        places = jnp.asarray(np.unique(log_factor))
+        return jnp.interp(np.log(factor), places, jnp.stack(at_gains))
 
     gain = jnp.exp(between(at.log_gain))
-    if fit.model.read_noise_law:
-        before, behind = parts(fit.model, vector)[2]
-        variance = before + behind / gain**2
+    if "variance_before_gain" in values:
+        variance = values["variance_before_gain"] + values["variance_behind_gain"] / gain**2
     else:
         variance = jnp.exp(between(jnp.log(at.read_variance)))
-    lit = [one.frames for one in calibration.frames if isinstance(one.frames, PhotonTransfer)]
+    frames = [one.frames for one in calibration.frames]
+    darks = [one if isinstance(one, Levels) else one.dark for one in frames]
+    lit = [one for one in frames if isinstance(one, PhotonTransfer)]
     scale = lit[0].full_scale
-    black = jnp.asarray([_black(one.frames) for one in calibration.frames])
-    efficiency = None if at.log_efficiency is None else jnp.exp(between(at.log_efficiency))
+    black = jnp.stack([dark.mean[jnp.argmin(dark.exposure)] for dark in darks])
     dark = None
-    if at.dark_current is not None:
+    if "activation_energy" in values:
+        dark = ArrheniusDarkCurrent(
+            values["dark_current"], warmth, reference_temperature=calibration.fit.reference,
+            activation_energy=jnp.maximum(values["activation_energy"], 0),
+        )  # fmt: skip
+    elif at.dark_current is not None:
         dark = jnp.maximum(between(at.dark_current), 0)
-        if fit.model.dark_current_law:
-            log_rate, energy = parts(fit.model, vector)[3]
-            dark = ArrheniusDarkCurrent(
-                jnp.exp(log_rate), warmth, reference_temperature=fit.reference,
-                activation_energy=jnp.maximum(energy, 0),
-            )  # fmt: skip
+    well, dsnu, prnu = (
+        None if one is None or not one.serves else one.value
+        for one in (
+            calibration.full_well,
+            *(one if one and one.seen else None for one in (calibration.dsnu, calibration.prnu)),
+        )
+    )
     return Sensor(
         shot_noise=PoissonShotNoise(),
         exposure_time=jnp.median(jnp.concatenate([one.bright.exposure for one in lit])),
-        quantum_efficiency=efficiency,
+        quantum_efficiency=None
+        if at.log_efficiency is None
+        else jnp.exp(between(at.log_efficiency)),
         read_noise=jnp.sqrt(jnp.maximum(variance, 0)),
         dark_current=dark,
-        full_well=_value(calibration.full_well),
+        full_well=well,
         gain=gain,
         offset=between(black),
-        dsnu=_deviation(calibration.dsnu),
-        prnu=_deviation(calibration.prnu),
+        dsnu=None if dsnu is None else np.sqrt(dsnu),
+        prnu=None if prnu is None else np.sqrt(prnu),
         bits=None if scale is None else float(np.log2(scale + 1)),
     )
-
-
-def _black(frames: object) -> Array:
-    """DN, of the shortest dark."""
-    dark = frames.dark if isinstance(frames, PhotonTransfer) else frames
-    return dark.mean[jnp.argmin(dark.exposure)]  # pyright: ignore
-
-
-def _interpolated(
-    values: Float[Array, " settings"],
-    log_factor: Float[np.ndarray, " settings"],
-    at_factor: float,
-    kelvin: Float[np.ndarray, " settings"],
-    at_kelvin: float,
-) -> Array:
-    """Linear over temperature at each measured gain, then linear over the logarithm of gain."""
-    factors = np.unique(log_factor)
-    at_gains = []
-    for one in factors:
-        own = np.flatnonzero(log_factor == one)
-        own = own[np.argsort(kelvin[own])]
-        at_gains.append(jnp.interp(at_kelvin, kelvin[own], values[own]))
-    return jnp.interp(at_factor, jnp.asarray(factors), jnp.stack(at_gains))
-
-
-def _value(pooled: Pooled | None) -> float | None:
-    return None if pooled is None or not pooled.serves else pooled.value
-
-
-def _deviation(pooled: Pooled | None) -> float | None:
-    """Square root of a pattern's variance, where it is seen and shared."""
-    if pooled is None or not pooled.serves or not pooled.seen:
-        return None
-    return float(np.sqrt(pooled.value))

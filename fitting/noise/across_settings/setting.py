@@ -8,7 +8,7 @@ exposure t,
     variance  s^2 = K^2 sigma_d^2 + 1/12 + K^2 I t
 
 give K I, K^2 sigma_d^2 and K^2 I. The means know K I a hundred times better than the variances know
-K^2 I, and what the two share by the skewness of shot noise is left out.
+K^2 I, and the correlation of the two by the skewness of shot noise is neglected.
 """
 
 from dataclasses import dataclass
@@ -47,59 +47,46 @@ class FramesOfSetting:
 
 @dataclass(frozen=True)
 class Told:
-    """What one setting tells.
+    """What one setting tells: ln DN/e-, ln DN/photon, ln e-, e-/s; or DN/s, DN^2, DN^2/s."""
 
-    Attributes:
-        names: of the quantities, some of `TOLD`.
-        values: (quantities,): ln DN/e-, ln DN/photon, ln e-, e-/s; or DN/s, DN^2, DN^2/s.
-        covariance: (quantities, quantities).
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # some of `TOLD`
     values: Float[np.ndarray, " quantities"]
     covariance: Float[np.ndarray, "quantities quantities"]
 
+    def of(self, name: str) -> tuple[float, float]:
+        """Value and standard error of a quantity; NaN where it is not told."""
+        if name not in self.names:
+            return np.nan, np.nan
+        place = self.names.index(name)
+        return float(self.values[place]), float(np.sqrt(self.covariance[place, place]))
+
+    def dark_current(self, gain: float) -> tuple[float, float]:
+        """Dark current and its standard error, e-/s, of darks alone by a gain in DN/e-."""
+        if "dark_current" in self.names:
+            return self.of("dark_current")
+        rate, error = self.of("dark_signal_rate")
+        return rate / gain, error / gain
+
 
 def told_by_calibration(calibration: NoiseCalibration) -> Told:
-    """What flats and darks tell.
-
-    Args:
-        calibration: of one setting.
-
-    Returns:
-        ln K, ln R where photons are known, ln read noise where it is determined, dark current where
-        it was fitted.
-    """
+    """What flats and darks tell: ln K, ln R of known photons, a determined ln read noise, and a
+    fitted dark current."""
     posterior = calibration.posterior
     labels = names(posterior.space)
-    deviation = dict(zip(labels, np.sqrt(np.diagonal(posterior.covariance)), strict=True))
     present = [name for name in FROM_BOTH if name in labels]
+    place = labels.index("read_noise")
     too_fine = float(calibration.chosen.values["read_noise"]) < finest_read_noise(
         calibration.chosen
     )
-    if deviation["read_noise"] > OPEN or too_fine:
+    if posterior.covariance[place, place] > OPEN**2 or too_fine:
         present.remove("read_noise")
     index = [labels.index(name) for name in present]
-    return Told(
-        names=tuple(present),
-        values=np.asarray(posterior.unconstrained_mode)[index],
-        covariance=posterior.covariance[np.ix_(index, index)],
-    )
+    covariance = posterior.covariance[np.ix_(index, index)]
+    return Told(tuple(present), np.asarray(posterior.unconstrained_mode)[index], covariance)
 
 
 def told_by_darks(setting: Setting, darks: Levels) -> Told:
-    """What darks alone tell.
-
-    Args:
-        setting: of them, for messages.
-        darks: of three different exposures or more.
-
-    Returns:
-        K I, K^2 sigma_d^2 and K^2 I.
-
-    Raises:
-        InputError: for fewer exposures.
-    """
+    """What darks alone tell; `InputError` for fewer than three different exposures."""
     exposure, mean, variance, frames = (
         np.asarray(x) for x in (darks.exposure, darks.mean, darks.variance, darks.frames)
     )
@@ -114,21 +101,19 @@ def told_by_darks(setting: Setting, darks: Levels) -> Told:
     if shared is not None:
         of_mean = of_mean + float(shared.of_mean)
         of_variance = of_variance + float(shared.of_variance)
-    (_, rate), means = _line(exposure, mean, of_mean / frames)
-    fitted, variances = _line(exposure, variance, of_variance / (frames - 1))
+    (rate, _), means = _line(exposure, mean, of_mean / frames)
+    (slope, intercept), variances = _line(exposure, variance, of_variance / (frames - 1))
     covariance = np.zeros((3, 3))
-    covariance[0, 0] = means[1, 1]
-    covariance[1:, 1:] = variances
-    values = np.array([rate, fitted[0] - darks.converter.rounding, fitted[1]])
-    return Told(FROM_DARKS, values, covariance)
+    covariance[0, 0] = means[0, 0]
+    covariance[1:, 1:] = variances[::-1, ::-1]
+    return Told(
+        FROM_DARKS, np.array([rate, intercept - darks.converter.rounding, slope]), covariance
+    )
 
 
 def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(intercept, slope) and their covariance, inflated by chi-square per degree of freedom where
+    """(slope, intercept) and their covariance, inflated by chi-square per degree of freedom where
     that is beyond chance (Birge)."""
-    design = np.stack([np.ones_like(x), x], axis=1) / np.sqrt(variances)[:, None]
-    scaled = y / np.sqrt(variances)
-    covariance = np.linalg.inv(design.T @ design)
-    found = covariance @ (design.T @ scaled)
-    chi_square, degrees = float(np.sum((scaled - design @ found) ** 2)), len(x) - 2
-    return found, covariance * inflation(chi_square, degrees)
+    found, covariance = np.polyfit(x, y, 1, w=variances**-0.5, cov="unscaled")
+    chi_square = float(np.sum((y - np.polyval(found, x)) ** 2 / variances))
+    return found, covariance * inflation(chi_square, len(x) - 2)

@@ -649,12 +649,8 @@ ELSEWHERE = (
         "test_noise_settings",
         """
             fitting.noise.across_settings.calibration: calibrate_one calibrate_settings
-            fitting.noise.across_settings.fit: fitted judged
-            fitting.noise.across_settings.model: assembled cost cost_and_slopes expected figures
-            fitting.noise.across_settings.model: knows log_density no_deviations parts residuals
-            fitting.noise.across_settings.model: slopes space_of
             fitting.noise.across_settings.pooled: ends_at_full_scale full_well pattern
-            fitting.noise.across_settings.proportional: proportional_gain
+            fitting.noise.across_settings.statement: figures fitted predict proportional_gain
             fitting.noise.across_settings.setting: told_by_calibration told_by_darks
         """,
     ),

@@ -1,0 +1,450 @@
+"""A camera over its settings as a problem: its data are what each setting tells.
+
+At setting s of gain g and temperature T,
+
+    K        = K_g                                      conversion gain, one for each gain
+    R        = eta K_g                                  quantum efficiency, shared
+    sigma_d  = sqrt(sigma_0^2 + (sigma_1 / K_g)^2)      read noise, e-
+    I        = I_ref exp(-E / k (1 / T - 1 / T_ref))    dark current, e-/s
+
+sigma_0: noise before the amplifier of variable gain, e-; sigma_1: noise behind it, DN, of the
+converter above all. E: activation energy, between half of silicon's band gap (generation in the
+depletion region) and all of it (diffusion).
+
+Each setting's estimates are Gaussian with the covariance of its own fit, so that the fit is
+generalised least squares; to first order it is that of all frames at once. Each law is a claim
+("the quantum efficiency is the same at every gain"), judged by the score test: residuals r,
+projected on what deviations D from the claim could explain beyond the parameters' own slopes J,
+
+    D' = D - J J^+ D,    chi^2 = |P_D' r|^2    with rank(D') degrees of freedom,
+
+the fall of chi-square if the claim were given up, which needs no other fit. A claim that fails
+(p < 0.1 %) is given up, the worst first, and all is fitted anew.
+
+Source:
+    Janesick, "Photon Transfer", 2007, chapters 7 and 11; EMVA 1288, release 4.0 (linear model);
+    Healey & Kondepudy, PAMI 16, 1994 (noise before and behind the gain); Widenhorn, Blouke, Weber,
+    Rest & Bodegom, Proc. SPIE 4669, 2002 (activation energy); Rao, Proc. Camb. Phil. Soc. 44, 1948
+    (score test); Chamberlain, J. Econometrics 18, 1982 (minimum distance).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import nnls
+from scipy.special import chdtrc
+
+from ...fits.result import Fit
+from ...fits.solve import fit
+from ...inference.likelihoods import Gaussian
+from ...inference.parameters import Parameter, names
+from ...inference.posterior import Posterior
+from ...inference.problem import Problem, Values, prediction, values_at
+from ...inference.search import search, start_at
+from ..misfit import MISFIT, p_value
+from ..settings import Setting
+from .setting import TOLD, Told
+
+BOLTZMANN_EV = 1.380649e-23 / 1.602176634e-19  # eV/K
+SEEN = 4.0  # standard errors of dark current at the warmest setting from which it has a law
+ENERGIES = np.linspace(0.1, 1.9, 37)  # eV, from which the search of the law starts
+EXPLAINED = 1e-6  # of a deviation's length, below which the parameters explain it
+
+Quantity = Literal["system_gain", "quantum_efficiency", "read_noise", "dark_current"]
+Axis = Literal["gain", "temperature"]
+Law = tuple[Quantity, Axis]
+QUANTITIES: tuple[Quantity, ...] = (
+    *("system_gain", "quantum_efficiency"),
+    *("read_noise", "dark_current"),
+)
+CLAIMS: tuple[Law, ...] = (
+    ("system_gain", "temperature"),
+    *((quantity, axis) for quantity in QUANTITIES[1:] for axis in ("gain", "temperature")),
+)
+PARAMETERS = {
+    "system_gain": Parameter(symbol="K", unit="DN/e⁻", transform="log"),
+    "quantum_efficiency": Parameter(symbol="η", unit="1", transform="log"),
+    "variance_before_gain": Parameter(symbol="σ₀²", unit="e⁻²"),
+    "variance_behind_gain": Parameter(symbol="σ₁²", unit="DN²"),
+    "read_noise": Parameter(symbol="σ_d", unit="e⁻", transform="log"),
+    "dark_current": Parameter(symbol="μ_I", unit="e⁻/s"),
+    "activation_energy": Parameter(symbol="E", unit="eV"),
+}
+REFERENCE_CURRENT = Parameter(symbol="I_ref", unit="e⁻/s", transform="log")
+
+
+class Figures(eqx.Module):
+    """(settings,) ln DN/e-; ln electrons per photon, None of unknown photons; e-^2; e-/s, None
+    where no setting tells it."""
+
+    log_gain: Float[Array, " settings"]
+    log_efficiency: Float[Array, " settings"] | None
+    read_variance: Float[Array, " settings"]
+    dark_current: Float[Array, " settings"] | None
+
+
+def figures(values: Values, inputs: Mapping[str, Array]) -> Figures:
+    """A camera's figures at each setting by the laws, and by `deviations` from them of ln K,
+    ln eta, ln sigma_d and I."""
+    off_gain, off_efficiency, off_read_noise, off_dark = values["deviations"]
+    log_gain = jnp.log(values["system_gain"])[inputs["system_gain"]]
+    log_efficiency = dark = None
+    if "quantum_efficiency" in values:
+        efficiency = values["quantum_efficiency"][inputs["quantum_efficiency"]]
+        log_efficiency = jnp.log(efficiency) + off_efficiency
+    if "read_noise" in values:
+        variance = values["read_noise"][inputs["read_noise"]] ** 2
+    else:
+        behind = values["variance_behind_gain"] * jnp.exp(-2 * log_gain)
+        variance = values["variance_before_gain"] + behind
+    if "activation_energy" in values:
+        dark = values["dark_current"] * jnp.exp(values["activation_energy"] * inputs["colder"])
+    elif "dark_current" in values:
+        dark = values["dark_current"][inputs["dark_current"]]
+    return Figures(
+        log_gain + off_gain,
+        log_efficiency,
+        variance * jnp.exp(2 * off_read_noise),
+        None if dark is None else dark + off_dark,
+    )
+
+
+def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"]:
+    """What all settings would tell without noise, whitened."""
+    at = figures(values, inputs)
+    nothing, gain = jnp.zeros_like(at.log_gain), jnp.exp(at.log_gain)
+    dark = nothing if at.dark_current is None else at.dark_current
+    told = (
+        at.log_gain,
+        nothing if at.log_efficiency is None else at.log_efficiency + at.log_gain,
+        jnp.log(at.read_variance) / 2,
+        dark,
+        gain * dark,
+        gain**2 * at.read_variance,
+        gain**2 * dark,
+    )
+    return inputs["whitening"] @ jnp.stack(told, axis=1).ravel()
+
+
+@dataclass(frozen=True)
+class OwnDeviation:
+    """How far the settings of one gain or temperature are off the others: relative, or e-/s of a
+    dark current over temperature."""
+
+    label: str
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the model, judged.
+
+    Attributes:
+        quantity: that is claimed to follow its law, or to be shared,
+        axis: over these settings.
+        chi_square: that giving it up would save.
+        degrees: of freedom.
+        own: deviation of each gain or temperature, where the frames know one.
+        rivals: claims that failed with it, of a claim that was given up.
+    """
+
+    quantity: Quantity
+    axis: Axis
+    chi_square: float
+    degrees: int
+    own: tuple[OwnDeviation, ...]
+    rivals: tuple[Law, ...] = ()
+
+    @property
+    def law(self) -> Law:
+        return self.quantity, self.axis
+
+    @property
+    def p_value(self) -> float:
+        return p_value(self.chi_square, self.degrees)
+
+    @property
+    def holds(self) -> bool:
+        return self.p_value >= MISFIT
+
+
+@dataclass(frozen=True)
+class SharedFit:
+    """A camera over its settings.
+
+    Attributes:
+        settings: in the order of gain and temperature.
+        told: by each of them.
+        freed: claims that were given up.
+        labels: the gains, temperatures or settings that have a value of their own, by parameter.
+        fit: of the P parameters.
+        posterior: of the same, each named by its gain, temperature or setting.
+        figures: the best fit's at each setting.
+        claims: that could be judged; first those that failed, as they did.
+        reference: T_ref, K; None where no temperature is told.
+    """
+
+    settings: tuple[Setting, ...]
+    told: tuple[Told, ...]
+    freed: frozenset[Law]
+    labels: dict[str, tuple[str, ...]]
+    fit: Fit
+    posterior: Posterior
+    figures: Figures
+    claims: tuple[Claim, ...]
+    reference: float | None
+
+    @property
+    def vector(self) -> Float[np.ndarray, " parameters"]:
+        """(P,) unconstrained."""
+        return self.fit.optimum.vector
+
+    @property
+    def degrees(self) -> int:
+        return len(self.fit.residuals) - len(self.vector)
+
+    @property
+    def p_value(self) -> float:
+        return p_value(self.fit.misfit.chi_square, self.degrees)
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
+        """(P, P) on the unconstrained scale, inflated where the misfit is beyond chance."""
+        return self.fit.noise**2 * np.linalg.inv(self.fit.optimum.information)
+
+
+def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) -> SharedFit:
+    """The fit after all claims that fail were given up; `InputError` where the settings leave a
+    parameter open."""
+    freed: frozenset[Law] = frozenset()
+    failed: list[Claim] = []
+    reference = max((s.temperature for s in settings if s.temperature is not None), default=None)
+    while True:
+        problem, start, labels = _stated(settings, told, freed, reference)
+        begin = np.concatenate([np.ravel(start[parameter.name]) for parameter in problem.free])
+        optimum = search(problem, start_at(problem.space, begin)[None])
+        claims = _judged(problem, optimum.vector, settings, freed)
+        worst = min(claims, key=lambda claim: claim.p_value, default=None)
+        if worst is None or worst.holds:
+            break
+        rivals = tuple(one.law for one in claims if one is not worst and not one.holds)
+        failed.append(replace(worst, rivals=rivals))
+        freed = freed | {worst.law}
+    found = fit(problem, start=start, seed=seed)
+    if found.misfit.p < MISFIT:
+        found = fit(problem, start=start, misfit="inflate", seed=seed)
+    values = {name: jnp.asarray(value) for name, value in found.values.items()}
+    return SharedFit(
+        *(tuple(settings), tuple(told), freed, labels, found, _named(found, labels)),
+        figures=figures(values, problem.inputs),
+        claims=(*failed, *claims),
+        reference=reference,
+    )
+
+
+def _named(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
+    """The posterior with a gain, a temperature or a setting in place of a number."""
+    space = tuple(
+        replace(parameter, name=parameter.name + f"[{label}]" * bool(label), shape=())
+        for parameter in found.problem.free
+        for label in labels.get(parameter.name, ("",))
+    )
+    missed = found.posterior.missed
+    if missed:
+        missed = space[names(found.problem.space).index(missed)].name
+    return replace(found.posterior, space=space, missed=missed)
+
+
+def _stated(
+    settings: Sequence[Setting],
+    told: Sequence[Told],
+    freed: frozenset[Law],
+    reference: float | None,
+) -> tuple[Problem, dict[str, Any], dict[str, tuple[str, ...]]]:
+    """The problem without the claims that were given up, where its search begins, and the labels of
+    parameters that have several values."""
+    table = np.array([[one.of(name) for name in TOLD] for one in told])  # (settings, told, 2)
+    column = dict(zip(TOLD, table[..., 0].T, strict=True))
+    error = dict(zip(TOLD, table[..., 1].T, strict=True))
+    gains = [setting.gain_label for setting in settings]
+    warmth = [setting.temperature_label for setting in settings]
+    both = [setting.label for setting in settings]
+    shared: dict[str, list[str]] = {"system_gain": gains}
+    if ("system_gain", "temperature") in freed:
+        shared["system_gain"] = [
+            both[_nearest_with_flats(settings, told, i)] for i in range(len(both))
+        ]
+    if np.isfinite(column["responsivity"]).any():
+        axes = {axis for quantity, axis in freed if quantity == "quantum_efficiency"}
+        keys = {"": [""] * len(both), "gain": gains, "temperature": warmth}
+        shared["quantum_efficiency"] = both if len(axes) > 1 else keys["".join(axes)]
+    if ("read_noise", "temperature") in freed:
+        shared["read_noise"] = both
+    elif ("read_noise", "gain") in freed or len({*gains}) < 2:
+        shared["read_noise"] = gains
+
+    inputs: dict[str, np.ndarray] = {}
+    labels: dict[str, tuple[str, ...]] = {}
+
+    def averages(name: str, values: np.ndarray) -> np.ndarray:
+        """Of the settings that share each value of a parameter; of all where these tell nothing."""
+        labels[name] = tuple(dict.fromkeys(shared[name]))
+        inputs[name] = np.array([labels[name].index(word) for word in shared[name]])
+        known = np.isfinite(values)
+        count = np.bincount(inputs[name], known)
+        total = np.bincount(inputs[name], np.where(known, values, 0))
+        return np.where(count, total / np.maximum(count, 1), total.sum() / max(known.sum(), 1))
+
+    start: dict[str, Any] = {}
+    start["system_gain"] = np.exp(averages("system_gain", column["system_gain"]))
+    gain = start["system_gain"][inputs["system_gain"]]
+    if "quantum_efficiency" in shared:
+        ratio = column["responsivity"] - column["system_gain"]
+        start["quantum_efficiency"] = np.exp(averages("quantum_efficiency", ratio))
+    of_darks = np.maximum(column["read_variance"], 0.01) / gain**2
+    log_noise = np.where(np.isfinite(of_darks), np.log(of_darks) / 2, column["read_noise"])
+    if "read_noise" in shared:
+        start["read_noise"] = np.exp(averages("read_noise", log_noise))
+    else:
+        design = np.stack([np.ones_like(gain), gain**-2], axis=1) * np.exp(-2 * log_noise)[:, None]
+        known = np.isfinite(log_noise)
+        squares, _ = nnls(design[known], np.ones(known.sum()))
+        before, behind = np.maximum(squares, 1e-6)
+        start |= {"variance_before_gain": before, "variance_behind_gain": behind}
+
+    alone = np.isfinite(column["dark_signal_rate"])
+    current = np.where(alone, column["dark_signal_rate"] / gain, column["dark_current"])
+    weight = np.where(alone, error["dark_signal_rate"] / gain, error["dark_current"]) ** -2.0
+    known = np.isfinite(current)
+    kelvin = np.array([setting.temperature or reference or 1.0 for setting in settings])
+    colder = -(1 / kelvin - 1 / (reference or 1.0)) / BOLTZMANN_EV
+    warmest = known & (kelvin == np.max(kelvin, where=known, initial=0))
+    own_dark = [("dark_current", "gain") in freed, ("dark_current", "temperature") in freed]
+    seen = np.sum((weight * current)[warmest]) > SEEN * np.sqrt(np.sum(weight[warmest]))
+    if seen and len({*kelvin[known]}) > 1 and not any(own_dark):
+        inputs["colder"] = colder
+        shapes = np.exp(ENERGIES[:, None] * colder[known])
+        rates = shapes @ current[known] / np.sum(shapes**2, axis=1)
+        best = int(np.argmin(np.sum((rates[:, None] * shapes - current[known]) ** 2, axis=1)))
+        start |= {"dark_current": max(rates[best], 1e-9), "activation_energy": ENERGIES[best]}
+    elif known.any():
+        shared["dark_current"] = both if own_dark[0] else warmth
+        start["dark_current"] = averages("dark_current", current)
+
+    whitening = np.zeros((sum(len(one.names) for one in told), *table.shape[:2]))
+    row = 0
+    for s, one in enumerate(told):
+        index = [TOLD.index(name) for name in one.names]
+        whitening[row : row + len(index), s, index] = np.linalg.cholesky(
+            np.linalg.inv(one.covariance)
+        ).T
+        row += len(index)
+    whitening = whitening.reshape(row, -1)
+    free: dict[str, Any] = {
+        name: replace(PARAMETERS[name], shape=np.shape(start[name])) for name in start
+    }
+    if "activation_energy" in start:
+        free["dark_current"] = REFERENCE_CURRENT
+    problem = Problem(
+        free | {"deviations": np.zeros((len(QUANTITIES), len(settings)))},
+        predict,
+        Gaussian(sd=1.0),
+        data=whitening @ np.nan_to_num(table[..., 0]).ravel(),
+        inputs=jax.tree.map(jnp.asarray, inputs | {"whitening": whitening}),
+    )
+    return problem, start, labels
+
+
+def _nearest_with_flats(settings: Sequence[Setting], told: Sequence[Told], i: int) -> int:
+    """A setting itself; of darks alone that of the same gain and nearest temperature with flats."""
+
+    def distance(j: int) -> float:
+        return abs((settings[i].temperature or 0) - (settings[j].temperature or 0))
+
+    lit = [j for j, one in enumerate(told) if "system_gain" in one.names]
+    return min((j for j in lit if settings[j].gain == settings[i].gain), key=distance)
+
+
+@eqx.filter_jit
+def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array]:
+    """(data,) residuals, their slopes by the (P,) vector and the (4, settings) deviations, and
+    (settings,) dark current."""
+
+    def missed(vector: Array, deviations: Array) -> Array:
+        values = values_at(problem, vector) | {"deviations": deviations}
+        return prediction(problem, values) - problem.data
+
+    deviations = problem.fixed["deviations"]
+    at = figures(values_at(problem, vector), problem.inputs)
+    dark = jnp.zeros_like(at.log_gain) if at.dark_current is None else at.dark_current
+    return (
+        missed(vector, deviations),
+        *jax.jacfwd(missed, argnums=(0, 1))(vector, deviations),
+        dark,
+    )
+
+
+def _judged(
+    problem: Problem, vector: np.ndarray, settings: Sequence[Setting], freed: frozenset[Law]
+) -> tuple[Claim, ...]:
+    """The claims that were not given up, and that the data can contradict."""
+    missed, by_vector, by_deviation, dark = (
+        np.asarray(x) for x in _slopes(jnp.asarray(vector), problem)
+    )
+    basis, _ = np.linalg.qr(by_vector)
+    found = []
+    for quantity, axis in CLAIMS:
+        words = [getattr(setting, f"{axis}_label") for setting in settings]
+        different = tuple(dict.fromkeys(words))
+        if (quantity, axis) in freed or len(different) < 2:
+            continue
+        columns = by_deviation[:, QUANTITIES.index(quantity)]
+        if (quantity, axis) == ("dark_current", "gain"):
+            columns = columns * dark  # relative
+        columns = columns @ np.array([[word == one for one in different] for word in words], float)
+        unexplained = columns - basis @ (basis.T @ columns)
+        length, size = (np.linalg.norm(x, axis=0) for x in (columns, unexplained))
+        left, sizes, _ = np.linalg.svd(unexplained, full_matrices=False)
+        seen = sizes > EXPLAINED * length.max(initial=0)
+        if not seen.any():
+            continue
+        own = tuple(
+            OwnDeviation(
+                word, -float(unexplained[:, i] @ missed / size[i] ** 2), float(1 / size[i])
+            )
+            for i, word in enumerate(different)
+            if size[i] > EXPLAINED * length[i]
+        )
+        chi_square = float(np.sum((left[:, seen].T @ missed) ** 2))
+        found.append(Claim(quantity, axis, chi_square, int(seen.sum()), own))
+    return tuple(found)
+
+
+def proportional_gain(fit: SharedFit) -> tuple[float, float, tuple[OwnDeviation, ...]] | None:
+    """The test of K = c times the stated gain, by generalised least squares of ln K: c in DN/e- per
+    stated unit, the p-value, and how far each gain is off the others; None with one gain."""
+    labels = fit.labels["system_gain"]
+    index = np.asarray(fit.fit.problem.inputs["system_gain"])
+    first = [int(np.argmax(index == i)) for i in range(len(labels))]
+    factors = np.array([fit.settings[i].gain_factor for i in first])
+    if len(np.unique(factors)) < 2:
+        return None
+    ratio = fit.vector[: len(labels)] - np.log(factors)
+    precision = np.linalg.inv(fit.covariance[: len(labels), : len(labels)])
+    common = float(np.sum(precision @ ratio) / precision.sum())
+    missed = ratio - common
+    # One gain off, all others in proportion: the score of its indicator.
+    columns = precision - np.outer(precision.sum(axis=1), precision.sum(axis=0)) / precision.sum()
+    own = tuple(
+        OwnDeviation(label, float(column @ ratio / column[i]), float(column[i] ** -0.5))
+        for i, (label, column) in enumerate(zip(labels, columns.T, strict=True))
+    )
+    p = float(chdtrc(len(labels) - 1, missed @ precision @ missed))
+    return float(np.exp(common)), p, own
