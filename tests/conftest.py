@@ -91,8 +91,8 @@ def share_lowering_context() -> None:
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of a sweep over like cases the default run takes the first, and those whose ids hold a word
-    that the mark names; the others are slow, or what it calls the `rest`. Slow are hard cases in
-    float64 too, the easier precision, and what needs the simulated afternoon."""
+    that the mark names; the others are slow. Slow are hard cases in float64 too, the easier
+    precision, and what needs the simulated afternoon."""
     begun = set()
     for item in items:
         hard = item.path.parent.name == "stability" and "float64" in item.name
@@ -101,7 +101,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         sweep = item.get_closest_marker("sweep")
         if sweep is not None and isinstance(item, pytest.Function):
             if item.function in begun and not any(word in item.name for word in sweep.args):
-                item.add_marker(sweep.kwargs.get("rest", "slow"))
+                item.add_marker("slow")
             begun.add(item.function)
 
 

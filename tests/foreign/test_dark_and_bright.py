@@ -62,7 +62,7 @@ def test_a_kernel_that_is_not_finite_ends(method, value):
     assert np.isnan(filters.correlate(night(1e7), kernel, method=method)).all()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_slopes_through_a_transform_are_those_of_the_sum():
     picture, kernel = jnp.asarray(stars(0.01)), jnp.asarray(STAR)
 

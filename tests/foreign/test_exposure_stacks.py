@@ -87,7 +87,7 @@ def test_darks_tell_the_black_level_of_each_colour(tmp_path):
     assert [plane.black for plane in planes] == pytest.approx([20, 30, 45], abs=0.2)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_linear_mosaic_of_several_black_levels_is_linear():
     images, _ = mosaic(160, 200, 3)
     camera = Camera(bits=14, pattern="RGGB", black_level=list(SITES.values()))
@@ -102,7 +102,7 @@ def test_a_linear_mosaic_of_several_black_levels_is_linear():
     assert "Black lies at 480 (red), 512 (green 1, green 2) and 560 (blue) DN" in said
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_taps_are_calibrated_apart_and_their_map_has_no_stripes():
     """Even and odd columns of another offset and gain."""
     rng = np.random.default_rng(2)
@@ -151,7 +151,7 @@ def test_noise_is_no_black_level():
     assert floor_level(codes, np.array(BRACKET), camera) == pytest.approx(20, abs=1)
 
 
-@pytest.mark.parametrize("seed", [12, pytest.param(14, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [12, pytest.param(14, marks=pytest.mark.slow)])
 def test_a_linear_bracket_of_three_exposures_is_linear(seed):
     """One of three such was called no pure gamma: departures of 8 to 11 % at two standard errors,
     the largest of hundreds of codes."""
@@ -412,7 +412,7 @@ TIMES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0])
     ],
     ids=["time", "gain"],
 )
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_image_that_contradicts_the_others_is_named(times, gains, culprit):
     rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)
     images = [
@@ -424,7 +424,7 @@ def test_the_image_that_contradicts_the_others_is_named(times, gains, culprit):
     assert f"Without {culprit} the others agree" in str(raised.value)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_time_that_no_shutter_explains_is_named():
     """The first of ten halving exposures is stated as long as the second: 1/2 of what it had."""
     rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)

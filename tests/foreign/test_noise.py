@@ -82,7 +82,7 @@ def test_rounded_moments_of_unequal_pixels_are_those_of_a_sum_over_pixels():
     )
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(("dsnu", "offset"), [(1.0, 64.0), (1.0, 64.3), (2.0, 64.0)])
 def test_unequal_offsets_of_a_quiet_sensor_are_no_read_noise(dsnu, offset):
     found = estimates(camera(np.random.default_rng(0), read=0.8, dsnu=dsnu, offset=offset))
@@ -94,7 +94,7 @@ def left_aligned(frame):
     return 16 * frame
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("convert", "bits", "step", "said"),
     [
@@ -116,7 +116,7 @@ def test_the_step_of_the_converter_is_the_files_own(convert, bits, step, said):
     assert any(said in sentence for sentence in section(calibration).findings)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_left_aligned_numbers_of_a_quiet_sensor_get_the_warnings_of_its_codes():
     calibration = camera(np.random.default_rng(2), read=0.8, convert=left_aligned, bits=16)
     assert_true(estimates(calibration), read_noise=0.8, dsnu=1.0, system_gain=16 * K)
@@ -129,7 +129,7 @@ def test_left_aligned_numbers_of_a_quiet_sensor_get_the_warnings_of_its_codes():
     assert float(sensor.offset) == pytest.approx(64, abs=0.05)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_floor_is_a_limit_and_the_darks_show_their_own_noise():
     calibration = camera(np.random.default_rng(3), read=1.2, dsnu=0.0, offset=63.9)
     by_method = {(one.name, one.method): one for one in section(calibration).estimates}
@@ -145,7 +145,7 @@ def test_a_floor_is_a_limit_and_the_darks_show_their_own_noise():
         assert one.value is None or one.standard_error > 0, one
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_read_noise_within_a_tenth_of_a_code_is_a_limit():
     calibration = camera(np.random.default_rng(4), read=0.1, dsnu=0.0, offset=64.49)
     read = estimates(calibration)["read_noise"]
@@ -154,7 +154,7 @@ def test_a_read_noise_within_a_tenth_of_a_code_is_a_limit():
     assert 0.4 <= float(read.reason.split()[1]) < 1.5
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_rows_that_flicker_by_a_tenth_of_a_percent_leave_the_sheet():
     def rows(rng):
         return 1 + 0.001 * rng.standard_normal((SHAPE[0], 1))
@@ -243,7 +243,7 @@ def test_unequal_columns_and_a_light_that_falls_off_are_no_structure():
     assert alarms == 0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_gain_of_two_amplifiers_covers_both_and_each_tap_has_its_own():
     frames = read_out(
         np.random.default_rng(8),
@@ -260,7 +260,7 @@ def test_the_gain_of_two_amplifiers_covers_both_and_each_tap_has_its_own():
         assert_true(own.shown, system_gain=gain, black_level=black, read_noise=4.0)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_command_calibrates_each_tap(tmp_path):
     flats, darks, *_ = read_out(np.random.default_rng(9), gain=np.where(COLUMN % 2, 0.31, 0.25))
     lines = ["[camera]", "bits = 14", "taps = [1, 2]"]

@@ -146,7 +146,7 @@ SCIPY = {
 
 
 @pytest.mark.parametrize("border", jv.padding.BORDERS)
-@pytest.mark.parametrize("method", ["auto", pytest.param("fft", marks=pytest.mark.long)])
+@pytest.mark.parametrize("method", ["auto", pytest.param("fft", marks=pytest.mark.slow)])
 def test_an_even_kernel_of_several_pictures_size(border, method):
     """SciPy's sums; those that it lacks entry by entry: a straight line goes on, and weights
     outside do not count."""

@@ -50,7 +50,7 @@ def test_the_camera_behind_glass_is_black_by_light_tracing():
     assert "sees in or through surfaces[1]" in said
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_sentences_agree_with_pictures():
     """What is said to be missing is black, and what is said to have it shows the closed form."""
     key = jax.random.key(0)

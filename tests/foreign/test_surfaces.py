@@ -51,7 +51,7 @@ def retro(wi, wo):
     return 0.3 + 50 * np.exp(-((between / np.radians(1)) ** 2))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_retro_reflector_is_described_by_no_model_and_is_said_to_be_one(tmp_path):
     told = sections(tmp_path / "retro.brdf", [5, 15, 25, 35, 45, 55, 65], retro).findings
     assert told[0].startswith("No model here describes this file")
@@ -59,7 +59,7 @@ def test_a_retro_reflector_is_described_by_no_model_and_is_said_to_be_one(tmp_pa
     assert any("toward the light at 6 of 6 oblique incidences" in s for s in told)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_three_incidences_are_fitted_with_wide_intervals(tmp_path):
     found = sections(tmp_path / "matt.brdf", [10, 40, 70], lambda wi, wo: 0.2 + 0 * wi[:, 0], 0.05)
     assert not any("No model here" in s or "impossible" in s for s in found.findings)
@@ -76,7 +76,7 @@ def glossy(wi, wo):
     return 0.1 + 0.5 * 42 / (2 * np.pi) * cosine**40
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_three_incidences_fit_as_many_parameters(tmp_path):
     found = sections(tmp_path / "gloss.brdf", [10, 40, 70], glossy, 0.01).estimates
     for name, truth in (("diffuse", 0.1), ("specular", 0.5), ("exponent", 40)):
@@ -220,7 +220,7 @@ def test_where_most_images_do_not_belong_none_is_left_out():
     assert without_strangers(replace(exact, dn=dn)).files == exact.files
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_swapped_pair_does_not_move_a_surface():
     exact = photographed(Lab(Sphere(), gamma=1.0), 3).observation
     dn = exact.dn.copy()

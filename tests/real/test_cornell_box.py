@@ -9,8 +9,6 @@ from jaxvision.rendering import render
 from jaxvision.scene_files import read_scene
 from jaxvision.scene_files.bands import Bands, reduction
 
-pytestmark = pytest.mark.real
-
 TABLE = "reflectance_and_light.csv"
 SURFACES = ("white", "green", "red")
 
@@ -67,7 +65,7 @@ def spectral(tmp_path_factory, data_folder):
     return source, np.asarray(jax.jit(render)(source.scene, source.view))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_bands_are_the_table_between_its_rows(spectral, table):
     source, _ = spectral
     nm = np.arange(400, 701, 10)

@@ -18,8 +18,6 @@ from fitting.reflectance.from_images.section import section as reflectance_secti
 from fitting.reflectance.from_images.shading_check import contradictions, directions_by_shading
 from fitting.rig import load_rig
 
-pytestmark = pytest.mark.real
-
 
 @pytest.fixture(scope="module")
 def ball(data_folder, tmp_path_factory):

@@ -12,8 +12,6 @@ from fitting.noise.levels import linear_levels, saturation_index
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
 
-pytestmark = pytest.mark.real
-
 
 @pytest.fixture(scope="module")
 def published(data_folder):

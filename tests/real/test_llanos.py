@@ -15,7 +15,6 @@ DARKEST = 8.0  # DN, below which hardly a pixel counts
 
 
 @pytest.mark.slow
-@pytest.mark.real
 def test_linear_camera_has_gamma_one(data_folder, tmp_path):
     """The bands at 500 and 600 nm, each in the sites that see it; published linearity .1 to 4 %."""
     folder = write_bandpass_rig(data_folder, tmp_path, bands=("500nm", "600nm"))
@@ -44,7 +43,6 @@ def test_linear_camera_has_gamma_one(data_folder, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.real
 def test_no_curve_rests_on_a_handful_of_pixels(data_folder, tmp_path):
     """The images of one green site once agreed with 57 of 30,000 pixels alone."""
     folder = write_bandpass_rig(data_folder, tmp_path, bands=("650nm",))

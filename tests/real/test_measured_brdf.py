@@ -13,8 +13,6 @@ from jaxvision import measured_files as files
 from jaxvision.brdf.measured import BRDFSamples, sample_directions
 from jaxvision.hemisphere import product_nodes
 
-pytestmark = pytest.mark.real
-
 RGL_FILES = ("paper_white", "satin_rosaline", "vch_golden_yellow")
 shading = jax.jit(jax.vmap(brdf.shading, (None, 0, None)))
 albedo = jax.jit(brdf.albedo)
@@ -43,7 +41,7 @@ def slanted(theta):
     return jnp.asarray([np.sin(theta), 0.0, np.cos(theta)])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_albedo_of_white_paper(rgl):
     """The figures published beside the data: .82-.86 in red, .83-.87 in green; by an independent
     product quadrature, and the material's own to 3e-3."""

@@ -10,8 +10,6 @@ from fitting.reflectance.from_files.calibration import calibrate as calibrate_br
 from fitting.reflectance.from_files.findings import findings
 from fitting.reflectance.from_files.read import read_measured_brdf
 
-pytestmark = pytest.mark.real
-
 FILES = {
     "garnet_red": "brdf_cornell/garnet_red.brdf",
     "acryl_blue": "brdf_cornell/acryl_blue.brdf",

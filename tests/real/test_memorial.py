@@ -17,7 +17,6 @@ ROBERTSON = (0.0311, 0.0460, 0.0427)
 
 
 @pytest.mark.slow
-@pytest.mark.real
 def test_map_agrees_with_the_authors_map(data_folder, tmp_path):
     """Left out: pixels that are registration border (pure blue) in any exposure, and pixels that
     are 0 in the published map."""
@@ -35,7 +34,6 @@ def test_map_agrees_with_the_authors_map(data_folder, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.real
 def test_parts_of_the_stack_agree_within_their_errors(data_folder, tmp_path):
     """Curves from halves, checkerboards and every other exposure; they lay 1.7 to 7.9 of their
     errors apart while pixels counted as independent."""

@@ -26,10 +26,10 @@ sys.path.append(str(Path(__file__).parents[1]))
 import registry
 from every_float32 import recorded
 from measure import MANY, SLOW, Row, measured
+from public_names import LONG
 from registry.composed import COMPOSED
 from registry.elsewhere import ELSEWHERE, covered_names
 from registry.entry import Entry
-from test_api import LONG
 from widened import calls, widened
 
 HEAD = """# Floating-point errors, function by function
@@ -127,23 +127,23 @@ took three times and five, and left 6.5 and 2.3 units.
 
 ## Damaged files
 
-`pytest -m fuzz` changes, cuts and doubles bytes, lines and numbers of sound files; each must be
-read, or refused in one sentence, in 10 s of CPU and 12 GiB. 1,691,980 files were given so far. The
-longest run, of 980,000 files of 28 kinds (cameras, scenes, Mitsuba's and glTF's, materials, rigs,
-tables, MERL, RGL, Cornell, OBJ, PLY, STL, PNG, TIFF, JPEG, EXR, HDR, FITS, DNG, NPY, and what
-renders, chains and cameras leave unfinished): 178,970 were read, and 47 outcomes were wrong, of six
-causes, which are mended: camera files whose lists are tables (a traceback), names of PNG chunks,
-columns and scenes with a line break in the sentence, and a sky whose density was not finite in
-float32. The next 160,720 found one more, a NumPy header whose keys are bytes. The closing run:
-392,000 files, 72,806 of them read, none wrong; nor were 7,600 after the last changes.
+`pytest -m slow tests/fuzz` changes, cuts and doubles bytes, lines and numbers of sound files; each
+must be read, or refused in one sentence, in 10 s of CPU and 12 GiB. 1,691,980 files were given so
+far. The longest run, of 980,000 files of 28 kinds (cameras, scenes, Mitsuba's and glTF's,
+materials, rigs, tables, MERL, RGL, Cornell, OBJ, PLY, STL, PNG, TIFF, JPEG, EXR, HDR, FITS, DNG,
+NPY, and what renders, chains and cameras leave unfinished): 178,970 were read, and 47 outcomes were
+wrong, of six causes, which are mended: camera files whose lists are tables (a traceback), names of
+PNG chunks, columns and scenes with a line break in the sentence, and a sky whose density was not
+finite in float32. The next 160,720 found one more, a NumPy header whose keys are bytes. The closing
+run: 392,000 files, 72,806 of them read, none wrong; nor were 7,600 after the last changes.
 
 Commands are given files and whole folders (flats and darks, a stack, a ball, photographs) after
 damage to the rig or to an image, which may be another one's copy, constant, dim, full of outliers
 or of another size. Of the last 2,090, of ten commands, 441 were done and 1,649 refused; none was
 wrong. Before these, four were: a level that scatters by 1e11 DN (memory), a maker's name that is no
-text, a negative error of a table, and a chain of minutes that could not become long enough.
-`pytest -m fuzz tests/test_fuzz_arguments.py` gives public functions odd arguments. The last dozen
-for each, but for those of `transport`, found eight sentences that were JAX's own (axes of size 0,
+text, a negative error of a table, and a chain of minutes that could not become long enough. `pytest
+-m slow tests/fuzz/test_fuzz_arguments.py` gives public functions odd arguments. The last dozen for
+each, but for those of `transport`, found eight sentences that were JAX's own (axes of size 0,
 pictures of two sizes, a table that is not square); they are the functions' now.
 
 ## Commands that are ended
@@ -161,11 +161,11 @@ pictures of a report; now the report says that they are gone.
 
 ## Large data
 
-`pytest -m slow tests/test_large.py`: histograms, integral images, means, blurs, mosaics and a raw
-frame of 100 megapixels, rounded as their parts are (counts to the last one; sums in float32 within
-16 units); least squares on 1e7 observations within .02 of a standard error; rows of form factors
-to 1e6 patches of a closed room, which sum to 1 within 1e-4; the memory of chains of 1e6 steps
-within 2 %.
+`pytest -m slow tests/package/test_large.py`: histograms, integral images, means, blurs, mosaics and
+a raw frame of 100 megapixels, rounded as their parts are (counts to the last one; sums in float32
+within 16 units); least squares on 1e7 observations within .02 of a standard error; rows of form
+factors to 1e6 patches of a closed room, which sum to 1 within 1e-4; the memory of chains of 1e6
+steps within 2 %.
 """
 
 

@@ -113,7 +113,7 @@ def delta_e(first, second):
     return mp.sqrt(light * light + c * c + h * h + r_t * c * h)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @both_precisions
 def test_delta_e_2000_of_greys_and_close_colours(dtype):
     """Chroma from 0 to 1e4, the 7th power of which exceeds float32. Colours may be so close that

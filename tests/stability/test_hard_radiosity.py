@@ -135,7 +135,7 @@ UNEQUAL = {
 }
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("case", UNEQUAL)
@@ -157,7 +157,7 @@ def test_rectangles_of_unequal_size(case, dtype):
         assert abs(exact.number(value) / truth - 1) < close
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.sweep
 @both_precisions
 @pytest.mark.parametrize("apart", [0.0, 0.5, 1.9, 2.6, 8.0, 13.0, 1000.0])
@@ -176,7 +176,7 @@ def test_patches_at_any_distance(apart, dtype):
     assert abs(exact.number(value) / truth - 1) < (1e-4 if dtype == jnp.float32 else 1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @both_precisions
 def test_perpendicular_patches_that_touch_or_lie_behind(dtype):
     floor = jnp.asarray([[0.0, 1.0], [0.0, 1.0]], dtype)

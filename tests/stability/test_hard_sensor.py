@@ -131,7 +131,7 @@ def test_clipped_moments_keep_their_digits(dtype, ends):
                 assert abs(exact.number(value) - truth) <= bound * eps(dtype) * abs(truth), m
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @both_precisions
 def test_clipped_moments_of_noise_wider_than_the_window(dtype):
     """Down to a millionth of a deviation: half of the values at each end, a variance of 1/4."""
@@ -225,7 +225,7 @@ def test_transfer_of_three_thousand_rows_conserves_charge(dtype, inefficiency):
         np.testing.assert_allclose(read[:, 0, 0], expected, rtol=3000 * 4 * eps(dtype))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @both_precisions
 def test_exposure_of_no_time_is_dark_not_undefined(dtype):
     zero = jnp.zeros((), dtype)

@@ -1,0 +1,243 @@
+"""Arrays that carry more than numbers: a mask is used or refused, units, coordinates and an index
+are refused in one sentence, at every entrance."""
+
+import datetime
+import re
+import warnings
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas
+import pytest
+import xarray
+from astropy import units
+from astropy.table import Column, MaskedColumn
+from astropy.utils.masked import Masked
+from examples import ROOMS, examples_of
+from fuzz.arguments import at, places, with_at
+from public_names import traced
+
+import jaxvision as jv
+from fitting import Gaussian, Parameter, Problem, fit, fit_map, noise, reflectance, response
+
+LONGEST = 300  # characters of a sentence
+# Tuples of pictures that another function has made, whose parts nobody replaces.
+MADE_BY_OTHERS = {"filters.steerable.oriented_energy", "filters.steerable.steer"}
+
+
+def masked(x):
+    hidden = np.zeros(np.shape(x), bool)
+    hidden.flat[0] = True
+    return np.ma.array(x, mask=hidden)
+
+
+def carriers(x):
+    yield xarray.DataArray(x)
+    yield x * units.nm
+    if np.ndim(x) == 1:
+        yield pandas.Series(x)
+
+
+def refusal(call):
+    """The sentence in which a call is refused."""
+    with pytest.raises(ValueError, match=r"\.$") as caught:
+        call()
+    return str(caught.value)
+
+
+@pytest.mark.sweep("filters")
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_public_function_reads_only_the_numbers(room):
+    """In each array argument of each function, and each array field of a record among them."""
+    known = traced()
+    for name, (arguments, options) in examples_of(room).items():
+        if name in MADE_BY_OTHERS or any(part.startswith("_") for part in name.split(".")):
+            continue
+        function = partial(known[name], **options)
+        for path in places(arguments):
+            is_field = len(path) > 1
+            if is_field and not hasattr(at(arguments, path[:-1]), "__check_init__"):
+                continue
+            numbers = np.asarray(at(arguments, path), np.float64)
+            place = f"{name} {jax.tree_util.keystr(path)}"
+            for value in carriers(numbers):
+                said = refusal(partial(put_in, function, arguments, path, value))
+                assert "would be lost" in said, (place, said)
+                assert len(said) < LONGEST, (place, said)
+            if numbers.size and not is_field:
+                given = with_at(arguments, path, masked(numbers))
+                plain = with_at(arguments, path, masked(numbers).filled(np.nan))
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    shapes = [outline(function, one) for one in (given, plain)]
+                assert shapes[0] == shapes[1], place
+
+
+def put_in(function, arguments, path, value):
+    return function(*with_at(arguments, path, value))
+
+
+def outline(function, arguments):
+    """Shapes of what it gives, or its sentence."""
+    try:
+        return str(jax.eval_shape(lambda: function(*arguments)))
+    except ValueError as error:
+        return str(error)
+
+
+def test_a_masked_number_is_nan():
+    picture = masked(np.arange(1.0, 10.0).reshape(3, 3, 1))
+    blurred = jv.filters.box(picture, size=3, border="zero")
+    np.testing.assert_array_equal(np.isnan(blurred[..., 0]), [[1, 1, 0], [1, 1, 0], [0, 0, 0]])
+    assert float(jv.filters.box(np.ma.ones((3, 3, 1)), size=3)[1, 1, 0]) == pytest.approx(1)
+    lamp = jv.PointLight((0.0, 0.0, 1.0), masked([1.0, 2.0]))
+    np.testing.assert_array_equal(np.isnan(lamp.intensity), [True, False])
+
+
+def test_masked_whole_numbers_are_refused():
+    with pytest.raises(ValueError, match=r"1 of its 4 numbers masked"):
+        jv.write_image("never.png", masked(np.ones((2, 2), np.uint8)))
+    assert not Path("never.png").exists()
+
+
+def line(slope, inputs):
+    return slope * inputs
+
+
+def test_a_problem_takes_masked_data_as_missing():
+    x = np.linspace(1, 4, 7)
+    data = 2 * x
+    data[0] = 1e6
+    free = {"slope": Parameter(start=1.0)}
+    found = fit(Problem(free, line, Gaussian(sd=0.1), np.ma.masked_greater(data, 100), inputs=x))
+    assert float(found.values["slope"]) == pytest.approx(2, abs=1e-6)
+    for named in (xarray.DataArray(data), pandas.Series(data), data * units.m):
+        said = refusal(lambda v=named: Problem(free, line, Gaussian(sd=0.1), v, inputs=x))
+        assert said.startswith("data is a")
+        said = refusal(lambda v=named: Problem(free, line, Gaussian(sd=0.1), x, inputs=v))
+        assert said.startswith("inputs is a")
+        said = refusal(lambda v=named: Gaussian(sd=v))
+        assert said.startswith("Gaussian: sd is a")
+        said = refusal(lambda v=named: Problem(free, line, Gaussian(0.1), v, inputs=x, chunk=3))
+        assert said.startswith("data is a")
+    problem = Problem(free, line, Gaussian(sd=0.1), 2 * x, inputs=x)
+    said = refusal(lambda: fit_map(problem, xarray.DataArray(np.ones((7, 2)))))
+    assert said.startswith("data is a DataArray")
+
+
+def test_a_parameter_has_no_unit_of_its_own():
+    with pytest.raises(ValueError, match="a Quantity with a unit"):
+        Parameter(lower=1 * units.nm)
+
+
+@pytest.mark.parametrize("kind", [masked, xarray.DataArray, lambda x: x * units.adu])
+def test_calibrations_refuse_what_they_would_lose(kind):
+    frames = np.random.default_rng(0).poisson(100.0, (2, 8, 8))
+    odd = [kind(frame) for frame in frames]
+    said = refusal(
+        lambda: noise.from_frames(
+            [odd] * 4, [frames], [0.01] * 4, None, camera=noise.Camera(bits=8), dark_exposures=[0.1]
+        )
+    )
+    assert said.startswith("flats[0][0] is a")
+    said = refusal(lambda: response.from_stack(odd, [1, 2], camera=response.Camera(bits=8)))
+    assert said.startswith("images[0] is a")
+    lights = np.array([[0, 0, 1.0], [0.6, 0, 0.8]])
+    at_hand = {
+        "camera": reflectance.Camera(bits=8),
+        "sphere": reflectance.SphereGeometry(centre=(4, 4), radius=3),
+    }
+    said = refusal(lambda: reflectance.from_photographs(odd, lights, **at_hand))
+    assert said.startswith("images[0] is a")
+    if kind is not masked:
+        said = refusal(lambda: reflectance.photometric_stereo(kind(frames * 1.0), lights))
+        assert said.startswith("images is a")
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (MaskedColumn([1.0, 2.0], mask=[0, 1], unit="nm"), "MaskedColumn with a unit"),
+        (Masked([1.0, 2.0] * units.nm, mask=[0, 1]), "MaskedQuantity with a unit"),
+        (np.array([1 * units.nm, 2 * units.nm], object), "Quantity with a unit"),
+        ([1 * units.nm, 2 * units.nm], "Quantity with a unit"),
+        (np.array([300], "m8[us]"), r"unit \(timedelta64\[us\]\)"),
+        ([datetime.timedelta(seconds=1)], r"unit \(timedelta\)"),
+    ],
+)
+def test_a_unit_below_a_mask_or_in_a_list_is_refused(value, words):
+    assert re.search(words, refusal(lambda: jv.plain_arrays.plain_array("x", value)))
+    refusal(lambda: jv.as_float(value))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [MaskedColumn([1.0, 2.0], mask=[0, 1]), Masked(np.array([1.0, 2.0]), mask=[0, 1])],
+)
+def test_a_mask_of_astropy_without_a_unit_is_nan(value):
+    np.testing.assert_array_equal(jv.as_float(value), [1, np.nan])
+    np.testing.assert_array_equal(jv.as_float(Column([1.0, 2.0])), [1, 2])
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        pandas.Series([0.1, 0.2, 0.3, 0.4], index=[3, 2, 1, 0]),
+        xarray.DataArray([0.1, 0.2, 0.3, 0.4]),
+        [0.1, 0.2, 0.3, 0.4] * units.ms,
+        np.array([100, 200, 300, 400], "m8[us]"),
+        np.array(["2020", "2021", "2022", "2023"], "M8[s]"),
+        0.1,
+        [0.1, "b", 0.3, 0.4],
+    ],
+)
+def test_exposures_and_photons_are_numbers_in_their_order(times):
+    frames = np.random.default_rng(0).poisson(100.0, (4, 2, 8, 8))
+    numbers, camera = [0.1, 0.2, 0.3, 0.4], noise.Camera(bits=8)
+    read = partial(noise.from_frames, frames, frames, camera=camera)
+    calls = {
+        "exposures": [
+            lambda: read(times),
+            lambda: noise.darks_from_frames(frames, times, camera=camera),
+            lambda: response.from_stack(frames[:, 0], times, camera=camera),
+        ],
+        "photons": [lambda: read(numbers, times)],
+        "dark_exposures": [lambda: read(numbers, dark_exposures=times)],
+    }
+    for name, every in calls.items():
+        for call in every:
+            said = refusal(call)
+            assert said.startswith(f"{name} ")
+            assert len(said) < LONGEST
+
+
+@pytest.mark.parametrize("kind", [int, float])
+def test_masked_images_are_told_what_leaves_pixels_out(kind):
+    odd = masked(np.random.default_rng(0).poisson(100.0, (8, 8)).astype(kind))
+    said = refusal(lambda: response.from_stack([odd, odd], [1, 2], camera=response.Camera(bits=8)))
+    assert "1 of its 64 numbers masked" in said
+    assert "the argument mask" in said
+    assert "nan" not in said
+
+
+def test_a_camera_names_the_field_with_a_unit_or_an_index():
+    for value in (1 * units.adu, pandas.Series([1.0, 2.0])):
+        with pytest.raises(ValueError, match=r"gain\n.*this is a \w+ with an? (unit|index)"):
+            noise.Camera(bits=8, taps=(1, 2), gain=value)
+
+
+def test_plots_draw_no_masked_number():
+    x = np.arange(3.0)
+    axes = jv.plots.curve(x, masked([1e9, 1.0, 2.0]))
+    np.testing.assert_array_equal(np.isnan(axes.lines[0].get_ydata()), [True, False, False])
+    with pytest.raises(ValueError, match="would be lost"):
+        jv.plots.picture(xarray.DataArray(np.ones((2, 2))))
+
+
+def test_plain_numbers_pass_as_they_are():
+    numbers = [1.0, 2.0]
+    for value in (numbers, np.ones(2), jnp.ones(2), 1, None, "one", np.float32(1)):
+        assert jv.plain_arrays.plain_array("x", value) is value

@@ -1,0 +1,131 @@
+"""How the commands compile: what the user set stands, entries of a killed run do no harm."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting.inference import compiled
+from jaxvision import programs
+
+OURS = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
+
+
+@pytest.fixture
+def untouched(monkeypatch, tmp_path):
+    """An environment that says nothing, and an empty cache folder."""
+    for name in (*OURS, "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"):
+        monkeypatch.setenv(name, "")  # so that it is put back
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path
+
+
+def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouched, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    programs.compile_quickly()
+    assert os.environ["XLA_FLAGS"] == ""
+    assert programs.briefly() is None
+    monkeypatch.delenv("XLA_FLAGS")
+    monkeypatch.setattr(programs, "version", lambda name: "0.99.0")
+    programs.compile_quickly()
+    assert "XLA_FLAGS" not in os.environ
+    monkeypatch.setattr(programs, "version", lambda name: "0.10.9")
+    monkeypatch.setattr(programs, "find_spec", lambda name: name)  # an accelerator is there
+    programs.compile_quickly()
+    assert "XLA_FLAGS" not in os.environ
+    monkeypatch.setattr(programs, "find_spec", lambda name: None)
+    assert programs.briefly()["xla_backend_optimization_level"] == 0
+    programs.compile_quickly()
+    assert programs.briefly() is None  # the flags say so of all programs
+    assert "optimization_level=0" in os.environ["XLA_FLAGS"]
+    assert "fusion_emitters=false" in os.environ["XLA_FLAGS"]
+    assert programs.thoroughly()["xla_cpu_use_fusion_emitters"]
+    monkeypatch.delenv("XLA_FLAGS")
+    monkeypatch.setattr(programs, "version", lambda name: "0.12.0.1")  # would end at that flag
+    programs.compile_quickly()
+    assert "fusion_emitters" not in os.environ["XLA_FLAGS"]
+    assert programs.thoroughly() == {"xla_backend_optimization_level": 3}
+
+
+def test_a_program_compiled_briefly_may_be_part_of_another(monkeypatch):
+    monkeypatch.setattr(programs, "find_spec", lambda name: None)  # no accelerator
+    monkeypatch.setattr(compiled, "briefly", programs.quick_options)
+    assert programs.quick_options()
+    cubed = compiled.compiled_briefly(lambda x, power: x**power)
+    x = jnp.array([1.0, 2.0])
+    np.testing.assert_array_equal(cubed(x, 3), [1, 8])
+    np.testing.assert_array_equal(jax.jit(lambda x: cubed(x, 3) + 1)(x), [2, 9])
+    np.testing.assert_array_equal(jax.grad(lambda x: cubed(x, 3).sum())(x), [3, 12])
+    np.testing.assert_array_equal(jax.vmap(lambda x: cubed(x, power=3))(x), [1, 8])
+
+
+def test_programs_are_kept_where_they_may_be(untouched, monkeypatch):
+    programs.keep_programs()
+    folder = os.environ.pop("JAX_COMPILATION_CACHE_DIR")
+    assert folder.startswith(str(untouched / "jaxvision"))
+    assert os.path.isdir(folder)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
+    programs.keep_programs()
+    assert os.environ.pop("JAX_COMPILATION_CACHE_DIR") == ""
+    (untouched / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(untouched / "file"))
+    programs.keep_programs()
+    assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
+
+
+def test_of_too_many_programs_the_older_half_goes(untouched, monkeypatch):
+    other = untouched / "jaxvision" / "0.1-ab"
+    other.mkdir(parents=True)
+    for age in range(10):
+        (other / f"{age}").write_bytes(b"x" * 100)
+        os.utime(other / f"{age}", (2e9 - age, 2e9 - age))
+    monkeypatch.setattr(programs, "_MOST_BYTES", 1000)
+    programs.keep_programs()
+    assert len(list(other.iterdir())) == 10
+    monkeypatch.setattr(programs, "_MOST_BYTES", 999)
+    programs.keep_programs()
+    del os.environ["JAX_COMPILATION_CACHE_DIR"]
+    programs.keep_programs()
+    assert sorted(path.name for path in other.iterdir()) == ["0", "1", "2", "3", "4"]
+
+
+PROGRAM = """
+from jaxvision.programs import compile_quickly, keep_programs
+compile_quickly()
+keep_programs()
+import jax.numpy as jnp
+print(float(jnp.linspace(0, 1, 7).sum()))
+"""
+
+
+@pytest.mark.slow
+def test_half_written_programs_are_compiled_anew(untouched):
+    def run():
+        environment = dict(os.environ)
+        return subprocess.run(
+            [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True
+        )
+
+    first = run()
+    kept = list(untouched.rglob("*-cache"))
+    assert len(kept) == 2
+    for entry in kept:
+        entry.write_bytes(entry.read_bytes()[:20])
+    again = run()
+    assert (first.stdout, first.stderr) == ("3.5\n", "")
+    assert (again.stdout, again.stderr) == ("3.5\n", "")
+
+
+def test_the_default_device_says_for_what_a_program_is_made(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert not programs.on_processor()
+    for named in ("cpu", jax.devices("cpu")[0]):
+        with jax.default_device(named):
+            assert programs.on_processor()
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    assert programs.on_processor()

@@ -1,0 +1,93 @@
+"""Every block of code and every command of the README, executed. What a block prints is compared
+with what the comment beside it promises.
+
+Two commands install the package first (the demo and the test command); CI runs them as written, and
+the tests below, which take minutes.
+"""
+
+import re
+import shlex
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.measured import merl_bytes
+from page_blocks import blocks, promises, run
+from typer.testing import CliRunner
+
+import fitting.cli
+import jaxvision.cli
+from jaxvision.io import write_image
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
+# Smaller numbers for what takes minutes as written, and files for those that a user has.
+INSTEAD = {"--samples 64": "--samples 1 --resolution 16,16", "FILE ...": "paint.binary"} | {
+    "check brdf": "check brdf --simulations 4",
+    "accuracy PATH": "accuracy PATH --knob 'curve rounds' --seconds 90",
+    "cornell_box --seconds 60": "cornell_box --knob depth --seconds 40",
+}
+
+
+def test_promises_are_read():
+    assert promises(
+        "print(a)  # 0.25 within 1 %: the gain\nprint(b)  # W m^-2\n  print(c)  # -3.1"
+    ) == [
+        (0.25, 0.0025),
+        None,
+        (-3.1, 0.05),
+    ]
+
+
+@pytest.mark.slow
+def test_every_block_of_python_runs_and_keeps_its_promises(tmp_path):
+    python = blocks(README, "python")
+    assert len(python) >= 5
+    kept = run(python, tmp_path, apart=True)
+    assert kept, "no block promises a number"
+
+
+def commands():
+    """The lines of `sh` blocks, and the commands of the table."""
+    lines = [line for block in blocks(README, "sh") for line in block.splitlines() if line.strip()]
+    return lines + re.findall(r"^\| `([^`]+)` \|", README, flags=re.MULTILINE)
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch, lab):
+    """A folder with the files that a user has: a photo, a rig a calibration, a measured BRDF."""
+    monkeypatch.chdir(tmp_path)
+
+    def grey(h, d, p):
+        return np.broadcast_to(0.1 + 0.2 * np.exp(-9 * h * h)[..., None], (*np.shape(h), 3))
+
+    (tmp_path / "paint.binary").write_bytes(merl_bytes(grey, (12, 10, 8))[0])
+    write_image(tmp_path / "photo.png", np.arange(6000, dtype=np.uint16).reshape(40, 50, 3))
+    for kind in ("noise", "response", "brdf"):
+        (tmp_path / kind).symlink_to(lab[0] / kind)
+    (tmp_path / "init").mkdir()
+    for ms in (2, 4):
+        write_image(tmp_path / "init" / f"flat_{ms}ms_0.tif", np.full((6, 8), 99 * ms, np.uint16))
+    others = {"joint": "brdf", "plan": "brdf", "accuracy": "response", "study": "noise"}
+    for kind, of in others.items():
+        (tmp_path / kind).symlink_to(lab[0] / of)
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", commands())
+def test_every_command_runs(command, workplace):
+    if re.match(r"python3 -m venv .*(pytest|jaxvision-fit demo)|jaxvision-fit demo$", command):
+        script = (Path(__file__).parents[2] / ".ci" / "run").read_text()
+        assert "demo_command" in script
+        assert "test_command" in script
+        return
+    for words, fewer in INSTEAD.items():
+        command = command.replace(words, fewer)
+    name, *arguments = shlex.split(command)
+    arguments = [arguments[0] if word in ("PATH", "FOLDER") else word for word in arguments]
+    result = CliRunner().invoke(COMMANDS[name], arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    for option, value in pairwise(arguments):
+        assert option != "--out" or Path(value).exists()

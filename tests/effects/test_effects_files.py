@@ -1,0 +1,110 @@
+"""Random scenes through what `render --tolerance` runs: files on disk, whole and pruned."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from oracles.random_scenes import random_scene
+
+import jaxvision as jv
+from jaxvision.effects import explain
+from jaxvision.effects.certificate import summary
+from jaxvision.errors import InputError
+from jaxvision.io import read_image
+from jaxvision.render_command import pruned_for, render_to_file
+from jaxvision.render_command.pruning import left_of
+from jaxvision.scene_files import SceneFile
+from jaxvision.scene_files.schema import RenderEntry
+from jaxvision.transport import light_traced
+
+SETTINGS = RenderEntry.model_validate({"dtype": "float64"})
+SINGLE = 1e-6  # relative to the brightest pixel: an EXR holds float32
+
+
+def scene_file(seed):
+    """A random scene as if it had been read."""
+    scene, view = random_scene(seed)
+    first = scene.lights[0]
+    bands = getattr(first, first.spectra[0]).shape[-1]
+    shapes, lamps = (tuple(map(str, range(len(x)))) for x in (scene.surfaces, scene.lights))
+    return SceneFile(
+        Path(f"{seed}.toml"), scene, view, SETTINGS, bands, None, shapes, lamps, str(seed)
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40, 60))
+def test_a_pruned_file_is_the_whole_one_within_its_certificate(seed, tmp_path):
+    source, whole, less = scene_file(seed), tmp_path / "whole.exr", tmp_path / "less.exr"
+    render_to_file(source, whole, SETTINGS)
+    full = np.asarray(read_image(whole), float)
+    if not full.max() > 0:
+        with pytest.raises(InputError, match="is black; leave the tolerance out"):
+            pruned_for(source, SETTINGS, "1%")
+        return
+    pruned = pruned_for(source, SETTINGS, "1%")
+    render_to_file(source, less, SETTINGS, pruned=pruned)
+    left, certificate = np.asarray(read_image(less), float), pruned.certificate
+    level = certificate.level
+    assert 0 < level <= full.max() * (1 + SINGLE)
+    assert np.abs(left - full).max() <= certificate.total * level + SINGLE * full.max()
+    head = oiio.ImageInput.open(str(less)).spec().getattribute("jaxvision:certificate")
+    assert head == explain(certificate)
+    assert summary(certificate) in head
+
+
+@pytest.mark.slow
+def test_light_traced_from_a_point_is_kept_where_a_mirror_gathers_it():
+    """A lamp that shines at a mirror alone: it lights the floor by paths that start at the lamp."""
+    floor = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), jv.Lambert([0.3]))
+    mirror = jv.Surface(jv.Quad([-1, -1, 3], [0, 2, 0], [2, 0, 0]), jv.Mirror([0.9]))
+    scene = jv.Scene([floor, mirror], jv.SmallLight([0, 0, 1.5], [0, 0, 1], [5.0]))
+    view = jv.Orthographic([0, 0, 1], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], 0.2, resolution=(4, 4))
+    names = (("floor", "mirror"), ("lamp",), "mirror")
+    lit = light_traced(jax.random.key(0), scene, view, paths=2000, depth=3, samples=1).radiance
+    assert lit.mean() > 0.01
+    for integrator, kept in ("light", True), ("path", False):
+        settings = RenderEntry.model_validate({"integrator": integrator, "depth": 3})
+        source = SceneFile(Path("m.toml"), scene, view, settings, 1, None, *names)
+        pruned = pruned_for(source, settings, "1%", level=float(lit.max()))
+        assert (len(pruned.scene.lights) == 1) == kept
+
+
+@pytest.mark.parametrize("integrator", ["path", "light", "rays", "radiosity"])
+def test_paths_go_only_where_they_can_be_cut(integrator):
+    """A solution of radiosity and a tree of rays take what they take."""
+    settings = RenderEntry.model_validate({"integrator": integrator})
+    pruned = pruned_for(scene_file(3), settings, "50%", level=1e6)
+    cut = integrator in ("path", "light")
+    (row,) = (
+        (e for e in pruned.certificate.dropped if e.name == "bounces")
+        if cut
+        else (e for e in pruned.certificate.kept if e.name == "bounces")
+    )
+    assert (row.saves > 0) == cut
+    assert (left_of(scene_file(3), settings, pruned)[1].depth < settings.depth) == cut
+
+
+@pytest.mark.slow
+def test_a_pruned_picture_is_not_resumed_as_a_whole_one(tmp_path):
+    """The part of a killed render is kept only for the same certificate."""
+    source, out = scene_file(41), tmp_path / "out.exr"
+    settings = SETTINGS.model_copy(update={"tile": 100})
+    pruned = pruned_for(source, settings, "5%")
+
+    def killed(done, total):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render_to_file(source, out, settings, pruned=pruned, advance=killed)
+    other = replace(pruned, certificate=replace(pruned.certificate, tolerance=0.04))
+    for another in (None, other):
+        with pytest.raises(InputError, match="certificate"):
+            render_to_file(source, out, settings, pruned=another)
+    seen = []
+    render_to_file(source, out, settings, pruned=pruned, advance=lambda n, _: seen.append(n))
+    assert seen[0] == 1

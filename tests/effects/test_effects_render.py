@@ -1,0 +1,162 @@
+"""Pruned scenes through `render`: the promise, equality at tolerance 0, smaller programs."""
+
+import os
+import platform
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from oracles.direct_light import picture
+from oracles.random_scenes import random_scene
+
+import jaxvision as jv
+from jaxvision import effects
+from jaxvision.effects.stages import QUICKLY
+
+GREY = jv.Lambert([0.25])
+FLOOR = jv.Surface(jv.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), GREY)
+DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+VIEW = jv.Pinhole([0, 0, 3], DOWN, 0.05, 0.05 / 16, resolution=(16, 16))
+POINT = jv.PointLight([0, 0, 2], [1.0])
+
+
+def primitives(scene):
+    return str(jax.make_jaxpr(jv.render)(scene, VIEW))
+
+
+def pruned(scene, tolerance="1%"):
+    return effects.prune(scene, VIEW, tolerance, level=1.0)
+
+
+@pytest.mark.slow
+def test_what_was_dropped_left_nothing_in_the_program():
+    """No search without occluders, no exponential without a lobe, one band where one tells all."""
+    ramp = np.linspace(0.1, 1, 31)
+    glossy = jv.Surface(FLOOR.shape, jv.GaussianLobe(0.1 * ramp, 1e-9 * ramp, 5.0))
+    second = jv.Surface(jv.Sphere([0, 0, 9], 0.1), jv.Lambert(0.1 * ramp))
+    scene = jv.Scene([glossy, second], jv.PointLight([0, 0, 2], 0 * ramp + 1))
+    left = pruned(scene)
+    before, after = primitives(scene), primitives(left.scene)
+    assert " exp " in before
+    assert " exp " not in after
+    assert left.scene.occluders == ()
+    assert left.scene.lights[0].intensity.shape == (1,)
+    assert effects.equations(left.scene, VIEW) < 0.6 * effects.equations(scene, VIEW)
+
+
+def test_10_what_a_loop_costs_is_not_read_off_flops():
+    """XLA counts a loop's body once, however often it runs: shares of work are declared instead,
+    and programs are compared by their equations."""
+
+    def looped(times):
+        compiled = jax.jit(lambda x: jax.lax.fori_loop(0, times, lambda _, y: y * y + 1, x))
+        return compiled.lower(1.0).compile().cost_analysis()["flops"]
+
+    assert looped(2) == looped(200)
+    camera = jv.Camera(VIEW, jv.Sensor(exposure_time=1.0))
+    still = effects.prune(
+        jv.Scene(FLOOR, POINT), camera, "0DN", motion=lambda s, v, t: (s, v), moments=50
+    )
+    gone = {effect.name: effect.saves for effect in still.certificate.dropped}
+    assert still.moments is None
+    assert gone["motion"] >= 0.7
+    assert still.certificate.saves >= gone["motion"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_random_scenes_through_render(seed):
+    scene, view = random_scene(seed)
+    full = np.asarray(jax.jit(jv.render)(scene, view))
+    if not full.max() > 0:
+        return
+    left = effects.prune(scene, view, effects.Tolerance(1e-2), level=full.max())
+    small = np.asarray(jax.jit(jv.render)(left.scene, left.camera))
+    if left.expand is not None:
+        small = small @ left.expand.T
+    assert np.abs(small - full).max() <= (left.certificate.total + 1e-12) * full.max()
+    count, before = (effects.equations(s, view) for s in (left.scene, scene))
+    assert count <= before
+    if all(
+        isinstance(x, jv.PointLight | jv.SmallLight | jv.DirectionalLight) for x in scene.lights
+    ):
+        drawn = picture(*jax.tree.map(np.asarray, (scene, view)))
+        edges = np.abs(drawn - full).max(-1) > 1e-9 * full.max()
+        assert edges.mean() <= 0.02  # pixels at an edge, where rays start a rounding apart
+
+
+def differing_at_0(seed, options):
+    """Units in the last place of the largest value by which what is exactly pruned differs."""
+    scene, view = random_scene(seed)
+    left = effects.prune(scene, view, effects.Tolerance(0.0, place=0), level=1.0)
+    assert all(effect.rank == "exact" for effect in left.certificate.dropped)
+    drawn = jax.jit(jv.render, compiler_options=options)
+    full, small = np.asarray(drawn(scene, view)), np.asarray(drawn(left.scene, left.camera))
+    if left.expand is not None:
+        small = small @ left.expand.T
+    return np.abs(small - full).max() / np.spacing(full.max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20, 30))
+def test_tolerance_0_changes_nothing(seed):
+    """In programs whose every operation rounds by itself."""
+    assert differing_at_0(seed, QUICKLY) <= 4
+
+
+FUSED_OR_NOT = """
+import sys
+sys.path[:0] = {tests!r}
+import jax
+jax.config.update("jax_enable_x64", True)
+from test_effects_render import differing_at_0
+print(differing_at_0(25, None))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="names instructions of x86")
+def test_tolerance_0_differs_where_products_are_fused_into_sums():
+    """Optimised, the picture is as equal on a processor that cannot add a product with one
+    rounding. LLVM contracts the two wherever they meet, elsewhere in another program; this scene's
+    exponent of 65 makes 65 times of a cosine's last place, in one pixel 6 units of the largest
+    value."""
+    code = FUSED_OR_NOT.format(tests=[str(Path(__file__).parent), str(Path(__file__).parents[1])])
+    environment = os.environ | {"XLA_FLAGS": "--xla_cpu_max_isa=AVX"}
+    command = [sys.executable, "-c", code]
+    found = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert float(found.stdout) <= 4
+
+
+def test_hundreds_of_surfaces_are_inspected_at_once():
+    rng = np.random.default_rng(0)
+    balls = [
+        jv.Surface(jv.Sphere(c, 0.02), jv.Phong([0.1], [0.1], 20.0))
+        for c in rng.uniform([-1, -1, 0], [1, 1, 1], (150, 3))
+    ]
+    scene = jv.Scene([FLOOR, *balls], [POINT, replace(POINT, position=[1.0, 1, 3])])
+    found = effects.inspect(scene, VIEW)
+    assert len(found) == 2 * 2 + 150 + 1
+
+
+@pytest.mark.slow
+def test_a_lobe_goes_unless_its_surface_would_be_a_kind_of_its_own():
+    """Lambert beside Phong is one program more than Phong alone."""
+    dull, shiny = (jv.Phong([0.2], [specular], 20.0) for specular in (0.0, 0.1))
+    walls = [jv.Quad([x, -1, 0], [1, 0, 0], [0, 2, 0]) for x in (-1.0, 0.0)]
+    left, right = (jv.Surface(wall, dull) for wall in walls)
+    for surfaces, gone in (
+        ((left, replace(right, material=shiny)), 0),
+        ((left, right), 2),
+        ((left, replace(right, material=shiny), replace(right, material=GREY)), 1),
+    ):
+        scene = jv.Scene(surfaces, [POINT])
+        found = pruned(scene, "0%")
+        assert sum("specular" in one.name for one in found.certificate.dropped) == gone
+        assert effects.equations(found.scene, VIEW) <= effects.equations(scene, VIEW)
+    parted = pruned(jv.Scene((left, replace(right, material=shiny)), [POINT]), "0%")
+    assert any("a program of its own" in one.why for one in parted.certificate.kept)

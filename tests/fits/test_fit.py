@@ -1,0 +1,545 @@
+"""What a fit says of itself: groups, misfits, ends of ranges, saddles; bands; chains that go on."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting import (
+    Clustered,
+    Gaussian,
+    HalfNormal,
+    Normal,
+    NutsOptions,
+    Parameter,
+    Problem,
+    SamplingOptions,
+    SensorNoise,
+    StudentT,
+    fit,
+)
+from fitting.inference.search import given_start, spread_starts
+from jaxvision import (
+    Orthographic,
+    Phong,
+    PointLight,
+    PoissonShotNoise,
+    Scene,
+    Sensor,
+    Sphere,
+    Surface,
+    render,
+)
+from jaxvision.errors import InputError
+
+COUNT = 60
+ONES = jnp.ones(COUNT)
+NOISE = stats.norm.ppf((np.random.default_rng(3).permutation(COUNT) + 0.5) / COUNT)
+
+
+NOISY, FREE = Gaussian(sd=0.1), Parameter(start=0.0)
+
+
+def constant(a, inputs):
+    return a * inputs
+
+
+def level(data, likelihood=NOISY, parameter=FREE):
+    return Problem({"a": parameter}, constant, likelihood, data, inputs=ONES)
+
+
+@pytest.mark.slow
+def test_bands_of_inflated_noise_hold_new_data_and_their_middle_is_that_of_the_draws():
+    """Noise three times as stated: a new datum scatters by sd sqrt(1 + 1 / n), inflated."""
+    found = fit(level(2 + 0.3 * NOISE), misfit="inflate")
+    assert found.converged
+    bands = found.predictive(draws=4000)
+    sd = np.std(0.3 * NOISE, ddof=1) * np.sqrt(1 + 1 / COUNT)
+    np.testing.assert_allclose(bands.sd.mean(), sd, rtol=0.01)
+    np.testing.assert_allclose(np.diff(bands.interval_95, axis=0).mean(), 3.92 * sd, rtol=0.02)
+    np.testing.assert_array_equal(bands.mean, bands.draws.mean(0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("likelihood", "sampling"),
+    [("emcee", SamplingOptions(walkers=32, steps=1500, block=500))],
+)
+def test_a_sampler_tempers_the_data_and_not_the_prior(likelihood, sampling):
+    """Normal prior 1.5 +- .02; data 2, whose mean is known to .1 / sqrt(60), tempered."""
+    prior = Normal(1.5, 0.02)
+    found = fit(
+        level(2 + 0.3 * NOISE, parameter=Parameter(prior=prior)),
+        posterior=likelihood,
+        sampling=sampling,
+        misfit="inflate",
+    )
+    weight = COUNT / (0.1 * found.noise) ** 2
+    sd = 1 / np.sqrt(weight + prior.sd**-2)
+    mean = sd**2 * (weight * np.mean(2 + 0.3 * NOISE) + prior.mean * prior.sd**-2)
+    drawn = found.draws["a"].ravel()
+    np.testing.assert_allclose(drawn.std(), sd, rtol=0.1)
+    assert abs(drawn.mean() - mean) < 0.1 * sd
+
+
+def test_starts_that_are_given_are_kept_beside_ones_that_are_not():
+    problem = Problem(
+        {"a": Parameter(start=0.3), "b": Parameter(lower=0, upper=1)},
+        lambda a, b: jnp.stack([a, b]),
+        Gaussian(sd=1.0),
+        np.zeros(2),
+    )
+    starts = spread_starts(problem, 4, seed=0)
+    assert starts[0, 0] == given_start(problem)[0]
+    assert np.isfinite(starts).all()
+
+
+def test_one_prior_for_each_number_of_an_array():
+    priors = (Normal(0.0, 1.0), None, HalfNormal(2.0))
+    parameter = Parameter(shape=(3,), prior=priors, start=(0.0, 0.0, 1.0))
+    problem = Problem({"a": parameter}, lambda a: a, Gaussian(sd=1.0), np.zeros(3))
+    assert tuple(number.prior for number in problem.space) == priors
+
+
+END = "of its range"
+WIDE = 0.1 * np.sqrt(COUNT)  # the mean of all data is known to .1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("parameter", "middle", "expected"),
+    [
+        (Parameter(lower=0, upper=100), 0.9, ()),  # 9 of its own deviations above 0
+        (Parameter(lower=0, upper=100), 0.0, ("lower",)),
+        pytest.param(Parameter(lower=0, start=1.0), -0.1, ("lower",), marks=pytest.mark.slow),
+        pytest.param(Parameter(upper=3, start=1.0), 3.1, ("upper",), marks=pytest.mark.slow),
+    ],
+)
+def test_an_end_is_near_in_standard_deviations(parameter, middle, expected):
+    found = fit(level(middle + WIDE * NOISE, Gaussian(WIDE), parameter))
+    told = [s for s in found.findings if END in s]
+    assert len(told) == len(expected)
+    assert all(f"the {end} end" in s for end, s in zip(expected, told, strict=True))
+
+
+@pytest.mark.slow
+def test_a_single_search_says_that_it_was_one():
+    words = "no other start looked for a deeper optimum"
+    problem = level(NOISE, Gaussian(1.0))
+    told = [any(words in s for s in fit(problem, starts=n).findings) for n in (1, 2)]
+    assert told == [True, False]
+
+
+@pytest.mark.slow
+def test_searches_that_run_against_one_bound_ended_at_one_place():
+    """Levenberg and Marquardt's ends lie anywhere below u = -10, which is one place in x."""
+    found = fit(level(-1.0 + NOISE, Gaussian(1.0), Parameter(lower=0.0, start=1.0)), starts=16)
+    assert not any("ended elsewhere" in s for s in found.failures)
+
+
+@pytest.mark.slow
+def test_a_wide_parameter_on_its_own_scale_is_not_called_skewed():
+    """A mean of 2000 +- 1: Gaussian in its own unit, whatever that is."""
+    found = fit(level(2000 + np.sqrt(COUNT) * NOISE, Gaussian(np.sqrt(COUNT))))
+    assert not any("Gaussian may misjudge" in s for s in found.findings)
+
+
+@pytest.mark.slow
+def test_a_saddle_is_a_failure_in_words():
+    problem = Problem(
+        {"a": Parameter(start=0.0)}, lambda a: a**2 * ONES, Gaussian(0.1), np.ones(COUNT)
+    )
+    found = fit(problem, start={"a": 0.0})
+    assert not found.converged
+    assert "saddle" in found.failures[0]
+
+
+@pytest.mark.slow
+def test_directions_that_seven_digits_cannot_tell_name_sixteen():
+    """Two levels that differ by 1e-4 of a slope: told apart in float64, not in float32."""
+    place = np.linspace(-1, 1, COUNT)
+
+    def fitted():
+        free = {"a": Parameter(start=0.0), "b": Parameter(start=0.0)}
+        model = partial(lambda a, b, inputs: a + b * (1 + 1e-4 * inputs))
+        data = 2 + 0.1 * NOISE
+        return fit(Problem(free, model, Gaussian(0.1), data, inputs=place), starts=1)
+
+    fitted()
+    with jax.enable_x64(False), pytest.raises(InputError, match="jax_enable_x64"):
+        fitted()
+
+
+def grouped(data, labels, *, slope=True, **options):
+    line = {"a": Parameter(start=0.0), "b": Parameter(start=0.0) if slope else 0.0}
+    place = np.linspace(-1.0, 1.0, len(data))
+    likelihood = Clustered(Gaussian(sd=0.01), labels)
+    return fit(Problem(line, lambda a, b: a + b * place, likelihood, data), starts=2, **options)
+
+
+@pytest.mark.slow
+def test_groups_excuse_a_misfit_where_its_errors_are_theirs():
+    """Offsets of 30 groups, a hundred times the noise; then data whose own noise is as large."""
+    labels = np.repeat(np.arange(30), 8)
+    rng = np.random.default_rng(4)
+    noise, offsets = rng.standard_normal(240), rng.standard_normal(30)[labels]
+    of_groups = grouped(offsets + 0.01 * noise, labels)
+    assert of_groups.converged
+    assert of_groups.misfit.chi_square > 1e3 * of_groups.misfit.dof
+    of_data = grouped(offsets + noise, labels)
+    assert not of_data.converged
+    assert "only part of the misfit" in " ".join(of_data.findings)
+    assert grouped(offsets + noise, labels, misfit="inflate").converged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("groups", [1, 3])
+def test_too_few_groups_excuse_nothing(groups):
+    x = np.linspace(-1.0, 1.0, 30)
+    few = grouped(x**2, np.arange(30) * groups // 30)
+    assert not few.converged
+    assert ("Too few groups" in " ".join(few.findings)) == (groups == 1)
+
+
+def mean_of_pairs(data, start):
+    labels = np.arange(len(data)) // 2
+    problem = Problem(
+        {"mean": Parameter(start=start)},
+        lambda mean: mean * jnp.ones(len(data)),
+        Clustered(Gaussian(sd=1.0), labels),
+        np.array(data),
+    )
+    return fit(problem)
+
+
+@pytest.mark.slow
+def test_groups_that_chance_explains_widen_intervals_and_the_words_say_so():
+    """Two pairs, 2 apart: as two independent means, of which the standard error is 1, one half for
+    four independent data; with one degree of freedom (scipy's one-sample t-test)."""
+    found = mean_of_pairs([3.0, 3.0, 1.0, 1.0], 0.0)
+    (mean,) = found.estimates
+    np.testing.assert_allclose(mean.standard_error, 1, rtol=1e-6)
+    expected = stats.ttest_1samp([3.0, 1.0], 0).confidence_interval(0.95)
+    np.testing.assert_allclose(mean.interval_95, expected, rtol=1e-6)
+    words = " ".join(found.findings)
+    assert "no more than chance" in words
+    assert "a variance 4 times that of independent data" in words
+    assert "Student's t with 1 degree of freedom" in words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("x64", [True, False])
+def test_groups_are_judged_alike_where_the_prediction_is_zero(x64):
+    """Of a prediction that is zero but for rounding no step is a share: the errors hung on it."""
+    with jax.enable_x64(x64):
+        found = [mean_of_pairs([1.0, 1.0, -1.0, -1.0], s) for s in (0.0, 0.1, 1.0, -2.0)]
+    errors = [one.estimates[0].standard_error for one in found]
+    np.testing.assert_allclose(errors, 1, rtol=1e-6)
+    assert len({one.findings for one in found}) == 1
+
+
+@pytest.mark.slow
+def test_errors_shared_by_groups_against_a_sandwich_in_numpy():
+    """CR2 with Bell and McCaffrey's degrees of freedom, written out with the hat matrix."""
+    labels, place = np.arange(240) % 6, np.linspace(-1.0, 1.0, 240)
+    rng = np.random.default_rng(2)
+    data = 1 + 0.5 * place + 0.05 * rng.standard_normal(6)[labels]
+    found = grouped(data + 0.01 * rng.standard_normal(240), labels)
+    x = np.stack([np.ones(240), place], axis=1)
+    bread = np.linalg.inv(x.T @ x)
+    left = np.eye(240) - x @ bread @ x.T
+    residual = left @ np.asarray(found.problem.data)
+    columns = []
+    for group in range(6):
+        own = labels == group
+        values, axes = np.linalg.eigh(left[np.ix_(own, own)])
+        root = axes / np.sqrt(values) @ axes.T
+        columns.append((own, root @ x[own] @ bread))
+    scores = np.stack([a.T @ residual[own] for own, a in columns])
+    covariance = scores.T @ scores
+    for i, name in enumerate(("a", "b")):
+        g = np.stack([left[:, own] @ a[:, i] for own, a in columns], axis=1)
+        products = g.T @ g
+        freedom = np.trace(products) ** 2 / np.sum(products**2)
+        (estimate,) = [e for e in found.estimates if e.name == name]
+        assert estimate.interval_95 is not None
+        low, high = estimate.interval_95
+        half = stats.t.ppf(0.975, freedom) * np.sqrt(covariance[i, i])
+        np.testing.assert_allclose((high - low) / 2, half, rtol=0.05)  # of 4,000 draws
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0.3, 0.02])
+def test_a_bound_that_makes_a_posterior_no_gaussian_is_seen(size):
+    """A parabola and a decay, all linear, the decay's size between 0 and 2: its quantiles beside
+    those of a normal distribution cut off. The ridge along which the terms replace each other is
+    straight in them, and bends in u; draws that fill but one end of it claim as much."""
+    place = np.linspace(-1.0, 1.0, 80)
+    columns = np.stack([np.ones(80), place, place**2, 2 * np.exp(-place)], axis=1)
+    noise = 0.05 * np.random.default_rng(8).standard_normal(80)
+    problem = Problem(
+        {"c": Parameter(shape=(3,), prior=Normal(0, 1)), "size": Parameter(lower=0, upper=2)},
+        lambda c, size, inputs: inputs @ jnp.append(c, size),
+        Gaussian(0.05),
+        columns @ np.array([0.2, 0.5, -0.3, size]) + noise,
+        inputs=columns,
+    )
+    found = fit(problem, starts=4)
+    assert found.posterior.method == "importance sampling"
+    assert "far from a Gaussian" in " ".join(found.findings)
+    information = columns.T @ columns / 0.05**2 + np.diag([1.0, 1.0, 1.0, 0.0])
+    covariance = np.linalg.inv(information)
+    middle = (covariance @ columns.T @ np.asarray(problem.data) / 0.05**2)[3]
+    sd = np.sqrt(covariance[3, 3])
+    cut = stats.truncnorm(-middle / sd, (2 - middle) / sd, middle, sd)
+    levels = np.array([0.025, 0.16, 0.5, 0.84, 0.975])
+    reached = [np.mean(found.draws["size"] < x) for x in cut.ppf(levels)]
+    np.testing.assert_allclose(reached, levels, atol=0.01)
+
+
+@pytest.mark.slow
+def test_a_fitted_width_of_the_noise_needs_searches_that_agree():
+    """A sine of which one search finds a wrong frequency, in noise as large as that needs."""
+    time = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 120))
+    data = np.sin(2 * np.pi * 7.3 * time + 0.4) + 0.3 * np.random.default_rng(2).standard_normal(
+        120
+    )
+    problem = Problem(
+        {
+            "cycles": Parameter(lower=0.1, upper=20),
+            "phase": Parameter(lower=-3, upper=3),
+            "sd": Parameter(lower=0.01, upper=5, transform="log"),
+        },
+        lambda cycles, phase, inputs: jnp.sin(2 * jnp.pi * cycles * inputs + phase),
+        Gaussian("sd"),
+        data,
+        inputs=time,
+    )
+    alone = fit(problem, start={"cycles": 2.0, "phase": 0.0, "sd": 0.5})
+    assert abs(alone.values["cycles"] - 7.3) > 1
+    assert not alone.converged
+    assert "agreement of several starts" in " ".join(alone.failures)
+    together = fit(problem)
+    assert (abs(together.values["cycles"] - 7.3) < 0.1) or not together.converged
+
+
+@pytest.mark.slow
+def test_neighbours_are_those_by_input_in_whatever_order_data_came():
+    """A parabola fitted by a line, its noise free: only the order of the inputs tells."""
+    place = np.random.default_rng(0).permutation(np.linspace(-1.0, 1.0, 200))
+    data = place**2 + 0.05 * np.random.default_rng(1).standard_normal(200)
+    free = {"a": Parameter(lower=-2, upper=2), "b": Parameter(lower=-2, upper=2)}
+    free["sd"] = Parameter(lower=0.01, upper=5, transform="log")
+    problem = Problem(free, lambda a, b, inputs: a + b * inputs, Gaussian("sd"), data, inputs=place)
+    assert "move together" in " ".join(fit(problem, starts=4).failures)
+
+
+@pytest.mark.slow
+def test_rounding_of_data_on_the_model_itself_is_no_structure():
+    x = np.linspace(-1, 1, 50)
+    for sd, offset in ((0.01, 0.0), (1.0, 1e-4)):  # exact, and far below the noise
+        problem = Problem(
+            {name: Parameter(lower=-10, upper=10) for name in "ab"},
+            predict=lambda a, b, inputs: a + b * inputs,
+            likelihood=Gaussian(sd=sd),
+            data=0.3 + 2 * x + offset * x**2,
+            inputs=x,
+        )
+        found = fit(problem)
+        assert found.converged, found.failures
+        assert any("scatter less than stated" in sentence for sentence in found.findings)
+
+
+@pytest.mark.slow
+def test_groups_of_sensor_counts_with_a_pixel_of_no_light():
+    """Whose residual has a slope to one side only."""
+    sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=3.0, gain=0.5, offset=50.0)
+    shape = np.concatenate([np.linspace(0.0, 1.0, 30)] * 4)
+    labels = np.repeat(np.arange(4), 30)
+    rng = np.random.default_rng(3)
+    light = 4000.0 * shape * (1 + 0.05 * rng.standard_normal(4)[labels])
+    data = 0.5 * (rng.poisson(light) + 3 * rng.standard_normal(120)) + 50
+    problem = Problem(
+        {"level": Parameter(lower=0, upper=1e5)},
+        lambda level, inputs: level * inputs,
+        Clustered(SensorNoise(sensor), labels),
+        data,
+        inputs=shape,
+    )
+    low, high = fit(problem, starts=4).estimates[0].interval_95 or (np.nan, np.nan)
+    assert low < 4000 < high
+    assert 0.02 < (high - low) / 4000 < 0.4
+
+
+def test_what_is_no_problem_and_no_start_is_refused():
+    with pytest.raises(InputError, match="fit: problem must be a Problem, got int"):
+        fit(3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="start: give natural values by name, got 3"):
+        fit(Problem({"a": FREE}, constant, NOISY, ONES, inputs=ONES), start=3)  # type: ignore[arg-type]
+
+
+def test_labels_of_another_shape_are_refused():
+    with pytest.raises(InputError, match="labels of shape"):
+        grouped(np.zeros(30), np.arange(29))
+
+
+@pytest.mark.parametrize(
+    ("posterior", "short", "long"),
+    [
+        ("emcee", SamplingOptions(8, steps=100), SamplingOptions(8, steps=300)),
+        pytest.param(
+            *("nuts", NutsOptions(100, chains=2), NutsOptions(200, chains=2)),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["emcee", "nuts"],
+)
+def test_a_chain_goes_on_as_if_it_had_never_stopped(posterior, short, long):
+    problem = level(2 + 0.1 * NOISE)
+    run = partial(fit, problem, posterior=posterior, starts=2)
+    begun = run(sampling=short)
+    continued, whole = run(sampling=long, after=begun), run(sampling=long)
+    np.testing.assert_array_equal(continued.draws["a"], whole.draws["a"])
+    with pytest.raises(InputError, match="another run"):
+        run(sampling=long, after=begun, seed=3)
+    with pytest.raises(InputError, match="only chains go on"):
+        fit(problem, after=begun)
+
+
+@pytest.mark.slow
+def test_nan_in_the_inputs_of_a_robust_fit_is_told():
+    holes = jnp.where(jnp.arange(COUNT) == 7, jnp.nan, ONES)
+    problem = Problem(
+        {"a": Parameter(start=0.0)}, constant, StudentT(0.1), 2 + 0.1 * NOISE, inputs=holes
+    )
+    with pytest.raises(InputError, match="finite at none of the 2 starts"):
+        fit(problem, starts=2)
+
+
+def test_a_report_says_how_the_fit_was_made(tmp_path):
+    fit(level(2 + 0.1 * NOISE), starts=2).write(tmp_path)
+    written = (tmp_path / "results.json").read_text()
+    assert '"starts": 2' in written
+    assert '"likelihood": "Gaussian"' in written
+
+
+VIEW = Orthographic(
+    (0.0, 0.0, 5.0),
+    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+    2.2 / 20,
+    resolution=(20, 20),
+)
+
+
+def ball(lamp, exponent, diffuse):
+    material = Phong((diffuse,), (0.4,), exponent=exponent)
+    return Scene([Surface(Sphere((0.0, 0.0, 0.0), 1.0), material)], [PointLight(lamp, (300.0,))])
+
+
+@pytest.mark.slow
+def test_a_ball_under_students_t_is_found_from_all_over_its_bounds():
+    """README's ball with outliers: without least squares first, half of the searches get lost."""
+    truth = ball((1.0, 1.5, 3.0), 25.0, 0.3)
+    picture = np.asarray(render(truth, VIEW)[..., 0])
+    problem = Problem(
+        {
+            "scene.lights[0].position": Parameter(unit="m", lower=(-5, -5, 1.2), upper=5),
+            "scene.surfaces[0].material.exponent": Parameter(lower=1, upper=1000, transform="log"),
+            "scene.surfaces[0].material.diffuse": Parameter(lower=0, upper=1),
+        },
+        lambda scene: render(scene, VIEW)[..., 0],
+        StudentT(0.1),
+        picture + 0.1 * np.random.default_rng(1).standard_t(4, picture.shape),
+        records={"scene": ball((0.0, 0.0, 2.0), 10.0, 0.5)},
+    )
+    for seed in range(3):
+        found = fit(problem, seed=seed)
+        assert found.converged
+        exponent = found.draws["scene.surfaces[0].material.exponent"]
+        assert abs(exponent.mean() - 25) < 4 * exponent.std() < 8
+
+
+@pytest.mark.slow
+def test_one_of_many_optima_is_no_success():
+    """A sine of unknown frequency in noise of its own size: the likelihood has some forty optima.
+    A fit finds the truth, or says that it may have missed it."""
+    rng = np.random.default_rng(5)
+    time = np.sort(rng.uniform(0, 10, 120))
+    data = 0.2 + 0.8 * np.sin(2 * np.pi * 3.3 * time + 0.7) + rng.standard_normal(120)
+
+    def sine(inputs, amplitude, frequency, phase, offset):
+        return offset + amplitude * jnp.sin(2 * jnp.pi * frequency * inputs + phase)
+
+    free = {
+        "amplitude": Parameter(lower=0, upper=5),
+        "frequency": Parameter(lower=0.05, upper=10),
+        "phase": Parameter(lower=-4, upper=4),
+        "offset": Parameter(lower=-5, upper=5),
+    }
+    problem = Problem(free, sine, Gaussian(1.0), data, inputs=time)
+    near = fit(problem, start={"amplitude": 0.8, "frequency": 3.3, "phase": 0.7, "offset": 0.2})
+    assert near.converged
+    said = 0
+    for seed in range(6):
+        found = fit(problem, seed=seed)
+        assert not found.converged or found.optimum.cost < near.optimum.cost + 0.02, seed
+        said += any("a deeper one may have been missed" in failure for failure in found.failures)
+        assert len(found.optimum.costs) in (16, 32, 48, 64)
+    assert said
+
+
+def test_two_residuals_of_two_unknowns_that_bounds_stop():
+    """The minimum of Rosenbrock's valley lies beyond the bounds: a misfit, in possible numbers."""
+    problem = Problem(
+        {name: Parameter(lower=-2.0, upper=0.75) for name in ("x", "y")},
+        lambda x, y: jnp.stack([1 - x, 10 * (y - x**2)]),
+        Gaussian(sd=0.01),
+        [0.0, 0.0],
+    )
+    said = str(fit(problem, starts=4))
+    assert "less than one degree of freedom" in said
+    assert "is exceeded by chance" in said
+    assert "-2." not in said.partition("is exceeded")[0].rpartition(";")[2]
+
+
+def test_an_edge_that_no_gradient_sees_move_is_followed_by_differences():
+    """A penumbra of 64 steps over a row of pixels, under light that falls off from a lamp which
+    moves with it: automatic derivatives see the falling off alone."""
+    place = np.linspace(0.0, 1.0, 200)
+    offsets = 0.05 * (np.arange(64) + 0.5) / 64
+
+    def predict(edge, height):
+        lit = jnp.where(place[:, None] > edge + offsets[None], 1.0, 0.0).mean(axis=1)
+        return height * lit / (1 + (place - edge) ** 2)
+
+    data = predict(0.4012, 2.0) + 0.05 * np.random.default_rng(0).standard_normal(200)
+    free = {"edge": Parameter(lower=0.2, upper=0.6), "height": Parameter(lower=0, upper=5)}
+    problem = Problem(free, predict=predict, likelihood=Gaussian(sd=0.05), data=np.asarray(data))
+    result = fit(problem, start={"edge": 0.42, "height": 1.9})
+    assert "edge" in result.optimum.unseen
+    assert any("finite differences" in sentence for sentence in result.findings)
+    assert result.converged
+    costs = [
+        float(jnp.sum((predict(edge, result.values["height"]) - data) ** 2)) / 0.05**2 / 2
+        for edge in np.linspace(0.39, 0.42, 121)
+    ]
+    own = float(jnp.sum((predict(**result.values) - data) ** 2)) / 0.05**2 / 2
+    assert own < min(costs) + 0.5  # within one standard deviation of the lowest of a fine grid
+    assert abs(float(result.values["edge"]) - 0.4012) < 0.004
+
+
+def test_smooth_models_have_nothing_unseen():
+    time = jnp.linspace(0.0, 3.0, 50)
+    noise = 0.3 * np.random.default_rng(0).standard_normal(50)  # wide intervals: much curvature
+    free = {"height": Parameter(lower=0, upper=10), "rate": Parameter(lower=0, upper=5)}
+    problem = Problem(
+        free,
+        predict=lambda height, rate, inputs: height * jnp.exp(-rate * inputs),
+        likelihood=Gaussian(sd=0.3),
+        data=2 * np.exp(-1.3 * time) + noise,
+        inputs=time,
+    )
+    assert fit(problem, starts=4).optimum.unseen == {}

@@ -1,0 +1,103 @@
+"""Importance sampling where Laplace fails: densities with known quantiles, Jeffreys' prior of
+scatters, and what a posterior says of itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm, t
+
+from fitting.inference import importance
+from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.importance import gaussian_miss, laplace_where_it_holds
+from fitting.inference.parameters import Parameter
+from fitting.inference.posterior import estimates
+from fitting.inference.trust import convergence_in_words
+from fitting.noise.model import NoiseData, scatter_prior
+
+SPACE = (Parameter("a"), Parameter("scale", transform="log"))
+
+
+def gaussian(vector, args):
+    return -jnp.sum(vector @ args * vector) / 2
+
+
+def level(vector, data):
+    """Mean and ln scale of normal data, flat in both: the mean's posterior is Student's t."""
+    mean, log_scale = vector
+    return -data.size * log_scale - jnp.sum((data - mean) ** 2) / (2 * jnp.exp(2 * log_scale))
+
+
+def test_a_gaussian_is_left_to_laplace():
+    precision = jnp.asarray([[4.0, 1.5], [1.5, 1.0]])
+    covariance = np.linalg.inv(np.asarray(precision))
+    mode = jnp.zeros(2)
+    np.testing.assert_allclose(gaussian_miss(gaussian, mode, covariance, precision), 0, atol=1e-9)
+    found = laplace_where_it_holds(gaussian, SPACE, mode, covariance, precision, seed=0)
+    assert found.method == "Laplace"
+    assert not found.missed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [6, 10])
+def test_few_data_give_students_t(count):
+    """A Gaussian's 95 % interval of 6 data is 2.57 / 1.96 times too narrow, and more."""
+    data = jnp.asarray(norm.ppf((np.arange(count) + 0.5) / count))
+    mean, log_scale = float(data.mean()), float(jnp.log(data.std()))
+    mode = jnp.asarray([mean, log_scale])
+    covariance = np.linalg.inv(-np.asarray(jax.hessian(level)(mode, data)))
+    found = laplace_where_it_holds(level, SPACE, mode, covariance, data, seed=1)
+    assert found.method == "importance sampling"
+    assert found.effective > 1000
+    own = estimates(found)[0]
+    assert own.interval_95 is not None
+    exact = t.interval(0.95, count - 1, mean, float(data.std(ddof=1)) / np.sqrt(count))
+    np.testing.assert_allclose(own.interval_95, exact, rtol=0.1)
+    assert "scale" in convergence_in_words(found)
+    assert "importance sampling" in convergence_in_words(found)
+    again = laplace_where_it_holds(level, SPACE, mode, covariance, data, seed=1)
+    np.testing.assert_array_equal(found.draws, again.draws)
+
+
+def test_the_prior_of_a_scatter_is_jeffreys():
+    """Root of the information, by differences of the Gaussian's entropy: flat in ln tau where the
+    scatter rules, falling as tau^2 where it drowns."""
+    one = jnp.ones(3)
+    data = NoiseData(
+        light=1e4 * jnp.arange(1.0, 4.0),
+        lit=one,
+        exposure=one,
+        mean=one,
+        variance=one,
+        frames=2 * one,
+        pixels=jnp.asarray(1000.0),
+        top_signal=jnp.asarray(1e4),
+    )
+    values = {"system_gain": 0.25, "responsivity": 0.125, "black_level": 60.0, "read_noise": 6.0}
+    camera = {name: jnp.asarray(value) for name, value in values.items()}
+
+    def prior(tau):
+        return float(scatter_prior({**camera, "light_scatter": jnp.asarray(tau)}, data))
+
+    assert prior(1.0) - prior(0.1) == pytest.approx(0, abs=1e-3)
+    assert prior(1e-7) - prior(1e-8) == pytest.approx(2 * np.log(10), abs=1e-3)
+    signal = 0.125 * np.asarray(data.light)
+    pixels = (0.25 * signal + (0.25 * 6) ** 2 + 1 / 12) / 2000
+    tau = 3e-4
+    information = np.sum(2 * tau**2 * signal**4 / (pixels + tau**2 * signal**2) ** 2)
+    far = np.sum(2 * 1e-14 * signal**4 / (pixels + 1e-14 * signal**2) ** 2)
+    expected = np.log(tau * np.sqrt(information)) - np.log(1e-7 * np.sqrt(far))
+    assert prior(tau) - prior(1e-7) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_chain_that_nobody_asked_for_is_not_needed(monkeypatch):
+    """Where proposals do not settle and the chain is short, Laplace's intervals are named so."""
+    data = jnp.asarray(norm.ppf((np.arange(6) + 0.5) / 6))
+    mode = jnp.asarray([float(data.mean()), float(jnp.log(data.std()))])
+    covariance = np.linalg.inv(-np.asarray(jax.hessian(level)(mode, data)))
+    options = SamplingOptions(walkers=8, steps=20, block=10)
+    monkeypatch.setattr(importance, "_importance", lambda *args: None)
+    monkeypatch.setattr(importance, "SamplingOptions", lambda **given: options)
+    found = laplace_where_it_holds(level, SPACE, mode, covariance, data, seed=1)
+    assert (found.method, found.missing_steps) == ("Laplace", 0)
+    assert "far from a Gaussian, so Laplace's intervals may mislead" in convergence_in_words(found)

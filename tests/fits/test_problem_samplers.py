@@ -1,0 +1,96 @@
+"""Samplers of a problem against its posterior on a grid; what cannot be run is said at once."""
+
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting import Gaussian, NutsOptions, Parameter, Problem, SamplingOptions, fit
+from jaxvision.errors import InputError
+
+TIME = np.array([0.2, 0.6, 1.2, 2.0, 3.0])
+DATA = np.array([2.7, 1.6, 1.1, 0.6, 0.1])
+SD = 0.4
+
+
+def decay(height, rate, inputs):
+    return height * jnp.exp(-rate * inputs)
+
+
+def problem():
+    """Few data: the posterior is cut off by a bound in one direction and skewed in the other."""
+    free = {
+        "height": Parameter(unit="V", lower=0, upper=4),
+        "rate": Parameter(unit="s^-1", transform="log", lower=0.1, upper=10),
+    }
+    return Problem(free, decay, Gaussian(sd=SD), DATA, inputs=TIME)
+
+
+def on_a_grid():
+    """Values and weights by name: the likelihood where height and ln rate are flat, by NumPy."""
+    middles = (np.arange(500) + 0.5) / 500
+    height, rate = 4 * middles, 0.1 * 100**middles
+    expected = height[:, None, None] * np.exp(-rate[:, None] * TIME)
+    likelihood = np.exp(stats.norm.logpdf(DATA, expected, SD).sum(-1))
+    weight = likelihood / likelihood.sum()
+    return {"height": (height, weight.sum(1)), "rate": (rate, weight.sum(0))}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("posterior", "sampling"),
+    [("emcee", SamplingOptions(walkers=64, block=300)), ("nuts", NutsOptions(draws=1000))],
+    ids=["emcee", "nuts"],
+)
+def test_draws_are_those_of_the_posterior_on_a_grid(posterior, sampling):
+    result = fit(problem(), starts=4, posterior=posterior, sampling=sampling, seed=1)
+    assert result.converged
+    assert result.posterior.missing_steps == 0
+    assert result.posterior.method.lower() == posterior
+    for name, (values, weight) in on_a_grid().items():
+        mean = weight @ values
+        sd = np.sqrt(weight @ (values - mean) ** 2)
+        low, high = np.interp([0.16, 0.84], np.cumsum(weight), values)
+        drawn = result.draws[name].ravel()
+        assert abs(drawn.mean() - mean) < 0.1 * sd
+        np.testing.assert_allclose(drawn.std(), sd, rtol=0.1)
+        np.testing.assert_allclose(np.diff(np.quantile(drawn, [0.16, 0.84])), high - low, rtol=0.1)
+    assert 0 < result.draws["height"].min() < result.draws["height"].max() < 4
+
+
+@pytest.mark.slow
+def test_a_chain_too_short_is_kept_and_reads_as_not_converged():
+    options = SamplingOptions(walkers=8, steps=40, block=40)
+    result = fit(problem(), starts=4, posterior="emcee", sampling=options)
+    assert not result.converged
+    assert "NOT CONVERGED" in str(result)
+    assert any("more steps are missing" in sentence for sentence in result.failures)
+    assert result.draws["height"].size >= 8
+    assert fit(problem(), starts=4).converged  # the optimum itself is one
+
+
+def test_progress_that_cannot_be_called_is_refused():
+    for options in (SamplingOptions, NutsOptions):
+        with pytest.raises(InputError, match="progress = 3: give a function of"):
+            options(progress=3)
+
+
+@pytest.mark.parametrize(
+    ("posterior", "sampling", "expected"),
+    [
+        ("hmc", None, "posterior = 'hmc': use 'laplace', 'emcee' or 'nuts'"),
+        ("nuts", SamplingOptions(), "'nuts' does not go with SamplingOptions"),
+        ("laplace", NutsOptions(), "'laplace' does not go with NutsOptions"),
+    ],
+)
+def test_a_sampler_that_cannot_be_run_is_refused(posterior, sampling, expected):
+    with pytest.raises(InputError, match=expected):
+        fit(problem(), posterior=posterior, sampling=sampling)
+
+
+def test_nuts_without_blackjax_is_refused_before_the_search(monkeypatch):
+    monkeypatch.setitem(sys.modules, "blackjax", None)
+    with pytest.raises(InputError, match=r"pip install 'jaxvision-imaging\[nuts\]'"):
+        fit(problem(), posterior="nuts")

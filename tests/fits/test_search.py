@@ -1,0 +1,61 @@
+"""Searches for the best fit under Student's t, against scipy from the truth."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from scipy import stats
+
+from fitting import Parameter, Problem, StudentT, fit
+
+PLACE = np.linspace(-5, 5, 150)
+SD = 0.3
+TRUTH = (8.0, 1.3, 0.6, 1.0)
+DATA = (
+    1
+    + 8 * np.exp(-(((PLACE - 1.3) / 0.6) ** 2) / 2)
+    + SD * np.random.default_rng(11).standard_t(4, 150)
+)
+FREE = {
+    "height": Parameter(lower=0, upper=50),
+    "centre": Parameter(lower=-5, upper=5),
+    "width": Parameter(transform="log", lower=0.05, upper=5),
+    "base": Parameter(lower=-5, upper=5),
+}
+SCALE = {"scale": Parameter(transform="log", lower=0.001, upper=20)}
+
+
+def peak(height, centre, width, base, inputs):
+    return base + height * jnp.exp(-(((inputs - centre) / width) ** 2) / 2)
+
+
+def scipy_best(scale=None):
+    """Maximum likelihood by Nelder and Mead from the truth."""
+
+    def cost(p):
+        height, centre, width, base = p[:4]
+        expected = base + height * np.exp(-(((PLACE - centre) / width) ** 2) / 2)
+        return -stats.t.logpdf(DATA, 4, expected, scale or np.exp(p[4])).sum()
+
+    start = TRUTH if scale else (*TRUTH, np.log(SD))
+    options = {"xatol": 1e-7, "fatol": 1e-9, "maxiter": 20_000}
+    return scipy.optimize.minimize(cost, start, method="Nelder-Mead", options=options).x
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "scale",
+    [pytest.param(SD, id="known", marks=pytest.mark.slow), pytest.param(None, id="unknown")],
+)
+def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
+    template = Problem(
+        FREE if scale else FREE | SCALE, peak, StudentT(scale or "scale"), DATA, inputs=PLACE
+    )
+    best = scipy_best(scale)
+    for seed in range(10):
+        result = fit(template, seed=seed)
+        assert result.converged
+        found = np.array([float(result.values[name]) for name in FREE])
+        # The mode of the unconstrained values lies a small part of an error from it.
+        errors = np.array([e.standard_error for e in result.estimates[:4]])
+        assert (np.abs(found - best[:4]) < 0.05 * errors).all()

@@ -1,0 +1,678 @@
+"""Surface, response and sensor together: the marginal density against dense covariances, what is in
+the likelihood, and simulated labs against their truth."""
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+import xarray
+from typer.testing import CliRunner
+
+from fitting.checks.joint import Lab, photographed
+from fitting.checks.reflectance import Sphere
+from fitting.cli import app
+from fitting.demo.lab import sphere_lights
+from fitting.inference.clustering import Robustness
+from fitting.inference.importance import TOLERATED
+from fitting.inference.parameters import names, to_unconstrained
+from fitting.joint import calibrate, from_photographs, marginal, read_joint_measurement
+from fitting.joint.cells import make_grid
+from fitting.joint.findings import findings
+from fitting.joint.fit import fit_channel
+from fitting.joint.freedom import degrees_of_freedom, laplace_miss
+from fitting.joint.halves import Halves, widened
+from fitting.joint.misfit import _by_image, over_images
+from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
+from fitting.joint.prediction import score
+from fitting.joint.section import section as joint_section
+from fitting.joint.start import parameters, scatter_scales
+from fitting.joint.turns import fit_turned
+from fitting.joint.unequal_pixels import unequal_pixels
+from fitting.rig import Camera, SphereGeometry
+from jaxvision import Phong, Vec, read_material
+from jaxvision.errors import InputError
+from jaxvision.io import write_image
+
+RNG = np.random.default_rng(4)
+
+
+def table(images=3, cells=5, errors=2):
+    """Residuals, weights with two cells unseen, and errors."""
+    weight = RNG.uniform(0.5, 2.0, (images, cells))
+    weight[0, 1] = weight[2, 4] = 0
+    seen = weight > 0
+    shared = RNG.standard_normal((images, errors, cells)) * seen[:, None]
+    gains = RNG.standard_normal((images, cells)) * seen
+    return RNG.standard_normal((images, cells)) * 2, weight, shared, gains
+
+
+def dense(weight, shared, gains):
+    """The covariance of the seen cells, entry by entry."""
+    places = np.argwhere(weight > 0)
+    matrix = np.zeros((len(places), len(places)))
+    for a, (i, c) in enumerate(places):
+        for b, (j, d) in enumerate(places):
+            if a == b:
+                matrix[a, b] += 1 / weight[i, c]
+            if i == j and shared is not None:
+                matrix[a, b] += shared[i, :, c] @ shared[i, :, d]
+            if c == d and gains is not None:
+                matrix[a, b] += gains[i, c] * gains[j, d]
+    return tuple(places.T), matrix
+
+
+@pytest.mark.parametrize("with_images", [False, True])
+@pytest.mark.parametrize("with_cells", [False, True])
+def test_shared_errors_are_integrated_out(with_images, with_cells):
+    residual, weight, shared, gains = table()
+    kept = {"image_errors": shared if with_images else None}
+    kept |= {"cell_errors": gains if with_cells else None}
+    places, matrix = dense(weight, *kept.values())
+    given = {k: None if v is None else jnp.asarray(v) for k, v in kept.items()}
+    found = jax.jit(marginal.log_density)(jnp.asarray(residual), jnp.asarray(weight), **given)
+    normal = scipy.stats.multivariate_normal(np.zeros(len(matrix)), matrix)  # pyright: ignore
+    expected = normal.logpdf(residual[places]) + len(matrix) * np.log(2 * np.pi) / 2
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    square = marginal.chi_square(jnp.asarray(residual), jnp.asarray(weight), **given)
+    solved = np.linalg.solve(matrix, residual[places])
+    np.testing.assert_allclose(square, residual[places] @ solved, rtol=1e-12)
+
+
+@pytest.mark.parametrize("with_cells", [False, True])
+def test_the_errors_of_images_are_their_conditional_means(with_cells):
+    residual, weight, shared, gains = table()
+    places, matrix = dense(weight, shared, gains if with_cells else None)
+    mean, spread = marginal.image_error_means(
+        *(jnp.asarray(x) for x in (residual, weight, shared)),
+        cell_errors=jnp.asarray(gains) if with_cells else None,
+    )
+    for image, error in np.ndindex(mean.shape):
+        loading = np.where(places[0] == image, shared[image, error, places[1]], 0)
+        solved = np.linalg.solve(matrix, loading)
+        np.testing.assert_allclose(mean[image, error], solved @ residual[places], rtol=1e-10)
+        np.testing.assert_allclose(spread[image, error] ** 2, 1 - solved @ loading, rtol=1e-10)
+
+
+def test_the_scatter_of_pixels_and_its_mean_are_the_pixels():
+    """Count, mean and products say what a dense normal density of all pixels says."""
+    images, pixels = 3, 7
+    variance, gains = RNG.uniform(1, 3, images), RNG.uniform(1, 2, images)
+    y = RNG.standard_normal((images, pixels)) * 2
+    covariance = np.diag(variance) + np.outer(gains, gains)
+    normal = scipy.stats.multivariate_normal(np.zeros(images), covariance)  # pyright: ignore
+    expected = normal.logpdf(y.T).sum()
+    mean, n = y.mean(axis=1), pixels
+    left = y - mean[:, None]
+    column = {"variance": variance, "gains": gains, "mean": mean}
+    column = {name: jnp.asarray(values)[:, None] for name, values in column.items()}
+    of_means = marginal.log_density(
+        column["mean"], n / column["variance"], cell_errors=column["gains"] / np.sqrt(n)
+    )
+    of_scatter = marginal.scatter_log_density(
+        jnp.asarray((left**2).sum(axis=1))[:, None],
+        jnp.full((images, 1), float(n)),
+        column["variance"],
+        pixel_errors=column["gains"],
+        products=jnp.asarray(left @ left.T)[None],
+    )
+    constant = -images * n * np.log(2 * np.pi) / 2 - images * np.log(n) / 2
+    np.testing.assert_allclose(of_means + of_scatter + constant, expected, rtol=1e-12)
+
+
+BLACK, GAIN, READ, GAMMA = 64.0, 0.25, 6.0, 2.2
+DIFFUSE, SPECULAR, EXPONENT, LIGHT = 0.42, 0.45, 40.0, 3000.0
+SIZE = 28
+CENTRE, RADIUS = (SIZE - 1) / 2, 0.45 * SIZE
+TRUTH = {
+    "diffuse": DIFFUSE,
+    "specular": SPECULAR,
+    "exponent": EXPONENT,
+    "gamma": GAMMA,
+    "system_gain": GAIN,
+    "read_noise": READ,
+    "black_level": BLACK,
+}
+
+
+def photographs(
+    rng, *, lights=7, scatter=0.01, turn=0.0, stray=0.0, prnu=0.0, gamma=GAMMA,
+    exponent=EXPONENT, body=1.0, size=SIZE,
+):  # fmt: skip
+    """A Phong ball under lights that are not quite what they are said to be: Poisson electrons,
+    read noise, encoding, rounding; all in NumPy."""
+    row, column = np.indices((size, size))
+    centre, radius = (size - 1) / 2, 0.45 * size
+    x, y = (column - centre) / radius, (centre - row) / radius
+    inside = np.hypot(x, y) < 1
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    own = 1 + prnu * rng.standard_normal((size, size))
+    directions, images = sphere_lights(count=lights), []
+    for said in directions:
+        light = said + turn * np.cross(said, rng.standard_normal(3))
+        light = light / np.linalg.norm(light)
+        cosine = x * light[0] + y * light[1] + z * light[2]
+        mirror = np.maximum(2 * cosine * z - light[2], 0)
+        shading = DIFFUSE * np.maximum(cosine, 0) ** body + SPECULAR * mirror**exponent
+        strength = LIGHT * np.exp(scatter * rng.standard_normal())
+        signal = strength * np.where(inside & (cosine > 0), shading, 0) * own
+        signal = np.maximum(signal + LIGHT * stray * rng.standard_normal(), 0)
+        noise = GAIN * READ * rng.standard_normal(signal.shape)
+        linear = np.maximum(GAIN * rng.poisson(signal / GAIN) + noise, 0 if gamma != 1 else -BLACK)
+        white = 4095 - BLACK
+        stored = linear if gamma == 1 else white * (linear / white) ** (1 / gamma)
+        images.append(np.clip(np.round(BLACK + stored), 0, 4095).astype(np.uint16))
+    return images, directions
+
+
+BALL: dict[str, Any] = {
+    "sphere": SphereGeometry(centre=(CENTRE, CENTRE), radius=RADIUS),
+    "intensities": np.full(7, LIGHT),
+    "held_out": [6],
+}
+ENCODED = Camera(bits=12, black_level=BLACK, black_sd=0.5, gamma=GAMMA, gamma_sd=0.5)
+
+
+def primitives(jaxpr):
+    """Names of all operations, those inside others too."""
+    found = []
+    for equation in jaxpr.eqns:
+        found.append(equation.primitive.name)
+        for value in jax.tree.leaves(equation.params, is_leaf=lambda v: hasattr(v, "eqns")):
+            inner = getattr(value, "jaxpr", value)
+            if hasattr(inner, "eqns"):
+                found += primitives(inner)
+    return found
+
+
+def likelihood_of(measurement):
+    """Operations in the log likelihood that a measurement calls for, on two blank cells."""
+    form, start = Form("phong", 1.5), {"gamma": GAMMA} if measurement.camera.gamma else {}
+    space, known = parameters(measurement, 0, form, start, fit_gamma=False)
+    seven = jnp.full((7, 2), 0.5)
+    up = Vec(jnp.zeros((7, 2)), jnp.zeros((7, 2)), jnp.ones((7, 2)))
+    scales = scatter_scales(measurement)
+    data = JointData(
+        space=space,
+        form=form,
+        known={name: jnp.asarray(value) for name, value in known.items()},
+        cells=Cells(
+            Geometry(
+                up,
+                up,
+                seven,
+                (up, up) if "direction_scatter" in scales else None,
+            ),
+            *(4 * seven, seven, seven, seven, seven),
+            jnp.ones((2, 7, 7)) if "prnu" in scales else None,
+        ),
+        levels=None,
+        white=jnp.asarray(4000.0),
+        relative={name: jnp.asarray(size) for name, (_, size) in scales.items()},
+    )
+    return primitives(jax.make_jaxpr(log_likelihood)(jnp.zeros(len(space)), data).jaxpr)
+
+
+def test_only_what_the_rig_calls_for_is_in_the_likelihood():
+    """No Cholesky factor where the lights are exact, no power where the files are linear; and each
+    error that the rig names adds operations."""
+    images, lights = photographs(np.random.default_rng(0), gamma=1)
+    exact = Camera(bits=12, black_level=BLACK, gain=GAIN, read_noise=READ)
+
+    def operations(camera, **uncertain):
+        return likelihood_of(from_photographs(images, lights, camera=camera, **BALL, **uncertain))
+
+    bare = operations(exact)
+    lit = operations(exact, intensity_sd=0.01)
+    strayed = operations(exact, intensity_sd=0.01, stray_sd=0.001)
+    turned = operations(exact, intensity_sd=0.01, direction_sd=0.01)
+    uneven = operations(exact.model_copy(update={"prnu_sd": 0.01}))
+    assert "cholesky" not in bare
+    assert "cholesky" not in uneven
+    assert "cholesky" in lit
+    assert len(bare) < len(lit) < len(strayed) < len(turned)
+    assert len(bare) < len(uneven)
+    assert "pow" not in bare
+    encoded = exact.model_copy(update={"gamma": GAMMA})
+    assert "pow" in operations(encoded)
+
+
+def test_what_cannot_be_used_is_said_in_one_sentence():
+    images, lights = photographs(np.random.default_rng(0))
+    with pytest.raises(InputError, match="values of intensity_sd for 7 images"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=[0.01, 0.02])
+    flat = [np.full((4, 4), 100), np.full((4, 4), 100)]
+    with pytest.raises(InputError, match="equal in every pixel"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, flats=[flat])
+    bright = [np.full((4, 4), 4095), np.full((4, 4), 4000)]
+    with pytest.raises(InputError, match="saturated pixels; leave this level"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, flats=[bright])
+    with pytest.raises(InputError, match=r"intensity_sd\[0\] = -1.0: must be greater"):
+        from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=-1.0)
+    with pytest.raises(InputError, match="index = 0"):
+        calibrate(from_photographs(images, lights, camera=ENCODED, **BALL), index=0.0)
+
+
+def rig_folder(folder, images, lights, flat, dark):
+    """The same measurement as files."""
+    text = f"[camera]\nbits = 12\nblack_level = {BLACK}\nblack_sd = 0.5\n"
+    text += f"[geometry]\nsphere = {{centre = [{CENTRE}, {CENTRE}], radius = {RADIUS}}}\n"
+    for i, (image, light) in enumerate(zip(images, lights, strict=True)):
+        write_image(folder / f"light_{i}.tif", image)
+        text += f'[[light]]\nfile = "light_{i}.tif"\ndirection = {light.tolist()}\n'
+        text += f"intensity = [{LIGHT}]\nintensity_sd = 0.01\nstray_sd = {0.001 * (1 + i)}\n"
+        text += "held_out = true\n" if i == 6 else ""
+    for kind, frames in (("flat", flat), ("dark", dark)):
+        files = [f"{kind}_{i}.tif" for i in range(len(frames))]
+        for name, frame in zip(files, frames, strict=True):
+            write_image(folder / name, frame)
+        text += f"[[{kind}]]\nfiles = {files}\nexposure = 1.0\n"
+    (folder / "rig.toml").write_text(text)
+    return folder
+
+
+def uniform(rng, electrons):
+    light = rng.poisson(electrons, (2, 40, 50)) + READ * rng.standard_normal((2, 40, 50))
+    return list(np.round(BLACK + GAIN * light).astype(np.uint16))
+
+
+def test_images_in_memory_are_those_of_files(tmp_path):
+    rng = np.random.default_rng(1)
+    images, lights = photographs(rng, gamma=1)
+    flat, dark = uniform(rng, 4000), uniform(rng, 0)
+    ours = from_photographs(
+        images,
+        lights,
+        camera=Camera(bits=12, black_level=BLACK, black_sd=0.5),
+        **BALL,
+        intensity_sd=0.01,
+        stray_sd=0.001 * (1 + np.arange(7)),
+        flats=[flat],
+        darks=[dark],
+    )
+    theirs = read_joint_measurement(rig_folder(tmp_path, images, lights, flat, dark))
+    np.testing.assert_array_equal(ours.observation.dn, theirs.observation.dn)
+    np.testing.assert_array_equal(ours.observation.wi, theirs.observation.wi)
+    for name, sizes in theirs.observation.uncertain.items():
+        np.testing.assert_array_equal(ours.observation.uncertain[name], sizes)
+    assert ours.levels is not None
+    assert theirs.levels is not None
+    (mine,), (other,) = ours.levels, theirs.levels
+    for field in ("mean", "variance", "freedom", "mean_error", "dark"):
+        np.testing.assert_array_equal(getattr(mine, field), getattr(other, field))
+    pair = np.stack(flat).astype(float)
+    spread = np.var(pair[0] - pair[1], ddof=1) / 2
+    np.testing.assert_allclose(mine.variance[0], spread, rtol=1e-6)
+    np.testing.assert_allclose(mine.mean, [pair.mean(), np.mean(dark)], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_command_writes_report_results_and_chains(tmp_path):
+    rng = np.random.default_rng(1)
+    images, lights = photographs(rng, gamma=1)
+    (tmp_path / "rig").mkdir()
+    rig = rig_folder(tmp_path / "rig", images, lights, uniform(rng, 4000), uniform(rng, 0))
+    done = CliRunner().invoke(app, ["joint", str(rig), "--out", str(tmp_path / "out"), "--json"])
+    assert done.exit_code == 0, done.stderr
+    names_ = {path.name for path in (tmp_path / "out").iterdir()}
+    material = {"material.toml", "material.npz"}
+    assert names_ == {"report.html", "results.json", "joint_chains.nc"} | material
+    (section,) = json.loads((tmp_path / "out" / "results.json").read_text())["sections"]
+    found = {estimate["name"]: estimate for estimate in section["estimates"]}
+    for name in ("diffuse", "specular", "exponent", "system_gain", "read_noise", "black_level"):
+        error = found[name]["value"] - TRUTH[name]
+        assert abs(error) < 4 * found[name]["standard_error"], name
+    chains = tmp_path / "out" / "joint_chains.nc"
+    with xarray.open_dataset(chains, group="posterior", engine="h5netcdf") as drawn:
+        assert set(found) == set(drawn.data_vars)
+    best = read_material(tmp_path / "out" / "material.toml")
+    assert isinstance(best, Phong)
+    for name in ("diffuse", "specular", "exponent"):
+        # the mode, where the report has the median of draws
+        apart = float(np.ravel(getattr(best, name))[0]) - found[name]["value"]
+        assert abs(apart) < 0.1 * found[name]["standard_error"]
+    many = read_material(tmp_path / "out" / "material.toml", draws=200)
+    assert isinstance(many, Phong)
+    assert many.exponent.shape == (200,)
+    spread = float(np.std(many.exponent)) / found["exponent"]["standard_error"]
+    assert 0.8 < spread < 1.25
+
+
+def z_scores(calibration, truth):
+    """Distance of each parameter from its truth in standard deviations of the posterior."""
+    posterior = calibration.posteriors["grey"]
+    known = [parameter for parameter in posterior.space if parameter.name in truth]
+    places = [names(posterior.space).index(parameter.name) for parameter in known]
+    vector = to_unconstrained(tuple(known), jnp.asarray([truth[p.name] for p in known]))
+    deviation = np.sqrt(np.diagonal(posterior.covariance))[places]
+    return (posterior.unconstrained_mode[places] - np.asarray(vector)) / deviation
+
+
+@pytest.mark.slow
+def test_a_simulated_lab_is_recovered_with_its_errors():
+    """Surface, encoding, sensor and the sizes of all four shared errors, within four standard
+    deviations of each; the pixels agree with the noise."""
+    images, lights = photographs(
+        np.random.default_rng(2), turn=0.005, stray=0.002, prnu=0.01, gamma=1
+    )
+    camera = Camera(bits=12, black_level=BLACK, black_sd=0.5, prnu_sd=0.01)
+    sizes: dict[str, Any] = {"intensity_sd": 0.01, "direction_sd": 0.005, "stray_sd": 0.002}
+    found = calibrate(from_photographs(images, lights, camera=camera, **BALL, **sizes))
+    scales = {
+        "light_scatter": 0.01,
+        "direction_scatter": 0.005,
+        "stray_scatter": 0.002,
+        "prnu": 0.01,
+    }
+    scores = z_scores(found, {k: v for k, v in TRUTH.items() if k != "gamma"} | scales)
+    assert len(scores) == 10
+    assert np.abs(scores).max() < 4
+    (fit,) = found.fits
+    assert fit.converged
+    assert fit.unexplained is None
+    assert abs(fit.chi_square - 1) < 4 * np.sqrt(2 / fit.cells)
+
+
+@pytest.mark.slow
+def test_a_width_that_few_lights_tell_has_their_degrees_of_freedom():
+    """k_d, which is blurred by the lights' common error and by little else, has little more than
+    the scale of the errors has; what the lights' strengths do not reach has many."""
+    images, lights = photographs(np.random.default_rng(3))
+    found = calibrate(from_photographs(images, lights, camera=ENCODED, **BALL, intensity_sd=0.01))
+    (fit,), posterior = found.fits, found.posteriors["grey"]
+    assert posterior.method == "importance sampling"  # which Laplace's Gaussian would not show
+    covariance = np.linalg.inv(fit.information)
+    degrees = degrees_of_freedom(fit, covariance)
+    assert degrees is not None
+    freedom = dict(zip(names(posterior.space), degrees.tolist(), strict=True))
+    scale = names(posterior.space).index("light_scatter")
+    assert laplace_miss(fit, covariance)[scale] > TOLERATED
+    of_scale = 1 / (2 * covariance[scale, scale])
+    assert of_scale < freedom["diffuse"] < 2 * of_scale
+    assert 4 < of_scale < 12  # six lights, and the prior
+    assert freedom["exponent"] > 100
+    assert freedom["black_level"] > 100
+
+
+@pytest.mark.slow
+def test_flats_and_darks_sharpen_gain_read_noise_and_black():
+    rng = np.random.default_rng(5)
+    images, lights = photographs(rng, gamma=1)
+    camera = Camera(bits=12, black_level=BLACK, black_sd=0.5)
+
+    given: dict[str, Any] = {"camera": camera, **BALL, "intensity_sd": 0.01}
+    alone = calibrate(from_photographs(images, lights, **given)).posteriors["grey"]
+    flats, darks = [uniform(rng, 2000), uniform(rng, 8000)], [uniform(rng, 0)]
+    beside: dict[str, Any] = {"flats": flats, "darks": darks}
+    both = calibrate(from_photographs(images, lights, **given, **beside))
+    names_ = names(alone.space)
+    spread = [np.sqrt(np.diagonal(p.covariance)) for p in (alone, both.posteriors["grey"])]
+    ratio = dict(zip(names_, spread[1] / spread[0], strict=True))
+    assert ratio["system_gain"] < 0.7
+    assert ratio["read_noise"] < 0.2
+    assert ratio["black_level"] < 0.2
+    assert np.abs(z_scores(both, TRUTH)).max() < 4
+
+
+def large_ball(rng, **of_surface):
+    """A measurement with many pixels to a degree of the normal, under exact lights."""
+    size = 120
+    images, lights = photographs(rng, scatter=0.0, gamma=1, size=size, **of_surface)
+    sphere = SphereGeometry(centre=((size - 1) / 2, (size - 1) / 2), radius=0.45 * size)
+    given = BALL | {"sphere": sphere, "camera": Camera(bits=12, black_level=BLACK)}
+    return from_photographs(images, lights, **given)
+
+
+@pytest.mark.slow
+def test_cells_are_wide_but_for_highlights_and_the_ends_of_the_scale():
+    """Every pixel has one cell in an image; within a divided image no wide cell sees the lobe vary
+    by more than a twentieth of its peak, and the finest are those of the width."""
+    measurement = large_ball(np.random.default_rng(4), exponent=200.0)
+    of = measurement.observation
+    reference = TRUTH | {"diffuse": DIFFUSE, "exponent": 200.0}
+    del reference["gamma"]
+    at = {name: jnp.asarray(value) for name, value in reference.items()}
+    form, width = Form("phong", 1.5), 0.0125
+    grid, shared = (
+        make_grid(of, 0, at, form, width=width, turns=False, shared=s) for s in (False, True)
+    )
+    pixels = len(of.normals)
+    for own in (grid, shared):
+        assert own.cell.shape == (6, pixels)
+        assert (own.count.sum(axis=1) == pixels).all()
+    assert (shared.cell == shared.cell[0]).all()
+    used = (grid.count > 0).sum(axis=1)
+    assert (used < 0.9 * (shared.count > 0).sum(axis=1)).all(), used
+    assert (used < 0.6 * pixels).all(), (used, pixels)
+    plane = of.normals[:, :2] * np.sqrt(2 / (1 + of.normals[:, 2:]))
+    for image, light in enumerate(grid.lights):
+        mirror = 2 * of.cosine[light] * of.normals[:, 2] - of.wi[light, :, 2]
+        lobe = np.where(of.cosine[light] > 0, np.maximum(mirror, 0) ** 200.0, 0)
+        for cell in range(used[image]):
+            inside = grid.cell[image] == cell
+            if np.ptp(plane[inside], axis=0).max() > width * 1.001:
+                assert np.ptp(lobe[inside]) < 0.05 * 1.001
+
+
+@pytest.mark.slow
+def test_wide_cells_say_what_fine_ones_say():
+    """Estimates within a quarter of a standard deviation and widths within a tenth of those of
+    cells that are everywhere as fine as the highlight asks for, with a third of the cells."""
+    measurement = large_ball(np.random.default_rng(4), exponent=100.0)
+    fits = []
+    for widest in (0.05, 0.0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("fitting.joint.fit.cell_width", lambda form, shape: 0.02)
+            patch.setattr("fitting.joint.cells.WIDEST", widest or 0.02)
+            fits.append(fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False))
+    wide, fine = fits
+    assert wide.cells < 0.4 * fine.cells
+    assert wide.unexplained is None
+    deviation, other = (np.sqrt(np.diagonal(np.linalg.inv(fit.information))) for fit in fits)
+    np.testing.assert_allclose(wide.vector / other, fine.vector / other, atol=0.25, rtol=0)
+    np.testing.assert_allclose(deviation, other, rtol=0.1)
+
+
+@pytest.mark.slow
+def test_a_surface_that_is_not_the_models_is_no_noise():
+    """A body that falls as the cosine to the power 1.2: the gain stays the sensor's, since pixels
+    of like normals scatter no more; a misfit is found, and said, and its band holds what it says of
+    an unseen light."""
+    measurement = large_ball(np.random.default_rng(5), body=1.2)
+    found = calibrate(measurement)
+    (fit,) = found.fits
+    assert fit.converged
+    assert fit.unexplained is not None
+    assert fit.unexplained > 2
+    assert abs(float(fit.values["system_gain"]) / GAIN - 1) < 0.05
+    assert any("a misfit of" in sentence for sentence in findings(found))
+    scored = score(measurement, fit, found.posteriors["grey"].covariance)
+    assert scored.unseen_share is not None
+    assert 0.9 < scored.unseen_share < 0.99
+
+
+@pytest.mark.slow
+def test_cells_of_many_pixels_say_what_the_pixels_say():
+    """Where every pixel is lit by every light, cells half as wide as the lobe have the mode and
+    the widths of single pixels."""
+    images, lights = photographs(np.random.default_rng(7), exponent=4.0, scatter=0.0)
+    row, column = np.indices((SIZE, SIZE))
+    given = BALL | {
+        "mask": np.hypot(column - CENTRE, row - CENTRE) < 0.65 * RADIUS,
+        "intensities": np.full(4, LIGHT),
+        "held_out": [3],
+    }
+    measurement = from_photographs(images[:4], lights[:4], camera=ENCODED, **given)
+    fits = []
+    for width in (0.05, 0.12):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("fitting.joint.fit.cell_width", lambda form, shape, width=width: width)
+            fits.append(fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False))
+    fine, wide = fits
+    assert wide.cells < fine.cells / 1.5
+    assert np.sum(wide.data.cells.count) == np.sum(fine.data.cells.count)
+    deviation, other = (np.sqrt(np.diagonal(np.linalg.inv(fit.information))) for fit in fits)
+    np.testing.assert_allclose(wide.vector / deviation, fine.vector / deviation, atol=0.15, rtol=0)
+    np.testing.assert_allclose(other, deviation, rtol=0.05)
+
+
+@pytest.mark.slow
+def test_intervals_of_a_misfit_hold_what_other_images_say():
+    """A body that falls as the cosine to the power 1.2, under lights that err by 3 % without a word
+    of the rig: fits to disjoint halves of 16 images differ by what their intervals allow, where
+    the inverse information allows a fraction of it."""
+    images, lights = photographs(
+        np.random.default_rng(6), lights=17, scatter=0.03, gamma=1, size=80, body=1.2
+    )
+    sphere = SphereGeometry(centre=(39.5, 39.5), radius=36.0)
+    given: dict[str, Any] = {"sphere": sphere, "camera": Camera(bits=12, black_level=BLACK)}
+    measured = from_photographs(
+        images, lights, intensities=np.full(17, LIGHT), held_out=[16], **given
+    )
+    modes, widths, narrow = [], [], []
+    for first in (0, 1):
+        held_out = np.arange(17) % 2 != first
+        held_out[16] = True
+        half = replace(measured, observation=replace(measured.observation, held_out=held_out))
+        found = calibrate(half)
+        (fit,), posterior = found.fits, found.posteriors["grey"]
+        assert fit.unexplained is not None
+        assert posterior.freedom is not None
+        assert any("goes together within an image" in sentence for sentence in findings(found))
+        modes.append(fit.vector)
+        widths.append(np.sqrt(np.diagonal(posterior.covariance)))
+        narrow.append(np.sqrt(np.diagonal(np.linalg.inv(fit.information))))
+        assert (widths[-1] >= narrow[-1] * (1 - 1e-9)).all()
+    surface = slice(0, 3)  # k_d, k_s and the exponent
+    z, too_large = (
+        (modes[0] - modes[1])[surface] / np.hypot(*w)[surface] for w in (widths, narrow)
+    )
+    assert np.abs(z).max() < 3
+    assert np.abs(too_large).max() > 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("waves", [0.0, 0.05])
+@pytest.mark.parametrize("prnu", [0.0, 0.01])
+def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prnu):
+    """Each pixel alone in its cell: gain and read noise take waves over each image for photons, so
+    that chi-square is 1; the images' scores tell, and the intervals cover the truth."""
+    lab = Lab(Sphere(prnu=prnu), gamma=1.0)
+    rng = np.random.default_rng(3)
+    exact = photographed(lab, 3)
+    seen = exact.observation
+    turns, phases = rng.uniform(0, 2 * np.pi, (2, len(seen.files), 1))
+    along = np.cos(turns) * seen.normals[:, 0] + np.sin(turns) * seen.normals[:, 1]
+    wave = 1 + waves * np.sin(4 * along + phases)
+    observation = replace(seen, dn=np.round(seen.black + (seen.dn - seen.black) * wave))
+    measurement = replace(exact, observation=observation)
+    fit = fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False)
+    robust = over_images(fit)
+    assert (robust is None) == (waves == 0)
+    if robust is None:
+        return
+    own = [i for i, p in enumerate(fit.space) if p.name in ("diffuse", "specular", "exponent")]
+    truth = np.log([lab.truth[fit.space[i].name] for i in own])
+    alone, wider = (
+        np.sqrt(np.diagonal(c))[own]
+        for c in (np.linalg.inv(fit.information), robust.gaussian_covariance)
+    )
+    off = fit.vector[own] - truth
+    assert np.sqrt(np.mean((off / wider) ** 2)) < 1.6
+    assert (wider > 1.5 * alone).all()
+
+
+@pytest.mark.slow
+def test_images_whose_lights_were_turned_are_judged_one_by_one():
+    """The angles of the lights have their axis of images last; the scores of all images sum to the
+    gradient of the likelihood, which at the best fit is that of the priors."""
+    lab = Lab(Sphere(direction_sd=np.radians(1.0)), gamma=1.0)
+    fit = fit_turned(photographed(lab, 0), 0, Form("phong", 1.5), fit_gamma=False)
+    assert fit.data.cells.geometry.about is not None
+    vector = jnp.asarray(fit.vector)
+    scores, _ = _by_image(vector, fit.data)
+    whole = jax.grad(log_likelihood)(vector, replace(fit.data, levels=None))
+    size = np.sqrt(np.diagonal(fit.information))
+    np.testing.assert_allclose((np.asarray(scores).sum(axis=0) - whole) / size, 0, atol=1e-6)
+    assert over_images(fit) is None
+
+
+@pytest.mark.slow
+def test_halves_of_the_images_are_fitted_and_told():
+    """Two surfaces in turns under unequal lights, fitted as one: the halves tell one each, a
+    sentence gives both, and the interval holds both."""
+    given: dict[str, Any] = {"scatter": 0.03, "gamma": 1, "size": 80, "lights": 17}
+    truth = (12.0, 60.0)
+    images, others = (
+        photographs(np.random.default_rng(6), exponent=exponent, **given)[0] for exponent in truth
+    )
+    lights = photographs(np.random.default_rng(6), **given)[1]
+    measured = from_photographs(
+        [(images, others)[i % 2][i] for i in range(17)],
+        lights,
+        sphere=SphereGeometry(centre=(39.5, 39.5), radius=36.0),
+        camera=Camera(bits=12, black_level=BLACK),
+        intensities=np.full(17, LIGHT),
+        held_out=[16],
+    )
+    found = calibrate(measured)
+    (fit,) = found.fits
+    halves, posterior = found.halves["grey"], found.posteriors["grey"]
+    at = halves.names.index("exponent")
+    np.testing.assert_allclose(halves.values[:, at], truth, rtol=0.05)
+    assert any("exponent (12.2 and 59.6)" in sentence for sentence in findings(found))
+    middle, sd = fit.vector[at], math.sqrt(posterior.covariance[at, at])
+    low, high = np.exp([middle - 1.96 * sd, middle + 1.96 * sd])
+    assert low < truth[0] < truth[1] < high
+    equal = replace(halves, deviations=halves.deviations / 10)
+    told = findings(replace(found, halves={"grey": equal}))
+    assert any("agree within these intervals" in sentence for sentence in told)
+
+
+def test_halves_that_differ_are_two_random_groups():
+    """The variance of a mean by two groups is a quarter of their squared difference (Wolter)."""
+    rng = np.random.default_rng(2)
+    covariance = np.diag(rng.uniform(1, 2, 3)) * 1e-4
+    robust = Robustness(covariance, np.full(3, np.inf), math.nan, math.nan, 1.0)
+    values = rng.standard_normal((2, 3))
+    difference = values[0] - values[1]
+    deviations = difference / (2 * np.sqrt(np.diagonal(covariance)))
+    halves = Halves(("a", "b", "c"), values, difference, deviations)
+    assert not halves.agree
+    groups = np.cov(values.T, ddof=1) / 2
+    np.testing.assert_allclose(widened(robust, halves).covariance, covariance + groups)
+    close = Halves(("a", "b", "c"), values, difference * 0, deviations * 0)
+    assert widened(robust, close) is robust
+
+
+@pytest.mark.slow
+@pytest.mark.sweep
+@pytest.mark.parametrize(("prnu", "stated"), [(0.0, None), (0.0, 0.0), (0.01, None)])
+def test_pixels_of_unequal_gains_are_named(prnu, stated):
+    """Their size, from a fit that takes pixels for alike. Where none are seen gain and read noise
+    are printed only if the rig says that pixels are alike: these images cannot."""
+    rng = np.random.default_rng(12)
+    images, lights = photographs(rng, lights=4, scatter=0.0, gamma=1, size=90, prnu=prnu)
+    given: dict[str, Any] = {
+        "sphere": SphereGeometry(centre=(44.5, 44.5), radius=0.45 * 90),
+        "camera": Camera(bits=12, black_level=BLACK, prnu_sd=stated),
+        "intensities": np.full(4, LIGHT),
+        "held_out": [3],
+    }
+    found = calibrate(from_photographs(images, lights, **given))
+    (seen,) = [unequal_pixels(fit) for fit in found.fits]
+    said = [s for s in findings(found) if "ive the rig camera.prnu_sd" in s]
+    printed = {e.name for e in joint_section(found).estimates if e.value is not None}
+    assert ({"system_gain", "read_noise"} <= printed) == (stated is not None)
+    assert {"diffuse", "specular", "exponent"} <= printed
+    if prnu:
+        assert abs(seen.size / prnu - 1) < 0.25
+        assert len(said) == 1
+    else:
+        assert abs(seen.deviations) < 4
+        assert len(said) == (stated is None)

@@ -1,0 +1,82 @@
+"""Lights off by a degree, which the rig says: a joint fit turns them to where their images put
+them."""
+
+import numpy as np
+import pytest
+
+from fitting.joint import calibrate, from_photographs
+from fitting.joint.turns import likeliest_turns
+from fitting.reflectance.from_images.turns import turned
+from fitting.rig import Camera, SphereGeometry
+
+SIZE, RADIUS, LIGHT, GAIN, READ = 40, 18.0, 3000.0, 0.25, 6.0
+TRUTH = {"diffuse": 0.4, "specular": 0.45, "exponent": 40.0}
+SD = np.radians(1.0)
+CAMERA = Camera(
+    bits=12, black_level=60.0, black_sd=0.5, gain=GAIN, gain_sd=0.01, read_noise=READ, prnu_sd=0.0
+)
+
+
+def towards(rng, count):
+    """Unit vectors within 60 degrees of the view."""
+    z, azimuth = rng.uniform(0.5, 1, count), rng.uniform(0, 2 * np.pi, count)
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+
+
+def off(lights, rng):
+    """The same, each off by so much along two axes across it."""
+    step = SD * rng.standard_normal(lights.shape)
+    moved = lights + step - np.sum(step * lights, axis=1, keepdims=True) * lights
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+
+def photographed(lights, rng):
+    """(lights, SIZE, SIZE) DN of a sphere of Phong's paint."""
+    row, column = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2
+    x, y = column / RADIUS, -row / RADIUS
+    inside = x**2 + y**2 < 1
+    normal = (
+        np.stack([x, y, np.sqrt(np.where(inside, 1 - x**2 - y**2, 0))], axis=-1) * inside[..., None]
+    )
+    cosine = np.einsum("hwc,lc->lhw", normal, lights)
+    mirrored = 2 * cosine * normal[..., 2] - lights[:, None, None, 2]
+    lobe = np.maximum(mirrored, 0) ** TRUTH["exponent"]
+    signal = np.where(cosine > 0, TRUTH["diffuse"] * cosine + TRUTH["specular"] * lobe, 0)
+    electrons = rng.poisson(LIGHT * signal / GAIN) + READ * rng.standard_normal(signal.shape)
+    return np.clip(np.round(60 + GAIN * electrons), 0, 4095)
+
+
+@pytest.mark.slow
+@pytest.mark.sweep
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_lights_off_by_a_degree_are_turned_and_leave_no_bias(seed):
+    """Left where the rig put them, k_s and exponent were 6 standard errors off."""
+    rng = np.random.default_rng(seed)
+    lights = towards(rng, 12)
+    actual = off(lights, rng)
+    middle = (SIZE - 1) / 2
+    measurement = from_photographs(
+        list(photographed(actual, rng)),
+        lights,
+        camera=CAMERA,
+        sphere=SphereGeometry(centre=(middle, middle), radius=RADIUS),
+        intensities=np.full(12, LIGHT),
+        direction_sd=SD,
+        held_out=[11],
+    )
+    found = calibrate(measurement)
+    (fit,) = found.fits
+    posterior = found.posteriors["grey"]
+    error = np.sqrt(np.diagonal(posterior.covariance))
+    for i, parameter in enumerate(fit.space):
+        if parameter.name in TRUTH:
+            miss = fit.vector[i] - np.log(TRUTH[parameter.name])
+            assert abs(miss) < 3.5 * error[i], parameter.name
+    turns = likeliest_turns(fit)
+    assert turns is not None
+    across = np.zeros((12, 2))
+    across[fit.grid.lights] = turns[0].T
+    seen = turned(measurement.observation, across)
+    cosine = np.sum(seen.wi[:11, 0] * actual[:11], axis=1)
+    assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 0.1

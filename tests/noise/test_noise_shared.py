@@ -1,0 +1,418 @@
+"""Noise of rows, columns and frames: found where it is, not where it is not, and named."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles.frames import level_of
+
+from fitting import noise
+from fitting.noise.calibration import calibrate
+from fitting.noise.emva1288 import ranges, sheet, statistics
+from fitting.noise.findings import findings
+from fitting.noise.fit import base_space, fitted, noise_data
+from fitting.noise.flicker import extra_in_flats, flicker_in_words, without_flicker
+from fitting.noise.levels import Levels, linear_levels
+from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
+from fitting.noise.sampling import sampling_errors
+from fitting.noise.shared import (
+    drift,
+    extra_lines,
+    fixed_lines,
+    shared_noise,
+    shared_variance,
+    temporal_lines,
+)
+from fitting.noise.variance_parts import Moments
+from fitting.rig import Camera
+
+H, W, FRAMES, LEVELS = 24, 40, 3, 4
+
+
+def dark_levels(rng, *, rows=0.0, columns=0.0, fixed=0.0, fixed_rows=0.0, frames=0.0):
+    """Four levels of dark frames: (shared, variances, spatial variances), of pixel noise 2 DN."""
+    banding = fixed * rng.standard_normal(W)
+    if fixed_rows:
+        banding = banding + fixed_rows * rng.standard_normal((H, 1))
+    kept = []
+    for _ in range(LEVELS):
+        stack = (
+            100
+            + 2 * rng.standard_normal((FRAMES, H, W))
+            + rows * rng.standard_normal((FRAMES, H, 1))
+            + columns * rng.standard_normal((FRAMES, 1, W))
+            + frames * rng.standard_normal((FRAMES, 1, 1))
+            + banding
+        )
+        average, variance, lines = level_of(stack)
+        kept.append((variance, average.var(ddof=1), *lines))
+    variance, spatial, *lines = np.array(kept).T
+    return shared_variance(np.array(lines), (H, W)), variance, spatial
+
+
+def judged(rng, **planted):
+    shared, variance, spatial = dark_levels(rng, **planted)
+    frames = np.full(LEVELS, FRAMES)
+    return {
+        "rows": temporal_lines(shared, variance, frames, 0),
+        "columns": temporal_lines(shared, variance, frames, 1),
+        "fixed": fixed_lines(shared, spatial, variance, frames, 1),
+        "fixed rows": fixed_lines(shared, spatial, variance, frames, 0),
+        "frames": drift(shared, variance, frames),
+    }
+
+
+def test_independent_pixels_share_nothing():
+    rng = np.random.default_rng(0)
+    found = [judged(rng) for _ in range(300)]
+    for name in found[0]:
+        z = np.array([one[name].significance for one in found])
+        assert abs(z.mean()) < 0.25, name
+        assert 0.8 < z.std() < 1.2, name
+        assert np.mean(z > 4) <= 0.01, name
+
+
+@pytest.mark.parametrize(("name", "size"), [("rows", 1.0), ("columns", 0.7), ("fixed", 1.0)])
+def test_what_is_planted_is_found_to_its_size(name, size):
+    rng = np.random.default_rng(1)
+    found = [judged(rng, **{name: size})[name] for _ in range(200)]
+    variance = np.array([one.variance for one in found])
+    assert variance.mean() == pytest.approx(size**2, rel=0.05)
+    z = (variance - size**2) / np.array([one.error for one in found])
+    assert 0.8 < z.std() < 1.25
+    assert all(one.believed for one in found)
+
+
+def test_noise_of_rows_is_no_banding():
+    """The average over a few frames keeps some of the noise of rows, which is no fixed pattern."""
+    rng = np.random.default_rng(5)
+    noisy = [judged(rng, rows=4.0) for _ in range(300)]
+    z = np.array([one["fixed rows"].variance / one["fixed rows"].error for one in noisy])
+    assert abs(z.mean()) < 0.4
+    assert np.mean([one["fixed rows"].believed for one in noisy]) < 0.01
+    banded = [judged(rng, rows=4.0, fixed_rows=6.0)["fixed rows"] for _ in range(100)]
+    assert np.mean([one.believed for one in banded]) > 0.95
+    variance = np.array([one.variance for one in banded])
+    z = np.log(variance / 36) * variance / np.array([one.error for one in banded])
+    assert 0.8 < z.std() < 1.25  # on a logarithmic scale: the error grows with the variance
+
+
+def test_drifting_frames_are_found():
+    rng = np.random.default_rng(2)
+    found = [judged(rng, frames=2.0)["frames"] for _ in range(100)]
+    assert np.mean([one.variance for one in found]) == pytest.approx(4.0, rel=0.2)
+    assert np.mean([one.believed for one in found]) > 0.95
+
+
+def test_row_noise_widens_the_pattern():
+    """DSNU's variance, less what temporal noise leaves, is known as well as rows let it be."""
+    rng, z = np.random.default_rng(3), []
+    for _ in range(200):
+        shared, variance, spatial = dark_levels(rng, rows=2.0)
+        one, pixels = jnp.ones(LEVELS), jnp.asarray(float(H * W))
+        of = jnp.asarray(variance), FRAMES * one, pixels, jnp.asarray(spatial), shared
+        levels = Levels(0 * one, one, 100 * one, *of)
+        pattern, by_noise = pattern_variance(levels)
+        z += list(pattern / np.sqrt(by_noise))
+    assert abs(np.mean(z)) < 0.1
+    assert 0.8 < np.std(z) < 1.2
+
+
+@pytest.mark.slow
+def test_a_calibration_names_row_noise():
+    """7.5 e- of rows beside 6 e- of pixels: named with their sizes, the fit still linear."""
+    rng, gain = np.random.default_rng(4), 0.25
+    photons = np.linspace(200, 8000, 6)
+
+    def frame(mean):
+        electrons = rng.poisson(0.5 * mean, (40, 60))
+        noisy = electrons + 6 * rng.standard_normal((40, 60)) + 7.5 * rng.standard_normal((40, 1))
+        return np.round(64 + gain * noisy)
+
+    def frames(mean):
+        return [frame(mean) for _ in range(4)]
+
+    measured = noise.from_frames(
+        [frames(p) for p in photons],
+        [frames(0.0) for _ in photons],
+        list(np.linspace(0.001, 0.01, 6)),
+        list(photons),
+        camera=Camera(bits=12),
+    )
+    calibration = calibrate(measured)
+    told = [sentence for sentence in findings(calibration) if "share noise" in sentence]
+    assert len(told) == 1
+    assert told[0].startswith("The rows of a dark frame share noise of ")
+    size, error = (float(told[0].split(" e⁻")[0].split()[i]) for i in (-3, -1))
+    assert abs(size - 7.5) < 4 * error
+    assert calibration.linear.p_value > 1e-3
+    assert not [name for name in calibration.chosen.values if name.endswith("scatter")]
+
+
+def camera_frames(rng, photons, size, *, rows=0.0, wander=0.0, gain=0.25):
+    """Four frames of 64 DN black, 6 e- of pixel noise, rows of noise, and a drift of frames."""
+    shape = (4, *size)
+    electrons = rng.poisson(0.5 * photons, shape) + 6 * rng.standard_normal(shape)
+    electrons += rows * rng.standard_normal((4, size[0], 1))
+    electrons += wander * rng.standard_normal((4, 1, 1))
+    return list(np.round(64 + gain * electrons))
+
+
+def test_errors_of_a_level_know_of_shared_noise():
+    """Means and variances of levels scatter as their errors say, under rows and drift."""
+    rng, kept = np.random.default_rng(6), []
+    stacks = rng.standard_normal((400, FRAMES, H, W)) + 2 * rng.standard_normal((400, FRAMES, H, 1))
+    stacks += rng.standard_normal((400, FRAMES, 1, 1))
+    for stack in stacks:
+        average, variance, lines = level_of(stack)
+        kept.append((variance, average.mean(), *lines))
+    variance, mean, *lines = np.array(kept).T
+    one, shared = np.ones(400), shared_variance(np.array(lines), (H, W))
+    levels = Levels(0 * one, one, mean, variance, FRAMES * one, jnp.asarray(float(H * W)))
+    noise_of_all = shared_noise(shared, variance, FRAMES * one)
+    errors = sampling_errors(levels, 0 * one, jnp.asarray(1.0), shared=noise_of_all)
+    # The scatter of 400 has a relative error of 3.5 %: four of them.
+    for found, claimed in ((mean, errors.mean), (variance, errors.variance)):
+        assert abs(np.sqrt(np.mean(claimed)) / found.std(ddof=1) - 1) < 0.14
+
+
+@pytest.mark.slow
+def test_black_is_within_its_errors_where_it_drifts():
+    """6 e- of drift from frame to frame, darks of one exposure: the camera stays linear."""
+    rng, photons, size = np.random.default_rng(7), np.linspace(200, 8000, 6), (40, 60)
+    z = []
+    for _ in range(24):
+        measured = noise.from_frames(
+            [camera_frames(rng, p, size, wander=6.0) for p in photons],
+            [camera_frames(rng, 0.0, size, wander=6.0) for _ in photons],
+            [0.01] * 6,
+            list(photons),
+            camera=Camera(bits=12),
+        )
+        space = base_space(measured, ranges(measured))
+        data = noise_data(measured, linear_levels(measured))
+        start = sheet(statistics(measured, None), measured, ranges(measured))
+        fit = fitted(space, data, start)
+        black, rate = (float(fit.values[name]) for name in ("black_level", "responsivity"))
+        off = (black - 64) / fit.errors["black_level"]
+        z.append((off, np.log(rate / 0.125) / fit.errors["responsivity"]))
+        assert fit.p_value > 1e-3
+    # The scatter of 24 has a relative error of 15 %: three of them.
+    assert np.all(np.abs(np.std(z, axis=0) - 1) < 0.45)
+    assert np.all(np.mean(np.abs(np.array(z)) < 1.96, axis=0) > 0.8)
+
+
+@pytest.mark.slow
+def test_unequal_columns_of_gain_are_known_as_well_as_columns_let_them_be():
+    """1 % of random column gains: PRNU within its errors, and columns named, rows not."""
+    rng, photons, size = np.random.default_rng(8), np.linspace(2000, 20_000, 4), (40, 60)
+    z, found = [], []
+    for _ in range(40):
+        gains = 1 + 0.01 * rng.standard_normal((1, size[1]))
+        measured = noise.from_frames(
+            [camera_frames(rng, p * gains, size) for p in photons],
+            [camera_frames(rng, 0.0, size) for _ in photons],
+            [0.01] * 4,
+            list(photons),
+            camera=Camera(bits=12),
+        )
+        usable = np.arange(4)
+        pattern = fitted_pattern(measured, usable)
+        z.append((pattern.response.variance - 1e-4) / pattern.response.error)
+        found.append([unequal_gains(measured, usable, axis) for axis in (0, 1)])
+    assert np.mean(np.abs(z) < 1.96) > 0.85
+    assert 0.7 < np.std(z) < 1.4
+    assert not any(rows.believed for rows, _ in found)
+    assert all(columns.believed for _, columns in found)
+    assert np.mean([columns.variance for _, columns in found]) == pytest.approx(1e-4, rel=0.1)
+
+
+def test_a_flat_of_no_light_hides_no_unequal_gains():
+    rng, photons, size = np.random.default_rng(11), np.linspace(2000, 20_000, 4), (40, 60)
+    gains = 1 + 0.02 * rng.standard_normal((1, size[1]))
+    flats = [camera_frames(rng, p * gains, size) for p in photons]
+    darks = [camera_frames(rng, 0.0, size)]
+
+    def of(flats, photons):
+        times = [0.01] * len(photons)
+        camera = Camera(bits=12)
+        return noise.from_frames(
+            flats, darks, times, list(photons), dark_exposures=[0.01], camera=camera
+        )
+
+    lit, whole = of(flats, photons), of([darks[0], *flats], [0.0, *photons])
+    columns = unequal_gains(whole, np.arange(5), 1)
+    assert columns.believed
+    assert columns == unequal_gains(lit, np.arange(4), 1)
+    assert not unequal_gains(whole, np.arange(1), 1).believed
+
+
+@pytest.mark.slow
+def test_noise_of_rows_in_flats_alone_is_told_from_that_of_darks_too():
+    rng, photons, size = np.random.default_rng(9), np.linspace(200, 20_000, 5), (40, 60)
+
+    def found(of_flats, of_darks):
+        measured = noise.from_frames(
+            [camera_frames(rng, p, size, rows=of_flats) for p in photons],
+            [camera_frames(rng, 0.0, size, rows=of_darks) for _ in photons],
+            [0.01] * 5,
+            list(photons),
+            camera=Camera(bits=14),
+        )
+        return extra_in_flats(measured, np.arange(5))
+
+    for rows in (0.0, 7.5):
+        assert sum(bool(found(rows, rows)) for _ in range(20)) == 0
+    for _ in range(10):
+        only = found(7.5, 0.0)
+        assert list(only) == ["rows"]
+        assert abs(only["rows"].variance - (0.25 * 7.5) ** 2) < 4 * only["rows"].error
+
+
+@pytest.mark.slow
+def test_light_that_flickers_is_taken_out_row_by_row():
+    """Lines of flats that err by 3 %, anew in every frame, nine tenths of the variance: what pixels
+    have of their own gives the gain all the same."""
+    rng, photons = np.random.default_rng(2), np.linspace(0.02, 1, 8) * 20_000
+
+    def frames(mean):
+        rows = 1 + 0.03 * rng.standard_normal((4, 48, 1))
+        electrons = rng.poisson(mean / 2 * rows * np.ones((4, 48, 64)))
+        electrons = electrons + 6 * rng.standard_normal((4, 48, 64))
+        electrons += 7.5 * rng.standard_normal((4, 48, 1))
+        return list(np.clip(np.round(64 + 0.25 * electrons), 0, 4095))
+
+    measured = noise.from_frames(
+        [frames(p) for p in photons],
+        [frames(0.0) for _ in photons],
+        [0.01] * 8,
+        list(photons),
+        camera=Camera(bits=12),
+    )
+    calibration = calibrate(measured)
+    truth = {"system_gain": 0.25, "quantum_efficiency": 50.0, "read_noise": np.hypot(6, 7.5)}
+    for one in calibration.sheet:
+        if one.name in truth:
+            assert abs(one.value - truth[one.name]) < 3 * one.standard_error, one
+            assert one.standard_error < 0.02 * one.value
+    shown = calibration.section
+    assert shown.findings[0].startswith("The rows of a flat share noise of ")
+    assert "90 % of a flat's variance" in shown.findings[0]
+    assert "sensor" in shown.records
+
+
+def test_few_frames_of_few_rows_raise_no_alarm():
+    """A variance of one or three degrees exceeds its mean by four of its errors in one of a hundred
+    cameras that share nothing, and in as many whose flats and darks share the same."""
+    rng, shape, alarms = np.random.default_rng(10), (4, 60), np.zeros(3, int)
+
+    def told(sigma, count):
+        stacks = sigma * rng.standard_normal((count, 2, *shape))
+        stacks += rng.standard_normal((count, 2, shape[0], 1))  # of rows, flats and darks alike
+        _, variance, lines = zip(*map(level_of, stacks), strict=True)
+        return shared_variance(np.array(lines).T, shape), np.array(variance), np.full(count, 2)
+
+    def quiet():
+        _, variance, lines = level_of(rng.standard_normal((2, *shape)))
+        shared = shared_variance(np.array([lines]).T, shape)
+        return shared, np.array([variance]), np.array([2])
+
+    for _ in range(500):
+        (dark, *of_dark), (flat, *of_flat), one = told(1.0, 1), told(2.0, 5), quiet()
+        alarms += [
+            extra_lines(flat, dark, tuple(of_flat), tuple(of_dark), 0).believed,
+            drift(*one).believed,
+            temporal_lines(*one, 0).believed,
+        ]
+    assert (alarms <= 1).all(), alarms
+
+
+def test_flicker_that_grows_with_light_is_told_where_it_is_plainest():
+    """.3 % of flats from 20 to 20,000 photons: hidden in faint ones, whose variance is best known,
+    7.5 DN at the brightest."""
+    rng, photons, size = np.random.default_rng(12), np.geomspace(20, 20_000, 8), (40, 60)
+    for _ in range(20):
+        flats = [
+            camera_frames(rng, p * (1 + 0.003 * rng.standard_normal((4, size[0], 1))), size)
+            for p in photons
+        ]
+        measured = noise.from_frames(
+            flats,
+            [camera_frames(rng, 0.0, size) for _ in photons],
+            [0.01] * 8,
+            list(photons),
+            camera=Camera(bits=14),
+        )
+        found = extra_in_flats(measured, np.arange(8))["rows"]
+        size_of = 0.25 * 0.5 * 20_000 * 0.003
+        assert abs(found.variance - size_of**2) < 4 * found.error
+        steady = without_flicker(measured, {"rows": found})
+        told = flicker_in_words(steady, {"rows": found})
+        assert told[0].startswith("The rows of a flat share noise of ")
+
+
+@pytest.mark.filterwarnings("error")
+def test_levels_whose_frames_are_alike_tell_nothing():
+    """Of a read noise that rounding hides, some darks have no two frames that differ."""
+    rng = np.random.default_rng(7)
+    stacks = [100 + rng.standard_normal((FRAMES, H, W)) for _ in range(3)]
+    still = np.full((FRAMES, H, W), 100.0)
+
+    def found(levels):
+        _, variance, lines = zip(*map(level_of, levels), strict=True)
+        shared, variance = shared_variance(np.array(lines).T, (H, W)), np.array(variance)
+        frames = np.full(len(levels), FRAMES)
+        lines = [temporal_lines(shared, variance, frames, axis) for axis in (0, 1)]
+        banding = fixed_lines(shared, variance / FRAMES, variance, frames, 0)
+        return [*lines, banding, drift(shared, variance, frames)]
+
+    for one, other in zip(found(stacks), found([still, *stacks]), strict=True):
+        assert one.variance == pytest.approx(other.variance)
+        assert one.significance == pytest.approx(other.significance)
+    assert not any(one.believed or one.variance for one in found([still, still]))
+
+
+@pytest.mark.parametrize("size", [(12, 30), (8, 8)])
+def test_parts_of_the_variance_add_up_in_the_mean(size):
+    """Of what rows, columns, pixels and frames add, each estimate scatters about its truth."""
+    rng, (h, w), frames = np.random.default_rng(9), size, 6
+    truth = {"pixels": 4.0, "rows": 9.0, "columns": 1.0, "frames": 2.25}
+    stays = {"rows": 4.0, "columns": 0.25}
+    found, fixed = [], []
+    for _ in range(1500):
+        lines = 2 * rng.standard_normal((h, 1)) + 0.5 * rng.standard_normal((1, w))
+        stack = (
+            2 * rng.standard_normal((frames, h, w))
+            + 3 * rng.standard_normal((frames, h, 1))
+            + rng.standard_normal((frames, 1, w))
+            + 1.5 * rng.standard_normal((frames, 1, 1))
+            + lines
+        )
+        moments = Moments(stack[0])
+        for frame in stack[1:]:
+            moments.add(frame - stack[0])
+        wander = stack.mean(axis=(1, 2)).var(ddof=1)
+        parts = moments.temporal(stack.var(axis=0, ddof=1).mean(), wander)
+        found.append([getattr(parts, name) for name in truth] + [parts.of_a_pixel])
+        fixed.append(moments.fixed(stack.mean(axis=0), parts))
+    for values, true in (
+        (found, [*truth.values(), 14.0]),
+        (fixed, list(stays.values())),
+    ):
+        error = np.std(values, axis=0) / np.sqrt(len(values))
+        assert np.all(np.abs(np.mean(values, axis=0) - true) < 3.5 * error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [(1, 600), (600, 1)])
+def test_a_line_sensor_has_no_lines(shape):
+    rng = np.random.default_rng(4)
+    light = [400, 1000, 2000, 4000]
+    flats = [list(64 + 0.5 * rng.poisson(photons / 2, (3, *shape))) for photons in light]
+    darks = [list(64 + 2 * rng.standard_normal((3, *shape)))]
+    measured = noise.from_frames(
+        *(flats, darks, [0.01] * 4, light), camera=Camera(bits=12), dark_exposures=[0.01]
+    )
+    for levels in (measured.bright, measured.dark):
+        assert not np.any(levels.shared.rows)
+        assert not np.any(levels.shared.columns)
+    assert calibrate(measured).shown["system_gain"].value == pytest.approx(0.5, rel=0.2)

@@ -1,0 +1,261 @@
+"""Distortion against OpenCV, its inverse in round trips, conservation of flux, and the pictures
+that distortion and lateral colour errors make.
+"""
+
+from functools import partial
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import as_array, optics
+from jaxvision import scene as s
+
+EYE = np.eye(3)
+BARREL = s.Distortion([-0.28, 0.07], [1e-3, -2e-3])
+LENSES = {
+    "barrel": BARREL,
+    "pincushion": s.Distortion([0.35, 0.1]),
+    "moustache": s.Distortion([-0.2, 0.35, -0.02], [-2e-3, 1e-3]),
+    "none": s.Distortion([0.0]),
+}
+each_lens = pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+SLOPES = np.random.default_rng(4).uniform(-0.7, 0.7, size=(400, 2))
+
+
+def a(x):
+    return jnp.asarray(x, float)
+
+
+def both(function, lens, points):
+    there = jax.jit(jax.vmap(lambda p: jnp.stack(function(lens, p[0], p[1]))))
+    return np.asarray(there(a(points)))
+
+
+@each_lens
+def test_distort_is_opencvs(lens):
+    k = np.zeros(5)
+    radial = np.asarray(lens.radial)
+    k[[0, 1, 4][: len(radial)]] = radial
+    k[2:4] = 0 if lens.tangential is None else lens.tangential
+    points = np.concatenate([SLOPES, np.ones((len(SLOPES), 1))], 1)
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), EYE, k)
+    np.testing.assert_allclose(both(optics.distort, lens, SLOPES), expected[:, 0], atol=1e-14)
+
+
+@pytest.mark.sweep
+@each_lens
+def test_there_and_back(lens):
+    back = both(optics.undistort, lens, both(optics.distort, lens, SLOPES))
+    np.testing.assert_allclose(back, SLOPES, atol=1e-12)
+
+
+def test_derivatives_are_those_of_the_inverse():
+    """By the place: the inverse matrix. By the coefficients: a difference quotient."""
+    place = a([0.31, -0.44])
+
+    def there(p):
+        return jnp.stack(optics.distort(BARREL, p[0], p[1]))
+
+    def back(p):
+        return jnp.stack(optics.undistort(BARREL, p[0], p[1]))
+
+    def of_coefficients(k):
+        return jnp.stack(optics.undistort(s.Distortion(k[:2], k[2:]), place[0], place[1]))
+
+    @jax.jit
+    def derivatives(k):
+        ideal = back(place)
+        area = optics.distortion_area(BARREL, ideal[0], ideal[1])
+        of_places = jax.jacfwd(there)(ideal), jax.jacrev(back)(place)
+        return *of_places, area, jax.jacrev(of_coefficients)(k)
+
+    k = jnp.concatenate([BARREL.radial, BARREL.tangential])
+    forward, backward, area, got = derivatives(k)
+    np.testing.assert_allclose(forward @ backward, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(area, np.linalg.det(forward), rtol=1e-12)
+    at = jax.jit(of_coefficients)
+    for i, unit in enumerate(np.eye(4)):
+        slope = (at(k + 1e-5 * unit) - at(k - 1e-5 * unit)) / 2e-5
+        np.testing.assert_allclose(got[:, i], slope, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_beyond_the_fold_of_a_barrel_is_finite_and_constant():
+    """r (1 - r^2 / 3) turns at r = 1, where it is 2 / 3: nothing is imaged farther out."""
+    lens = s.Distortion([-1 / 3])
+    x, y = optics.undistort(lens, a(0.66), a(0.0))
+    np.testing.assert_allclose([x * (1 - x * x / 3), y], [0.66, 0], atol=1e-12)
+    x, y = optics.undistort(lens, a(0.9), a(0.0))
+    np.testing.assert_allclose([x, y], [1, 0], atol=0.05)
+    for far in (1e3, 1e10, 1e30):
+        np.testing.assert_allclose(optics.undistort(lens, a(far), a(0.0)), [1, 0], atol=0.05)
+    gradient = jax.grad(lambda t: optics.undistort(lens, t, a(0.1))[0])(a(2.0))
+    assert gradient == 0
+
+
+def test_rays_go_through_the_distortion():
+    plain, bent = (
+        s.Pinhole([1, 2, 3], EYE, 0.01, 1e-4, resolution=(60, 80), distortion=d)
+        for d in (None, BARREL)
+    )
+    ray = optics.camera_ray(bent, a(3.0), a(70.0))
+    slope = as_array(ray.direction)[:2] / ray.direction.z
+    at = np.array(optics.pixel_offset(plain, a(3.0), a(70.0))) / 0.01
+    np.testing.assert_allclose(both(optics.distort, BARREL, slope[None])[0], at, rtol=1e-12)
+
+
+@pytest.mark.parametrize("k", [-0.25, 0.3])
+def test_where_a_picture_is_stretched_it_is_darker(k):
+    """A ring of the sky, of radii r and dr, is a ring of the radii r (1 + k r^2) and its change."""
+    lens = s.Distortion([k])
+    view = s.Pinhole([0, 0, 0], EYE, 1.0, 0.1, resolution=(9, 9), f_number=2, distortion=lens)
+    r = 0.5
+    column = 4 + r * (1 + k * r * r) / 0.1
+    found = optics.pixel_irradiance(view, jnp.ones(1), a(4.0), a(column))[0]
+    stretched = (1 + k * r * r) * (1 + 3 * k * r * r)
+    plain = np.pi / (4 * 2**2) / (1 + r * r) ** 2  # cos^4
+    np.testing.assert_allclose(found, plain / stretched, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_distortion_keeps_the_flux():
+    """Under a flat sky all the light within a cone, L A sin^2 pi / z_i^2, arrives on the sensor,
+    wherever distortion puts it.
+    """
+    edge = 0.6
+    for lens in (s.Distortion([-0.25, 0.05]), s.Distortion([0.3])):
+        view = s.Pinhole(
+            [0, 0, 0], EYE, 1.0, 0.004, resolution=(351, 351), f_number=1, distortion=lens
+        )
+        light = jax.jit(optics.sensor_irradiance)(view, jnp.ones((351, 351, 1)))[..., 0]
+        offset = (np.arange(351) - 175) * 0.004
+        rim = float(optics.distort(lens, a(edge), a(0.0))[0])
+        inside = np.hypot(offset[:, None], offset[None, :]) < rim
+        flux = np.asarray(light)[inside].sum() * 0.004**2
+        expected = np.pi / 4 * np.pi * edge**2 / (1 + edge**2)
+        np.testing.assert_allclose(flux, expected, rtol=2e-3)
+
+
+# ---------------------------------------------------------------- pictures
+
+
+def smooth(rows, columns):
+    return jnp.stack(
+        [jnp.sin(rows / 6 + 1) * jnp.cos(columns / 7), jnp.cos((rows + columns) / 9)], -1
+    )
+
+
+GRID = np.meshgrid(np.arange(60.0), np.arange(80.0), indexing="ij")
+VIEW = s.Pinhole([0, 0, 0], EYE, 0.01, 1e-4, resolution=(60, 80), distortion=BARREL)
+
+
+@pytest.mark.slow
+def test_pictures_are_bent_as_the_rays_are():
+    """The picture of a function of the slope is that function along the distorted rays."""
+
+    def shown(view, row, column):
+        x, y = optics.chief_slope(view, row, column)
+        return smooth(y * 100 + 30, x * 100 + 40)
+
+    over = jax.jit(jax.vmap(jax.vmap(shown, in_axes=(None, 0, 0)), in_axes=(None, 0, 0)))
+    ideal = over(s.Pinhole([0, 0, 0], EYE, 0.01, 1e-4, resolution=(60, 80)), *GRID)
+    bent = over(VIEW, *GRID)
+    inner = (slice(8, -8), slice(8, -8))
+    got = jax.jit(optics.undistort_image)(VIEW, bent)
+    np.testing.assert_allclose(got[inner], ideal[inner], atol=2e-3)
+    middle = (slice(20, -20), slice(25, -25))  # a barrel shows more than the ideal picture has
+    again = jax.jit(optics.distort_image)(VIEW, ideal)
+    np.testing.assert_allclose(again[middle], bent[middle], atol=2e-3)
+    linear = jax.jit(partial(optics.distort_image, interpolation="linear"))(VIEW, ideal)
+    assert jnp.abs(linear - bent)[middle].max() > jnp.abs(again - bent)[middle].max()
+
+
+@pytest.mark.slow
+def test_cubic_interpolation_keeps_parabolas_and_linear_keeps_ramps():
+    rows, columns = GRID
+    r, c = a(np.random.default_rng(1).uniform(3, 50, size=(2, 5, 7)))
+    parabola = ((rows - 9) * (columns + rows / 3))[..., None]
+    got = optics.sample_image(parabola, r, c)[..., 0]
+    np.testing.assert_allclose(got, (r - 9) * (c + r / 3), rtol=1e-12)
+    ramp = (2 * rows - 3 * columns)[..., None]
+    got = optics.sample_image(ramp, r, c, interpolation="linear")[..., 0]
+    np.testing.assert_allclose(got, 2 * r - 3 * c, rtol=1e-11)
+    outside = optics.sample_image(ramp, r - 900, c)[..., 0]
+    np.testing.assert_allclose(outside, optics.sample_image(ramp, 0 * r, c)[..., 0], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_lateral_colour_magnifies_each_band_about_the_middle():
+    blob = jnp.exp(-((GRID[0] - 40) ** 2 + (GRID[1] - 59.5) ** 2) / 18)[..., None].repeat(
+        2, axis=-1
+    )
+    aberration = jax.jit(optics.lateral_aberration)
+    got = np.asarray(aberration(blob, a([1.0, 1.05])))
+    np.testing.assert_allclose(got[..., 0], blob[..., 0], atol=1e-15)
+    rows, columns = GRID
+    centre = [(got[..., 1] * g).sum() / got[..., 1].sum() for g in (rows, columns)]
+    expected = [29.5 + 1.05 * 10.5, 39.5 + 1.05 * 20]
+    np.testing.assert_allclose(centre, expected, atol=1e-3)
+    back = aberration(a(got), 1 / a([1.0, 1.05]))
+    np.testing.assert_allclose(back, blob, atol=0.01)
+
+
+def test_pictures_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match=r"magnification must be \(2,\), one per band, got \(3,\)"):
+        optics.lateral_aberration(jnp.ones((4, 5, 2)), jnp.ones(3))
+    with pytest.raises(ValueError, match=r"at least one pixel, got shape \(0, 4, 3\)"):
+        optics.sample_image(np.zeros((0, 4, 3)), np.zeros((1, 1)), np.zeros((1, 1)))
+    with pytest.raises(ValueError, match="interpolation must be one of linear, cubic, got 'best'"):
+        optics.sample_image(
+            jnp.ones((4, 5, 2)), jnp.ones((2, 2)), jnp.ones((2, 2)), interpolation="best"
+        )
+    with pytest.raises(ValueError, match=r"the picture must be \(60, 80\), as the view is"):
+        optics.distort_image(VIEW, jnp.ones((4, 5, 2)))
+
+
+@pytest.mark.parametrize(
+    "coefficients", [(), (-0.2, 0.05, 0.003, -0.002), (0.1, -0.05, 0, 0, 0.02)]
+)
+def test_a_camera_of_opencv_sees_points_where_opencv_projects_them(coefficients):
+    """fx != fy, (cx, cy) off the middle, any pose; rays go back to the points, and the share of
+    light that a pixel gets follows the area (light tracing and path tracing agree on it)."""
+    rng = np.random.default_rng(0)
+    matrix = np.array([[800.0, 0.0, 250.5], [0.0, 840.0, 290.25], [0.0, 0.0, 1.0]])
+    turn, moved = np.array([0.2, -0.3, 0.1]), np.array([0.1, -0.2, 0.4])
+    points = rng.uniform([-0.8, -0.6, 2.0], [0.8, 0.6, 4.0], (50, 3))
+    known = np.asarray(coefficients) if coefficients else None
+    wanted = cv2.projectPoints(points, turn, moved, matrix, known)[0][:, 0]
+    view = optics.opencv_view(
+        matrix,
+        coefficients=coefficients,
+        resolution=(480, 640),
+        rotation=turn,
+        translation=moved,
+    )
+    seen = jax.vmap(lambda point: optics.project(view, point))(jnp.asarray(points))
+    np.testing.assert_allclose(np.stack([seen.column, seen.row], -1), wanted, atol=1e-6)
+    rays = jax.vmap(lambda row, column: optics.camera_ray(view, row, column))(seen.row, seen.column)
+    along = points - np.asarray(view.position)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.asarray(as_array(rays.direction)), along, atol=1e-8)
+    step = 1e-4  # of slope: the area of the image by finite differences of cv2's
+    corners = np.array([[0.3, 0.2, 1], [0.3 + step, 0.2, 1], [0.3, 0.2 + step, 1]])
+    zero = np.zeros(3)
+    a, b, c = cv2.projectPoints(corners, zero, zero, matrix, known)[0][:, 0] / 800 / step
+    area = optics.distortion_area(view.distortion, jnp.asarray(0.3), jnp.asarray(0.2))
+    assert float(area) == pytest.approx(np.linalg.det([b - a, c - a]), rel=1e-3)
+
+
+def test_what_opencv_calibrates_beyond_the_model_is_refused():
+    matrix = np.array([[800.0, 0.0, 250.5], [0.0, 840.0, 290.25], [0.0, 0.0, 1.0]])
+    with pytest.raises(ValueError, match="rational"):
+        optics.opencv_view(matrix, coefficients=[0, 0, 0, 0, 0, 0.1, 0, 0], resolution=(48, 64))
+    skew = matrix.copy()
+    skew[0, 1] = 2.0
+    with pytest.raises(ValueError, match="no skew"):
+        optics.opencv_view(skew, resolution=(48, 64))
+    with pytest.raises(ValueError, match="matrix must be"):
+        optics.opencv_view(matrix.T, resolution=(48, 64))

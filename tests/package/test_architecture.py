@@ -1,0 +1,373 @@
+"""The imports, read from the source: light goes one way, and `import jaxvision` stays light."""
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+# A room may import only from lower floors; rooms on one floor never import each other. A module or
+# folder of `jaxvision` that is not named here is an error.
+FLOORS = [
+    {"_primitives", "lazy_names"},
+    {"errors", "in_notebooks", "memory", "programs", "progress", "side_by_side"},
+    {"plain_arrays"},
+    {"_types", "_shown", "_staging"},
+    {"_arguments"},
+    {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
+    {"_numerics", "_chebyshev", "_quadrature"},
+    {"_powers", "_exponential"},
+    {"spectra", "hemisphere", "padding"},
+    {"geometry", "colour_data"},
+    {"lights", "brdf", "filters"},
+    {"shadows"},
+    {"_directions", "_band_count"},
+    {"shading", "hemisphere_integral", "point_ops"},
+    {"colour_spaces"},
+    {"histogram", "compositing", "optics", "sensor", "lifted_scene"},
+    {"rendering"},
+    {"matting", "transport", "development"},
+    {"effects"},
+    {"shot", "scene_checks", "interrupts"},
+    {
+        "_shipped",
+        "_png_chunks",
+        "_tiff_tags",
+        "_jpeg_markers",
+        "_targa_head",
+        "_plain_content",
+        "_legible_axes",
+        "_local_workers",
+    },
+    {"raw_files", "_netpbm_files", "_radiance_files"},
+    {"image_settings"},
+    {"io", "toml_files", "gltf_files", "command_line", "tasks"},
+    {"record_files"},
+    {"measured_files", "mesh_files", "camera_files", "material_files", "plots"},
+    {"scene_files"},
+    {"render_command"},
+    {"accuracy"},
+    {"cli"},
+    {"__main__"},
+]
+# Of `jaxvision`: no light, surface or camera.
+KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "lazy_names", "plain_arrays", "programs"}
+STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
+FITTING_FLOORS = [
+    {"rig", "inference", "codes", "copies"},
+    {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
+    {"photographs", "fits"},
+    {"noise", "response", "reflectance", "sensor_likelihoods"},
+    {"accuracy", "demo", "joint"},
+    {"checks"},
+    {"folders"},
+    {"study", "commands"},
+    {"cli"},
+    {"__main__"},
+]
+NEVER_IN_JAXVISION = {"fitting", "optimistix", "jaxopt", "emcee", "xarray"}
+NEVER_ON_IMPORT = [
+    "matplotlib",
+    "OpenImageIO",
+    "scipy",
+    "colour",
+    "lineax",
+    "trimesh",
+    "rawpy",
+    "astropy",
+    "embreex",
+    "pydantic",
+    "optimistix",
+    "jaxopt",
+    "emcee",
+    "xarray",
+]
+
+
+class _Running(ast.NodeTransformer):
+    """Drops what only a type checker reads."""
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
+        if ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            return node.orelse
+        return self.generic_visit(node)
+
+
+@cache
+def imports(file: Path) -> set[str]:
+    """Absolute dotted names that a file imports when it runs, relative ones resolved; `from a
+    import b` gives both a and a.b, since b may be a module."""
+    package = list(file.relative_to(ROOT).parent.parts)
+    found = set()
+    for node in ast.walk(_Running().visit(ast.parse(file.read_text()))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            name = ".".join(base + (node.module.split(".") if node.module else []))
+            found |= {name} | {f"{name}.{alias.name}" for alias in node.names}
+    return found
+
+
+@cache
+def offered(package: str) -> dict[str, str]:
+    """The module in which each name that a package offers is defined, from its stub."""
+    stub = ROOT / package / "__init__.pyi"
+    nodes = [node for node in ast.parse(stub.read_text()).body if isinstance(node, ast.ImportFrom)]
+    return {
+        alias.asname or alias.name: f"{package}.{node.module}"
+        for node in nodes
+        if node.module is not None
+        for alias in node.names
+    }
+
+
+def where_defined(name: str) -> str:
+    """`jaxvision.render` is `jaxvision.rendering.direct.render`: a name taken through a package
+    counts as taken from where it is defined."""
+    package, _, rest = name.partition(".")
+    if package not in ("jaxvision", "fitting") or rest not in offered(package):
+        return name
+    return f"{offered(package)[rest]}.{rest}"
+
+
+@cache
+def files_of_rooms(package: str) -> dict[str, list[Path]]:
+    """The files of each top-level module of a package (a sub-package counts as one).
+
+    `__init__` is no room: it opens the doors of all of them.
+    """
+    found: dict[str, list[Path]] = {}
+    for file in sorted((ROOT / package).rglob("*.py")):
+        parts = file.relative_to(ROOT / package).with_suffix("").parts
+        if parts != ("__init__",):
+            found.setdefault(parts[0], []).append(file)
+    return found
+
+
+@cache
+def rooms(package: str) -> dict[str, set[str]]:
+    """What each room imports, by where it is defined."""
+    return {
+        room: {where_defined(name) for file in files for name in imports(file)}
+        for room, files in files_of_rooms(package).items()
+    }
+
+
+def neighbours(package: str) -> dict[str, set[str]]:
+    """The rooms of the same package that each room imports."""
+    plan = rooms(package)
+    return {
+        room: {
+            name.split(".")[1]
+            for name in names
+            if name.startswith(f"{package}.") and name.split(".")[1] in plan.keys() - {room}
+        }
+        for room, names in plan.items()
+    }
+
+
+def outside(names: set[str]) -> set[str]:
+    return {name.split(".")[0] for name in names}
+
+
+def test_the_reader_of_imports_reads():
+    """A check that cannot fail is a defect: three imports that are known to be there."""
+    plan = neighbours("jaxvision")
+    assert where_defined("jaxvision.render").startswith("jaxvision.rendering.")
+    assert {"geometry", "scene", "_numerics"} <= plan["brdf"]
+    assert {"sensor", "optics", "shading"} <= plan["shot"]
+    assert "jax" in outside(rooms("jaxvision")["sensor"])
+
+
+@pytest.mark.parametrize("room", sorted(files_of_rooms("jaxvision")))
+def test_light_goes_one_way(room):
+    floor = {name: i for i, names in enumerate(FLOORS) for name in names}
+    assert room in floor, f"give jaxvision/{room} its floor in {__name__}"
+    wrong = {other for other in neighbours("jaxvision")[room] if floor[other] >= floor[room]}
+    assert not wrong, f"jaxvision/{room} must not import {sorted(wrong)}"
+
+
+def test_scene_holds_records_only():
+    assert neighbours("jaxvision")["scene"] == {"_types", "_shown", "lazy_names"}
+    files = (ROOT / "jaxvision" / "scene").glob("*.py")
+    nodes = [node for file in files for node in ast.parse(file.read_text()).body]
+    for record in (node for node in nodes if isinstance(node, ast.ClassDef)):
+        methods = {node.name for node in record.body if isinstance(node, ast.FunctionDef)}
+        assert methods <= {"__check_init__"}, f"{record.name} has behaviour: {methods}"
+
+
+@pytest.mark.parametrize("room", sorted(files_of_rooms("jaxvision")))
+def test_jaxvision_knows_no_solver(room):
+    assert not outside(rooms("jaxvision")[room]) & NEVER_IN_JAXVISION
+
+
+def test_only_bounded_imports_jaxopt():
+    files = (ROOT / "fitting").rglob("*.py")
+    users = {file.name for file in files if "jaxopt" in outside(imports(file))}
+    assert users == {"bounded.py"}
+
+
+@pytest.mark.parametrize("room", sorted(files_of_rooms("fitting")))
+def test_a_calibration_goes_one_way(room):
+    floor = {name: i for i, names in enumerate(FITTING_FLOORS) for name in names}
+    assert room in floor, f"give fitting/{room} its floor in {__name__}"
+    wrong = {other for other in neighbours("fitting")[room] if floor[other] >= floor[room]}
+    assert not wrong, f"fitting/{room} must not import {sorted(wrong)}"
+
+
+@pytest.mark.parametrize(
+    "folder", ["noise", "response", "reflectance/from_images", "reflectance/from_files", "joint"]
+)
+def test_the_stages_of_a_calibration_follow_each_other(folder):
+    room = ROOT / "fitting" / folder
+    assert {f"{stage}.py" for stage in ("read", *STAGES[3:])} <= {
+        file.name for file in room.iterdir()
+    }
+    package = ".".join(room.relative_to(ROOT).parts)
+    for place, stage in enumerate(STAGES):
+        file = room / f"{stage}.py"
+        names = imports(file) if file.exists() else set()
+        wrong = {later for later in STAGES[place:] if f"{package}.{later}" in names}
+        assert not wrong, f"{package}.{stage} must not import {sorted(wrong)}"
+
+
+def test_inference_knows_no_physics_and_no_calibration():
+    assert not neighbours("fitting")["inference"]
+    used = {name.split(".")[1] for name in rooms("fitting")["inference"] if "jaxvision." in name}
+    assert used == KNOWN_TO_INFERENCE
+
+
+def test_images_and_measured_files_are_two_calibrations():
+    """The calibrations of one folder use what they share there, not each other."""
+    for one, other in [("from_files", "from_images"), ("from_images", "from_files")]:
+        for file in (ROOT / "fitting" / "reflectance" / one).glob("*.py"):
+            taken = {name for name in imports(file) if f"reflectance.{other}" in name}
+            assert not taken, f"{file} must not import {sorted(taken)}"
+    for file in (ROOT / "fitting" / "noise").glob("*.py"):
+        taken = {name for name in imports(file) if "noise.across_settings" in name}
+        assert not taken, f"{file} must not import {sorted(taken)}"
+
+
+@pytest.mark.parametrize("package", ["jaxvision", "fitting"])
+def test_no_cycles(package):
+    plan = {room: set(others) for room, others in neighbours(package).items()}
+    while plan:
+        leaves = {room for room, others in plan.items() if not others & plan.keys()}
+        assert leaves, f"{package} has a cycle among {sorted(plan)}"
+        plan = {room: others for room, others in plan.items() if room not in leaves}
+
+
+@pytest.mark.parametrize("package", ["jaxvision", "fitting"])
+def test_no_function_hides_a_module(package):
+    """`import jaxvision.shot as s` gives the module, whatever the rooms around it export."""
+    hidden = []
+    for file in sorted((ROOT / package).rglob("*.py")):
+        *above, name = file.relative_to(ROOT).with_suffix("").parts
+        if name != "__init__":
+            module = importlib.import_module(".".join([*above, name]))
+            if getattr(sys.modules[".".join(above)], name) is not module:
+                hidden.append(module.__name__)
+    assert not hidden
+
+
+def borrowed(package: str) -> set[str]:
+    """The private names that rooms import of other rooms. A module like `_types`, at the top of a
+    package, is private to the package."""
+    found = set()
+    for room, files in files_of_rooms(package).items():
+        for name in set[str]().union(*map(imports, files)):
+            owner, *inner = name.split(".")
+            if owner == package:
+                inner = [] if inner[:1] == [room] else inner[1:]
+            if owner in ("jaxvision", "fitting") and any(
+                re.match("_(?!_)", part) for part in inner
+            ):
+                found.add(name)
+    return found
+
+
+# Private names that are imported from outside their room so far: the list only shrinks.
+BORROWED = {
+    "jaxvision": set(),
+    "fitting": set(),
+}
+
+
+@pytest.mark.parametrize("package", ["jaxvision", "fitting"])
+def test_private_names_stay_in_their_room(package):
+    assert borrowed(package) <= BORROWED[package]
+
+
+def loaded_by(program: str) -> tuple[set[str], str]:
+    """The modules that a fresh process has loaded when a program ends, and its standard error."""
+    listing = "import atexit, sys; atexit.register(lambda: print('\\nLOADED', *sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{listing}\n{program}"], cwd=ROOT, capture_output=True, text=True
+    )
+    modules = done.stdout.rpartition("\nLOADED")[2].split()
+    return {name.split(".")[0] for name in modules}, done.stderr
+
+
+OF_TYPER = {"pydantic"}  # for options that are given
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize(
+    ("command", "arguments", "allowed"),
+    [
+        ("jaxvision", ["--help"], set()),
+        ("jaxvision", ["--version"], OF_TYPER),
+        ("jaxvision", ["render", "--help"], OF_TYPER),
+        ("jaxvision", ["inspect", "no_such_file.png"], OF_TYPER | {"numpy"}),
+        ("jaxvision", ["render", "no_scene", "--out", "a.exr"], OF_TYPER),
+        ("jaxvision", ["effects", "cornell_box", "--camera", "no_camera"], OF_TYPER),
+        ("jaxvision", ["accuracy", "no_scene.toml"], OF_TYPER),
+        ("fitting", ["--help"], set()),
+        ("fitting", ["accuracy", "no_rig"], OF_TYPER),
+        ("fitting", ["brdf", "--help"], OF_TYPER),
+    ],
+)
+def test_help_and_a_wrong_path_load_no_library_that_computes(command, arguments, allowed):
+    loaded, stderr = loaded_by(f"from {command}.cli import app; app({arguments})")
+    assert "jaxvision" in loaded, stderr
+    assert not loaded & {"jax", "numpy", *NEVER_ON_IMPORT} - allowed
+
+
+@pytest.mark.parametrize(("package", "name"), [("jaxvision", "capture"), ("fitting", "Problem")])
+def test_the_names_of_a_package_load_nothing(package, name):
+    loaded, stderr = loaded_by(f"import {package}; assert {name!r} in dir({package})")
+    assert package in loaded, stderr
+    assert not loaded & {"jax", "numpy", *NEVER_ON_IMPORT}
+
+
+def test_names_load_when_first_used_also_in_a_trace():
+    """`import jaxvision` first, any name later: the files and figures alone bring their libraries,
+    and a module that is first loaded while JAX traces keeps no tracer."""
+    loaded, stderr = loaded_by(
+        "import sys, jax, jaxvision\n"
+        "def f(x):\n"
+        "    for name in jaxvision.__all__:\n"
+        "        if name != 'scene_files':\n"
+        "            getattr(jaxvision, name)\n"
+        "    jaxvision.transport.radiosity.radiosity\n"
+        "    for name in jaxvision.filters.__all__:\n"
+        "        if 'matrix' not in name.lower() and 'scipy' not in name:\n"
+        "            getattr(jaxvision.filters, name)\n"
+        "    return x\n"
+        "jax.make_jaxpr(f)(1.0)\n"
+        "values = [v for name, module in [*sys.modules.items()]"
+        " if name.startswith('jaxvision') for v in vars(module).values()]\n"
+        "values += [w for v in values if isinstance(v, dict) for w in v.values()]\n"
+        "values = [v for v in values if not isinstance(v, dict)]\n"
+        "assert not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))\n"
+    )
+    assert not stderr
+    assert "jax" in loaded
+    assert not loaded & set(NEVER_ON_IMPORT)

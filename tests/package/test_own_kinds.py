@@ -1,0 +1,340 @@
+"""Kinds from outside the package: two lights, a BRDF and a half-silvered mirror, each entered once
+and then followed by every integrator. Against NumPy, and closed forms of the same scenes."""
+
+import ast
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxvision import (
+    Lambert,
+    Light,
+    Material,
+    Orthographic,
+    Paths,
+    Quad,
+    Quadrature,
+    Ray,
+    Scene,
+    Surface,
+    as_array,
+    as_vec,
+    brdf,
+    light_traced,
+    lights,
+    path_radiance,
+    render,
+)
+from jaxvision.geometry import intersect, point_on, surface_area
+from jaxvision.scene import Disc
+from jaxvision.scene_files import light_schema, records
+from jaxvision.transport import ray_tree_radiance
+from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_along
+
+KEY = jax.random.key(11)
+
+# ------------------------------------------------ the kinds: what a user would write
+
+
+class SpotLight(Light):
+    """A lamp that shines along an axis: intensity I [cos(theta)]+^4, in W sr^-1."""
+
+    position: jax.Array = eqx.field(converter=jnp.asarray)
+    axis: jax.Array = eqx.field(converter=jnp.asarray)
+    strength: jax.Array = eqx.field(converter=jnp.asarray)
+
+
+def from_spot(light, point):
+    toward = as_vec(light.position - point)
+    square = toward.x**2 + toward.y**2 + toward.z**2
+    distance = jnp.sqrt(jnp.where(square > 0, square, 1))
+    wi = toward * (1 / distance)
+    axis = as_vec(light.axis)
+    cosine = jnp.maximum(-(wi.x * axis.x + wi.y * axis.y + wi.z * axis.z), 0)
+    irradiance = light.strength * jnp.where(square > 0, cosine**4 / distance**2, 0)
+    return lights.Incident(wi, irradiance, jnp.where(square > 0, distance, 0))
+
+
+class DiscLamp(Light):
+    """A disc that shines from its front, the same radiance in all directions."""
+
+    disc: Disc
+    glow: jax.Array = eqx.field(converter=jnp.asarray)
+
+
+def disc_seen(light, ray):
+    hit = intersect(ray, light.disc)
+    front = hit.normal.x * ray.direction.x + hit.normal.y * ray.direction.y
+    meets = (front + hit.normal.z * ray.direction.z < 0) & jnp.isfinite(hit.distance)
+    distance = jnp.where(meets, hit.distance, jnp.inf)
+    return lights.Seen(distance, jnp.where(meets, light.glow, 0))
+
+
+def disc_sample(light, point, u):
+    place = point_on(light.disc, u)
+    toward = place.point - as_vec(point)
+    square = toward.x**2 + toward.y**2 + toward.z**2
+    distance = jnp.sqrt(square)
+    wi = toward * (1 / distance)
+    n = place.normal
+    cosine = jnp.maximum(-(n.x * wi.x + n.y * wi.y + n.z * wi.z), 0)
+    direction = as_array(wi) if isinstance(point, jax.Array) else wi
+    solid_angle = surface_area(light.disc) * cosine / square
+    return lights.Incident(direction, light.glow * solid_angle, distance)
+
+
+def disc_pdf(light, point, wi):
+    hit = intersect(Ray(point, wi), light.disc)
+    w, n = as_vec(wi), hit.normal
+    cosine = -(n.x * w.x + n.y * w.y + n.z * w.z)
+    meets = (cosine > 0) & jnp.isfinite(hit.distance)
+    distance = jnp.where(meets, hit.distance, 0)
+    return distance**2 / (jnp.where(meets, cosine, 1) * surface_area(light.disc))
+
+
+class Minnaert(Material):
+    """f_r = rho / pi (cos(theta_i) cos(theta_o))^(k - 1)  (Minnaert, ApJ 93 (1941))."""
+
+    rho: jax.Array = eqx.field(converter=jnp.asarray)
+    k: jax.Array = eqx.field(converter=jnp.asarray)
+
+
+def minnaert(material, wi, wo):
+    both = (wi.z > 0) & (wo.z > 0)
+    product = jnp.where(both, wi.z * wo.z, 1)
+    return jnp.where(both, material.rho / jnp.pi * product ** (material.k - 1), 0)
+
+
+class HalfSilvered(Material):
+    """A thin sheet: a part of the light is mirrored, a part goes straight through."""
+
+    mirrors: jax.Array = eqx.field(converter=jnp.asarray)
+    passes: jax.Array = eqx.field(converter=jnp.asarray)
+
+
+def both_ways(material, w):
+    mirrored = as_vec(jnp.stack([-w.x, -w.y, w.z]))
+    return brdf.Specular(mirrored, material.mirrors, -w, material.passes)
+
+
+lights.register(SpotLight, incident=from_spot)
+lights.register_extended(
+    DiscLamp,
+    seen=disc_seen,
+    sample=disc_sample,
+    pdf=disc_pdf,
+    emitted=lambda light, u: lights.emitted_from_surface(light.disc, light.glow, u),
+)
+brdf.register(Minnaert, evaluate=minnaert)
+brdf.register_delta(HalfSilvered, specular=both_ways)
+
+# ------------------------------------------------ the scenes
+
+RHO, K = np.array([0.6, 0.3]), 1.7
+STRENGTH, GLOW = np.array([3.0, 1.5]), np.array([5.0, 2.0])
+FLOOR = Quad([-3.0, -3, 0], [6.0, 0, 0], [0, 6.0, 0])
+ROUGH, WHITE = Surface(FLOOR, Minnaert(RHO, K)), Surface(FLOOR, Lambert(RHO / np.pi))
+SPOT_AT, LAMP_AT, RADIUS = np.array([0.3, -0.2, 1.5]), np.array([-0.2, 0.1, 1.2]), 0.4
+SPOT = SpotLight(SPOT_AT, np.array([0, 0, -1.0]), STRENGTH)
+LAMP = DiscLamp(Disc(LAMP_AT, [0, 0, -1.0], RADIUS), GLOW)
+KINDS = {"spot": SPOT, "disc": LAMP}
+DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+PITCH, ROWS, COLUMNS = 0.5, 2, 3
+VIEW = Orthographic([0.1, 0.05, 1.0], DOWN, PITCH, resolution=(ROWS, COLUMNS))
+
+
+def on_floor(fine=1):
+    """Points of the floor that pixels see, (rows, columns, fine^2, 3)."""
+    rows = (np.arange(ROWS * fine) + 0.5) / fine - ROWS / 2
+    columns = (np.arange(COLUMNS * fine) + 0.5) / fine - COLUMNS / 2
+    y, x = np.meshgrid(0.05 - rows * PITCH, 0.1 + columns * PITCH, indexing="ij")
+    points = np.stack([x, y, 0 * x], axis=-1).reshape(ROWS, fine, COLUMNS, fine, 3)
+    return points.transpose(0, 2, 1, 3, 4).reshape(ROWS, COLUMNS, fine * fine, 3)
+
+
+def reflected(points, diffuse, at=SPOT_AT):
+    """Radiance straight up from the floor under the spot, W m^-2 sr^-1."""
+    away = at - points
+    square = (away**2).sum(-1)
+    cosine = away[..., 2] / np.sqrt(square)  # of incidence, and to the lamp's axis
+    f = 1 / np.pi if diffuse else cosine ** (K - 1) / np.pi
+    return (f * cosine**5 / square)[..., None] * RHO * STRENGTH
+
+
+def reflected_of_disc(points, diffuse):
+    """The same under the disc, by rings."""
+    x, w = np.polynomial.legendre.leggauss(24)
+    r, phi = RADIUS * np.sqrt((x + 1) / 2), 2 * np.pi * (np.arange(48) + 0.5) / 48
+    ring = np.stack([np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi))], axis=-1).reshape(-1, 2)
+    weights = np.repeat(w / 2 / 48, 48) * np.pi * RADIUS**2
+    places = LAMP_AT + np.concatenate([ring, 0 * ring[:, :1]], axis=1)
+    away = places - points[..., None, :]
+    square = (away**2).sum(-1)
+    cosine = away[..., 2] / np.sqrt(square)
+    f = 1 / np.pi if diffuse else cosine ** (K - 1) / np.pi
+    return ((f * cosine**2 / square) @ weights)[..., None] * RHO * GLOW
+
+
+EXPECTED = {"spot": reflected, "disc": reflected_of_disc}
+
+
+# ------------------------------------------------ the integrators
+
+
+@pytest.mark.slow
+@pytest.mark.sweep
+@pytest.mark.parametrize("name", KINDS)
+def test_direct_light_and_ray_trees(name):
+    """Every pixel of a BRDF that is not diffuse; the two integrators take the same nodes."""
+    expected = EXPECTED[name](on_floor(), diffuse=False)[:, :, 0]
+    rule = Quadrature(12)
+
+    def both(scene):
+        picture = render(scene, VIEW, rule=rule)
+        ray = Ray(jnp.asarray([0.1, 0.3, 1.0]), jnp.asarray([0, 0, -1.0]))
+        return picture, ray_tree_radiance(scene, ray, rule=rule)
+
+    picture, along = jax.jit(both)(Scene([ROUGH], [KINDS[name]]))
+    np.testing.assert_allclose(picture, expected, rtol=1e-6)
+    point = np.array([[0.1, 0.3, 0.0]])
+    np.testing.assert_allclose(along, EXPECTED[name](point, diffuse=False)[0], rtol=1e-6)
+
+
+def within_noise(got, error, expected, most=0.05):
+    assert (np.asarray(error) < most * expected.max()).all()
+    assert (np.abs(got - expected) < 4.5 * np.asarray(error) + 1e-3 * expected).all()
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("strategy", ["lights", "surfaces", "balance"])
+def test_paths(strategy):
+    """Direct light of both lamps by each way to find it, from one point, seen straight down. By
+    chance alone the disc is found with the material's own directions."""
+    method = Paths(4000, 2, strategy=strategy)
+    ray = Ray(jnp.asarray([0.1, 0.3, 1.0]), jnp.asarray([0, 0, -1.0]))
+    found = jax.jit(partial(path_radiance, method=method))(KEY, Scene([ROUGH], [SPOT, LAMP]), ray)
+    point = np.array([[0.1, 0.3, 0.0]])
+    expected = sum(of(point, diffuse=False)[0] for of in EXPECTED.values())
+    within_noise(found.radiance, found.error, expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
+def test_light_paths(name):
+    """What lands in each pixel, against the mean over the pixel. The spot enters no rays of its
+    own: they leave in all directions, with the flux that its irradiance implies."""
+    trace = jax.jit(partial(light_traced, paths=60000, depth=2, samples=2))
+    found = trace(KEY, Scene([ROUGH], [KINDS[name]]), VIEW)
+    expected = EXPECTED[name](on_floor(6), diffuse=False).mean(axis=2)
+    within_noise(found.radiance, found.error, expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
+def test_radiosity(name):
+    """One diffuse floor, which lights nothing: what it reflects at once, averaged over its
+    elements as radiosity does, tends to the value at the point. Other families are refused."""
+    plan = plan_patches(Scene([WHITE], []), size=0.5, split=4)
+
+    @jax.jit
+    def along(scene, ray):
+        solution = radiosity(scene, plan, rule=Quadrature(8))
+        return radiosity_along(scene, plan, solution, ray, rule=Quadrature(8))
+
+    ray = Ray(jnp.asarray([0.1, 0.3, 1.0]), jnp.asarray([0, 0, -1.0]))
+    got = along(Scene([WHITE], [KINDS[name]]), ray)
+    expected = EXPECTED[name](np.array([[0.1, 0.3, 0.0]]), diffuse=True)[0]
+    np.testing.assert_allclose(got, expected, rtol=1e-3)
+    for surface in (ROUGH, Surface(FLOOR, HalfSilvered([0.4], [0.5]))):
+        kind = type(surface.material).__name__
+        with pytest.raises(ValueError, match=rf"must be Lambert for radiosity, got {kind}\.$"):
+            plan_patches(Scene([surface], [SPOT]), size=0.5)
+
+
+# ------------------------------------------------ the half-silvered mirror
+
+MIRRORS, PASSES = np.array([0.3, 0.5]), np.array([0.6, 0.2])
+SHEET = Surface(Quad([-3.0, -3, 0.8], [6.0, 0, 0], [0, 6.0, 0]), HalfSilvered(MIRRORS, PASSES))
+CEILING = Surface(Quad([-3.0, -3, 3], [0, 6.0, 0], [6.0, 0, 0]), Lambert([0.0, 0.0]), [2.0, 7.0])
+LOW = np.array([0.3, -0.2, 0.5])  # a spot below the sheet
+BELOW = SpotLight(LOW, np.array([0, 0, -1.0]), STRENGTH)
+
+
+@pytest.mark.slow
+def test_half_silvered_shows_what_is_mirrored_and_what_is_behind():
+    """From above: the ceiling by the mirrored part, and by the rest the floor, lit by a lamp below
+    the sheet. Trees without noise, paths within it; direct light, which follows no ray, is 0."""
+    scene = Scene([ROUGH, SHEET, CEILING], [BELOW])
+    ray = Ray(jnp.asarray([0.1, 0.3, 2.0]), jnp.asarray([0, 0, -1.0]))
+    floor = reflected(np.array([[0.1, 0.3, 0.0]]), diffuse=False, at=LOW)[0]
+    expected = MIRRORS * np.array([2.0, 7.0]) + PASSES * floor
+
+    @jax.jit
+    def both(scene):
+        return ray_tree_radiance(scene, ray, rays=4), path_radiance(
+            KEY, scene, ray, method=Paths(6000, 3)
+        )
+
+    tree, paths = both(scene)
+    np.testing.assert_allclose(tree, expected, rtol=1e-12)
+    within_noise(paths.radiance, paths.error, expected)
+
+
+@pytest.mark.slow
+def test_half_silvered_lets_light_through_onto_what_lies_behind():
+    """Light tracing: a spot above the sheet lights the floor below, dimmed in each band by what
+    passes, whatever the way the path is drawn by."""
+    trace = jax.jit(partial(light_traced, paths=60000, depth=3, samples=2))
+    view = Orthographic([0.1, 0.05, 0.6], DOWN, PITCH, resolution=(ROWS, COLUMNS))
+    found = trace(KEY, Scene([ROUGH, SHEET], [SPOT]), view)
+    expected = PASSES * reflected(on_floor(6), diffuse=False).mean(axis=2)
+    within_noise(found.radiance, found.error, expected, most=0.1)
+
+
+# ------------------------------------------------ what a kind need not say
+
+
+@pytest.mark.slow
+def test_bands_of_an_own_light_are_counted():
+    """A neutral material under a light of two bands, whose field has a name of its own."""
+    scene = Scene([Surface(FLOOR, Minnaert([0.5], K))], [SPOT])
+    ray = Ray(jnp.asarray([0.1, 0.3, 1.0]), jnp.asarray([0, 0, -1.0]))
+    assert ray_tree_radiance(scene, ray).shape == (2,)
+    assert render(scene, VIEW).shape == (ROWS, COLUMNS, 2)
+
+
+class NoRays(DiscLamp):
+    """A disc that was entered without the rays that leave it."""
+
+
+@pytest.mark.slow
+def test_an_extended_light_without_rays_is_refused_by_light_tracing_alone():
+    lights.register_extended(NoRays, seen=disc_seen, sample=disc_sample, pdf=disc_pdf)
+    scene = Scene([ROUGH], [NoRays(LAMP.disc, LAMP.glow)])
+    with pytest.raises(ValueError, match=r"needs NoRays to be registered with `emitted`.*leave it"):
+        light_traced(KEY, scene, VIEW, paths=4)
+    assert (np.asarray(render(scene, VIEW)) > 0).all()
+
+
+def test_each_light_of_scene_files_has_a_record():
+    """What CONTRIBUTING names beside the keyword: `light_of` says which kind lacks one."""
+    union = get_args(light_schema.Light)[0]
+    tree = ast.parse(Path(records.__file__).read_text())
+    (makes,) = (f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == "light_of")
+    made = {
+        case.pattern.cls.attr
+        for node in ast.walk(makes)
+        if isinstance(node, ast.Match)
+        for case in node.cases
+        if isinstance(case.pattern, ast.MatchClass) and isinstance(case.pattern.cls, ast.Attribute)
+    }
+    missing = {kind.__name__ for kind in get_args(union)} - made
+    assert not missing, f"light_of of scene_files/records.py makes no record of {missing}"
+    with pytest.raises(AssertionError, match="Expected code to be unreachable"):
+        records.light_of(jnp.zeros(1), None, None)

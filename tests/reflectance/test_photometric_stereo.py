@@ -1,0 +1,262 @@
+"""Normals of a ball from its shading: exact without noise, among shadows and highlights, and with
+standard deviations that hold."""
+
+import numpy as np
+import pytest
+
+from fitting.reflectance import photometric_stereo
+from jaxvision.errors import InputError
+
+RNG = np.random.default_rng(12)
+TURNS = 2 * np.pi * np.arange(12) / 12
+LIGHTS = np.stack([0.5 * np.cos(TURNS), 0.5 * np.sin(TURNS), np.full(12, np.sqrt(0.75))], axis=1)
+E = RNG.uniform(0.5, 2.0, 12)
+y, x = np.mgrid[-0.8:0.8:17j, -0.8:0.8:17j]
+NORMALS = np.stack([x, -y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.04))], axis=-1)
+NORMALS /= np.linalg.norm(NORMALS, axis=-1, keepdims=True)
+RHO = 100 + 50 * x
+READ = E[:, None, None] * RHO * np.maximum(np.einsum("kc,hwc->khw", LIGHTS, NORMALS), 0)
+
+
+def angles(found):
+    return np.arccos(np.clip((found.normals * NORMALS).sum(-1), -1, 1))
+
+
+def test_without_noise_normals_and_albedo_are_exact():
+    found = photometric_stereo(READ, LIGHTS, intensities=E, robust=False)
+    np.testing.assert_allclose(found.albedo, RHO, rtol=1e-12)
+    assert angles(found).max() < 1e-7
+    np.testing.assert_array_equal(found.used, (READ > 0).sum(axis=0))  # attached shadows are out
+
+
+def test_highlights_and_cast_shadows_are_left_out():
+    broken, hit = READ.copy(), RNG.integers(0, 12, (2, 17, 17))
+    rows, columns = np.indices((17, 17))
+    broken[hit[0], rows, columns] *= 4
+    broken[hit[1], rows, columns] *= 0.2
+    broken += RNG.normal(0, 0.2, broken.shape)
+    plain = photometric_stereo(broken, LIGHTS, intensities=E, robust=False)
+    found = photometric_stereo(broken, LIGHTS, intensities=E)
+    lit = (READ > 0).sum(axis=0) >= 9  # two broken readings among six would be a third
+    assert np.median(angles(plain)[lit]) > 0.1
+    assert np.quantile(angles(found)[lit], 0.98) < 0.02
+    clipped = np.minimum(READ, 120.0)
+    found = photometric_stereo(clipped, LIGHTS, intensities=E, highest=120.0, robust=False)
+    assert angles(found)[found.used >= 3].max() < 1e-6
+
+
+def test_standard_deviations_hold():
+    whole = np.broadcast_to(READ[:, 8:9, 8:9], (12, 60, 60))
+    found = photometric_stereo(
+        whole + RNG.normal(0, 2.0, whole.shape), LIGHTS, intensities=E, robust=False
+    )
+    z = (found.albedo - RHO[8, 8]) / found.albedo_sd
+    longer = ((found.normal_sd * found.albedo) ** 2).mean() / RHO[8, 8]  # noise aside of n, in |g|
+    assert abs(z.mean() - longer / found.albedo_sd.mean()) < 0.06
+    assert abs(np.abs(z).mean() - 0.798) < 0.04  # of a Gaussian: 3600 pixels tell the noise
+    tilt = np.arccos(np.clip(found.normals @ NORMALS[8, 8], -1, 1))
+    expected = 2 * (found.normal_sd**2).mean()  # two ways to tilt
+    np.testing.assert_allclose((tilt**2).mean(), expected, rtol=0.06)
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("lights", [6, 8, 12, 40])
+@pytest.mark.parametrize("highlight", [0.0, 100.0])
+def test_leaving_out_what_contradicts_keeps_intervals_right(lights, highlight):
+    """95 % hold 95 %, whether a reading is broken or none, within 3.5 standard errors; of six
+    lights a broken one is found in four pixels of five, and shown by the errors in the others."""
+    rng = np.random.default_rng(lights)
+    directions = rng.normal(size=(lights, 3))
+    directions[:, 2] = np.abs(directions[:, 2]) + 1  # none in the shadow
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    g = np.array([12.0, -6.0, 119.0])
+    readings = (directions @ g)[:, None, None] + rng.normal(0, 2, (lights, 1, 4000))
+    readings[0] += highlight
+    found = photometric_stereo(readings, directions)
+    z = (found.albedo - np.linalg.norm(g)) / found.albedo_sd
+    held = np.mean(np.abs(z) < 1.96)
+    assert abs(held - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / 4000)
+    broken = highlight > 0
+    assert np.mean(found.used == lights - broken) > (0.75 if broken and lights == 6 else 0.98)
+
+
+def hemisphere(count, lowest=0.1):
+    """Unit directions, evenly over the upper hemisphere down to 6 degrees."""
+    i = np.arange(count) + 0.5
+    z, turn = lowest + (1 - lowest) * i / count, np.pi * (1 + np.sqrt(5)) * i
+    return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+
+
+def normals_within(degrees, count):
+    """Unit normals, evenly over a cap about +z."""
+    rng = np.random.default_rng(1)
+    z, turn = rng.uniform(np.cos(np.radians(degrees)), 1, count), rng.uniform(0, 2 * np.pi, count)
+    return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+
+
+def power(lights, normals, exponent):
+    return np.maximum(lights @ normals.T, 0) ** exponent
+
+
+def rough(lights, normals, sigma):
+    """Oren & Nayar (1994), equation 30, times pi over the albedo; the viewer in +z."""
+    cosine = lights @ normals.T
+    a, b = 1 - 0.5 * sigma**2 / (sigma**2 + 0.33), 0.45 * sigma**2 / (sigma**2 + 0.09)
+    incident, seen = np.arccos(np.clip(cosine, -1, 1)), np.arccos(normals[:, 2])
+    along = lights[:, None] - cosine[..., None] * normals
+    view = np.array([0, 0, 1.0]) - normals[:, 2:] * normals
+    across = np.linalg.norm(along, axis=-1) * np.linalg.norm(view, axis=-1)
+    azimuth = np.maximum(np.einsum("lnc,nc->ln", along, view) / np.maximum(across, 1e-9), 0)
+    wide, narrow = np.maximum(incident, seen), np.minimum(incident, seen)
+    return np.maximum(cosine, 0) * (a + b * azimuth * np.sin(wide) * np.tan(narrow))
+
+
+def glossy(lights, normals, amplitude):
+    """Lambert's and a Blinn lobe of exponent 20; the viewer in +z."""
+    half = lights + np.array([0, 0, 1.0])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    lit = lights @ normals.T > 0
+    return power(lights, normals, 1) + amplitude * lit * np.maximum(half @ normals.T, 0) ** 20
+
+
+@pytest.mark.parametrize("spread", [20, 60])
+@pytest.mark.parametrize(
+    ("surface", "shape", "widest"),
+    [
+        (power, 1.0, 0.1),
+        (power, 1.1, 3.0),
+        (power, 0.9, 3.0),
+        (rough, 0.5, 8.0),
+        (rough, 0.2, 4.0),
+        (glossy, 0.1, 4.0),
+    ],
+)
+def test_the_cone_of_the_normal_covers_what_is_not_lamberts(surface, shape, widest, spread):
+    """The 95 % cone, of 2.448 standard deviations; before, 0 to 30 % off exponent 1."""
+    lights, normals = hemisphere(64), normals_within(spread, 400)
+    readings = 1000 * surface(lights, normals, shape)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    found = photometric_stereo(readings.reshape(64, 20, 20), lights)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    inside = np.mean(off < 2.448 * found.normal_sd.ravel())
+    matt = (surface, shape) == (power, 1.0)
+    assert 0.9 < inside < 0.975 if matt else inside > 0.9
+    assert np.degrees(np.median(found.normal_sd)) < widest
+    assert ("not Lambert's" in str(found)) != matt
+    assert (np.median(found.misfit) > 0) != matt
+
+
+def ball(size):
+    """Unit normals of a ball that fills a picture, NaN beside it."""
+    v, u = (np.mgrid[:size, :size] - (size - 1) / 2) / (0.48 * size)
+    inside = u**2 + v**2 < 0.97
+    z = np.sqrt(np.where(inside, 1 - u**2 - v**2, np.nan))
+    return np.stack([u, -v, z], axis=-1)
+
+
+@pytest.mark.parametrize("count", [6, 8, 12, 96])
+@pytest.mark.parametrize(
+    ("surface", "shape", "least", "most"),
+    [
+        (power, 1.0, 0.92, 0.97),  # 82 % of 8 lights, before other pixels told the noise
+        (rough, 0.5, 0.88, 0.995),
+    ],
+)
+@pytest.mark.parametrize("clip", [np.inf, 850.0])
+def test_the_cone_of_few_lights_covers_the_normals_of_a_ball(
+    surface, shape, least, most, count, clip
+):
+    lights, normals = hemisphere(count, 0.5), ball(30).reshape(-1, 3)
+    readings = 1000 * surface(lights, normals, shape)
+    readings = np.minimum(readings + np.random.default_rng(3).normal(0, 3, readings.shape), clip)
+    found = photometric_stereo(readings.reshape(-1, 30, 30), lights, highest=clip)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    known = np.isfinite(found.normal_sd.ravel())
+    inside = np.mean(off[known] < 2.448 * found.normal_sd.ravel()[known])
+    assert least < inside < most
+
+
+def test_few_lights_learn_of_a_departure_from_neighbouring_pixels():
+    """Of eight lights no pixel tells a rough surface from noise; a smooth ball's pixels do."""
+    lights = hemisphere(10)
+    normals = NORMALS[3:14, 3:14].reshape(-1, 3)
+    readings = 1000 * rough(lights, normals, 0.5)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    found = photometric_stereo(readings.reshape(10, 11, 11), lights)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    assert np.mean(off < 2.448 * found.normal_sd.ravel()) > 0.85
+
+
+@pytest.mark.parametrize("robust", [True, False])
+def test_noise_does_not_choose_the_readings_in_the_shadow(robust):
+    """In attached shadows half of the noise is above 0: kept, it turned normals by 4 degrees."""
+    lights, normals = hemisphere(64), normals_within(60, 400)
+    readings = 1000 * power(lights, normals, 1)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    found = photometric_stereo(readings.reshape(64, 20, 20), lights, robust=robust)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    assert np.degrees(np.median(off)) < 0.06
+    clipped = np.minimum(readings, 600)
+    found = photometric_stereo(clipped.reshape(64, 20, 20), lights, highest=600, robust=robust)
+    z = (found.albedo - 1000) / found.albedo_sd
+    assert abs(np.nanmean(z)) < 0.25
+    assert np.nanmean(np.abs(z) < 2) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (lambda r: r.__setitem__(10, 3 + 0 * r[10]), {10}),
+        (lambda r: r.__setitem__([10, 40], r[[40, 10]]), {10, 40}),
+        (lambda r: r.__setitem__(10, r[10] / 2), {10}),
+        (lambda r: None, set()),
+    ],
+)
+@pytest.mark.parametrize("exponent", [1.0, 1.1])
+def test_an_image_that_does_not_belong_is_named_and_left_out(spoil, named, exponent):
+    lights, normals = hemisphere(64), normals_within(60, 400)
+    readings = 1000 * power(lights, normals, exponent)
+    readings += np.random.default_rng(2).normal(0, 2, readings.shape)
+    spoil(readings)
+    found = photometric_stereo(readings.reshape(64, 20, 20), lights)
+    told = {i for i in range(64) if any(f"images[{i}] contradicts" in s for s in found.findings)}
+    assert told == named
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    assert np.mean(off < 2.448 * found.normal_sd.ravel()) > 0.9
+
+
+def test_copies_are_named():
+    readings = READ + RNG.normal(0, 2, READ.shape)
+    readings[7] = readings[2]
+    found = photometric_stereo(readings, LIGHTS, intensities=E)
+    assert "images[2] and images[7] hold equal numbers" in str(found)
+
+
+def test_pixels_with_too_few_lights_are_nan_and_three_have_no_error():
+    dark = READ.copy()
+    dark[2:, 0, 0] = 0
+    dark[3:, 8, 8] = 0
+    found = photometric_stereo(dark, LIGHTS, intensities=E)
+    assert np.isnan(found.normals[0, 0]).all()
+    assert np.isfinite(found.normals[8, 8]).all()
+    assert np.isnan(found.normal_sd[8, 8])
+
+
+@pytest.mark.parametrize(
+    ("images", "lights", "options", "said"),
+    [
+        (READ, LIGHTS[:4], {}, "do not agree"),
+        (READ[:2], LIGHTS[:2], {}, "one plane; add a light"),
+        (
+            READ[:4],
+            np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]]),
+            {},
+            "one plane",
+        ),
+        (READ, 2 * LIGHTS, {}, "unit vectors"),
+        (READ, LIGHTS, {"intensities": np.zeros(12)}, "above 0"),
+    ],
+)
+def test_bad_input_is_a_sentence(images, lights, options, said):
+    with pytest.raises(InputError, match=said):
+        photometric_stereo(images, lights, **options)

@@ -1,0 +1,252 @@
+"""The sensor's laws: mean and variance of each source of noise against theory, counted once.
+
+Statistical bounds are 5 standard errors of the estimator itself, with the fourth moment of the
+distribution under test, for one fixed seed.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from jaxvision import as_dtype
+from jaxvision.scene import GaussianShotNoise, PhotonConversion, PoissonShotNoise, Sensor
+from jaxvision.sensor import (
+    collect,
+    digitise,
+    expected_signal,
+    mean_photoelectrons,
+    pattern_variance,
+    photon_rate,
+    raw_image,
+    signal_to_noise,
+    signal_variance,
+)
+
+COUNT = 100_000
+KEY, DIE = jax.random.split(jax.random.key(2024))
+LEVELS = [0.1, 1.0, 10.0, 1000.0]
+POISSON, GAUSSIAN = PoissonShotNoise(), GaussianShotNoise()
+
+raw = jax.jit(raw_image)
+
+
+def flat(level):
+    return jnp.full((COUNT, 1), level)
+
+
+def check_moments(sample, mean, variance, fourth):
+    """`fourth`: fourth central moment; standard error of a variance is sqrt((m4 - v^2) / n)."""
+    sample = np.asarray(sample, float).ravel()
+    assert abs(sample.mean() - mean) < 5 * np.sqrt(variance / sample.size) + 1e-12
+    assert abs(sample.var() - variance) < 5 * np.sqrt((fourth - variance**2) / sample.size) + 1e-12
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("level", LEVELS)
+def test_poisson_shot_noise_replaces_the_mean(level):
+    sample = raw(KEY, Sensor(shot_noise=POISSON), flat(level))
+    check_moments(sample, level, level, level + 3 * level**2)
+    np.testing.assert_array_equal(sample, jnp.round(sample))
+    none = float((sample == 0).mean())
+    expected = np.exp(-level)
+    assert abs(none - expected) < 5 * np.sqrt(expected * (1 - expected) / COUNT) + 1e-12
+
+
+def test_poisson_counts_follow_the_distribution():
+    """Chi-square of the counts at 3 electrons, against scipy's probabilities."""
+    sample = np.asarray(raw(KEY, Sensor(shot_noise=POISSON), flat(3.0))).ravel().astype(int)
+    cells = np.bincount(np.minimum(sample, 10), minlength=11)
+    probability = np.append(stats.poisson.pmf(range(10), 3), stats.poisson.sf(9, 3))
+    assert stats.chisquare(cells, probability * COUNT).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_gaussian_shot_noise_has_the_same_two_moments(level):
+    sample = raw(KEY, Sensor(shot_noise=GAUSSIAN), flat(level))
+    check_moments(sample, level, level, 3 * level**2)
+
+
+@pytest.mark.parametrize("sigma", LEVELS)
+def test_read_noise(sigma):
+    sample = raw(KEY, Sensor(read_noise=sigma), flat(50.0))
+    check_moments(sample, 50, sigma**2, 3 * sigma**4)
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("level", LEVELS)
+def test_dark_current_brings_its_own_shot_noise(level):
+    sensor = Sensor(dark_current=level / 0.25, exposure_time=0.25, shot_noise=POISSON)
+    check_moments(raw(KEY, sensor, flat(0.0)), level, level, level + 3 * level**2)
+    both = level + 10
+    check_moments(raw(KEY, sensor, flat(40.0)), both, both, both + 3 * both**2)
+
+
+@pytest.mark.parametrize("rms", LEVELS)
+def test_dsnu_stays_with_the_die(rms):
+    sensor = Sensor(dsnu=rms)
+    sample = raw(KEY, sensor, flat(20.0), die_key=DIE)
+    check_moments(sample, 20, rms**2, 3 * rms**4)
+    np.testing.assert_array_equal(sample, raw(DIE, sensor, flat(20.0), die_key=DIE))
+    assert (sample != raw(KEY, sensor, flat(20.0), die_key=KEY)).mean() > 0.99
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_prnu_is_relative_to_the_light(level):
+    sensor = Sensor(prnu=0.02, dark_current=7.0)
+    rms = 0.02 * level
+    check_moments(raw(None, sensor, flat(level), die_key=DIE), level + 7, rms**2, 3 * rms**4)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_whole_linear_sensor_counts_quantisation_once(level):
+    """Read noise of 2 e- = 1 DN: quantisation is then white to 1e-8 and adds 1/12, once."""
+    sensor = Sensor(
+        quantum_efficiency=0.5,
+        exposure_time=0.1,
+        dark_current=20.0,
+        shot_noise=GAUSSIAN,
+        read_noise=2.0,
+        gain=0.5,
+        offset=100.0,
+        bits=12,
+    )
+    sample = raw(KEY, sensor, flat(level / 0.05))
+    variance = 0.25 * (level + 2 + 4) + 1 / 12
+    check_moments(sample, 0.5 * (level + 2) + 100, variance, 3 * variance**2)
+    np.testing.assert_array_equal(sample, jnp.round(sample))
+    one = jnp.asarray([level / 0.05])
+    np.testing.assert_allclose(expected_signal(sensor, one), [0.5 * (level + 2) + 100], rtol=1e-14)
+    np.testing.assert_allclose(signal_variance(sensor, one), [variance], rtol=1e-14)
+    ratio = 0.5 * level / np.sqrt(variance)
+    np.testing.assert_allclose(signal_to_noise(sensor, one), [ratio], rtol=1e-12)
+
+
+def test_pattern_variance_is_that_of_a_noiseless_frame():
+    sensor = Sensor(prnu=0.01, dsnu=3.0, gain=0.5, quantum_efficiency=0.5)
+    sample = raw(None, sensor, flat(800.0), die_key=DIE)
+    variance = 0.25 * (4.0**2 + 9)
+    np.testing.assert_allclose(pattern_variance(sensor, jnp.asarray([800.0])), [variance])
+    check_moments(sample, 200, variance, 3 * variance**2)
+    assert (signal_variance(sensor, jnp.asarray([800.0])) == 0).all()
+
+
+@pytest.mark.slow
+def test_noise_of_pixels_frames_and_sources_is_independent():
+    sensor = Sensor(shot_noise=GAUSSIAN, read_noise=10.0)
+    frames = [np.asarray(raw(key, sensor, flat(100.0))).ravel() for key in jax.random.split(KEY, 2)]
+    bound = 5 / np.sqrt(COUNT)
+    assert abs(np.corrcoef(frames)[0, 1]) < bound
+    assert abs(np.corrcoef(frames[0][1:], frames[0][:-1])[0, 1]) < bound
+    pattern = np.asarray(raw(None, Sensor(prnu=0.1, dsnu=10.0), flat(100.0), die_key=DIE)).ravel()
+    check_moments(pattern, 100, 200, 3 * 200**2)  # variances add: DSNU and PRNU differ
+
+
+def test_emva_conversion():
+    """EMVA 1288 states it as 50.34 A[um^2] t[ms] lambda[um] E[uW / cm^2] photons."""
+    e, wavelength, side, t = 3.0, 0.53, 5.5, 7.0  # uW/cm^2, um, um, ms
+    rate = photon_rate(
+        jnp.asarray([e * 1e-2]), jnp.asarray(wavelength * 1e-6), jnp.asarray((side * 1e-6) ** 2)
+    )
+    np.testing.assert_allclose(rate * t * 1e-3, 50.34 * side**2 * t * wavelength * e, rtol=1e-4)
+
+
+def test_conversion_and_efficiency_go_by_band():
+    sensor = Sensor(
+        photon_conversion=PhotonConversion([6e-7, 5e-7], 1e-11),
+        quantum_efficiency=[0.4, 0.6],
+        exposure_time=0.01,
+    )
+    electrons = mean_photoelectrons(sensor, jnp.ones((4, 5, 2)))
+    energy = 6.62607015e-34 * 299792458 / np.array([6e-7, 5e-7])
+    np.testing.assert_allclose(
+        electrons[2, 3], 1e-11 * 0.01 / energy * np.array([0.4, 0.6]), rtol=1e-14
+    )
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_adc_rounds_and_clips_at_every_depth(dtype):
+    electrons = jnp.asarray([-3.0, 0.4, 0.6, 1e9], dtype)
+    for bits in range(1, 17):
+        codes = digitise(as_dtype(Sensor(bits=bits), dtype), electrons)
+        np.testing.assert_array_equal(codes, [0, 0, 1, 2**bits - 1])
+
+
+@pytest.mark.slow
+def test_full_well_clips_the_electrons():
+    sensor = Sensor(shot_noise=POISSON, full_well=100.0, gain=2.0, offset=5.0)
+    assert (raw(KEY, sensor, flat(1e4)) == 205).all()
+    low = jax.jit(collect)(KEY, sensor, flat(50.0))
+    assert 50 < float(low.max()) <= 100
+
+
+def test_missing_keys_are_named():
+    with pytest.raises(ValueError, match=r"^key must be a random key, got None"):
+        collect(None, Sensor(read_noise=1.0), flat(1.0))
+    with pytest.raises(ValueError, match=r"^die_key must be a random key, got None"):
+        collect(KEY, Sensor(prnu=0.1), flat(1.0))
+
+
+def test_an_empty_sensor_hands_photons_on():
+    x = jnp.arange(6.0).reshape(2, 3)
+    np.testing.assert_array_equal(raw_image(None, Sensor(), x), x)
+    np.testing.assert_array_equal(expected_signal(Sensor(), x), x)
+
+
+FULL = Sensor(
+    photon_conversion=PhotonConversion([6e-7, 5e-7, 4e-7], 1e-11),
+    exposure_time=0.01,
+    quantum_efficiency=[0.5, 0.6, 0.5],
+    prnu=0.01,
+    dark_current=5.0,
+    shot_noise=POISSON,
+    full_well=1e4,
+    dsnu=1.0,
+    read_noise=2.0,
+    gain=0.4,
+    offset=64.0,
+    bits=12,
+)
+
+
+def test_float32_in_float32_out_everywhere():
+    sensor, x = as_dtype(FULL, jnp.float32), jnp.full((4, 3), 1e-2, jnp.float32)
+    for kind in (POISSON, GAUSSIAN):
+        noisy = replace(sensor, shot_noise=kind)
+        assert jax.eval_shape(raw_image, KEY, noisy, x, die_key=DIE).dtype == jnp.float32
+    for moment in (expected_signal, signal_variance, pattern_variance):
+        assert jax.eval_shape(moment, sensor, x).dtype == jnp.float32
+
+
+@pytest.mark.slow
+def test_one_compilation_serves_a_sweep():
+    traced = []
+
+    @jax.jit
+    def shoot(sensor):
+        traced.append(1)
+        return raw_image(KEY, sensor, jnp.full((4, 3), 1e-2), die_key=DIE)
+
+    for changed in [(0.01, 1.0, 8), (0.02, 0.5, 12), (1e-4, 2, 16.0)]:
+        exposure_time, gain, bits = changed
+        shoot(replace(FULL, exposure_time=exposure_time, gain=gain, bits=bits))
+    assert len(traced) == 1
+
+
+@pytest.mark.slow
+def test_gradients_pass_along_draws_and_through_rounding():
+    """1/2 + N / (2 mean) of a count N; nothing beyond the range of the ADC."""
+    sensor = Sensor(shot_noise=POISSON, gain=1.0, offset=10.0, bits=8)
+    light = jnp.asarray([50.0, 1e4])
+    counted = float(raw_image(KEY, sensor, light)[0]) - 10
+    gradient = jax.grad(lambda x: raw_image(KEY, sensor, x).sum())(light)
+    np.testing.assert_allclose(gradient, [0.5 + counted / 100, 0.0])
+    both = jax.jit(jax.grad(lambda s, i: raw_image(KEY, s, i, die_key=DIE).sum(), argnums=(0, 1)))
+    for level in (0.0, 1e-2, 1e3):
+        x = jnp.full((2, 3), level)
+        for kind in (POISSON, GAUSSIAN):
+            noisy = replace(FULL, shot_noise=kind)
+            assert all(jnp.isfinite(g).all() for g in jax.tree.leaves(both(noisy, x)))

@@ -1,0 +1,493 @@
+"""Path tracing: closed forms, quadrature, conservation, and independence of how it is computed."""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import cornell_box
+
+from jaxvision import (
+    Blinn,
+    Dichromatic,
+    GaussianLobe,
+    HalfDifferenceTable,
+    Lambert,
+    Mirror,
+    OrenNayar,
+    Phong,
+    PointLight,
+    RectangleLight,
+    TorranceSparrow,
+    as_dtype,
+    brdf,
+    environment_map,
+)
+from jaxvision._random import Stream, seed_of
+from jaxvision.brdf.blinn import BlinnBRDF, NormalisedBlinn
+from jaxvision.brdf.gaussian_lobe import GaussianLobeBRDF
+from jaxvision.brdf.glass import Glass
+from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
+from jaxvision.geometry import Ray
+from jaxvision.rendering import PixelSamples, photograph
+from jaxvision.scene import Box, Pinhole, Plane, Quad, Scene, Sphere, Surface
+from jaxvision.transport import (
+    Paths,
+    path_along,
+    path_radiance,
+    path_sample,
+    path_traced,
+    path_traced_pixels,
+)
+from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_image
+
+KEY = jax.random.key(4)
+
+
+def unit(*v):
+    return jnp.asarray(v, float) / np.linalg.norm(v)
+
+
+def mean_of_paths(scene, ray, method, count, key=KEY):
+    """(mean, standard error) of many single paths at once."""
+    seed = seed_of(key)
+
+    def one(pixel):
+        return path_sample(scene, ray, Stream(pixel, jnp.uint32(0), seed), method=method)
+
+    values = np.asarray(jax.jit(jax.vmap(one))(jnp.arange(count, dtype=jnp.uint32)))
+    return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(count)
+
+
+# ------------------------------------------------ closed sphere
+
+INSIDE = Ray(jnp.asarray([0.1, 0.2, 0.3]), jnp.asarray([0, 0.6, 0.8]))
+
+
+def closed(albedo, emission):
+    wall = Surface(
+        Sphere([0.0, 0, 0], 1.0), Lambert(np.array(albedo) / np.pi), emission, two_sided=True
+    )
+    return Scene([wall], [])
+
+
+def slow(*values):
+    return [pytest.param(*value, marks=pytest.mark.slow) for value in values]
+
+
+@pytest.mark.sweep("balance")
+@pytest.mark.parametrize("strategy", ["lights", "balance", *slow(("surfaces",), ("power",))])
+def test_closed_sphere_has_radiance_one(strategy):
+    """L = Le / (1 - albedo): 1 for .5 and .5, 2 for .75 and .5; less the tail albedo^depth."""
+    method = Paths(1, 30, strategy=strategy)
+    mean, error = mean_of_paths(closed([0.5, 0.75], [0.5, 0.5]), INSIDE, method, 200)
+    expected = 0.5 / (1 - np.array([0.5, 0.75])) * (1 - np.array([0.5, 0.75]) ** 30)
+    assert np.all(np.abs(mean - expected) <= 4 * error + 1e-9)
+
+
+def test_roulette_is_unbiased():
+    """Ends early or late, the same mean: with 60 pieces 1e-18 is left out."""
+    mean, error = mean_of_paths(closed([0.5], [0.5]), INSIDE, Paths(1, 60, roulette=1), 2000)
+    assert 1e-4 < error[0] < 0.05
+    assert abs(mean[0] - 1) < 4 * error[0]
+
+
+# ------------------------------------------------ white furnace
+
+FURNACE = {
+    "lambert": Lambert([0.25, 0.1]),
+    "phong": Phong([0.1, 0.05], [0.3], 8.0),
+    "phong_brdf": PhongBRDF([0.1, 0.05], [0.3], 8.0),
+    "normalised_phong": NormalisedPhong([0.3, 0.2], [0.5], 8.0),
+    "blinn": Blinn([0.1, 0.05], [0.3], 12.0),
+    "blinn_brdf": BlinnBRDF([0.1, 0.05], [0.3], 12.0),
+    "normalised_blinn": NormalisedBlinn([0.3, 0.2], [0.5], 12.0),
+    "gaussian": GaussianLobe([0.1, 0.05], [0.3], 9.0),
+    "gaussian_brdf": GaussianLobeBRDF([0.1, 0.05], [0.3], 9.0),
+    "oren_nayar": OrenNayar([0.25, 0.1], 0.4),
+    "torrance_sparrow": TorranceSparrow([0.1, 0.05], [0.6], 0.3),
+    "dichromatic": Dichromatic(
+        Lambert([0.25]), TorranceSparrow([0.0], [0.6], 0.4), [0.9, 0.4], [1.0]
+    ),
+    "measured": HalfDifferenceTable(
+        np.random.default_rng(5).uniform(0.1, 0.3, (6, 5, 4, 2)),
+    ),
+    "mirror": Mirror([0.9, 0.4]),
+}
+SKY = environment_map(np.ones((2, 4, 2)))
+GLANCE = Ray(jnp.asarray([0.6, 0.0, 3.0]), unit(0, 0, -1))  # meets the unit sphere at cos = .8
+
+
+QUICK = ("lambert", "mirror")
+
+
+@pytest.mark.sweep("lambert")
+@pytest.mark.parametrize(
+    "name", [*QUICK, *slow(*((name,) for name in FURNACE if name not in QUICK))]
+)
+def test_white_furnace_shows_the_albedo(name):
+    """A convex body under the same light from everywhere: the directional albedo of its family,
+    which its own test takes from quadrature."""
+    material = FURNACE[name]
+    scene = Scene([Surface(Sphere([0.0, 0, 0], 1.0), material)], [SKY])
+    mean, error = mean_of_paths(scene, GLANCE, Paths(1, 2), 3000)
+    expected = np.broadcast_to(brdf.albedo(material, jnp.asarray([0.6, 0, 0.8])), 2)
+    assert np.all(error < 0.01)
+    np.testing.assert_array_less(np.abs(mean - expected), 4.5 * error + 4e-4)
+
+
+@pytest.mark.slow
+def test_white_furnace_of_glass_is_white():
+    """Clear glass takes nothing: 1 exactly but for what is still inside after 40 pieces."""
+    scene = Scene([Surface(Sphere([0.0, 0, 0], 1.0), Glass(1.5))], [SKY])
+    mean, _ = mean_of_paths(scene, GLANCE, Paths(1, 40), 500)
+    np.testing.assert_allclose(mean, 1, atol=1e-6)
+
+
+# ------------------------------------------------ against quadrature
+
+LAMP = ([-0.5, -0.5, 1.5], [0.0, 1.0, 0], [1.0, 0.0, 0])  # shines down
+FLOOR = Quad([-2.0, -2, 0], [4.0, 0, 0], [0, 4.0, 0])
+WALL = Quad([1.0, -1, 0.2], [0, 0, 1.0], [0, 2.0, 0])  # faces -x
+
+
+def corner_scene(*, lamp_is_surface):
+    surfaces = [Surface(FLOOR, Lambert([0.2])), Surface(WALL, Lambert([0.25]))]
+    if lamp_is_surface:
+        return Scene([*surfaces, Surface(Quad(*LAMP), Lambert([0.0]), [3.0])], [])
+    return Scene(surfaces, [RectangleLight(*LAMP, [3.0])])
+
+
+def nodes(corner, u, v, order):
+    x, w = np.polynomial.legendre.leggauss(order)
+    a, b = np.meshgrid((x + 1) / 2, (x + 1) / 2, indexing="ij")
+    area = np.linalg.norm(np.cross(u, v))
+    points = np.array(corner) + a.reshape(-1, 1) * np.array(u) + b.reshape(-1, 1) * np.array(v)
+    return points, np.outer(w, w).ravel() / 4 * area
+
+
+def kernel(x, nx, y, ny):
+    """cos cos' / d^2 from points x to points y."""
+    d = y[None] - x[:, None]
+    d2 = (d**2).sum(-1)
+    return np.maximum(d @ nx, 0) * np.maximum(-(d @ ny), 0) / d2**2
+
+
+def corner_by_quadrature(x):
+    """Direct light, and direct light of the wall thrown on the floor: three Gauss rules."""
+    up, down, left = np.array([0, 0, 1.0]), np.array([0, 0, -1.0]), np.array([-1.0, 0, 0])
+    lamp, lamp_weight = nodes(*LAMP, 24)
+    wall, wall_weight = nodes([1.0, -1, 0.2], [0, 0, 1.0], [0, 2.0, 0], 40)
+    x = np.array([x])
+    direct = 0.2 * 3 * kernel(x, up, lamp, down) @ lamp_weight
+    of_wall = 0.25 * 3 * kernel(wall, left, lamp, down) @ lamp_weight
+    return (direct + 0.2 * kernel(x, up, wall, left) @ (wall_weight * of_wall))[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("strategy", "lamp_is_surface"),
+    [
+        ("lights", True),
+        ("surfaces", True),
+        ("balance", False),
+        *slow(("balance", True), ("lights", False), ("surfaces", False), ("power", False)),
+    ],
+)
+def test_direct_light_and_one_bounce_against_quadrature(strategy, lamp_is_surface):
+    """All four ways to find light, and a lamp that is a light or a surface: one integral, that of
+    NumPy's quadrature. The ray looks at the floor from below the lamp."""
+    point, eye = np.array([0.3, 0.2, 0.0]), np.array([-1.5, 0.2, 1.0])
+    ray = Ray(jnp.asarray(eye), unit(*(point - eye)))
+    scene = corner_scene(lamp_is_surface=lamp_is_surface)
+    mean, error = mean_of_paths(scene, ray, Paths(1, 3, strategy=strategy), 20000)
+    assert error[0] < 0.02 * mean[0]
+    assert abs(mean[0] - corner_by_quadrature(point)) < 4 * error[0]
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_a_lamp_is_no_shadow_of_its_own(dtype):
+    """A ceiling that shines, seen from a floor up to 89 degrees from its normal, where a shadow
+    ray that starts off the floor meets the ceiling sooner: the form factor in closed form."""
+    side, height = 60.0, 1.0
+    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([1 / np.pi]))
+    lamp = Quad([30.0, -2.0, height], [0, 4.0, 0], [side - 30.0, 0, 0])
+    scene = as_dtype(Scene([floor, Surface(lamp, Lambert([0.0]), [1.0])], []), dtype)
+    ray = Ray(*(jnp.asarray(v, dtype) for v in ([0.0, 0, 0.5], [0, 0, -1.0])))
+    mean, error = mean_of_paths(scene, ray, Paths(1, 2, strategy="lights"), 20000)
+
+    def corner(a, b):  # of a parallel rectangle, one corner above the point (Howell, B-3)
+        p, q = np.hypot(1, a), np.hypot(1, b)
+        return (a / p * np.arctan(b / p) + b / q * np.arctan(a / q)) / (2 * np.pi)
+
+    expected = 2 * (corner(side, 2.0) - corner(30.0, 2.0))
+    assert error[0] < 0.02 * expected
+    assert abs(mean[0] - expected) < 4 * error[0]
+
+
+@pytest.mark.slow
+def test_cornell_box_is_that_of_radiosity():
+    """Paths without end against patches of 6 cm and a final gather: within the noise and what
+    patches of that size leave. Many rays a pixel of both, for a silhouette is cut by few."""
+    scene, view = cornell_box.scene(emissive_surface=True), cornell_box.view(16)
+    method = Paths(4096, 40, strategy="lights", roulette=3)
+    paths = jax.jit(partial(path_traced, method=method))(KEY, scene, view)
+    plan = plan_patches(scene, size=0.06)
+
+    samples = PixelSamples(KEY, 256)
+
+    @jax.jit
+    def by_patches(scene, view):
+        return radiosity_image(scene, plan, radiosity(scene, plan), view, samples=samples)
+
+    patches = np.asarray(by_patches(scene, view))
+    seen, noise = np.asarray(paths.radiance), np.asarray(paths.error)
+    steady = (noise < 0.03 * seen) & (seen > 0)
+    assert steady.mean() > 0.7
+    apart = (patches - seen)[steady] / seen[steady]
+    assert abs(apart.mean()) < 0.002
+    assert np.sqrt(np.mean(apart**2)) < 0.025
+
+
+# ------------------------------------------------ independence
+
+VIEW = Pinhole(
+    [-1.5, 0.0, 1.0], np.array([[0, -1.0, 0], [0, 0, -1], [1, 0, 0]]), 1.0, 0.2, resolution=(5, 7)
+)
+
+
+@pytest.mark.slow
+def test_pixels_do_not_depend_on_the_tiles():
+    """Every pixel, in pieces of any length and in any order, to the last bit."""
+    method = Paths(4, 3)
+    scene = corner_scene(lamp_is_surface=True)
+    traced = jax.jit(partial(path_traced_pixels, method=method))
+    rows, columns = (x.ravel() for x in np.indices((5, 7)))
+    whole = traced(KEY, scene, VIEW, rows, columns)
+    order = np.random.default_rng(0).permutation(35)
+    for piece in np.split(order, [2]):
+        part = traced(KEY, scene, VIEW, rows[piece], columns[piece])
+        np.testing.assert_array_equal(part.radiance, whole.radiance[piece])
+        np.testing.assert_array_equal(part.error, whole.error[piece])
+    picture = jax.jit(partial(path_traced, method=method))(KEY, scene, VIEW)
+    np.testing.assert_array_equal(picture.radiance.reshape(35, -1), whole.radiance)
+    other = traced(jax.random.key(5), scene, VIEW, rows, columns)
+    assert np.mean(other.radiance == whole.radiance) < 0.5
+
+
+@pytest.mark.slow
+def test_samples_in_parts_are_the_samples():
+    scene, at = corner_scene(lamp_is_surface=True), (np.array([2, 4]), np.array([3, 1]))
+
+    def part(samples, first):
+        traced = partial(path_traced_pixels, method=Paths(samples, 3), first_sample=first)
+        return np.asarray(jax.jit(traced)(KEY, scene, VIEW, *at).radiance)
+
+    np.testing.assert_allclose((part(3, 0) + part(3, 3)) / 2, part(6, 0), rtol=1e-13)
+
+
+@pytest.mark.slow
+def test_a_traced_depth_is_the_depth():
+    """Between a floor and a ceiling that shines, where each piece adds light."""
+    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.2]))
+    ceiling = Surface(Quad([-1.0, -1, 1], [0, 2.0, 0], [2.0, 0, 0]), Lambert([0.2]), [1.0])
+    scene, one = Scene([floor, ceiling], []), Paths(1, 4)
+    view = Pinhole([0.0, 0, 0.5], np.diag([1.0, -1, -1]), 1.0, 0.2, resolution=(2, 2))
+    seen = jax.jit(
+        lambda depth: (
+            photograph(path_along(scene, one, depth=depth), view, PixelSamples(KEY, 1)).radiance
+        )
+    )
+    fixed = jax.jit(partial(path_traced, method=one))(KEY, scene, view).radiance
+    np.testing.assert_allclose(seen(jnp.uint32(4)), fixed, rtol=1e-12)
+    assert np.sum(seen(jnp.uint32(2))) < 0.99 * np.sum(fixed)
+
+
+@pytest.mark.slow
+def test_mean_and_error_are_numpys_of_the_same_paths():
+    """Three paths from a floor to a ceiling that shines, one by one."""
+    floor = Surface(Quad([-1.0, -1, 0], [2.0, 0, 0], [0, 2.0, 0]), Lambert([0.1, 0.2]))
+    ceiling = Surface(Quad([-1.0, -1, 1], [0, 2.0, 0], [2.0, 0, 0]), Lambert([0.1, 0.2]), [1.0, 2])
+    scene, method = Scene([floor, ceiling], []), Paths(3, 2, strategy="lights")
+    ray = Ray(jnp.asarray([0.1, 0.2, 0.5]), unit(0, 0, -1))
+    seed, pixel = seed_of(KEY), jnp.uint32(0)
+
+    def both(numbers):
+        one = partial(path_sample, scene, ray, method=method)
+        paths = jax.vmap(lambda number: one(Stream(pixel, number, seed)))(numbers)
+        return path_radiance(KEY, scene, ray, method=method), paths
+
+    traced, values = jax.jit(both)(jnp.arange(3, dtype=jnp.uint32))
+    np.testing.assert_allclose(traced.radiance, np.mean(values, axis=0), rtol=1e-12)
+    deviation = np.std(values, axis=0, ddof=1)
+    assert deviation.min() > 0
+    np.testing.assert_allclose(traced.error, deviation / np.sqrt(3), rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_error_is_the_standard_error():
+    """Over 100 keys the spread of the mean of 16 is what each says of itself, on average."""
+    scene = corner_scene(lamp_is_surface=False)
+    ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))
+    keys = jax.random.split(KEY, 100)
+    traced = jax.jit(jax.vmap(lambda key: path_radiance(key, scene, ray, method=Paths(16, 3))))(
+        keys
+    )
+    claimed = np.sqrt(np.mean(np.square(traced.error)))
+    assert np.std(traced.radiance) == pytest.approx(claimed, rel=0.25)
+
+
+def test_a_bounce_is_traced_once(monkeypatch):
+    """Whatever the samples and the depth: tracing is what a compile cache cannot keep."""
+    from jaxvision.transport import paths
+
+    calls, bounce = [], paths._bounce
+
+    def counted(*arguments):
+        calls.append(1)
+        return bounce(*arguments)
+
+    monkeypatch.setattr(paths, "_bounce", counted)
+    wall, view = closed([0.5], [0.5]), Pinhole(np.zeros(3), np.eye(3), 1.0, 0.1, resolution=(2, 2))
+    for method in (Paths(4, 3), Paths(4, 3, roulette=1)):
+        calls.clear()
+        jax.make_jaxpr(partial(path_traced, method=method))(KEY, wall, view)
+        assert len(calls) == 1
+
+
+@pytest.mark.slow
+def test_no_density_is_traced_that_no_weight_needs(monkeypatch):
+    """A bounce asks a material for the density of the direction drawn and, to weigh both ways of
+    finding light, for that toward the lamp; not where no ray can meet what shines."""
+    pdf, asked = brdf.pdf, []
+    monkeypatch.setattr(brdf, "pdf", lambda *arguments: asked.append(1) or pdf(*arguments))
+    ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))
+
+    def densities(light, strategy):
+        asked.clear()
+        scene, method = Scene([Surface(FLOOR, Lambert([0.1]))], [light]), Paths(1, 2)
+        method = dataclasses.replace(method, strategy=strategy)
+        jax.make_jaxpr(lambda ray: path_radiance(KEY, scene, ray, method=method))(ray)
+        return len(asked)
+
+    point = PointLight([0, 0, 1.0], [1.0])
+    lamp = RectangleLight([0, 0, 1.0], [0, 1.0, 0], [1.0, 0, 0], [1.0])
+    drawn = densities(lamp, "lights")
+    assert drawn > 0
+    assert densities(point, "balance") == drawn
+    assert densities(lamp, "balance") == 2 * drawn
+
+
+# ------------------------------------------------ gradients
+
+
+@pytest.mark.slow
+def test_gradients_against_finite_differences_of_the_same_paths():
+    """Albedo, emission and a lamp's position, through five pieces, without a shadow."""
+    point = jnp.asarray([0.2, 0.1, 1.2])
+    ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))
+
+    def radiance(albedo, emission, position):
+        scene = Scene(
+            [
+                Surface(FLOOR, Lambert(albedo / np.pi)),
+                Surface(WALL, Lambert([0.25])),
+                Surface(Quad(*LAMP), Lambert([0.0]), emission),
+            ],
+            [PointLight(position, [2.0])],
+        )
+        return path_radiance(KEY, scene, ray, method=Paths(32, 5, strategy="lights")).radiance[0]
+
+    at = (jnp.asarray([0.6]), jnp.asarray([3.0]), point)
+    value, gradient = jax.jit(jax.value_and_grad(radiance, argnums=(0, 1, 2)))(*at)
+    assert float(value) > 0.1
+    plain = jax.jit(radiance)
+    for i, part in enumerate(gradient):
+        for j in range(part.size):
+            step = 1e-5 * jnp.eye(part.size)[j]
+            ahead, behind = (
+                plain(*(x + sign * step if i == n else x for n, x in enumerate(at)))
+                for sign in (1, -1)
+            )
+            slope = float(ahead - behind) / 2e-5
+            assert float(part[j]) == pytest.approx(slope, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_gradient_in_a_roughness_is_right_on_average():
+    """The drawn directions are held, and yet the mean gradient is that of the albedo: by central
+    difference of its quadrature."""
+
+    def material(roughness):
+        return TorranceSparrow([0.05], [0.9], roughness)
+
+    def one(roughness, pixel):
+        ball = Surface(Sphere([0.0, 0, 0], 1.0), material(roughness))
+        scene = Scene([ball], [environment_map(np.ones((2, 4, 1)))])
+        stream = Stream(pixel, jnp.uint32(0), seed_of(KEY))
+        return path_sample(scene, GLANCE, stream, method=Paths(1, 2, strategy="surfaces"))[0]
+
+    slopes = np.asarray(
+        jax.jit(jax.vmap(jax.grad(one), (None, 0)))(
+            jnp.asarray(0.5), jnp.arange(20000, dtype=jnp.uint32)
+        )
+    )
+    wo, h = jnp.asarray([0.6, 0, 0.8]), 1e-3
+    ahead, behind = (brdf.albedo(material(0.5 + s), wo)[0] for s in (h, -h))
+    error = slopes.std() / np.sqrt(slopes.size)
+    expected = float(ahead - behind) / (2 * h)
+    assert abs(expected) > 8 * error
+    assert abs(slopes.mean() - expected) < 4 * error
+
+
+# ------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"samples": 0}, r"Paths.samples must be a whole number of at least 1, got 0."),
+        ({"depth": 0}, r"Paths.depth must be a whole number of at least 1, got 0."),
+        ({"roulette": -1}, r"Paths.roulette must be a whole number of at least 0, got -1."),
+    ],
+)
+def test_options_out_of_range_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        Paths(**options)
+
+
+@pytest.mark.slow
+def test_nothing_shines_and_nothing_is_met():
+    """A scene without light is black; a ray that meets nothing is black or sees the sky."""
+    up = Ray(jnp.asarray([0.0, 0, 1]), unit(0, 0, 1))
+    dark = Scene([Surface(Plane([0, 0, 0], [0, 0, 1.0]), Lambert([0.2]))], [])
+    for ray in (up, Ray(up.origin, -up.direction)):
+        traced = path_radiance(KEY, dark, ray, method=Paths(2, 4))
+        np.testing.assert_array_equal(traced.radiance, 0)
+    lit = Scene(dark.surfaces, [environment_map(np.full((2, 4, 1), 3.0))])
+    assert float(path_radiance(KEY, lit, up, method=Paths(2, 4)).radiance[0]) == pytest.approx(3)
+
+
+def test_an_endless_floor_that_alone_shines_lights_by_its_albedo():
+    """It has no place to draw. A black one of radiance 2 below a ceiling of albedo .3 gives .6."""
+    floor = Surface(Plane([0.0, 0, 0], [0, 0, 1.0]), Lambert([0.0]), [2.0])
+    ceiling = Surface(Plane([0.0, 0, 2], [0, 0, -1.0]), Lambert([0.3 / np.pi]))
+    up, scene = Ray(jnp.asarray([0.0, 0, 1]), unit(0, 0, 1)), Scene([floor, ceiling], [])
+    traced = path_radiance(KEY, scene, up, method=Paths(4, 2))
+    np.testing.assert_allclose(traced.radiance, [0.6], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_box_that_shines_lights_as_its_faces_do():
+    """Drawn by area over six faces, or met by chance: one irradiance."""
+    lamp = Surface(Box([0.2, 0, 1.0], [0.2, 0.3, 0.1]), Lambert([0.0]), [5.0])
+    scene = Scene([Surface(FLOOR, Lambert([0.3])), lamp], [])
+    ray = Ray(jnp.asarray([-1.5, 0.2, 1.0]), unit(1.8, 0, -1))
+    (a, da), (b, db) = (
+        mean_of_paths(scene, ray, Paths(1, 2, strategy=s), 8000) for s in ("lights", "surfaces")
+    )
+    assert abs(a[0] - b[0]) < 4 * np.hypot(da[0], db[0])
+    assert da[0] < db[0]
