@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from random_sensors import SHAPE, draw
-from test_absent_effects import primitives
+from traced import primitives
 
 import jaxvision as jv
 from jaxvision import effects

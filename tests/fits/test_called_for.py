@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_absent_effects import primitives
+from traced import primitives
 
 import jaxvision as jv
 from fitting import InputError, Parameter, Problem, SensorNoise, Tied, called_for, fit

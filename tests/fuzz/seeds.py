@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from astropy.io import fits
 from oracles import measured, mitsuba_pictures
-from test_raw_files import dng
+from raw_contents import dng
 
 import jaxvision
 from fitting.noise.levels_table import read_table

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles.sensors import EVERY_EFFECT
+from traced import primitives
 
 import jaxvision as jv
 from jaxvision import optics
@@ -57,21 +58,6 @@ LENS = s.ThinLens(
     distortion=s.Distortion([-0.1], [0.01, 0.02]),
     diffraction=s.Diffraction([6e-7, 5e-7, 4e-7], size=5),
 )
-
-
-def primitives(function, *arguments):
-    """How often each primitive stands in the program, inner programs included."""
-
-    def count(jaxpr):
-        total = Counter(equation.primitive.name for equation in jaxpr.eqns)
-        for equation in jaxpr.eqns:
-            inner = jax.tree.leaves(
-                list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")
-            )
-            total += sum((count(x) for x in inner if hasattr(x, "eqns")), Counter())
-        return total
-
-    return count(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 
 def shot(sensor):
