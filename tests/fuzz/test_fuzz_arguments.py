@@ -20,10 +20,10 @@ import jax
 import pytest
 from examples import ROOMS, examples_of
 from public_names import traced
-from test_fuzz import COUNT, FIRST, WORDS
 
 import jaxvision
 from fuzz.arguments import odd_call, places, with_at
+from fuzz.test_fuzz import COUNT, FIRST, WORDS
 
 PACKAGE = Path(jaxvision.__file__).parent
 OWN_WORDS = ("ncompatible shapes", "ncompatible types for broadcasting", "have the same shape")
