@@ -15,6 +15,7 @@ from .errors import InputError
 
 NETPBM_FORMATS = (".pgm", ".ppm", ".pbm", ".pnm", ".pfm")
 _TOKEN = re.compile(rb"(?:\s|#[^\n\r]*[\n\r])*([^\s#]+)")
+_ENDING = re.compile(rb"\r\n|[ \t]*#[^\n\r]*(?:\r\n|\r|\n)")  # of a head, beyond one white space
 _CHANNELS = {b"P1": 1, b"P2": 1, b"P3": 3, b"P4": 1, b"P5": 1, b"P6": 3, b"PF": 3, b"Pf": 1}
 _BITMAPS, _TEXTS, _FLOATS = (b"P1", b"P4"), (b"P1", b"P2", b"P3"), (b"PF", b"Pf")
 _LONGEST_WORD = 32
@@ -108,7 +109,7 @@ def read_netpbm(file: Path) -> np.ndarray:
     if head.magic in _TEXTS:
         codes, rest = _from_text(file, head, data[head.start - 1 :], count)
     else:
-        codes, rest = _from_bytes(file, head, data[head.start :], count)
+        codes, rest = _from_bytes(file, head, data, count)
     if rest.strip():
         warnings.warn(
             f"{file}: {len(rest)} bytes after its first picture are not used.", stacklevel=2
@@ -147,6 +148,8 @@ def _from_text(file: Path, head: NetpbmHead, text: bytes, count: int) -> tuple[n
 
 
 def _from_bytes(file: Path, head: NetpbmHead, data: bytes, count: int) -> tuple[np.ndarray, bytes]:
+    ending = _ENDING.match(data, head.start - 1)
+    data = data[head.start :]
     if head.magic == b"P4":
         row = -(-head.columns // 8)
         size, kind = row * head.rows, np.dtype("u1")
@@ -156,6 +159,7 @@ def _from_bytes(file: Path, head: NetpbmHead, data: bytes, count: int) -> tuple[
     else:
         kind = np.dtype(_code_type(head)).newbyteorder(">")
         size = count * kind.itemsize
+    data = data[_rest_of_head(file, ending, data, size) :]
     if len(data) < size:
         raise _damaged(file, f"it holds {len(data)} of {size} bytes")
     if head.magic == b"P4":
@@ -163,6 +167,18 @@ def _from_bytes(file: Path, head: NetpbmHead, data: bytes, count: int) -> tuple[
         return np.unpackbits(packed, axis=1)[:, : head.columns].ravel(), data[size:]
     codes = np.frombuffer(data[:size], kind)
     return codes.astype(kind.newbyteorder("=")), data[size:]
+
+
+def _rest_of_head(file: Path, ending: re.Match[bytes] | None, data: bytes, size: int) -> int:
+    """Bytes that belong to the head beyond its one white space: a program wrote a line break of
+    two characters, or a comment behind the last number. The length of the file tells."""
+    more = len(data) - size
+    if ending is None or more <= 0:
+        return 0
+    length = len(ending[0]) - 1
+    if more == length or data[length + size : length + size + 2] in _CHANNELS:
+        return length
+    raise _damaged(file, f"its head ends in {ending[0]!r}, and its length fits no such head")
 
 
 def _code_type(head: NetpbmHead) -> type:

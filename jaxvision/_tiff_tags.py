@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 _SIZES = {
     1: 1,
@@ -14,13 +14,17 @@ _SIZES = {
     4: 4,
     5: 8,
     7: 1,
+    10: 8,
     13: 4,
     16: 8,
     18: 8,
 }  # bytes of a value, by the type of its tag
-_LETTERS = {1: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q", 18: "Q"}
+_LETTERS = {1: "B", 3: "H", 4: "I", 5: "II", 7: "B", 10: "ii", 13: "I", 16: "Q", 18: "Q"}
+_QUOTIENTS = (5, 10)
 SUBFILE, ROWS, COLUMNS, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 257, 256, 258, 262, 320, 330
-SAMPLE_FORMAT = 339  # 1: whole numbers without a sign
+ALPHA, MULTIPLIED = 338, 1  # what an extra channel is: colours are multiplied by it
+SAMPLE_FORMAT = 339  # 1: whole numbers without a sign, 3: floating numbers
+BLACKS_SIZE, BLACKS, BLACKS_ALONG = 50713, 50714, (50715, 50716)  # of DNG: rows and columns; levels
 CFA_SIZE, CFA_COLOURS = 33421, 33422
 WHITE_IS_ZERO, PALETTE, INKS, MOSAIC = 0, 3, 5, 32803  # photometric interpretations
 LIGHT = (0, 1, 2, 3, 4, 6, MOSAIC, 34892)  # grey, RGB, palettes, YCbCr, mosaics, linear raw
@@ -35,16 +39,16 @@ class TiffPicture:
     """The tags of one picture.
 
     Attributes:
-        values: whole numbers by tag.
+        values: numbers by tag.
         places: of the first value of each tag, bytes from the beginning of the file.
         inner: the pictures in directories of its own (SubIFDs), which its decoder does not give.
     """
 
-    values: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    values: Mapping[int, tuple[Any, ...]] = field(default_factory=dict)
     places: Mapping[int, int] = field(default_factory=dict)
     inner: tuple["TiffPicture", ...] = ()
 
-    def first(self, tag: int, otherwise: int = 0) -> int:
+    def first(self, tag: int, otherwise: int = 0) -> Any:
         """The first value of a tag."""
         return next(iter(self.values.get(tag, ())), otherwise)
 
@@ -125,6 +129,10 @@ class _Layout:
             if size > at:
                 (place,) = struct.unpack_from(f"{order}{word}", entries, start + 4 + at)
             stream.seek(place)
-            values[tag] = struct.unpack(f"{order}{number}{_LETTERS[kind]}", stream.read(size))
+            found = struct.unpack(f"{order}{number * _LETTERS[kind]}", stream.read(size))
+            if kind in _QUOTIENTS:
+                above, below = found[::2], found[1::2]
+                found = tuple(n / d if d else n for n, d in zip(above, below, strict=True))
+            values[tag] = found
             places[tag] = place
         return TiffPicture(values, places), following

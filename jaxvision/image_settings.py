@@ -15,7 +15,17 @@ import numpy as np
 from ._netpbm_files import NETPBM_FORMATS, netpbm_head
 from ._png_chunks import png_chunks
 from ._targa_head import targa_bits
-from ._tiff_tags import BITS, COLOUR_MAP, PALETTE, PHOTOMETRIC, SAMPLE_FORMAT, tiff_pictures
+from ._tiff_tags import (
+    BITS,
+    BLACKS,
+    BLACKS_ALONG,
+    BLACKS_SIZE,
+    COLOUR_MAP,
+    PALETTE,
+    PHOTOMETRIC,
+    SAMPLE_FORMAT,
+    tiff_pictures,
+)
 from .errors import InputError, check_utf8
 from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
@@ -149,8 +159,24 @@ def _of_raw(file: Path) -> ImageSettings:
         if raw.num_colors > 1 and not (_is_bayer(pattern) and np.shape(sites) == (2, 2)):
             _warn_of_mosaic(file, "x".join(map(str, np.shape(sites))) + f", {letters}")
             pattern = ""
-        blacks = [float(level) for level in raw.black_level_per_channel]
-        blacks = [blacks[i] for i in colours] if pattern else blacks[:1]
+        blacks = np.array(raw.black_level_per_channel, float)
+        blacks = blacks[colours].reshape(2, 2) if pattern else blacks[:1].reshape(1, 1)
+        stated = _dng_blacks(file)
+        if stated is not None:
+            rows, columns = (
+                np.arange(n) % m for n, m in zip(stated.shape, blacks.shape, strict=True)
+            )
+            blacks = stated[
+                np.ix_(*(np.arange(n) % m for n, m in zip(blacks.shape, stated.shape, strict=True)))
+            ]
+            if (stated != blacks[np.ix_(rows, columns)]).any():
+                warnings.warn(
+                    f"{file}: its black level is not used: it differs over rows or columns in more "
+                    "than the sites of a mosaic; measure it from darks.",
+                    stacklevel=4,
+                )
+                blacks = np.array([])
+        levels = tuple(blacks.ravel().tolist())
         saturation = float(raw.white_level)
     return ImageSettings(
         exposure=_seconds(said("ExposureTime"), said("ShutterSpeedValue")),
@@ -158,10 +184,34 @@ def _of_raw(file: Path) -> ImageSettings:
         f_number=_f_number(said("FNumber"), said("ApertureValue")),
         taken=_time(said("DateTimeOriginal") or tags.get("Image DateTime")),
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
-        black_level=tuple(blacks) if len(set(blacks)) > 1 else blacks[0],
+        black_level=levels if len(set(levels)) > 1 else next(iter(levels), None),
         saturation=saturation,
         pattern=pattern or None,
     )
+
+
+def _dng_blacks(file: Path) -> np.ndarray | None:
+    """Black levels of a DNG's mosaic, DN, over the rows and columns at which they begin again; None
+    of other files, and where it states none. LibRaw cuts them to whole numbers and averages those
+    along rows and columns."""
+    for page in tiff_pictures(file):
+        for picture in (page, *page.inner):
+            along_columns, along_rows = (
+                np.array(picture.values.get(t, (0,))) for t in BLACKS_ALONG
+            )
+            height, width = picture.values.get(BLACKS_SIZE, (1, 1))[:2]
+            levels = np.array(picture.values.get(BLACKS, ()), float)
+            if picture.is_copy or levels.size < max(height * width, 1):
+                continue
+            if len(set(along_columns)) == len(set(along_rows)) == 1:
+                along_columns, along_rows = along_columns[:1], along_rows[:1]
+            rows, columns = (
+                max(n, m) for n, m in ((height, len(along_rows)), (width, len(along_columns)))
+            )
+            levels = levels[: height * width].reshape(height, width)
+            levels = levels[np.ix_(np.arange(rows) % height, np.arange(columns) % width)]
+            return levels + np.resize(along_rows, (rows, 1)) + np.resize(along_columns, columns)
+    return None
 
 
 def _raw_tags(file: Path) -> dict[str, Any]:

@@ -32,11 +32,13 @@ from ._png_chunks import PngChunks, png_chunks
 from ._radiance_files import END_OF_RANGE, is_radiance, read_radiance
 from ._targa_head import targa_bits
 from ._tiff_tags import (
+    ALPHA,
     BITS,
     COLOUR_MAP,
     COLUMNS,
     INKS,
     LIGHT,
+    MULTIPLIED,
     PALETTE,
     PHOTOMETRIC,
     ROWS,
@@ -139,6 +141,9 @@ def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -
     where white is stored as zero, numbers are reversed, so that more is brighter. An EXR is the
     picture of its display window, black outside its data window; its channels R, G, B and A, or Y,
     are found by their names. An HDR is radiance as it was before EXPOSURE.
+
+    Colours of an EXR are multiplied by its alpha, as its standard says; those of other files are as
+    stored, as a rule not multiplied.
 
     A warning, one sentence each, names what a file holds beside the picture that is read: further
     pictures, channels, pixels outside the window.
@@ -506,6 +511,14 @@ def _name_unused(
         said.append(f"its animation of {chunks.frames} frames: the still picture is read")
     if kind == "jpeg":
         said += jpeg_extras(file)
+    if page and page.first(ALPHA) == MULTIPLIED:
+        said.append("that its colours are multiplied by alpha (those of most files are not)")
+    words = spec.get_string_attribute("ImageDescription")
+    calibration = dict(re.findall(r"^(cf|c[0-4])=(.*)$", words, re.M))
+    plain = [("cf", "0"), ("c0", "0.0"), ("c1", "1.0")]
+    if words.startswith("ImageJ=") and calibration and [*calibration.items()] != plain:
+        told = ", ".join(f"{name} = {value.strip()}" for name, value in calibration.items())
+        said.append(f"its calibration by ImageJ ({told}): the codes are as stored")
     if said:
         warnings.warn(f"{file}: not used: {'; '.join(said)}.", stacklevel=5)
 

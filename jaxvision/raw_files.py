@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ._tiff_tags import SAMPLE_FORMAT, tiff_pictures
 from .errors import InputError, install
 
 RAW_FORMATS = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".pef", ".srw")
@@ -32,6 +33,15 @@ def read_raw(file: Path) -> np.ndarray:
         InputError: for a file that rawpy cannot read, for several colours a pixel, and without the
             `raw` extra.
     """
+    if any(
+        picture.first(SAMPLE_FORMAT, 1) == 3 and not picture.is_copy
+        for page in tiff_pictures(file)
+        for picture in (page, *page.inner)
+    ):
+        raise InputError(
+            f"{file}: holds floating numbers, which LibRaw scales by the brightest of each file; "
+            "save a TIFF of floating numbers, or give the raw files that it was merged from."
+        )
     with opened_raw(file) as raw:
         if raw.raw_type.name != "Flat":
             raise InputError(

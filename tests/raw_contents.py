@@ -3,9 +3,9 @@
 import struct
 
 
-def dng(codes, *, exif_apart=True, orientation=1, black=(64,)):
+def dng(codes, *, exif_apart=True, orientation=1, black=(64,), more=()):
     """A minimal DNG, byte by byte (Adobe's specification 1.4): one strip, a BGGR mosaic; times and
-    ISO in a directory of EXIF, or in the main one as in TIFF/EP."""
+    ISO in a directory of EXIF, or in the main one as in TIFF/EP; `more` tags of the main one."""
     height, width = codes.shape
     extra, base = bytearray(), 4096
 
@@ -53,11 +53,12 @@ def dng(codes, *, exif_apart=True, orientation=1, black=(64,)):
             *([entry(34665, 4, [1024])] if exif_apart else exif),
             entry(50706, 1, [1, 4, 0, 0]),
             entry(50708, 2, "Maker Model 3"),
-            *([entry(50713, 3, [2, 2])] if len(black) > 1 else []),
-            entry(50714, 3, black),
+            *([entry(50713, 3, [2, 2])] if len(black) == 4 else []),
+            *([entry(50714, 3, black)] if black else []),
             entry(50717, 3, [4095]),
             entry(50721, 10, identity),
             entry(50778, 3, [21]),
+            *(entry(*tag) for tag in more),
         ]
     )
     head = b"II" + struct.pack("<HI", 42, 8) + main

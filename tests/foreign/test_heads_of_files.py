@@ -1,0 +1,117 @@
+"""Heads that other programs write: lengths, scales and black levels are used, named or refused."""
+
+import struct
+import warnings
+
+import numpy as np
+import pytest
+from raw_contents import dng
+
+from jaxvision.errors import InputError
+from jaxvision.image_settings import read_settings
+from jaxvision.io import read_image
+
+CODES = (np.arange(12).reshape(3, 4) * 300 + 7).astype(">u2")
+
+
+@pytest.mark.parametrize("ending", [b"\r\n", b" # of a program\n", b"#\r\n", b"\n"])
+@pytest.mark.parametrize(
+    ("head", "pixels"),
+    [
+        (b"P5\n4 3\n65535", CODES),
+        (b"P5\n4 3\n255", np.full((3, 4), 10, np.uint8)),  # 10 is white space
+        (b"Pf\n4 3\n-1.0", np.linspace(1, 2, 12, dtype="<f4").reshape(3, 4)),
+    ],
+)
+def test_a_head_of_netpbm_ends_where_its_line_ends(ending, head, pixels, tmp_path):
+    stored = pixels[::-1] if head.startswith(b"Pf") else pixels
+    suffix = ".pfm" if head.startswith(b"Pf") else ".pgm"
+    file = tmp_path / f"picture{suffix}"
+    file.write_bytes(head + ending + stored.tobytes())
+    np.testing.assert_array_equal(read_image(file), pixels)
+    file.write_bytes(head + ending + stored.tobytes() + b"more")
+    if ending == b"\n":
+        with pytest.warns(UserWarning, match="4 bytes after its first picture"):
+            np.testing.assert_array_equal(read_image(file), pixels)
+    else:
+        with pytest.raises(InputError, match="its length fits no such head"):
+            read_image(file)
+
+
+def test_floating_numbers_of_a_dng_are_refused(tmp_path):
+    """LibRaw scales them to 16383 by the brightest of each file."""
+    file = tmp_path / "merged.dng"
+    file.write_bytes(dng(np.full((32, 32), 500, np.uint16), more=[(339, 3, [3])]))
+    with pytest.raises(InputError, match="floating numbers, which LibRaw scales"):
+        read_image(file)
+
+
+@pytest.mark.parametrize(
+    ("black", "more", "level"),
+    [
+        ((60, 70, 80, 90), [], (60.0, 70.0, 80.0, 90.0)),
+        ((60, 60, 60, 60, 90, 90, 90, 90), [(50713, 3, [4, 2])], None),
+        ((64,), [(50715, 10, [(200 * (i > 15), 1) for i in range(32)])], None),
+        ((64,), [(50715, 10, [(0, 1)] * 32)], 64.0),
+        ((64,), [(50716, 10, [(8 * (i % 2), 1) for i in range(32)])], (64.0, 64.0, 72.0, 72.0)),
+        (None, [(50714, 5, [(129, 2)])], 64.5),
+    ],
+)
+def test_black_levels_that_a_mosaic_does_not_hold_are_named(black, more, level, tmp_path):
+    """LibRaw gives the mean of rows and columns, or the first sites."""
+    file = tmp_path / "raw.dng"
+    file.write_bytes(dng(np.full((32, 32), 500, np.uint16), black=black or (), more=more))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert read_settings(file).black_level == level
+    named = [one for one in caught if "black level is not used" in str(one.message)]
+    assert len(named) == (level is None)
+
+
+def test_what_imagej_says_of_codes_is_named(tmp_path):
+    """Images with a sign are stored as codes from 0 with a calibration."""
+    words = b"ImageJ=1.54f\ncf=0\nc0=-32768.0\nc1=1.0\nvunit=Gray Value\n\0"
+    assert _warnings(_tiff(tmp_path, words)) == [
+        "not used: its calibration by ImageJ (cf = 0, c0 = -32768.0, c1 = 1.0): the codes are as "
+        "stored."
+    ]
+    assert not _warnings(_tiff(tmp_path, b"ImageJ=1.54f\nunit=inch\n\0"))
+
+
+def _warnings(file, pixels=((1, 2), (3, 4))):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(read_image(file), pixels)
+    return [str(one.message).removeprefix(f"{file}: ") for one in caught]
+
+
+def _tiff(folder, words, more=(), *, count=1):
+    """Grey codes of 16 bits, 1 to 4, in two columns, with a description and more tags."""
+    own = [
+        (256, 3, 1, 2),
+        (257, 3, 1, 2 // count),
+        (258, 3, count, 16 * (1 + 65536 * (count - 1))),
+        (259, 3, 1, 1),
+        (262, 3, 1, 1),
+        (270, 2, len(words), 200),
+        (273, 4, 1, 190),
+        (277, 3, 1, 1),
+        (278, 3, 1, 2),
+        (279, 4, 1, 8),
+    ]
+    tags = sorted({tag[0]: tag for tag in (*own, *more)}.values())
+    data = b"II*\0" + struct.pack("<IH", 8, len(tags))
+    data += b"".join(struct.pack("<HHII", *tag) for tag in tags) + b"\0" * 4
+    data = data.ljust(190, b"\0") + struct.pack("<4H", 1, 2, 3, 4)
+    file = folder / "imagej.tif"
+    file.write_bytes(data.ljust(200, b"\0") + words)
+    return file
+
+
+@pytest.mark.parametrize(("alpha", "named"), [(1, True), (2, False)])
+def test_colours_that_are_multiplied_by_alpha_are_named(alpha, named, tmp_path):
+    """Two files of the same codes whose half-covered white is twice as bright in one."""
+    words = b"\0"
+    tags = [(338, 3, 1, alpha), (262, 3, 1, 1), (277, 3, 1, 2)]
+    told = _warnings(_tiff(tmp_path, words, tags, count=2), [[[1, 2], [3, 4]]])
+    assert any("multiplied by alpha" in one for one in told) == named
