@@ -23,6 +23,7 @@ from .read import ExposureStack, Plane
 from .solve import STEADIEST
 
 FEWEST_TO_LEAVE_OUT = 4  # exposures: any two of three agree on some curve
+GOOD_SHUTTER, AS_GOOD = 0.005, 3.0  # errors of ln t: of any shutter; times the least, as good as it
 MOST_PIXELS = 100_000  # of a plane, by which an image is suspected
 
 
@@ -103,12 +104,14 @@ def calibrate(
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
-    """The images without each of which the others agree; told by a part of the pixels."""
+    """The images without each of which the others agree, of several those without which they agree
+    best: a curve that is free may bend to an image next to the end of a stack. Told by a part of
+    the pixels."""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:
         return []
     coarse = int(np.ceil(np.sqrt(plane.mask.size / MOST_PIXELS)))
-    found = []
+    left: dict[str, float] = {}
     for i, name in enumerate(plane.files):
         others = np.arange(count) != i
         without = replace(
@@ -119,9 +122,9 @@ def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
             mask=plane.mask[::coarse, ::coarse],
         )
         with contextlib.suppress(InputError):
-            _calibrate(without, stack, None, seed)
-            found.append(name)
-    return found
+            left[name] = _calibrate(without, stack, None, seed).curve.shutter_error or 0.0
+    least = max(min(left.values(), default=0.0), GOOD_SHUTTER)
+    return [name for name, error in left.items() if error <= AS_GOOD * least]
 
 
 def _of_suspects(names: list[str]) -> str:

@@ -425,6 +425,20 @@ def test_the_image_that_contradicts_the_others_is_named(times, gains, culprit):
 
 
 @pytest.mark.slow
+def test_of_an_image_next_to_the_end_of_a_stack_none_beside_it_is_blamed():
+    """The ninth of ten halving exposures at twice the gain: without the tenth a curve bends to it,
+    with a fifth of error in the times."""
+    rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)
+    times, gains = 2.0 ** np.arange(-9, 1), np.where(np.arange(10) == 8, 2, 1)
+    images = [
+        shot(light * t, rng, black=64 / g, read_noise=2, top=4095 / g) * np.uint16(g)
+        for t, g in zip(times, gains, strict=True)
+    ]
+    with pytest.raises(InputError, match=r"Without images\[8\] the others agree"):
+        calibrate(from_stack(images, list(times), camera=Camera(bits=12, black_level=64.0)))
+
+
+@pytest.mark.slow
 def test_a_time_that_no_shutter_explains_is_named():
     """The first of ten halving exposures is stated as long as the second: 1/2 of what it had."""
     rng, light = np.random.default_rng(0), ramp(60, 200, low=200, high=54000)
