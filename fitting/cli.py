@@ -34,7 +34,7 @@ from .commands import (
     typed_path,
 )
 from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
-from .reflectance.paths import check_files, check_one_rig
+from .reflectance.paths import check_files, check_index_of, check_one_rig
 from .report.progress import Reporter
 
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
@@ -176,6 +176,7 @@ def plan(
 
     def plan_images(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "lights are ranked by Laplace's approximation")
+        check_index_of(model, index)
         rig = folders.read_rig(path, "a reflectance calibration")
         from .reflectance.from_images.calibration import calibrate
         from .reflectance.from_images.plan import check_target, plan_section
@@ -206,6 +207,7 @@ def joint(
     rig gives an _sd is uncertain."""
 
     def calibrate_joint(reporter: Reporter) -> folders.Found:
+        check_index_of(model, index)
         settings = {"model": model, "index": index, "fit_gamma": fit_gamma}
         return folders.joint(path, reporter.step, options.draws, **settings)
 

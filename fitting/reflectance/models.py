@@ -124,7 +124,6 @@ REFLECTANCES: dict[Model, Reflectance] = {
 }
 
 LABELS: dict[Model, str] = {model: row.label for model, row in REFLECTANCES.items()}
-CLEAR: tuple[Model, ...] = ("torrance-sparrow-beckmann", "torrance-sparrow")  # with an index
 
 
 def facet_sentence(index: float) -> str:

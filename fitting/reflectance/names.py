@@ -21,6 +21,8 @@ Axis = Literal["mirror", "half", "none"]  # what a lobe is centred on
 Objective = Literal["cosine", "cube-root"]  # what a fit of measured reflectance minimises
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 
+# Whose facets are those of a clear dielectric, with an index of refraction.
+CLEAR: tuple[Model, ...] = ("torrance-sparrow-beckmann", "torrance-sparrow")
 INDEX = 1.5  # of refraction: glass, varnish, most plastics
 DESCRIBES = 0.5  # relative error of a prediction up to which a model describes a surface
 SUFFIXES = (".brdf", ".bsdf", ".binary")

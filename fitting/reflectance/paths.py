@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxvision.errors import InputError
 
-from .names import Objective, is_measured_brdf
+from .names import CLEAR, INDEX, Model, Objective, is_measured_brdf
 
 
 def check_one_rig(paths: Sequence[Path], objective: Objective | None) -> None:
@@ -34,3 +34,12 @@ def check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
         if value:
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{paths[0]}: {option} is for images; leave it out for files.")
+
+
+def check_index_of(model: Model, index: float) -> None:
+    """`InputError` for an index of refraction beside a model that has none."""
+    if index != INDEX and model not in CLEAR:
+        raise InputError(
+            f"--index: {model} has no index of refraction; leave it out, or fit "
+            f"{' or '.join(CLEAR)}."
+        )

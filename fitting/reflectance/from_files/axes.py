@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
-from ..models import CLEAR, LABELS
-from ..names import Model
+from ..models import LABELS
+from ..names import CLEAR, Model
 from .calibration import BRDFCalibration
 from .errors import best, metric
 from .findings import METRICS, PAIRS, Side, in_words, of_axis, winner_of

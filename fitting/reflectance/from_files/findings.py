@@ -11,7 +11,6 @@ from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
 from ..models import (
-    CLEAR,
     LABELS,
     REFLECTANCES,
     facet_sentence,
@@ -19,7 +18,7 @@ from ..models import (
     shape_of,
     shape_range,
 )
-from ..names import DESCRIBES, Axis, Model, Objective
+from ..names import CLEAR, DESCRIBES, Axis, Model, Objective
 from .calibration import BRDFCalibration, albedo
 from .errors import (
     LIKELY,

@@ -10,8 +10,8 @@ from ...inference.formatting import format_percent
 from ...inference.parameters import names
 from ...inference.trust import convergence_in_words
 from ...report.section import Table
-from ..models import CLEAR, LABELS, facet_sentence
-from ..names import MODELS
+from ..models import LABELS, facet_sentence
+from ..names import CLEAR, MODELS
 from .calibration import ReflectanceCalibration, mean_residual, open_parameters
 from .comparison import equally_good, surpassed_by
 from .fit import ChannelFit

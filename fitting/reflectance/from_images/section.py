@@ -14,7 +14,8 @@ from ...inference.posterior import estimates
 from ...report.left_out import left_out_tables
 from ...report.section import Picture, Section
 from ..material import material_files
-from ..models import CLEAR, LABELS
+from ..models import LABELS
+from ..names import CLEAR
 from . import figures
 from .calibration import ReflectanceCalibration
 from .comparison import comparison_table, verdict
