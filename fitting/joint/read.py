@@ -11,7 +11,8 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
-from ..frame_checks import Shown, odd_frames, refuse_half, shown
+from ..frame_checks.frame import Shown, refuse_half, shown
+from ..frame_checks.levels import odd_frames
 from ..noise.settings import require_one_setting
 from ..observation import Load, one_black, read_stack, to_one_black
 from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation

@@ -17,17 +17,9 @@ from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter
-from ..frame_checks import (
-    ALONE,
-    Odd,
-    Shown,
-    Stated,
-    listed,
-    odd_frames,
-    odd_heads,
-    refuse_half,
-    shown,
-)
+from ..frame_checks.frame import ALONE, Odd, Shown, listed, refuse_half, shown
+from ..frame_checks.heads import Stated, odd_heads
+from ..frame_checks.levels import odd_frames
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require

@@ -15,7 +15,9 @@ from jaxvision.errors import InputError
 from jaxvision.io import read_image
 
 from ..codes import Converter, converter_of
-from ..frame_checks import Stated, blank_images, odd_exposures, odd_heads, refuse_half, shown
+from ..frame_checks.exposures import blank_images, odd_exposures
+from ..frame_checks.frame import refuse_half, shown
+from ..frame_checks.heads import Stated, odd_heads
 from ..inference.formatting import format_percent
 from ..observation import Load, in_region, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require

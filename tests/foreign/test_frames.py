@@ -9,11 +9,13 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from fitting.frame_checks import odd_frames, shown
+from fitting.frame_checks.frame import shown
+from fitting.frame_checks.levels import odd_frames
 from fitting.joint import from_photographs as joint_photographs
 from fitting.noise import Camera, calibrate, from_frames, read_photon_transfer
 from fitting.noise.levels import linear_levels
 from fitting.noise.raw_frames import processing_in_words, tone_curve
+from fitting.noise.section import section
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.response import from_stack
 from fitting.response.read import read_exposure_stack
@@ -358,7 +360,7 @@ def measured_of(kind):
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("jpeg", "across every eighth row and column, as in JPEG"),
+        ("jpeg", "coefficients of the cosine transform are multiples of a step, as in JPEG"),
         ("denoised", "the frames of a level share noise, as after temporal denoising"),
     ],
 )
@@ -366,6 +368,14 @@ def test_noise_that_was_processed_is_named(kind, words):
     measured = measured_of(kind)
     (told,) = processing_in_words(measured, linear_levels(measured))
     assert words in told
+
+
+@pytest.mark.long
+def test_files_that_are_not_raw_make_no_sensor():
+    found = section(calibrate(measured_of("denoised")))
+    assert found.records == {}
+    assert any("No sensor file is written" in told for told in found.findings)
+    assert "sensor" in section(calibrate(read())).records
 
 
 @pytest.mark.parametrize("kind", ["gamma", "sRGB"])
@@ -400,7 +410,8 @@ def test_jpeg_files_are_named(tmp_path):
         text += f"[[{kind}]]\nfiles = {names}\nexposure = 0.01\n"
         text += f"photons = {2 * electrons}\n" if electrons else ""
     (tmp_path / "rig.toml").write_text(text)
-    (told,) = [one for one in read_photon_transfer(tmp_path).remarks if "JPEG" in one]
+    measured = read_photon_transfer(tmp_path)
+    (told,) = processing_in_words(measured, linear_levels(measured))
     assert told.startswith("flat_1_0.jpg, flat_1_1.jpg, flat_2_0.jpg and 15 more are JPEG, which")
 
 
@@ -454,3 +465,58 @@ def test_a_level_of_too_much_variance_is_not_called_copied():
     loud = [np.round(x + rng.normal(0, 60, (64, 64))).clip(0, FULL) for x in FLATS[7]]
     (sentence,) = read([loud if i == 7 else x for i, x in enumerate(FLATS)]).bright.left_out
     assert "as frames do that moved" in sentence
+
+
+def lit(change=None, flicker=0.0, seed=0, times=None):
+    """What is left out of the flats of 14 levels, of which `change` changes some."""
+    rng = np.random.default_rng(seed)
+    away = np.mgrid[:64, :64] / 64 - 0.5
+    levels = []
+    for i, electrons in enumerate(ELECTRONS if times is None else 4.5e5 * times):
+        level = []
+        for k in range(2):
+            light = electrons * (1 + flicker * rng.standard_normal()) * np.ones((64, 64))
+            light *= 1.0 if change is None else change(i, k, *away)
+            counted = rng.poisson(light) + READ_NOISE * rng.standard_normal((64, 64))
+            level.append(shown(f"{i}_{k}", np.round(GAIN * counted + BLACK), top=FULL))
+        levels.append(level)
+    return odd_frames(levels, light=ELECTRONS, black=np.full(14, BLACK))
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.003, 0.01])
+def test_a_clean_camera_loses_no_frame(flicker):
+    assert [odd.sentence for seed in range(40) for odd in lit(flicker=flicker, seed=seed)] == []
+
+
+@pytest.mark.parametrize("size", [0.01, -0.02, 0.03])
+def test_a_lamp_that_changed_in_one_frame_is_named(size):
+    first, *_ = lit(lambda i, k, y, x: 1 + size * ((i, k) == (6, 1)))
+    assert first.names == ("6_1",)
+    assert "its mean is" in first.reason
+
+
+@pytest.mark.parametrize("place", [6, 13])
+@pytest.mark.parametrize("depth", [0.05, 0.3])
+def test_a_soft_shadow_is_said_of_its_level_alone(place, depth):
+    def shadow(i, k, y, x):
+        return 1 - depth * np.exp(-((x - 0.2) ** 2 + y**2) / 0.02) * (i == place)
+
+    (odd,) = lit(shadow, flicker=0.003)
+    assert odd.names == (f"{place}_0", f"{place}_1")
+    assert "distributed over the frame unlike at all other levels" in odd.reason
+
+
+@pytest.mark.parametrize("place", [2, 6, 11])
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_level_whose_time_is_off_is_named(place, factor):
+    """By less than its neighbours are away, so that the order stays."""
+    (odd,) = lit(lambda i, k, y, x: factor if i == place else 1.0, flicker=0.001)
+    assert odd.names == (f"{place}_0", f"{place}_1")
+    told = float(odd.reason.removeprefix("the signal is ").split()[0])
+    assert told == pytest.approx(factor, abs=0.015)
+    assert "its exposure time (or its light) is not the stated one" in odd.reason
+
+
+def test_a_camera_that_bends_keeps_its_levels():
+    bent = [1 - 0.15 * t / TIMES[-1] for t in TIMES]
+    assert lit(lambda i, k, y, x: bent[i]) == []

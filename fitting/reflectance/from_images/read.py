@@ -18,7 +18,8 @@ from jaxvision.errors import InputError
 from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
 from jaxvision.io import read_image
 
-from ...frame_checks import Stated, odd_heads, refuse_half
+from ...frame_checks.frame import refuse_half
+from ...frame_checks.heads import Stated, odd_heads
 from ...inference.formatting import format_percent
 from ...observation import Load, in_region, one_black, read_mask, read_stack, to_one_black
 from ...rig import Camera, Geometry, Light, Purpose, Rig, SphereGeometry, as_rig, require

@@ -243,8 +243,9 @@ ELSEWHERE = (
         "foreign/test_noise foreign/test_frames",
         """
             fitting.codes: converter_in_words
-            fitting.frame_checks: listed refuse_half shown
-            fitting.noise.raw_frames: processing_in_words dead_in_words
+            fitting.frame_checks.frame: listed refuse_half shown
+            fitting.noise.raw_frames: processing_in_words
+            fitting.noise.printed_times: printed_times_in_words
             fitting.noise.periodic: periodic_in_words
         """,
     ),
@@ -639,9 +640,16 @@ ELSEWHERE = (
         "test_codes foreign/test_frames",
         """
             fitting.codes: converter_of
-            fitting.frame_checks: blank_images odd_exposures odd_frames odd_heads
-            fitting.noise.raw_frames: block_products dead_pixels is_compressed local_variance
-            fitting.noise.raw_frames: tone_curve without_dead
+            fitting.frame_checks.exposures: blank_images odd_exposures
+            fitting.frame_checks.levels: odd_frames
+            fitting.frame_checks.heads: odd_heads
+            fitting.frame_checks.between_levels: distribution_of_levels light_of_levels
+            fitting.frame_checks.between_levels: noise_of_levels
+            fitting.frame_checks.compared: of_one_mean rms trimmed_variance
+            fitting.frame_checks.deviates: beyond_chance usual_size
+            fitting.noise.live_pixels: dead_pixels
+            fitting.noise.raw_frames: block_products combs is_compressed local_variance
+            fitting.noise.raw_frames: tone_curve
         """,
     ),
     Elsewhere(

@@ -1,0 +1,256 @@
+"""Levels of light compared with each other: their light, its distribution and their noise."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import stdtrit
+
+from ..inference.formatting import format_percent
+from .compared import HALF, SURE, UNEVEN, ComparedLevels, rms
+from .frame import Odd
+
+SPIKE = 0.15  # by which a level's light differs from that of both levels beside it
+OTHER_NOISE = 1.4  # ratio of variances
+MOSTLY = 0.9  # share of the pixels at one end of the codes
+FEWEST_LEVELS = 4  # to tell what a level should be from those beside it
+FEWEST_ON_A_CURVE = 6  # to tell one level from a curve through the others
+ONCE = 1e-3  # chance that a level of a clean camera is named
+STATED_WRONGLY = 0.02  # of the light: shutters and lamps are no better than a percent
+SHADOW = 0.005  # of the light, rms over the frame: half of what pixels' gains differ by
+LIKE_SHOT_NOISE = 0.5  # of what most levels have: less variance for its signal has a saturated one
+UNLIKE = 2.0  # times the scatter of the other levels, rms of 256 blocks, which is known to 5 %
+ALONE_ON_IT = 1e-3  # of its deviation, that a level leaves which decides on a part of a curve
+CLIPPED = 1e-3  # share of the pixels at the top code
+
+
+def _lit(levels: ComparedLevels) -> list[int]:
+    """Levels that are left, in the order of their light."""
+    there = [i for i, frames in enumerate(levels.frames) if frames and levels.light[i] > 0]
+    return sorted(there, key=lambda i: levels.light[i])
+
+
+def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
+    assert levels.black is not None
+    means = [np.median([frame.mean for frame in levels.frames[i]]) for i in there]
+    return np.maximum(np.array(means) - levels.black[there], 1e-9)
+
+
+def light_of_levels(levels: ComparedLevels) -> None:
+    """Levels without light, and those whose light departs from that of both neighbours in the same
+    direction, as no smooth response makes it."""
+    assert levels.black is not None
+    there = _lit(levels)
+    if len(there) < FEWEST_LEVELS:
+        return
+    signal, light = _signals(levels, there), levels.light[there]
+    told = float(np.median(signal / light)) * light
+    noise = np.maximum(levels.noise[there], 1 / np.sqrt(12))
+    for place in np.flatnonzero((signal < HALF * noise) & (told > SURE * noise)):
+        frames = levels.frames[there[place]]
+        mean = float(np.median([frame.mean for frame in frames]))
+        reason = (
+            f"the mean is {mean:.5g} DN, {levels.black[there[place]]:.5g} DN without light, where "
+            f"the other levels tell a signal of {told[place]:.3g} DN, as where the lamp was off or "
+            "the shutter closed"
+        )
+        levels.remove(there[place], range(len(frames)), reason)
+    there = _lit(levels)
+    if len(there) < FEWEST_LEVELS:
+        return
+    signal, light = _signals(levels, there), levels.light[there]
+    for place in _peaks(np.log(signal / light), np.log1p(SPIKE), levels.noise[there] / signal):
+        frames = levels.frames[there[place]]
+        if not frames:
+            continue
+        other = _exchanged(signal, light, place)
+        if other is not None and levels.frames[there[other]]:
+            with_it = levels.frames[there[other]]
+            names = tuple(frame.name for frame in (*frames, *with_it))
+            reason = (
+                f"the signals of {frames[0].name} and {with_it[0].name} fit the other levels where "
+                "their light is exchanged"
+            )
+            levels.odd.append(Odd(names, reason))
+            levels.frames[there[place]] = levels.frames[there[other]] = []
+            continue
+        usual = signal[place] / light[place] / _beside(signal / light, place)
+        reason = f"the signal is {usual:.3g} times what the levels beside it tell for its light"
+        top = float(np.mean([frame.at_top for frame in frames]))
+        if top > MOSTLY:
+            reason = f"{format_percent(top)} of the pixels are saturated, and {reason}"
+        levels.remove(there[place], range(len(frames)), reason)
+    _stated_wrongly(levels)
+
+
+def _stated_wrongly(levels: ComparedLevels) -> None:
+    """Levels whose light departs from a smooth curve through all others: the response may bend, and
+    light may leak, but neither makes one level depart."""
+    assert levels.black is not None
+    while True:
+        there = _unsaturated(levels)
+        if len(there) < FEWEST_ON_A_CURVE:
+            return
+        signal, light = _signals(levels, there), levels.light[there]
+        rates = signal / light / np.median(signal / light)
+        chance = np.array([levels.chance(i) for i in there]) / signal
+        away, scatter, degrees = _from_the_others(rates, _response(light), rates, chance * rates)
+        limit = -stdtrit(degrees, ONCE / len(there) / 2) * scatter
+        beyond = np.abs(away) / np.maximum(limit, STATED_WRONGLY * rates)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 1:
+            return
+        frames = levels.frames[there[worst]]
+        factor = rates[worst] / max(rates[worst] - away[worst], 1e-9)
+        reason = (
+            f"the signal is {factor:.3g} times what a curve through the other levels tells for its "
+            "light, so that its exposure time (or its light) is not the stated one"
+        )
+        levels.remove(there[worst], range(len(frames)), reason)
+
+
+def _unsaturated(levels: ComparedLevels) -> list[int]:
+    """Levels with light in its order, without those that saturate, nor the one before them, of
+    which some pixels may."""
+    there = _lit(levels)
+    if len(there) < FEWEST_LEVELS:
+        return there
+    varied = np.array([levels.pixel_noise(i) ** 2 for i in there])
+    rates = varied / _signals(levels, there)
+    clipped = np.array([max(frame.at_top for frame in levels.frames[i]) > CLIPPED for i in there])
+    saturated = clipped | (rates < LIKE_SHOT_NOISE * np.median(rates))
+    saturated &= np.arange(len(there)) >= len(there) // 2
+    first = int(np.argmax(saturated)) if saturated.any() else len(there) + 1
+    return there[: max(first - 1, 0)]
+
+
+def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
+    """What signal over light may be: constant, bent, and with light that leaks, a shutter that is
+    late or another black level; of few levels without the second bend."""
+    x = light / light.max()
+    terms = [np.ones_like(x), x, light.min() / light]
+    return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)
+
+
+def _from_the_others(
+    values: Float[np.ndarray, "levels ..."],
+    design: np.ndarray,
+    scatter: np.ndarray,
+    least: np.ndarray,
+) -> tuple[Float[np.ndarray, "levels ..."], Float[np.ndarray, " levels"], int]:
+    """How far each value is from a fit to all others, its standard deviation by how those scatter
+    about that fit, and of how many degrees of freedom: of one value a level, the ratio is Student's
+    t.
+
+    Args:
+        values: of each level.
+        design: what they may be made of.
+        scatter: (levels,) standard deviations, relative to each other.
+        least: (levels,) standard deviations of the values by chance, which they have at least.
+    """
+    q, _ = np.linalg.qr(design / scatter[:, None])
+    weighted = (values.T / scatter).T.reshape(len(values), -1)
+    rest = weighted - q @ (q.T @ weighted)
+    free = np.maximum(1 - np.sum(q**2, axis=1), ALONE_ON_IT)
+    degrees = len(values) - design.shape[1] - 1
+    squares = np.sum(rest**2) - np.sum(rest**2, axis=1) / free
+    own = np.sqrt(np.maximum(squares, 0.0) / degrees / weighted.shape[1] / free) * scatter
+    away = (rest / free[:, None] * scatter[:, None]).reshape(values.shape)
+    return away, np.maximum(own, least / np.sqrt(free)), degrees
+
+
+def distribution_of_levels(levels: ComparedLevels) -> None:
+    """Levels over whose frames the light is distributed unlike in all others, as with a shadow.
+
+    What a pixel's block has of the frame's signal is constant, grows toward black where black is
+    uneven, and changes toward saturation where the response bends.
+    """
+    assert levels.black is not None
+    while True:
+        there = _unsaturated(levels)
+        if len(there) < FEWEST_ON_A_CURVE:
+            return
+        signal = _signals(levels, there)
+        fields = [
+            np.mean([levels.blocks(i, frame) for frame in levels.frames[i]], axis=0) for i in there
+        ]
+        if len({field.shape for field in fields}) > 1:
+            return
+        x = signal / signal.max()
+        design = np.stack([np.ones_like(x), x.min() / x, x], axis=1)
+        blocks = fields[0].size
+        chance = np.array(
+            [
+                levels.noise[i] * np.sqrt(blocks / sum(f.sample.size for f in levels.frames[i]))
+                for i in there
+            ]
+        )
+        chance = np.maximum(chance / signal, 1e-9)
+        values = np.stack([field.ravel() for field in fields])
+        away, scatter, _ = _from_the_others(values, design, chance, chance)
+        size = np.array([rms(own) for own in away])
+        beyond = size / np.maximum(UNLIKE * scatter, SHADOW)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 1:
+            return
+        frames = levels.frames[there[worst]]
+        reason = (
+            f"light is distributed over the frame unlike at all other levels, by "
+            f"{100 * size[worst]:.2g} % rms, as with a shadow or something before the sensor"
+        )
+        levels.remove(there[worst], range(len(frames)), reason)
+
+
+def noise_of_levels(levels: ComparedLevels) -> None:
+    """Levels whose variance for their signal departs from both neighbours in one direction."""
+    there = _lit(levels)
+    if len(there) < FEWEST_LEVELS:
+        return
+    signal = _signals(levels, there)
+    varied = np.array([levels.pixel_noise(i) ** 2 for i in there])
+    rates = np.maximum(varied, 1e-12 * signal) / signal
+    saturated = rates < 0.5 * np.median(rates)
+    count = len(there) if saturated.all() else int(np.flatnonzero(~saturated)[-1]) + 1
+    sizes = np.array([levels.frames[i][0].sample.size for i in there])
+    for place in _peaks(np.log(rates[:count]), np.log(OTHER_NOISE), np.sqrt(2 / sizes)):
+        ratio = rates[place] / _beside(rates, place)
+        less = "copies, averaged or smoothed frames do"
+        more = "frames do that moved, or that were taken at another gain"
+        levels.remove(
+            there[place],
+            range(len(levels.frames[there[place]])),
+            f"they differ from each other by {ratio:.2g} times the variance that the levels "
+            f"beside them tell for their signal, as {less if ratio < 1 else more}",
+        )
+
+
+def _beside(values: np.ndarray, place: int) -> float:
+    return float(np.mean(values[[place - 1, place + 1]]))
+
+
+def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
+    """Places beyond both neighbours by more than a size and than chance, the farthest first; a
+    place beside a farther one is judged without that."""
+    left, found = list(range(len(values))), []
+    while len(left) > 2:
+        own, around = np.array(left[1:-1]), (np.array(left[:-2]), np.array(left[2:]))
+        away = [values[own] - values[side] for side in around]
+        same = np.sign(away[0]) == np.sign(away[1])
+        beyond = np.where(same, np.minimum(*np.abs(away)), 0.0)
+        beyond = np.where(beyond > SURE * chance[own], beyond, 0.0)
+        if beyond.max() <= size:
+            return found
+        found.append(int(own[int(np.argmax(beyond))]))
+        left.remove(found[-1])
+    return found
+
+
+def _exchanged(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
+    """The level with whose light this one's is exchanged; None where it is not."""
+    rates = signal / light
+    usual = float(np.median(rates))
+    for other in range(len(light)):
+        swapped = signal[[place, other]] / light[[other, place]] / usual
+        if other != place and light[other] != light[place]:
+            stated = np.abs(np.log(rates[[place, other]] / usual))
+            if np.all(np.abs(np.log(swapped)) < UNEVEN) and np.all(stated > np.log1p(SPIKE)):
+                return other
+    return None

@@ -1,0 +1,137 @@
+"""Levels of light, each of several frames, from which what does not belong is taken."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from .frame import ALONE, Odd, Shown
+
+BLOCKS = 16  # of a frame, along each side
+SURE = 6.0  # standard deviations beyond which a frame departs
+UNEVEN, HALF = 0.03, 0.5  # least departure: of the signal, and of a pixel's noise
+MOST = 0.5  # of the signal, more than which no lamp flickers
+TRIMMED = 0.98  # of squares: hot pixels and cosmic rays are no noise of a frame
+FEWEST_TRIMMED = 50
+
+
+class ComparedLevels:
+    """Levels from which what does not belong is taken."""
+
+    def __init__(
+        self, frames: list[list[Shown]], light: np.ndarray, black: np.ndarray | None
+    ) -> None:
+        self.frames, self.light, self.black = frames, light, black
+        self.odd: list[Odd] = []
+        own = [self.pixel_noise(level) for level in range(len(frames))]
+        self.noise = _noise_of_levels(frames, light, np.array(own))
+
+    def pixel_noise(self, level: int) -> float:
+        """DN rms of a pixel between two frames, by the pair that differs least and is no copy."""
+        frames = self.frames[level]
+        if len(frames) < 2:
+            return 0.0
+        alike = of_one_mean(frames, None if self.black is None else float(self.black[level]))
+        variances = [trimmed_variance(a - b) for a, b in pairwise(alike)]
+        return float(np.sqrt(min((v for v in variances if v > 0), default=0.0) / 2))
+
+    def chance(self, level: int) -> float:
+        """DN rms between the means of two frames by the noise of their pixels, at least: a mean is
+        over more pixels than are kept."""
+        sizes = [frame.sample.size for frame in self.frames[level]]
+        return float(self.noise[level]) * float(np.sqrt(2 / max(sizes, default=1)))
+
+    def scale(self, level: int) -> float:
+        """DN in which departures are counted: the signal of flats, the noise of darks."""
+        if self.black is None:
+            return float(max(self.noise[level], 0.1))
+        middle = np.median([frame.mean for frame in self.frames[level]])
+        return float(max(abs(middle - self.black[level]), 1e-9))
+
+    def floor(self, level: int) -> float:
+        """DN, the least departure that matters."""
+        if self.black is None:
+            return 2 * HALF * self.scale(level)
+        return max(UNEVEN * self.scale(level), HALF * self.noise[level])
+
+    def blocks(self, level: int, frame: Shown) -> Float[np.ndarray, "rows columns"]:
+        """Means of blocks, less the frame's, of flats over its signal, of darks over their
+        noise."""
+        sample = frame.sample.astype(float)
+        edges = [np.linspace(0, n, min(BLOCKS, n) + 1)[:-1].astype(int) for n in sample.shape]
+        sums = np.add.reduceat(np.add.reduceat(sample, edges[0], 0), edges[1], 1)
+        sizes = [np.diff([*starts, n]) for starts, n in zip(edges, sample.shape, strict=True)]
+        means = sums / np.outer(*sizes)
+        if self.black is None:
+            return (means - means.mean()) / self.scale(level)
+        signal = abs(float(means.mean() - self.black[level]))
+        return (means - means.mean()) / max(signal, self.noise[level], 1e-9)
+
+    def others(self, level: int) -> list[int]:
+        """Levels that tell of this one."""
+        return [i for i, frames in enumerate(self.frames) if i != level and len(frames) > 1]
+
+    def expected(self, level: int) -> float | None:
+        """Mean of this level by the others, DN; None where they do not tell."""
+        others = [i for i in self.others(level) if self.black is None or self.light[i] > 0]
+        if len(others) < 2:
+            return None
+        light = self.light[others]
+        means = np.array([np.median([frame.mean for frame in self.frames[i]]) for i in others])
+        order = np.argsort(light, kind="stable")
+        if self.black is None:
+            return float(np.interp(self.light[level], light[order], means[order]))
+        rates = (means - self.black[others]) / light
+        rate = np.interp(self.light[level], light[order], rates[order])
+        return float(self.black[level] + rate * self.light[level])
+
+    def remove(self, level: int, places: Sequence[int], reason: str) -> None:
+        """Takes frames out of a level."""
+        names = tuple(self.frames[level][i].name for i in places)
+        self.odd.append(Odd(names, reason))
+        self.frames[level] = [
+            one for i, one in enumerate(self.frames[level]) if i not in set(places)
+        ]
+
+    def without_single_frames(self) -> None:
+        """Levels of which one frame is left tell no variance."""
+        for level, frames in enumerate(self.frames):
+            if len(frames) == 1:
+                self.remove(level, [0], ALONE)
+
+
+def _noise_of_levels(
+    frames: Sequence[Sequence[Shown]], light: np.ndarray, own: Float[np.ndarray, " levels"]
+) -> Float[np.ndarray, " levels"]:
+    """DN rms of a pixel between frames; where two frames disagree, not far above other levels."""
+    found, order = own.copy(), np.argsort(light, kind="stable")
+    for i, place in enumerate(order):
+        rest = np.delete(order, i)
+        if len(frames[place]) == 2 and len(rest) > 1:
+            beside = float(np.interp(light[place], light[rest], own[rest]))
+            found[place] = min(own[place], 2 * max(beside, float(np.median(own[rest]))))
+    return found
+
+
+def trimmed_variance(residuals: np.ndarray) -> float:
+    """Variance about the mean without the largest squares."""
+    squares = np.sort((residuals - np.median(residuals)).ravel().astype(float) ** 2)
+    kept = squares if squares.size < FEWEST_TRIMMED else squares[: int(TRIMMED * squares.size)]
+    return float(kept.mean())
+
+
+def of_one_mean(frames: Sequence[Shown], black: float | None) -> list[np.ndarray]:
+    """Samples of frames as if all had the middle one's mean: flats of a lamp that flickers are
+    scaled above black, all others shifted."""
+    means = np.array([frame.mean for frame in frames])
+    middle = float(np.median(means))
+    if black is None or np.any(means - black <= MOST * (middle - black)):
+        return [frame.sample - mean + middle for frame, mean in zip(frames, means, strict=True)]
+    scales = (middle - black) / (means - black)
+    return [(one.sample - black) * s + black for one, s in zip(frames, scales, strict=True)]
+
+
+def rms(field: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(field**2)))

@@ -1,0 +1,160 @@
+"""Images of one still scene at several exposures: which of them cannot be as they are stated."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from jaxvision import ArrayLike
+
+from ..copies import Copies
+from .frame import COPIED, Odd, Shown, listed, refuse_half
+
+BLANK = 0.999  # share of saturated pixels of an image that tells nothing
+LONGER = 1.2  # ratio of exposures from which the longer must be the brighter
+FEWEST_CLEAR, CONTRAST = 200, 0.02  # sampled pixels to compare scenes by; their spread, of scale
+UNLIKE, LIKE = 0.6, 0.9  # rank correlation of another scene at most, of one scene at least
+
+
+def odd_exposures(
+    where: str | Path, frames: Sequence[Shown], times: ArrayLike, *, full_scale: float
+) -> list[Odd]:
+    """Images of one still scene that show another one, or less light than a shorter image.
+
+    Args:
+        where: the images lie, for messages.
+        frames: with their codes.
+        times: (frames,) s.
+        full_scale: of the codes, DN.
+
+    Returns:
+        What does not belong.
+
+    Raises:
+        InputError: where half of the images would be left out.
+    """
+    gone = {name for one in blank_images(frames) for name in one.names}
+    left = [i for i, frame in enumerate(frames) if frame.name not in gone]
+    odd, seconds = [], np.asarray(times, float)
+    for test in (_copied_exposures, _of_another_scene, _out_of_order):
+        for i, reason in test(frames, seconds, left, full_scale).items():
+            odd.append(Odd((frames[i].name,), reason))
+            left.remove(i)
+    refuse_half(where, odd, len(frames))
+    return odd
+
+
+def blank_images(frames: Sequence[Shown]) -> list[Odd]:
+    """Images that are saturated, or of one code, throughout.
+
+    Args:
+        frames: with their codes.
+
+    Returns:
+        Those that show nothing.
+    """
+    return [
+        Odd((frame.name,), f"every pixel is {state}, which tells nothing of a scene")
+        for frame in frames
+        for state in ["saturated" if frame.at_top > BLANK else f"{frame.mean:.4g} DN"]
+        if frame.at_top > BLANK or np.ptp(frame.sample) == 0
+    ]
+
+
+def _clear(
+    frames: Sequence[Shown], i: int, j: int, full_scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sampled codes of two images where both are neither black nor saturated."""
+    one, other = frames[i].sample, frames[j].sample
+    if one.shape != other.shape:
+        return np.zeros(0), np.zeros(0)
+    least = [float(x.min()) + 0.02 * full_scale for x in (one, other)]
+    kept = (one > least[0]) & (other > least[1])
+    kept &= (one < 0.95 * full_scale) & (other < 0.95 * full_scale)
+    return one[kept], other[kept]
+
+
+def _copied_exposures(
+    frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
+) -> dict[int, str]:
+    """Images that are equal in every pixel, though their exposures are not."""
+    copies = Copies()
+    for i in left:
+        copies.add(frames[i].name, frames[i].sample)
+    found = {name: COPIED.format(listed(names)) for names in copies.found for name in names}
+    return {i: found[frames[i].name] for i in left if frames[i].name in found}
+
+
+def _of_another_scene(
+    frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
+) -> dict[int, str]:
+    """Images whose brighter pixels are not the brighter ones of any other, where those agree."""
+    alike = np.full((len(frames), len(frames)), np.nan)
+    for i, j in combinations(left, 2):
+        one, other = _clear(frames, i, j, full_scale)
+        if len(one) >= FEWEST_CLEAR and min(one.std(), other.std()) > CONTRAST * full_scale:
+            ranks = [np.argsort(np.argsort(x)) for x in (one, other)]
+            alike[i, j] = alike[j, i] = np.corrcoef(ranks[0], ranks[1])[0, 1]
+    known = [i for i in left if not np.isnan(alike[i]).all()]
+    if len(known) < 3:
+        return {}
+    best = {i: float(np.nanmax(alike[i])) for i in known}
+    usual = float(np.median(list(best.values())))
+    return {
+        i: f"its pixels are ordered as in no other image (rank correlation {best[i]:.2f} at best, "
+        f"{usual:.2f} among the others), as those of another scene or view are"
+        for i in known
+        if best[i] < UNLIKE < LIKE < usual
+    }
+
+
+def _out_of_order(
+    frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
+) -> dict[int, str]:
+    """Images that are darker than shorter ones, or brighter than longer ones."""
+    darker = _darker(frames, left, full_scale)
+    wrong = _contradictions(darker, times)
+    if not wrong:
+        return {}
+    exchanged = []
+    for pair in combinations(left, 2):
+        swapped = times.copy()
+        swapped[list(pair)] = times[list(pair[::-1])]
+        if not _contradictions(darker, swapped):
+            exchanged.append(pair)
+    alone = [i for i in left if all(i in pair for pair in wrong)]
+    out = list(exchanged[0]) if len(exchanged) == 1 else alone[:1]
+    out = out or sorted({i for pair in wrong for i in pair})
+    told = " and ".join(f"{frames[j].name} is darker than {frames[i].name}" for i, j in wrong[:2])
+    why = f"{told}, though the exposure that is stated is longer"
+    return dict.fromkeys(
+        out, f"{why}; check the order of the times, and that no image is a negative"
+    )
+
+
+def _darker(
+    frames: Sequence[Shown], left: list[int], full_scale: float
+) -> Bool[np.ndarray, "frames frames"]:
+    """Whether an image is darker than another at most pixels where both are clear."""
+    found = np.zeros((len(frames), len(frames)), bool)
+    for i, j in combinations(left, 2):
+        one, other = frames[i].sample, frames[j].sample
+        if one.shape == other.shape:
+            lit = np.maximum(one, other) > min(one.min(), other.min()) + 0.02 * full_scale
+            clear = lit & (np.minimum(one, other) < 0.95 * full_scale)
+            if clear.sum() >= FEWEST_CLEAR:
+                # By more than images differ that show hardly any light.
+                less = 0.01 * full_scale
+                found[i, j] = np.mean(one[clear] < other[clear] - less) > 0.5
+                found[j, i] = np.mean(other[clear] < one[clear] - less) > 0.5
+    return found
+
+
+def _contradictions(
+    darker: Bool[np.ndarray, "frames frames"], times: np.ndarray
+) -> list[tuple[int, int]]:
+    """Pairs of a shorter and a longer image of which the longer is the darker one."""
+    longer = times[None, :] > LONGER * times[:, None]
+    return [(int(i), int(j)) for i, j in np.argwhere(longer & darker.T)]

@@ -1,0 +1,103 @@
+"""What is kept of a frame to compare it with others, and how one is named that does not belong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision.errors import InputError
+
+SIDE = 128  # pixels of a frame that are kept, along each side
+ALONE = "it is the only frame that is left of its level"
+COPIED = "{} are equal in every pixel, so that one of them at most was taken as stated"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is kept of a frame to compare it with others.
+
+    Attributes:
+        name: of the frame.
+        mean: DN.
+        at_top: share of the pixels at or above the clip level.
+        at_bottom: share of the pixels at 0.
+        sample: (rows, columns) DN of evenly spread pixels.
+    """
+
+    name: str
+    mean: float
+    at_top: float
+    at_bottom: float
+    sample: Float[np.ndarray, "rows columns"]
+
+
+@dataclass(frozen=True)
+class Odd:
+    """Frames that do not belong, and why.
+
+    Attributes:
+        names: of the frames, at least one.
+        reason: a clause.
+    """
+
+    names: tuple[str, ...]
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """For a report."""
+        verb = "was" if len(self.names) == 1 else "were"
+        return f"{listed(self.names)} {verb} left out: {self.reason}."
+
+
+def shown(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> Shown:
+    """What is kept of a frame.
+
+    Args:
+        name: of the frame.
+        frame: (h, w) DN.
+        top: DN from which a pixel is saturated.
+
+    Returns:
+        The record.
+    """
+    steps = [-(-size // SIDE) for size in frame.shape]
+    sample = frame[steps[0] // 2 :: steps[0], steps[1] // 2 :: steps[1]].astype(np.float32)
+    return Shown(
+        name, float(frame.mean()), float((frame >= top).mean()), float((frame <= 0).mean()), sample
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence, of many the first ones.
+
+    Args:
+        names: at least one.
+
+    Returns:
+        As "a, b and c".
+    """
+    if len(names) > 4:
+        return f"{', '.join(names[:3])} and {len(names) - 3} more"
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def refuse_half(where: str | Path, odd: Sequence[Odd], count: int) -> None:
+    """Asks the user to decide where half of the frames would be left out.
+
+    Args:
+        where: the frames lie, for the message.
+        odd: what does not belong.
+        count: of all frames.
+
+    Raises:
+        InputError: names the first frames and why they disagree.
+    """
+    if 2 * sum(len(one.names) for one in odd) >= count > 0:
+        first = odd[0]
+        raise InputError(
+            f"{where}: half of its {count} frames or more do not belong with the others "
+            f"({listed(first.names)}: {first.reason}); decide which belong and take the others out."
+        )

@@ -1,0 +1,142 @@
+"""What the heads of image files say, compared with the rig and with each other."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxvision.errors import InputError
+from jaxvision.image_settings import ImageSettings, read_settings
+
+from .frame import Odd
+
+SAME = 0.02  # relative difference of exposures and apertures that heads round to
+ROUNDED = 0.1  # relative difference of an exposure from the one that a camera prints
+WARMER = 5.0  # K, by which sensors drift while frames are taken
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A frame as a rig states it.
+
+    Attributes:
+        name: of the frame.
+        path: where it lies.
+        exposure: s; 0 where the rig states none.
+        group: of frames that see the same light through the same lens.
+    """
+
+    name: str
+    path: Path
+    exposure: float
+    group: int = 0
+
+
+def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], list[str]]:
+    """Frames of one gain and temperature whose heads contradict the rig, or most of the others.
+
+    Args:
+        where: the frames lie, for messages.
+        frames: as the rig states them; what lies in no file, and what has no head, says nothing.
+
+    Returns:
+        What does not belong, and remarks on what heads say otherwise.
+
+    Raises:
+        InputError: where no ISO speed, camera or aperture is that of most frames.
+    """
+    said = {one.name: _settings(one.path) for one in frames}
+    odd: dict[str, str] = {}
+    for group in (frames, *(list(own) for own in _grouped(frames))):
+        for key, in_words in _UNIFORM if group is frames else _OF_A_GROUP:
+            values = {one.name: getattr(said[one.name], key) for one in group}
+            odd |= _minority(where, {k: v for k, v in values.items() if v is not None}, in_words)
+    warmth = {name: one.temperature for name, one in said.items() if one.temperature is not None}
+    usual = float(np.median(list(warmth.values()))) if warmth else 0.0
+    for name, kelvin in warmth.items():
+        if abs(kelvin - usual) > WARMER:
+            odd.setdefault(name, f"its head says {kelvin:.4g} K, those of the others {usual:.4g} K")
+    mistimed, remarks = _mistimed(frames, said)
+    found = [Odd((name,), reason) for name, reason in (mistimed | odd).items()]
+    return found, remarks
+
+
+def _settings(path: Path) -> ImageSettings:
+    """Of a file; empty where there is none or where it cannot be read, as its pixels will show."""
+    try:
+        return read_settings(path) if path.is_file() else ImageSettings()
+    except InputError:
+        return ImageSettings()
+
+
+def _grouped(frames: Sequence[Stated]) -> list[list[Stated]]:
+    groups: dict[int, list[Stated]] = {}
+    for one in frames:
+        groups.setdefault(one.group, []).append(one)
+    return list(groups.values())
+
+
+_UNIFORM: list[tuple[str, Callable[[Any], str]]] = [("iso", lambda iso: f"ISO {iso:g}")]
+_OF_A_GROUP: list[tuple[str, Callable[[Any], str]]] = [
+    ("camera", str),
+    ("f_number", lambda number: f"f/{number:.3g}"),
+]
+
+
+def _alike(one: Any, other: Any) -> bool:
+    if isinstance(one, str):
+        return one == other
+    return abs(one - other) <= SAME * max(abs(one), abs(other))
+
+
+def _minority(
+    where: str | Path, values: Mapping[str, Any], in_words: Callable[[Any], str]
+) -> dict[str, str]:
+    """Why, by name, of the frames whose head says something else than those of most."""
+    if len(values) < 2:
+        return {}
+    votes = {name: sum(_alike(own, x) for x in values.values()) for name, own in values.items()}
+    first = max(votes, key=lambda name: votes[name])
+    others = [name for name, own in values.items() if not _alike(own, values[first])]
+    if not others:
+        return {}
+    if 2 * votes[first] <= len(values):
+        raise InputError(
+            f"{where}: the head of {first} says {in_words(values[first])}, that of {others[0]} "
+            f"{in_words(values[others[0]])}; keep frames that were taken alike, or state in the "
+            "rig what differs."
+        )
+    usual = in_words(values[first])
+    return {
+        name: f"its head says {in_words(values[name])}, those of the others {usual}"
+        for name in others
+    }
+
+
+def _mistimed(
+    frames: Sequence[Stated], said: Mapping[str, ImageSettings]
+) -> tuple[dict[str, str], list[str]]:
+    """Frames whose head says another exposure than the rig, if those of most agree with it."""
+    timed = [(one, said[one.name].exposure) for one in frames if one.exposure > 0]
+    ratios = {one.name: time / one.exposure for one, time in timed if time}
+    if not ratios:
+        return {}, []
+    usual = float(np.median(list(ratios.values())))
+    off = [name for name, ratio in ratios.items() if abs(ratio / usual - 1) > ROUNDED]
+    by_name = {one.name: one for one in frames}
+
+    def told(name: str) -> str:
+        stated, head = by_name[name].exposure, said[name].exposure
+        return f"its head says an exposure of {head:.4g} s, the rig {stated:.4g} s"
+
+    if 2 * len(off) >= len(ratios):
+        return {}, [f"{off[0]}: {told(off[0])}, and others differ too; the rig's times are used."]
+    remarks = []
+    if abs(usual - 1) > ROUNDED:
+        remarks.append(
+            f"The heads of the files say exposures {usual:.4g} times those of the rig, which are "
+            "used."
+        )
+    return {name: told(name) for name in off}, remarks

@@ -1,0 +1,250 @@
+"""Frames of several levels of light: those that differ from the others of their level.
+
+Frames of one level see the same light, so that their means, their unevenness and the noise between
+them agree. A frame does not belong where it departs by more than the frames of all levels scatter
+and by more than matters. Of two frames that disagree, the levels around them tell which one is
+wrong.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxvision import ArrayLike
+
+from ..copies import Copies
+from ..inference.formatting import format_percent
+from .between_levels import distribution_of_levels, light_of_levels, noise_of_levels
+from .compared import MOST, SURE, ComparedLevels, of_one_mean, rms, trimmed_variance
+from .deviates import beyond_chance, usual_size
+from .frame import COPIED, Odd, Shown, listed
+
+PAIRS = 2.22  # standard deviations a quartile of pairwise differences
+LAMP = 0.005  # of the signal: less changes no figure by more than half of it
+OTHER_NOISE = 1.4  # ratio of variances
+CLOSER = 3.0  # times that one of two frames must be nearer to what the other levels tell
+BETWEEN = 0.01  # share of pixels that are neither black nor white in a frame that can be a copy
+MOSTLY = 0.9  # share of the pixels at one end of the codes
+
+
+def odd_frames(
+    levels: Sequence[Sequence[Shown]],
+    *,
+    light: ArrayLike,
+    black: Float[np.ndarray, " levels"] | None = None,
+) -> list[Odd]:
+    """Frames that differ from the others of their level, and levels that differ from those beside
+    them.
+
+    Args:
+        levels: frames of each level.
+        light: (levels,) proportional to the light of each; of darks, their exposures.
+        black: (levels,) DN without light; None for darks, which have no light to compare.
+
+    Returns:
+        What does not belong; a level of which one frame would be left is named whole.
+    """
+    compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
+    for test in (_copies, _means, _unevenness, _noise):
+        test(compared)
+    compared.without_single_frames()
+    if black is not None:
+        distribution_of_levels(compared)
+        light_of_levels(compared)
+        noise_of_levels(compared)
+        _copies_across(compared)
+    return compared.odd
+
+
+def _scatter(distances: Sequence[float]) -> float:
+    """Standard deviation by pairwise differences, of which most may be of frames that are odd."""
+    return PAIRS * float(np.quantile(distances, 0.25)) if len(distances) else 0.0
+
+
+def _pairs(count: int) -> list[tuple[int, int]]:
+    """All pairs of a few frames, neighbours of many."""
+    return (
+        list(combinations(range(count), 2))
+        if count < 24
+        else [(i, i + 1) for i in range(count - 1)]
+    )
+
+
+def _parted(
+    distances: Float[np.ndarray, " frames"],
+    limit: float,
+    from_expected: Callable[[], Float[np.ndarray, " frames"] | None],
+) -> Bool[np.ndarray, " frames"] | None:
+    """Which frames depart; None where that cannot be told.
+
+    Args:
+        distances: from the middle of the level; of two frames, from each other.
+        limit: beyond which a frame departs.
+        from_expected: distances from what other levels tell, None where they do not.
+
+    Returns:
+        True where a frame departs.
+    """
+    far = distances > limit
+    if 2 * far.sum() < len(far) or not far.any():
+        return far
+    known = from_expected()
+    if known is None:
+        return None
+    far = known * CLOSER > max(known.max(), limit)
+    return None if far.all() or not far.any() else far
+
+
+def _copies(levels: ComparedLevels) -> None:
+    dark = levels.black is None
+    usual = float(np.median(levels.noise))
+    for level, frames in enumerate(levels.frames):
+        if not frames or (not dark and levels.light[level] <= 0):
+            continue
+        if dark and usual**2 * frames[0].sample.size < SURE**2:
+            continue  # frames without noise may be equal
+        first: dict[bytes, int] = {}
+        again = []
+        for i, frame in enumerate(frames):
+            between = (frame.sample > frame.sample.min()) & (frame.sample < frame.sample.max())
+            if between.mean() > BETWEEN and first.setdefault(frame.sample.tobytes(), i) != i:
+                again.append(i)
+        if again:
+            copied = frames[first[frames[again[0]].sample.tobytes()]].name
+            levels.remove(level, again, f"equal to {copied} in every pixel, as a copy is")
+
+
+def _copies_across(levels: ComparedLevels) -> None:
+    """Frames of one level that are in another one too, where nothing told which is the copy."""
+    copies = Copies()
+    for level, frames in enumerate(levels.frames):
+        for frame in frames if levels.light[level] > 0 else ():
+            copies.add(frame.name, frame.sample)
+    for names in copies.found:
+        for level, frames in enumerate(levels.frames):
+            places = [i for i, frame in enumerate(frames) if frame.name in names]
+            if places:
+                levels.remove(level, places, COPIED.format(listed(names)))
+    levels.without_single_frames()
+
+
+def _means(levels: ComparedLevels) -> None:
+    means = [np.array([frame.mean for frame in level]) for level in levels.frames]
+    apart = [
+        abs(values[i] - values[j]) / levels.scale(level)
+        for level, values in enumerate(means)
+        for i, j in _pairs(len(values))
+    ]
+    if levels.black is None:
+        spread = SURE * _scatter(apart)
+    else:
+        degrees = sum(len(values) - 1 for values in means if len(values))
+        spread = min(beyond_chance(degrees) * usual_size(apart), MOST)
+    for level, values in enumerate(means):
+        if len(values) < 2:
+            continue
+        scale, chance = levels.scale(level), SURE * levels.chance(level)
+        least = levels.floor(level) if levels.black is None else max(LAMP * scale, chance)
+        limit = max(spread * scale, least)
+        middle = np.median(values)
+        distances = np.abs(values - middle) * (2 if len(values) == 2 else 1)
+
+        def from_expected(values: np.ndarray = values, level: int = level) -> np.ndarray | None:
+            told = levels.expected(level)
+            return None if told is None else np.abs(values - told)
+
+        _take(levels, level, _parted(distances, limit, from_expected), _mean_in_words)
+
+
+def _take(
+    levels: ComparedLevels,
+    level: int,
+    far: Bool[np.ndarray, " frames"] | None,
+    in_words: Callable[[list[Shown], list[Shown]], str],
+) -> None:
+    """Takes out frames that depart, or the whole level where it cannot be told which do."""
+    frames = levels.frames[level]
+    if far is None:
+        parted = f"{in_words(frames[:1], frames[1:])}, and which of them belongs cannot be told"
+        levels.remove(level, range(len(frames)), parted)
+    elif far.any():
+        for i in np.flatnonzero(far):
+            rest = [one for j, one in enumerate(frames) if not far[j]]
+            place = levels.frames[level].index(frames[i])
+            levels.remove(level, [place], in_words([frames[i]], rest))
+
+
+def _mean_in_words(odd: list[Shown], rest: list[Shown]) -> str:
+    mean = float(np.median([frame.mean for frame in rest]))
+    others = "the other frame" if len(rest) == 1 else "the other frames"
+    told = f"its mean is {odd[0].mean:.5g} DN, that of {others} of its level {mean:.5g} DN"
+    for share, end in ((odd[0].at_top, "saturated"), (odd[0].at_bottom, "0 DN")):
+        if share > MOSTLY:
+            return f"{format_percent(share)} of its pixels are {end}, and {told}"
+    return told
+
+
+def _unevenness(levels: ComparedLevels) -> None:
+    fields = [
+        [levels.blocks(level, frame) for frame in frames]
+        for level, frames in enumerate(levels.frames)
+    ]
+    far = [[rms(own[i] - own[j]) for i, j in _pairs(len(own))] for level, own in enumerate(fields)]
+    scatter = _scatter([x for distances in far for x in distances])
+    known = [np.median(own, axis=0) for own in fields if len(own) > 1]
+    for level, own in enumerate(fields):
+        if len(own) < 2:
+            continue
+        pixels = levels.frames[level][0].sample.size / own[0].size
+        chance = 2 * levels.noise[level] / np.sqrt(pixels) / levels.scale(level)
+        limit = max(SURE * scatter, levels.floor(level) / levels.scale(level), 3 * chance)
+        middle = np.median(own, axis=0)
+        away = 2.0 if len(own) == 2 else 1.0
+        distances = np.array([away * rms(field - middle) for field in own])
+
+        def from_expected(own: list[np.ndarray] = own) -> np.ndarray | None:
+            if len(known) < 4:
+                return None
+            told = np.median(known, axis=0)
+            return np.array([rms(field - told) for field in own])
+
+        _take(levels, level, _parted(distances, limit, from_expected), _unevenness_in_words)
+
+
+def _unevenness_in_words(odd: list[Shown], rest: list[Shown]) -> str:
+    return "it shows another distribution of light over the frame than its level does"
+
+
+def _noise(levels: ComparedLevels) -> None:
+    for level, frames in enumerate(levels.frames):
+        if len(frames) < 3 or levels.noise[level] == 0:
+            continue
+        alike = of_one_mean(frames, None if levels.black is None else levels.black[level])
+        middle = np.median(alike, axis=0)
+        variances = np.array([trimmed_variance(sample - middle) for sample in alike])
+        if not (variances > 0).all():
+            continue
+        logs = np.log(variances)
+        scatter = _scatter([abs(logs[i] - logs[j]) for i, j in _pairs(len(logs))])
+        chance = np.sqrt(2 / frames[0].sample.size)
+        limit = max(SURE * max(scatter, chance), np.log(OTHER_NOISE))
+        far = _parted(np.abs(logs - np.median(logs)), limit, lambda: None)
+        if far is not None:
+            _take(levels, level, far, _noise_in_words(variances, np.median(variances), frames))
+
+
+def _noise_in_words(
+    variances: np.ndarray, usual: float, frames: list[Shown]
+) -> Callable[[list[Shown], list[Shown]], str]:
+    by_name = {frame.name: v / usual for frame, v in zip(frames, variances, strict=True)}
+
+    def in_words(odd: list[Shown], rest: list[Shown]) -> str:
+        ratio = by_name[odd[0].name]
+        return (
+            f"it differs from the middle of its level by {ratio:.2g} times the variance of the "
+            "others, as an averaged, smoothed or moved frame does"
+        )
+
+    return in_words
