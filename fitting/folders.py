@@ -82,7 +82,7 @@ def noise(
     table = path.suffix.lower() == ".csv"
     if table and channel:
         raise InputError(f"{path}: is a table of one channel; leave out the channel {channel!r}.")
-    if path.is_dir() and bits is not None:
+    if not table and bits is not None:
         raise InputError(f"{path}: camera.bits of the rig counts; leave out the bits, {bits}.")
     rig = None if table else read_rig(path, "photon transfer")
     if table:
@@ -112,8 +112,9 @@ def noise(
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
     """One section for each site of a mosaic, or for each tap."""
     from .noise.calibration import calibrate
-    from .noise.read import check, reduce_rig
+    from .noise.read import reduce_rig
     from .noise.section import sections_of_sites
+    from .noise.usable import check
     from .report.inputs import with_inputs
 
     sites = rig.camera.sites

@@ -22,7 +22,8 @@ from ..noise.fit import (
 )
 from ..noise.levels import PhotonTransfer, linear_levels
 from ..noise.model import cost, log_density
-from ..noise.read import check, reduce_rig
+from ..noise.read import reduce_rig
+from ..noise.usable import check
 from ..noise.window import needed_window, offset_data, window_of
 from ..observation import Load
 from ..rig import Rig

@@ -18,6 +18,7 @@ from .neighbours import are_known
 from .parts import Part, deviation_quantiles
 from .pattern import unequal_gains, unequal_offsets
 from .periodic import periodic_in_words
+from .printed_times import printed_times_in_words
 from .raw_frames import BLOCK, is_compressed, processing_in_words
 from .shared import Found, drift, temporal_lines
 
@@ -34,7 +35,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *measurement.bright.left_out,
         *measurement.dark.left_out,
         *flicker_in_words(measurement, calibration.flicker),
-        *processing_in_words(measurement, calibration.usable),
+        *_processing(calibration),
         *_efficiency(calibration),
         *_periodic(calibration),
         *_converter(calibration),
@@ -66,6 +67,30 @@ def is_impossible(calibration: NoiseCalibration) -> bool:
         calibration: of a camera.
     """
     return calibration.efficiency is not None and calibration.efficiency > 1
+
+
+def is_no_sensor(calibration: NoiseCalibration) -> bool:
+    """Whether a sensor made from the calibration would not be the camera.
+
+    Args:
+        calibration: of a camera.
+
+    Returns:
+        True where more electrons are counted than photons arrive, or frames were not raw.
+    """
+    return is_impossible(calibration) or bool(
+        processing_in_words(calibration.measurement, calibration.usable)
+    )
+
+
+def _processing(calibration: NoiseCalibration) -> list[str]:
+    told = processing_in_words(calibration.measurement, calibration.usable)
+    if not told:
+        return []
+    return [
+        *told,
+        "No sensor file is written: it would pass what these files went through for the camera.",
+    ]
 
 
 def _periodic(calibration: NoiseCalibration) -> list[str]:
@@ -233,6 +258,7 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
             "From level to level the light is off by "
             f"{format_with_error(100 * scatter, 100 * error)} % rms from what is recorded."
         )
+        told += printed_times_in_words(calibration.measurement, calibration.usable)
     if "black_scatter" in values:
         wander, error = _shown(calibration, "black_scatter")
         dark = calibration.measurement.dark

@@ -9,7 +9,8 @@ from ..inference.precision import in_double
 from ..observation import MEMORY, each, in_memory, require_as_many, require_frames
 from ..rig import Camera
 from .levels import Levels, PhotonTransfer
-from .read import check, reduce_darks, reduce_rig
+from .read import reduce_darks, reduce_rig
+from .usable import check
 
 
 @in_double

@@ -52,6 +52,8 @@ class Levels(eqx.Module):
             None where pixels are not known.
         blocks: (levels, 2, 8) covariance of a pixel and the one below (beside) it, by row (column)
             modulo 8, DN^2; None where pixels are not known, or not next to each other.
+        combs: (levels, steps, 8, 8) of `raw_frames`, of a frame each; None where pixels are not
+            known, or not next to each other.
         left_out: frames that do not belong, and why, in sentences.
     """
 
@@ -68,6 +70,7 @@ class Levels(eqx.Module):
     quarters: Float[Array, "levels 2 4"] | None = None
     local_pattern: Float[Array, " levels"] | None = None
     blocks: Float[Array, "levels 2 8"] | None = None
+    combs: Float[Array, "levels steps 8 8"] | None = None
     left_out: tuple[str, ...] = eqx.field(static=True, default=())
     flicker: Float[Array, "2 levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())
@@ -91,6 +94,7 @@ class PhotonTransfer(eqx.Module):
         photons_known: false where `bright.light` is the exposure in s.
         full_scale: largest DN, None where unknown.
         remarks: what the reader of the measurement did with it, in sentences.
+        lossy: names of frames whose files are JPEG.
     """
 
     bright: Levels
@@ -100,6 +104,7 @@ class PhotonTransfer(eqx.Module):
     photons_known: bool = eqx.field(static=True, default=True)
     full_scale: float | None = eqx.field(static=True, default=None)
     remarks: tuple[str, ...] = eqx.field(static=True, default=())
+    lossy: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def converter(self) -> Converter:

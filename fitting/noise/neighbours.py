@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .levels import REACH, Levels, PhotonTransfer
+from .live_pixels import LivePixels
 from .shared import believed_lines
 
 PERIOD = 32  # pixels after which the sensor of the series repeats itself
@@ -57,40 +58,42 @@ def are_known(around: NeighbourData | None) -> bool:
 class Neighbours:
     """Sums over the frames of a level, from which the covariances of its neighbours follow."""
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self._reach = tuple(min(REACH, size - 1) for size in shape)
-        self._products, self._count = np.zeros((REACH + 1, REACH + 1)), 1
+    def __init__(self, live: LivePixels) -> None:
+        self._reach = tuple(min(REACH, size - 1) for size in live.mask.shape)
+        self._pairs = self._sums(live.mask.astype(float))
+        self._products = np.zeros_like(self._pairs)
 
-    def add(self, deviation: np.ndarray) -> None:
-        """One more frame, less the first and without its shift of the mean."""
-        self._count += 1
-        self._products += self._of(deviation)
+    def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
+        """Products of one more frame, less the first and without its shift of the mean, 0 where a
+        pixel does not count."""
+        self._products += weight * self._sums(deviation)
 
-    def covariances(self, total: np.ndarray, variance: float, lost: float) -> Lags:
+    def covariances(self, total: np.ndarray, variance: float, lost: float, count: int) -> Lags:
         """Covariances, the variance at offset (0, 0).
 
         Args:
             total: (h, w) sum of the frames as added, DN.
             variance: of pixels, DN^2.
             lost: variance of a frame's mean by the noise of its own pixels, DN^2.
+            count: of frames, the first among them.
 
         Returns:
-            (lags, lags) DN^2, at offsets of 0, 1, ... rows and columns.
+            (lags, lags) DN^2, at offsets of 0, 1, ... rows and columns; `lost` where no two pixels
+            are so far apart.
         """
-        count = self._count
-        found = (count * self._products - self._of(total)) / (count * (count - 1))
-        found += lost
+        found = (count * self._products - self._sums(total)) / (count * (count - 1))
+        found = found / np.maximum(self._pairs, 1.0) + lost
         found[0, 0] = variance
         return found
 
-    def _of(self, x: np.ndarray) -> Lags:
-        """Mean of x_p x_q over the pairs of pixels at each offset; 0 beyond a small frame."""
+    def _sums(self, x: np.ndarray) -> Lags:
+        """Sum of x_p x_q over the pairs of pixels at each offset; 0 beyond a small frame."""
         (h, w), (rows, columns) = x.shape, self._reach
-        found = np.zeros_like(self._products)
+        found = np.zeros((REACH + 1, REACH + 1))
         for i, j in product(range(rows + 1), range(columns + 1)):
             ends = [(x[: h - i, : w - j], x[i:, j:]), (x[: h - i, j:], x[i:, : w - j])]
             sums = [np.einsum("ij,ij->", *both) for both in (ends if i and j else ends[:1])]
-            found[i, j] = np.mean(sums) / ((h - i) * (w - j))
+            found[i, j] = np.sum(sums)
         return found
 
 
@@ -102,18 +105,20 @@ def copies() -> Lags:
     return found
 
 
-def pairs(shape: Float[np.ndarray, "2"]) -> Lags:
+def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
     """Over how many pairs of pixels each covariance is averaged.
 
     Args:
         shape: rows and columns of a frame.
+        pixels: that count; of others, which are anywhere, a pair has none.
 
     Returns:
         (lags, lags).
     """
     rows, columns = (float(size) - np.arange(REACH + 1) for size in shape)
     both = np.outer(np.arange(REACH + 1) > 0, np.arange(REACH + 1) > 0)
-    return np.outer(rows, columns) * np.where(both, 2, 1)
+    live = pixels / float(np.prod(shape))
+    return np.outer(rows, columns) * np.where(both, 2, 1) * live**2
 
 
 def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +134,7 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
     assert bright.covariances is not None
     assert bright.shared is not None
     assert dark.covariances is not None
-    size = pairs(np.asarray(bright.shared.shape))
+    size = pairs(np.asarray(bright.shared.shape), float(bright.pixels))
 
     def chance(levels: Levels) -> np.ndarray:
         freedom = np.asarray(levels.frames) - 1

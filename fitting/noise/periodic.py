@@ -16,6 +16,7 @@ from scipy.special import fdtrc, ndtr
 
 from ..inference.formatting import format_number
 from .levels import PhotonTransfer
+from .live_pixels import LivePixels
 from .shared import believed_lines
 
 RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
@@ -36,13 +37,16 @@ WORDS = {
 }
 
 
-def residues(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 5 residues"]:
+def residues(
+    average: np.ndarray, temporal: np.ndarray, live: LivePixels
+) -> Float[np.ndarray, "2 5 residues"]:
     """Means by row and by column modulo 16, by place in a cell of 4 x 4, and by row and by column
     modulo 30.
 
     Args:
         average: (h, w) of the frames of a level, DN.
         temporal: (h, w) variance, DN^2.
+        live: the pixels that count.
 
     Returns:
         Of both, NaN beyond 16; NaN of frames with fewer than 32 rows or columns, and modulo 30 of
@@ -52,8 +56,12 @@ def residues(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 
     if min(average.shape) < 2 * RESIDUES:
         return found
     for own, plane in zip(found, (average, temporal), strict=True):
-        rows, columns = plane.mean(axis=1), plane.mean(axis=0)
-        cell = [plane[i::CELL, j::CELL].mean() for i in range(CELL) for j in range(CELL)]
+        rows, columns = (live.line_means(plane, axis) for axis in (0, 1))
+        cell = [
+            _mean(plane[i::CELL, j::CELL], live.mask[i::CELL, j::CELL])
+            for i in range(CELL)
+            for j in range(CELL)
+        ]
         own[:3, :RESIDUES] = _modulo(rows, RESIDUES), _modulo(columns, RESIDUES), cell
         if min(average.shape) >= 2 * LONGER:
             own[3:] = _modulo(rows, LONGER), _modulo(columns, LONGER)
@@ -61,15 +69,24 @@ def residues(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 
 
 
 def _modulo(lines: np.ndarray, count: int) -> list[float]:
-    return [float(lines[i::count].mean()) for i in range(count)]
+    every = (lines[i::count] for i in range(count))
+    return [_mean(own, np.isfinite(own)) for own in every]
 
 
-def quarters(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 4"]:
+def _mean(values: np.ndarray, count: np.ndarray) -> float:
+    """Of those that count; NaN of none."""
+    return float(np.where(count, values, 0.0).sum() / count.sum()) if count.any() else np.nan
+
+
+def quarters(
+    average: np.ndarray, temporal: np.ndarray, live: LivePixels
+) -> Float[np.ndarray, "2 4"]:
     """Means over the quarters of a frame: top left, top right, bottom left, bottom right.
 
     Args:
         average: (h, w) of the frames of a level, DN.
         temporal: (h, w) variance, DN^2.
+        live: the pixels that count.
 
     Returns:
         Of both; NaN of frames of one row or column.
@@ -77,8 +94,12 @@ def quarters(average: np.ndarray, temporal: np.ndarray) -> Float[np.ndarray, "2 
     (h, w), found = average.shape, np.full((2, 4), np.nan)
     if min(h, w) > 1:
         for own, plane in zip(found, (average, temporal), strict=True):
-            halves = plane[: h // 2], plane[h // 2 :]
-            own[:] = [x.mean() for half in halves for x in (half[:, : w // 2], half[:, w // 2 :])]
+            places = [
+                (i, j)
+                for i in (np.s_[: h // 2], np.s_[h // 2 :])
+                for j in (np.s_[: w // 2], np.s_[w // 2 :])
+            ]
+            own[:] = [_mean(plane[place], live.mask[place]) for place in places]
     return found
 
 

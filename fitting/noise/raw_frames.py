@@ -1,134 +1,120 @@
 """What compression, denoising and tone curves leave in frames, from which no gain can be read.
 
-JPEG       noise that neighbours share, except across the borders of blocks of 8 x 8 pixels
+JPEG       noise that neighbours share, except across the borders of blocks of 8 x 8 pixels; of
+           little compression, coefficients of the blocks' cosine transforms that are multiples of
+           the steps that JPEG rounded them to
 denoising  frames that share noise: a pattern that grows as the signal does, as shot noise, and
            not as offsets and gains of pixels, d + p x^2
 gamma      a signal that grows as a power of the light, and noise that does not grow with it
-
-Pixels that are dead, at 0 or at the top code in every frame, tell nothing at all.
 """
 
-from collections.abc import Iterable, Sequence
-
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
+from scipy.fft import dctn
 
+from ..frame_checks.frame import listed
 from .levels import PhotonTransfer
+from .live_pixels import LivePixels
 
 BLOCK = 8  # pixels of a side
 SURE = 6.0  # standard errors
 SHARED = 0.1  # of the noise, by which less the covariance across a border must be
 KEPT = 0.1  # of K, by which less a pattern may grow with the signal
+STEPS = np.arange(1, 17)  # of JPEG's rounding that are looked for, DN
+SMOOTH = 1 / 1.3  # deviations of a coefficient, in steps, from which raw numbers show no comb
+COMB, FEWEST_COMBS = 5.0, 10  # standard errors, and coefficients of 63 that show a comb
+MOST_BLOCKS = 4096  # that tell of combs, evenly among those of a frame
 FEWEST_FOR_PATTERN = 7  # levels, for a polynomial of four terms
 FEWEST_FOR_CURVE = 3
 BELOW_SATURATION = 0.8  # of the largest signal; levels above it may be saturated
 STRAIGHT = 0.85  # exponent of the light below which a signal is curved
-MOST_DEAD = 0.1  # share of the pixels; of more, something else is the cause
-APART = 240  # pixels at most from a dead one to that in its place; multiples of all periods sought
+NOT_THE_CAMERAS = "gain, read noise and quantum efficiency are not the camera's. Give raw frames."
 GROWS = 0.7  # share of what noise gains over black that must be in proportion to the signal
 
 
-def block_products(deviation: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "2 8"]:
+def block_products(
+    deviation: Float[np.ndarray, "h w"], live: LivePixels
+) -> Float[np.ndarray, "2 8"]:
     """Mean product of a pixel and the one below it (to the right of it), by row (column) modulo 8.
 
     Args:
-        deviation: (h, w) DN.
+        deviation: (h, w) DN, 0 where a pixel does not count.
+        live: the pixels that count.
 
     Returns:
         DN^2; NaN of frames of fewer than 16 rows or columns.
     """
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
-        below = np.einsum("ij,ij->i", deviation[:-1], deviation[1:]) / deviation.shape[1]
-        beside = np.einsum("ij,ij->j", deviation[:, :-1], deviation[:, 1:]) / deviation.shape[0]
-        for own, along in zip(found, (below, beside), strict=True):
-            own[:] = [along[i::BLOCK].mean() for i in range(BLOCK)]
+        for own, products, pairs in zip(
+            found, _by_line(deviation), _by_line(live.mask.astype(float)), strict=True
+        ):
+            own[:] = [
+                products[i::BLOCK].sum() / max(pairs[i::BLOCK].sum(), 1.0) for i in range(BLOCK)
+            ]
     return found
 
 
-def dead_pixels(frames: Iterable[np.ndarray], top: float) -> Bool[np.ndarray, "h w"] | None:
-    """Pixels that are at 0 in every frame, or at the top code in every frame.
+def _by_line(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of the products of neighbours, by row of those below, by column of those beside."""
+    below = np.einsum("ij,ij->i", x[:-1], x[1:])
+    beside = np.einsum("ij,ij->j", x[:, :-1], x[:, 1:])
+    return below, beside
+
+
+def combs(
+    frame: Float[np.ndarray, "h w"], corner: tuple[int, int] = (0, 0)
+) -> Float[np.ndarray, "steps 8 8"]:
+    """How far the coefficients of JPEG's blocks lie at multiples of steps, in standard errors.
+
+    JPEG rounds the cosine transform of each block of 8 x 8 pixels to multiples of a step of its
+    table. Pixels are then rounded to whole numbers, which leaves the mean of cos(2 pi c / q) at
+    exp(-pi^2 / (6 q^2)); of raw numbers that scatter by more than a step it is 0.
 
     Args:
-        frames: (h, w) each, flats and darks, the brightest flat and a dark first: where these show
-            no such pixel, no more are looked at.
-        top: the top code.
+        frame: (h, w) DN.
+        corner: row and column of its first pixel in the file.
 
     Returns:
-        True where a pixel is dead; None where none is, or more than a tenth of all.
+        By step, row and column of the coefficient; NaN where a coefficient scatters too little to
+        tell, of the mean of a block, and of frames smaller than four blocks.
     """
-    low = high = None
-    for i, frame in enumerate(frames):
-        if frame.ndim != 2 or (low is not None and frame.shape != low.shape):
-            return None
-        low = (frame <= 0) & (True if low is None else low)
-        high = (frame >= top) & (True if high is None else high)
-        if i and not (low.any() or high.any()):
-            return None
-    if low is None or high is None or not 0 < (low | high).mean() <= MOST_DEAD:
-        return None
-    return low | high
-
-
-def without_dead(frame: np.ndarray, dead: Bool[np.ndarray, "h w"]) -> np.ndarray:
-    """A frame whose dead pixels have the number of another one, always the same: too far for noise
-    that neighbours share, and at the same place of a mosaic and of periods up to 8.
-
-    Args:
-        frame: (h, w).
-        dead: where pixels are dead.
-
-    Returns:
-        A copy; a frame of another size as it is.
-    """
-    if frame.shape != dead.shape:
-        return frame
-    found, left = frame.copy(), dead.copy()
-    for step in (APART, 48, 24, 16, 8):
-        for along in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1)):
-            shift = (along[0] * step, along[1] * step)
-            if all(abs(x) < size for x, size in zip(shift, frame.shape, strict=True)):
-                here = left & ~np.roll(dead, shift, (0, 1))
-                found[here] = np.roll(frame, shift, (0, 1))[here]
-                left &= ~here
+    found = np.full((len(STEPS), BLOCK, BLOCK), np.nan)
+    own = frame[-corner[0] % BLOCK :, -corner[1] % BLOCK :]
+    rows, columns = (size // BLOCK for size in own.shape)
+    if rows * columns < 4:
+        return found
+    own = own[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
+    blocks = own.swapaxes(1, 2).reshape(-1, BLOCK, BLOCK)
+    blocks = blocks[:: -(-len(blocks) // MOST_BLOCKS)]
+    coefficients = np.asarray(dctn(blocks, axes=(1, 2), norm="ortho"))
+    deviation = coefficients.std(axis=0)
+    for own, step in zip(found, STEPS, strict=True):
+        mean = np.cos(2 * np.pi * coefficients / step).mean(axis=0)
+        own[:] = np.where(deviation > SMOOTH * step, mean * np.sqrt(2 * len(blocks)), np.nan)
+    found[:, 0, 0] = np.nan
     return found
 
 
-def dead_in_words(dead: Bool[np.ndarray, "h w"], top: float) -> str:
-    """A sentence on dead pixels, whole rows and columns by number.
-
-    Args:
-        dead: where pixels are dead.
-        top: the top code.
-
-    Returns:
-        The sentence.
-    """
-    lines = []
-    for axis, name in ((0, "column"), (1, "row")):
-        whole = np.flatnonzero(dead.all(axis=axis))
-        if len(whole):
-            shown = ", ".join(str(i) for i in whole[:6]) + ", ..." * (len(whole) > 6)
-            lines.append(f"{name}{'s' * (len(whole) > 1)} {shown}")
-    count = int(dead.sum())
-    where = f" ({' and '.join(lines)})" if lines else ""
-    return (
-        f"{count} of {dead.size} pixels{where} read 0 in every frame, or {top:g} in every frame, "
-        "as dead pixels do: they were left out, and others of the same frame took their place."
-    )
-
-
-def local_variance(average: Float[np.ndarray, "h w"]) -> float:
+def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float:
     """Variance of pixels by differences of neighbours, which uneven light does not raise.
 
     Args:
         average: (h, w) of frames, DN.
+        live: the pixels that count.
 
     Returns:
         DN^2.
     """
-    apart = [np.diff(average, axis=axis) for axis in (0, 1) if average.shape[axis] > 1]
-    return float(np.mean([np.mean(d**2) / 2 for d in apart]))
+    found = []
+    for axis in (0, 1):
+        if average.shape[axis] > 1:
+            first, second = (
+                np.moveaxis(live.mask, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:])
+            )
+            apart = np.diff(np.moveaxis(average, axis, 0), axis=0)
+            found.append(np.mean(apart[first & second] ** 2) / 2)
+    return float(np.mean(found))
 
 
 def processing_in_words(
@@ -143,11 +129,18 @@ def processing_in_words(
     Returns:
         Sentences.
     """
-    return [*_compressed(measurement, usable), *_denoised(measurement, usable)]
+    lossy = measurement.lossy
+    if not lossy:
+        return [*_compressed(measurement, usable), *_denoised(measurement, usable)]
+    named = (
+        f"{listed(lossy)} {'is' if len(lossy) == 1 else 'are'} JPEG, which rounds and drops noise "
+        f"and mostly has a tone curve: {NOT_THE_CAMERAS}"
+    )
+    return [named, *_denoised(measurement, usable)]
 
 
 def is_compressed(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> bool:
-    """Whether noise ends at the borders of blocks.
+    """Whether noise ends at the borders of blocks, or blocks were rounded.
 
     Args:
         measurement: bright and dark levels.
@@ -159,10 +152,32 @@ def is_compressed(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
     return bool(_compressed(measurement, usable))
 
 
-def _compressed(measurement: PhotonTransfer, usable: np.ndarray) -> Sequence[str]:
+def _compressed(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
+    return _rounded_blocks(measurement, usable) or _parted_blocks(measurement, usable)
+
+
+def _rounded_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
+    if measurement.bright.combs is None or not len(usable):
+        return []
+    each = np.asarray(measurement.bright.combs)[usable]
+    told = np.isfinite(each)
+    both = np.where(told, each, 0.0).sum(axis=0) / np.sqrt(np.maximum(told.sum(axis=0), 1))
+    # One level may be too dim, another too bright to show what the others do.
+    at_most = np.maximum(both, np.where(told, each, 0.0).max(axis=0) - 1.0)
+    count = int((at_most.max(axis=0) > COMB).sum())
+    if count < FEWEST_COMBS:
+        return []
+    return [
+        f"In blocks of 8 x 8 pixels {count} of 63 coefficients of the cosine transform are "
+        "multiples of a step, as in JPEG, which rounded them: the files were made from JPEG, even "
+        f"if of high quality. {NOT_THE_CAMERAS[0].upper()}{NOT_THE_CAMERAS[1:]}"
+    ]
+
+
+def _parted_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     bright = measurement.bright
     if bright.blocks is None or not len(usable):
-        return ()
+        return []
     variance, frames = (np.asarray(x)[usable] for x in (bright.variance, bright.frames))
     shares = np.asarray(bright.blocks)[usable] / variance[:, None, None]
     found = np.average(shares, axis=0, weights=frames - 1)  # (2, residues)
@@ -171,24 +186,23 @@ def _compressed(measurement: PhotonTransfer, usable: np.ndarray) -> Sequence[str
     least = found.min(axis=1)
     others = (found.sum(axis=1) - least) / (BLOCK - 1)
     if not np.all(others - least > max(SURE * error, SHARED)):
-        return ()
-    return (
+        return []
+    return [
         f"Neighbouring pixels share {100 * float(others.mean()):.2g} % of their noise, but "
         f"{100 * float(least.mean()):.2g} % across every eighth row and column, as in JPEG, which "
-        "drops noise block by block: gain, read noise and quantum efficiency are not the camera's. "
-        "Give raw frames.",
-    )
+        f"drops noise block by block: {NOT_THE_CAMERAS}"
+    ]
 
 
-def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> Sequence[str]:
+def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
     bright, dark = measurement.bright, measurement.dark
     if bright.local_pattern is None or dark.local_pattern is None:
-        return ()
+        return []
     # Frames that share noise keep less of it the more of them are averaged.
     counts = np.asarray(bright.frames)[usable]
     usable = usable[counts == np.median(counts)]
     if len(usable) < FEWEST_FOR_PATTERN:
-        return ()
+        return []
     matched = np.asarray(measurement.dark_of)[usable]
     black = np.asarray(dark.mean)[matched]
     signal = np.concatenate([np.asarray(bright.mean)[usable] - black, np.zeros(dark.mean.size)])
@@ -206,12 +220,12 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> Sequence[str]:
     errors = np.sqrt(1.5 * errors / float(bright.pixels))
     told = errors > 0
     if told.sum() < FEWEST_FOR_PATTERN or top <= 0:
-        return ()
+        return []
     x, y, scale = signal[told] / top, pattern[told], errors[told]
     shot = np.asarray(bright.variance)[usable] - np.asarray(dark.variance)[matched]
     gain = float(np.median(shot[-3:] / signal[: len(usable)][-3:]))
     if gain <= 0:
-        return ()
+        return []
     slope = 0.0
     for powers in ((0, 1, 2), (0, 1, 2, 3)):  # a curved response adds a cube
         design = np.stack([x**power for power in powers], axis=1) / scale[:, None]
@@ -223,13 +237,13 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> Sequence[str]:
         together = 2 * np.sqrt(max(found[0], 0) * max(found[2], 0))
         slope = float(found[1] - together) / top
         if slope < max(SURE * float(error) / top, KEPT * gain):
-            return ()
-    return (
+            return []
+    return [
         "What stays from frame to frame grows with the signal as shot noise does, by "
         f"{slope / gain:.2g} times the gain: the frames of a level share noise, as after temporal "
         "denoising or running averages. Variances between frames are too small, and with "
         "them K; read noise and quantum efficiency are wrong too. Give independent raw frames.",
-    )
+    ]
 
 
 def tone_curve(measurement: PhotonTransfer) -> float | None:

@@ -2,11 +2,11 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,36 +17,22 @@ from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter
-from ..frame_checks.frame import ALONE, Odd, Shown, listed, refuse_half, shown
+from ..frame_checks.frame import ALONE, Odd, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..frame_checks.levels import odd_frames
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
-from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, linear_levels, rounding_step
+from .level_sums import LevelStatistics, LevelSums, Unlit
+from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, rounding_step
 from .levels_table import read_table
-from .neighbours import Neighbours
-from .periodic import quarters, residues
-from .raw_frames import (
-    BLOCK,
-    block_products,
-    dead_in_words,
-    dead_pixels,
-    local_variance,
-    tone_curve,
-    without_dead,
-)
+from .live_pixels import DeadPixels, LivePixels, dead_pixels
 from .settings import require_one_setting
 from .shared import shared_variance
-from .variance_parts import Moments
+from .usable import check
 
-FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
-MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
-SEEN = 3.0  # standard errors by which a level must vary more than its darks
-FEWEST_FOR_BLACK = 6  # levels from which a parabola tells the flats' own black level
-SURE_OF_BLACK = 6.0  # standard errors by which it must differ from the darks
-MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
 DARK_MATCH = 0.05  # relative difference in exposure up to which a dark is a flat's own
+BRIGHTEST = 2  # levels by which dead pixels are found
 
 
 @in_double
@@ -57,8 +43,9 @@ def read_photon_transfer(
 
     Args:
         path: a rig folder or file, or a table of sums with the suffix `.csv`.
-        bits: ADC bits of a table's camera; None to infer them where the table saturates.
-        channel: site of a Bayer mosaic; empty for the first green.
+        bits: ADC bits of a table's camera; None for those of the rig, or to infer them where the
+            table saturates.
+        channel: site of a rig's Bayer mosaic; empty for the first green.
 
     Returns:
         The measurement.
@@ -68,7 +55,11 @@ def read_photon_transfer(
     """
     file = Path(path)
     if file.suffix.lower() == ".csv":
+        if channel:
+            raise InputError(f"{file}: is a table of one channel; leave out {channel!r}.")
         measurement = read_table(file, bits)
+    elif bits is not None:
+        raise InputError(f"{file}: camera.bits of the rig counts; leave out the bits, {bits}.")
     else:
         measurement = reduce_rig(load_rig(file), channel=channel)
     check(file, measurement)
@@ -108,15 +99,14 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
             "photons (or irradiance) for every [[flat]], or vary the exposure."
         )
     channel = channel or _first_site(rig.camera)
-    codes, top = Codes(), rig.camera.at(channel).clip_level
-    dead = dead_pixels(_stored(rig, flats, darks, load), top)
+    dead = _dead(rig, flats, darks, channel, load)
     if dead is not None:
-        remarks.append(dead_in_words(dead, top))
-        load = _load_without(dead, load)
-    dark = _reduced(rig, darks, channel, load, codes, odd=odd["dark"])
+        remarks.append(dead.sentence)
+    source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
+    dark = _reduced(source, darks, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
-    bright = _reduced(rig, flats, channel, load, codes, odd=odd["flat"], light=amounts, dark=dark)
-    converter = codes.converter()
+    bright = _reduced(source, flats, odd=odd["flat"], light=amounts, dark=dark)
+    converter = source.codes.converter()
     bright, dark = (replace(levels, converter=converter) for levels in (bright, dark))
     if float(bright.pixels) != float(dark.pixels):
         raise InputError(f"{rig.folder}: flats and darks differ in size; crop them alike.")
@@ -124,12 +114,6 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         remarks.append(f"Of the {rig.camera.pattern} mosaic the {channel} sites were used.")
     elif len(rig.camera.sites) > 1:
         remarks.append(f"Of the {len(rig.camera.sites)} taps the pixels of {channel} were used.")
-    lossy = [name for entry in (*flats, *darks) for name in entry.files if _is_jpeg(name)]
-    if lossy:
-        remarks.append(
-            f"{listed(lossy)} are JPEG, which rounds and drops noise and mostly has a tone curve: "
-            "gain, read noise and quantum efficiency are not the camera's. Give raw frames."
-        )
     stated = rig.camera.at(channel).clip_level
     if converter.clips_at is not None and converter.clips_at < stated - max(converter.step, 1.0):
         remarks.append(
@@ -150,6 +134,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         photons_known=all(known),
         full_scale=_full_scale(stated, converter),
         remarks=tuple(remarks),
+        lossy=tuple(name for one in (*flats, *darks) for name in one.files if _is_jpeg(name)),
     )
 
 
@@ -169,24 +154,57 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     """
     rig, odd, _ = _without_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
-    codes = Codes()
-    darks = _reduced(rig, _pooled(rig.dark), channel, load, codes, odd=odd["dark"])
-    return replace(darks, converter=codes.converter())
+    entries = _pooled(rig.dark)
+    dead = _dead(rig, [], entries, channel, load)
+    source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
+    darks = _reduced(source, entries, odd=odd["dark"])
+    told = () if dead is None else (dead.sentence,)
+    return replace(darks, converter=source.codes.converter(), left_out=(*told, *darks.left_out))
 
 
-def _stored(
-    rig: Rig, flats: Sequence[Flat], darks: Sequence[Dark], load: Load
-) -> Iterator[np.ndarray]:
-    """All frames that can be read, of the brightest flats and of a dark the first ones first."""
-    names = [entry.files[0] for entry in (flats[-1], darks[0])]
-    names += [name for entry in (*flats, *darks) for name in entry.files if name not in names]
-    for name in names:
-        with suppress(InputError):
-            yield load(rig.path(name))
+@dataclass(frozen=True)
+class _Source:
+    """Where the frames of a measurement come from.
+
+    Attributes:
+        rig: that names them.
+        channel: site of a mosaic, or tap.
+        load: how an image is had by its path.
+        live: (h, w) true where a pixel counts; None for all.
+        codes: takes the numbers that occur.
+    """
+
+    rig: Rig
+    channel: str
+    load: Load
+    live: np.ndarray | None
+    codes: Codes
+
+    def plane(self, name: str) -> np.ndarray:
+        """(h, w) DN of a frame."""
+        return _plane(self.rig, name, self.channel, self.load)
+
+    def pixels(self, shape: tuple[int, ...]) -> LivePixels:
+        """Those that count of a frame of this size."""
+        if self.live is None or self.live.shape != shape:
+            return LivePixels(np.ones(shape, bool))
+        return LivePixels(self.live)
 
 
-def _load_without(dead: np.ndarray, load: Load) -> Load:
-    return lambda path: without_dead(load(path), dead)
+def _dead(
+    rig: Rig, flats: Sequence[Flat], darks: Sequence[Dark], channel: str, load: Load
+) -> DeadPixels | None:
+    """By the brightest flats and the longest darks."""
+
+    def planes(entries: Sequence[Flat] | Sequence[Dark]) -> list[np.ndarray]:
+        found = []
+        for name in (name for entry in entries for name in entry.files):
+            with suppress(InputError):
+                found.append(_plane(rig, name, channel, load))
+        return found
+
+    unlit = planes(darks[-1:])
+    return dead_pixels(planes(flats[-BRIGHTEST:]), unlit) if len(unlit) > 1 else None
 
 
 def _is_jpeg(name: str) -> bool:
@@ -264,41 +282,43 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[Odd]], list[str]]:
 
 
 def _reduced(
-    rig: Rig,
+    source: _Source,
     entries: Sequence[Flat] | Sequence[Dark],
-    channel: str,
-    load: Load,
-    codes: Codes,
     *,
     odd: Sequence[Odd],
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
 ) -> Levels:
     """Levels of frames that belong together; `odd` is what was left out before."""
-    gone = list(odd)
+    rig, gone = source.rig, list(odd)
     count = sum(len(entry.files) for entry in entries)
-    found = [_level(rig, entry.files, channel, load, gone, codes) for entry in entries]
-    _leave_out_sizes(rig, found, gone)
-    shows = [() if level is None else level.shown for level in found]
     times = np.array([entry.exposure for entry in entries])
-    amounts, black = np.zeros(len(found)) if light is None else light, None
+    black, unlit = None, [None] * len(entries)
     if dark is not None:
         nearest = np.abs(times[:, None] - np.asarray(dark.exposure)).argmin(axis=1)
         black = np.asarray(dark.mean)[nearest]
+        noise = np.asarray(dark.variance)[nearest]
+        unlit = [Unlit(*map(float, own)) for own in zip(black, noise, strict=True)]
+    found = [
+        _level(source, entry.files, own, gone) for entry, own in zip(entries, unlit, strict=True)
+    ]
+    _leave_out_sizes(rig, found, gone)
+    shows = [() if level is None else level.shown for level in found]
+    amounts = np.zeros(len(found)) if light is None else light
     compared = odd_frames(shows, light=times if dark is None else amounts, black=black)
     gone += compared
     refuse_half(rig.folder, gone, count)
     names = {name for one in compared for name in one.names}
     for i in range(len(entries)):
-        kept = [frame for frame in shows[i] if frame.name not in names]
+        kept = [frame.name for frame in shows[i] if frame.name not in names]
         if len(kept) < len(shows[i]):
-            left = [frame.name for frame in kept]
-            found[i] = _level(rig, left, channel, load, []) if left else None
+            found[i] = _level(source, kept, unlit[i], [], again=True) if kept else None
     there = [i for i, level in enumerate(found) if level is not None]
     if not there:
         raise InputError(f"{rig.folder}: no level has two frames; {gone[0].sentence}")
     rows = [level for level in found if level is not None]
-    shape, of_lines = rows[0].shape, np.array([row.lines for row in rows]).T
+    live, of_lines = rows[0].live, np.array([row.lines for row in rows]).T
+    shape = live.shape
     mean, variance, spatial, frames = np.array([row[:4] for row in rows], float).T
     # In a mosaic the nearest sites of one colour are two pixels apart.
     adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
@@ -309,7 +329,7 @@ def _reduced(
         mean=jnp.asarray(mean),
         variance=jnp.asarray(variance),
         frames=jnp.asarray(frames),
-        pixels=jnp.asarray(float(np.prod(shape))),
+        pixels=jnp.asarray(float(live.count)),
         spatial_variance=jnp.asarray(spatial),
         shared=shared_variance(of_lines, shape),
         covariances=covariances,
@@ -317,65 +337,52 @@ def _reduced(
         quarters=jnp.asarray([row.quarters for row in rows]),
         local_pattern=jnp.asarray([row.local_pattern for row in rows]),
         blocks=jnp.asarray([row.blocks for row in rows]) if adjacent else None,
+        combs=jnp.asarray([row.combs for row in rows]) if adjacent else None,
         left_out=tuple(one.sentence for one in gone),
     )
 
 
-def _leave_out_sizes(rig: Rig, found: "list[_Level | None]", gone: list[Odd]) -> None:
+def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[Odd]) -> None:
     """Levels of another size than that of most."""
-    sizes = Counter(level.shape for level in found if level is not None)
+    sizes = Counter(level.live.mask.shape for level in found if level is not None)
     if len(sizes) < 2:
         return
     shape, count = sizes.most_common(1)[0]
     if 2 * count <= sizes.total():
         raise InputError(f"{rig.folder}: frames differ in size from level to level; crop them.")
     for i, level in enumerate(found):
-        if level is not None and level.shape != shape:
+        if level is not None and (own := level.live.mask.shape) != shape:
             names = tuple(frame.name for frame in level.shown)
-            gone.append(Odd(names, f"they are {level.shape}, the frames of other levels {shape}"))
+            gone.append(Odd(names, f"they are {own}, the frames of other levels {shape}"))
             found[i] = None
 
 
-class _Level(NamedTuple):
-    """Statistics of the frames of one level, as `Levels` holds them of all, and what is kept of
-    each frame."""
-
-    mean: float
-    variance: float
-    spatial: float
-    frames: float
-    lines: tuple[float, ...]
-    covariances: np.ndarray
-    shape: tuple[int, ...]
-    shown: tuple[Shown, ...]
-    residues: np.ndarray
-    quarters: np.ndarray
-    local_pattern: float
-    blocks: np.ndarray
-
-
 def _level(
-    rig: Rig,
+    source: _Source,
     files: Sequence[str],
-    channel: str,
-    load: Load,
+    unlit: Unlit | None,
     odd: list[Odd],
-    codes: Codes | None = None,
-) -> _Level | None:
+    *,
+    again: bool = False,
+) -> LevelStatistics | None:
     """The statistics of a level, None where fewer than two frames are left; what cannot be used is
-    added to `odd`, the numbers that occur to `codes`."""
-    sums, others = None, {}
+    added to `odd`. `again`: its numbers were counted before."""
+    rig, sums, others = source.rig, None, {}
     for name in files:
         try:
-            stored = load(rig.path(name))
-        except InputError as error:
+            frame = source.plane(name)
+        except _Unreadable as error:
             reason = str(error).removeprefix(f"{rig.path(name)}: ").removesuffix(".")
             odd.append(Odd((name,), f"it cannot be read ({reason})"))
             continue
-        frame = _plane(rig, name, channel, stored)
-        if codes is not None:
-            codes.add(frame)
-        sums = sums or _Sums(frame, rig.camera.at(channel).clip_level)
+        live = source.pixels(frame.shape)
+        if not again:
+            source.codes.add(
+                np.where(live.mask, frame, np.nan) if live.count < frame.size else frame
+            )
+        if sums is None:
+            top, corner = rig.camera.at(source.channel).clip_level, rig.camera.region
+            sums = LevelSums(frame, top, live, unlit, corner=(corner or (0, 0))[:2])
         if frame.shape != sums.first.shape:
             others[name] = frame.shape
         else:
@@ -383,30 +390,30 @@ def _level(
     if sums is None:
         return None
     if 2 * len(others) >= len(sums.shown) + len(others):
-        return _of_most(rig, files, sums, others, channel, load, odd)
+        return _of_most(source, files, sums, others, unlit, odd)
     for name, shape in others.items():
         odd.append(Odd((name,), f"it is {shape}, the others of its level {sums.first.shape}"))
     if len(sums.shown) < 2:
         odd.append(Odd((sums.shown[0].name,), ALONE))
         return None
-    if sums.first.size < FEWEST_PIXELS:
+    if sums.live.count < FEWEST_PIXELS:
         raise InputError(
-            f"{rig.path(files[0])}: has {sums.first.size} pixels; a variance needs at least "
+            f"{rig.path(files[0])}: has {sums.live.count} pixels; a variance needs at least "
             f"{FEWEST_PIXELS}."
         )
     return sums.level()
 
 
 def _of_most(
-    rig: Rig,
+    source: _Source,
     files: Sequence[str],
-    sums: "_Sums",
+    sums: LevelSums,
     others: dict[str, tuple[int, ...]],
-    channel: str,
-    load: Load,
+    unlit: Unlit | None,
     odd: list[Odd],
-) -> _Level | None:
+) -> LevelStatistics | None:
     """The level of the size that most of its frames have, where the first has another."""
+    rig = source.rig
     shape, count = Counter(others.values()).most_common(1)[0]
     if 2 * count <= len(others) + len(sums.shown):
         name = next(iter(others))
@@ -418,68 +425,19 @@ def _of_most(
         if name in {one.name for one in sums.shown} or others.get(name, shape) != shape:
             size = others.get(name, sums.first.shape)
             odd.append(Odd((name,), f"it is {size}, the others of its level {shape}"))
-    return _level(rig, [name for name in files if others.get(name) == shape], channel, load, odd)
+    kept = [name for name in files if others.get(name) == shape]
+    return _level(source, kept, unlit, odd, again=True)
 
 
-class _Sums:
-    """Sums over the frames of a level. Deviations from the first frame keep S2 and S1^2 small:
-    little cancels in their difference."""
-
-    def __init__(self, first: np.ndarray, top: float) -> None:
-        self.first, self._top = first, top
-        self.shown: list[Shown] = []
-        self._total, self._squares = np.zeros_like(first), np.zeros_like(first)
-        self._shifts: list[float] = []
-        self._lines, self._neighbours = Moments(first), Neighbours(first.shape)
-        self._blocks = np.zeros((2, BLOCK))
-
-    def add(self, name: str, frame: np.ndarray) -> None:
-        """One more frame, or the first."""
-        self.shown.append(shown(name, frame, top=self._top))
-        deviation = frame - self.first
-        self._shifts.append(float(deviation.mean()))
-        if len(self.shown) == 1:
-            return
-        self._lines.add(deviation)
-        # Light that drifts between the frames moves all pixels together: no noise of pixels, and
-        # products would mix it with that noise.
-        deviation = deviation - self._shifts[-1]
-        self._total += deviation
-        self._squares += deviation**2
-        self._neighbours.add(deviation)
-        self._blocks += block_products(deviation)
-
-    def level(self) -> _Level:
-        """The statistics of two frames or more."""
-        count, total = len(self.shown), self._total
-        average = self.first + total / count + np.mean(self._shifts)
-        temporal = (count * self._squares - total**2) / (count * (count - 1))
-        wandering = float(np.var(self._shifts, ddof=1))
-        parts = self._lines.temporal(float(temporal.mean()) + wandering, wandering)
-        variance = parts.of_a_pixel
-        # A frame's mean holds the noise of its own pixels, too, which went with it.
-        lost = wandering - parts.frames
-        temporal += lost
-        covariances = self._neighbours.covariances(total, variance, lost)
-        passing = variance - (covariances[0, 1] + covariances[1, 0]) / 2
-        blocks = (count * self._blocks - block_products(total)) / (count * (count - 1))
-        return _Level(
-            mean=float(average.mean()),
-            variance=variance,
-            spatial=float(average.var(ddof=1)),
-            frames=float(count),
-            lines=(parts.rows, parts.columns, *self._lines.fixed(average, parts), parts.frames),
-            covariances=covariances,
-            shape=self.first.shape,
-            shown=tuple(self.shown),
-            residues=residues(average, temporal),
-            quarters=quarters(average, temporal),
-            local_pattern=local_variance(average) - passing / count,
-            blocks=blocks + lost,
-        )
+class _Unreadable(InputError):
+    """A file that is no image."""
 
 
-def _plane(rig: Rig, name: str, channel: str, stored: np.ndarray) -> np.ndarray:
+def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:
+    try:
+        stored = load(rig.path(name))
+    except InputError as error:
+        raise _Unreadable(str(error)) from error
     frame = read_frame(rig.path(name), rig.camera, load=lambda path: stored)
     if frame.ndim == 3:
         raise InputError(
@@ -490,143 +448,3 @@ def _plane(rig: Rig, name: str, channel: str, stored: np.ndarray) -> np.ndarray:
     if channel not in planes:
         raise InputError(f"{rig.path(name)}: has no channel {channel!r}; use {', '.join(planes)}.")
     return planes[channel]
-
-
-def check(file: Path, measurement: PhotonTransfer) -> None:
-    """Refuses a measurement from which no photon transfer can be had.
-
-    Args:
-        file: where it comes from, for messages.
-        measurement: bright and dark levels.
-
-    Raises:
-        InputError: for what is missing or wrong.
-    """
-    try:
-        _check(file, measurement)
-    except InputError as error:
-        left_out = (*measurement.bright.left_out, *measurement.dark.left_out)
-        raise InputError(" ".join([str(error), *left_out[:3]])) from None
-
-
-def _check(file: Path, measurement: PhotonTransfer) -> None:
-    bright, dark = measurement.bright, measurement.dark
-    for name, levels in (("flat", bright), ("dark", dark)):
-        if bool(jnp.any(levels.exposure < 0)):
-            raise InputError(f"{file}: a {name} has a negative exposure; give it in seconds.")
-        if bool(jnp.any(levels.frames < 2)):
-            raise InputError(f"{file}: a {name} level has one frame; a variance needs two or more.")
-        if bool(jnp.any(levels.variance < 0)):
-            raise InputError(f"{file}: a {name} level has a negative variance; check its column.")
-    if not bool(jnp.any(bright.exposure > 0)):
-        raise InputError(f"{file}: no flat has a positive exposure; give it in seconds.")
-    if bool(jnp.any(bright.light < 0)):
-        raise InputError(f"{file}: a flat has negative light; correct its photons.")
-    if measurement.photons_known and float(bright.light.max()) > MOST_PHOTONS:
-        raise InputError(
-            f"{file}: a flat has {float(bright.light.max()):.3g} photons per pixel, more than any "
-            f"pixel can hold; correct the unit (at most {MOST_PHOTONS:g})."
-        )
-    lights, times = (np.unique(np.asarray(x)).size for x in (bright.light, bright.exposure))
-    if lights < FEWEST_LEVELS:
-        if measurement.photons_known and times >= FEWEST_LEVELS:
-            raise InputError(
-                f"{file}: the flats have {times} exposures, but {lights} different photons; these "
-                "are photons per pixel and exposure, so multiply a rate per second by the exposure."
-            )
-        raise InputError(
-            f"{file}: the flats have too few different levels of light; at least {FEWEST_LEVELS} "
-            "are needed, so vary the exposure or the light."
-        )
-    if measurement.photons_known and float(bright.light.max()) <= 0:
-        raise InputError(f"{file}: no flat has any photons; give the light of each level.")
-    exponent = tone_curve(measurement)
-    if exponent is not None:
-        raise InputError(
-            f"{file}: the signal grows as the light to the power of {exponent:.2g}, and its noise "
-            "not with it, as after a tone curve (gamma, sRGB), from which no gain follows; give "
-            "raw, linear frames."
-        )
-    if bool(jnp.all(dark.variance == 0)):
-        raise InputError(
-            f"{file}: no dark varies from frame to frame (mean {float(dark.mean.max()):g} DN), so "
-            "black is clipped, the frames are copies, or compression (JPEG) took their noise; "
-            "raise the camera's black level and give independent raw frames."
-        )
-    if bool(jnp.all(bright.variance == 0)):
-        raise InputError(
-            f"{file}: no flat varies from frame to frame, so all are saturated or copies of one; "
-            "give independent frames at lower light."
-        )
-    signal = bright.mean - dark.mean[measurement.dark_of]
-    if float(signal.max()) < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
-        raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
-    if _most_shot_noise(measurement) < SEEN:
-        raise InputError(
-            f"{file}: the flats vary no more from frame to frame than the darks do, so no shot "
-            "noise is seen, from which the gain is read off; give raw frames, neither averaged, "
-            "smoothed nor compressed, and more light."
-        )
-    brightest = float(bright.mean.max()) / min(measurement.converter.step or 1.0, 1.0)
-    if (measurement.full_scale or 0) > 255 and brightest <= 255:
-        raise InputError(
-            f"{file}: no flat exceeds 255 DN, as in 8-bit data; correct camera.bits, or give more "
-            "light."
-        )
-    usable = linear_levels(measurement)
-    if len(usable) < FEWEST_LEVELS:
-        raise InputError(
-            f"{file}: {len(usable)} levels of light lie below 95 % of saturation; at least "
-            f"{FEWEST_LEVELS} are needed, so add flats at lower light."
-        )
-    _refuse_other_black(file, measurement, usable)
-
-
-def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
-    """Refuses darks whose black level is not that of the flats: where these have no signal, by
-    their variance and by their light alike."""
-    bright, dark = measurement.bright, measurement.dark
-    levels = usable[np.asarray(bright.light)[usable] > 0]
-    if len(levels) < FEWEST_FOR_BLACK:
-        return
-    mean, variance, light, frames = (
-        np.asarray(x)[levels] for x in (bright.mean, bright.variance, bright.light, bright.frames)
-    )
-    there = np.asarray(measurement.dark_of)[levels]
-    black, noise = float(np.mean(dark.mean[there])), float(np.mean(dark.variance[there]))
-    errors = variance * np.sqrt(2 / (float(bright.pixels) * (frames - 1)))
-    by_variance, slope, error = _at_zero(mean, variance - noise, errors)
-    by_variance, error = -by_variance / slope, np.hypot(error, noise) / abs(slope)
-    by_light, _, light_error = _at_zero(light, mean, np.sqrt(variance))
-    off = np.array([by_variance, by_light]) - black
-    signal = float(mean.min() - by_variance)
-    sure = np.all(np.abs(off) > SURE_OF_BLACK * np.array([error, light_error]))
-    alike = abs(off[0] - off[1]) < 0.5 * np.abs(off).min()
-    if sure and alike and np.abs(off).min() > MOST_OFF_BLACK * abs(signal):
-        raise InputError(
-            f"{file}: without light the flats would read {by_variance:.4g} DN by their variance "
-            f"and {by_light:.4g} DN by their light, but the darks read {black:.4g} DN; give flats "
-            "and darks with the same offset, none of them subtracted."
-        )
-
-
-def _at_zero(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
-    """Value and slope at zero of a parabola, and the error of the value, by how y scatters."""
-    design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
-    scale = np.sqrt(np.sum(design**2, axis=0))
-    found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)
-    covariance = np.linalg.pinv((design / scale).T @ (design / scale))
-    misfit = max(float(rest[0]) / (len(x) - 3), 1.0) if rest.size else 1.0
-    value, slope, _ = found / scale
-    return float(value), float(slope), float(np.sqrt(covariance[0, 0] * misfit) / scale[0])
-
-
-def _most_shot_noise(measurement: PhotonTransfer) -> float:
-    """By how much a level varies more than its dark frames, in standard errors, at most."""
-    bright, dark = measurement.bright, measurement.dark
-    there = dark.variance[measurement.dark_of]
-    errors = jnp.hypot(
-        bright.variance * jnp.sqrt(2 / (bright.pixels * (bright.frames - 1))),
-        there * jnp.sqrt(2 / (dark.pixels * (dark.frames - 1)))[measurement.dark_of],
-    )
-    return float(jnp.max((bright.variance - there) / errors))

@@ -15,7 +15,7 @@ from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate, widened
 from .emva1288 import is_floored, least_dark_variance
 from .figures import noise_pictures
-from .findings import findings, is_impossible
+from .findings import findings, is_no_sensor
 from .parts import deviation_quantiles
 from .pattern import SEEN
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
@@ -57,7 +57,7 @@ def section(calibration: NoiseCalibration) -> Section:
         ),
         posteriors={"": calibration.posterior},
         records={}
-        if is_impossible(calibration)
+        if is_no_sensor(calibration)
         else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
         headings=HEADINGS,

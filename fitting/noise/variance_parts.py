@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .live_pixels import LivePixels
+
 
 @dataclass(frozen=True)
 class TemporalVariance:
@@ -29,69 +31,81 @@ class TemporalVariance:
 
 
 class Moments:
-    """Sums over the frames of a level, from which its shared variances follow."""
+    """Sums over the frames of a level, from which its shared variances follow.
 
-    def __init__(self, first: np.ndarray) -> None:
-        self._lines = [np.zeros(first.shape[axis]) for axis in (0, 1)]
-        self._squares = [np.zeros(first.shape[axis]) for axis in (0, 1)]
-        self._shape, self._count = first.shape, 1
+    With T the temporal variance of a pixel, Q_rows and Q_columns those of the lines' means, each
+    about the frame's mean and averaged, and W that of the frames' means, the parts solve
 
-    def add(self, deviation: np.ndarray) -> None:
-        """One more frame, less the first."""
-        self._count += 1
-        for axis in (0, 1):
-            means = deviation.mean(axis=1 - axis)
-            self._lines[axis] += means
-            self._squares[axis] += means**2
+        (T, Q_rows, Q_columns) = A (pixels, rows, columns),
+        frames = W - b (pixels, rows, columns),
 
-    def temporal(self, total: float, wandering: float) -> TemporalVariance:
-        """What pixels, rows, columns and whole frames add from frame to frame: with T the temporal
-        variance of pixels, W that of the frames' means, and Q those of rows' and of columns' means,
+    A and b being `LivePixels.variance_shares`. Of h x w pixels that all count,
 
-            pixels = (T + W - Q_rows - Q_columns) / ((1 - 1 / h) (1 - 1 / w)),
-            rows = (Q_rows - W) / (1 - 1 / h) - pixels / w,        columns likewise,
-            frames = W - rows / h - columns / w - pixels / (h w).
+        pixels = (T - Q_rows - Q_columns) / ((1 - 1 / h) (1 - 1 / w)),
+        rows = Q_rows / (1 - 1 / h) - pixels / w,        columns likewise,
+        frames = W - rows / h - columns / w - pixels / (h w).
+
+    A part that is there is found without bias, whatever the others are; without rows and columns
+    the sum of the three is T (h w) / (h w - 1) in the mean.
+    """
+
+    def __init__(self, live: LivePixels) -> None:
+        self._live = live
+        self._squares = [np.zeros(size) for size in live.mask.shape]
+        self._shares = live.variance_shares()
+
+    def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
+        """Squares of one more frame, less the first and without its shift of the mean."""
+        for axis, squares in enumerate(self._squares):
+            squares += weight * self._live.line_means(deviation, axis) ** 2
+
+    def temporal(
+        self, total: np.ndarray, variance: float, wandering: float, count: int
+    ) -> TemporalVariance:
+        """What pixels, rows, columns and whole frames add from frame to frame.
 
         Args:
-            total: T, averaged over the pixels, DN^2.
+            total: (h, w) sum of the frames as added, DN.
+            variance: T, averaged over the pixels, DN^2.
             wandering: W, DN^2.
+            count: of frames, the first among them.
 
         Returns:
             The parts, DN^2; lines are pixels where a frame is a single row or column.
         """
-        count, (h, w) = self._count, self._shape
-        if min(h, w) == 1:
-            pixels = (total - wandering) / (1 - 1 / (h * w))
-            return TemporalVariance(pixels, 0.0, 0.0, wandering - pixels / (h * w))
-        rows, columns = (
-            float(np.mean(count * self._squares[axis] - self._lines[axis] ** 2))
+        of_rows, of_columns = (
+            float(np.nanmean(count * squares - self._live.line_means(total, axis) ** 2))
             / (count * (count - 1))
-            - wandering
-            for axis in (0, 1)
+            for axis, squares in enumerate(self._squares)
         )
-        pixels = (total - wandering - rows - columns) / ((1 - 1 / h) * (1 - 1 / w))
-        rows = rows / (1 - 1 / h) - pixels / w
-        columns = columns / (1 - 1 / w) - pixels / h
-        frames = wandering - rows / h - columns / w - pixels / (h * w)
-        return TemporalVariance(pixels, rows, columns, frames)
+        parts = self._parted(variance, of_rows, of_columns)
+        pixels, rows, columns = parts.tolist()
+        return TemporalVariance(pixels, rows, columns, wandering - float(self._shares[3] @ parts))
 
-    def fixed(self, average: np.ndarray, temporal: TemporalVariance) -> tuple[float, float]:
+    def fixed(
+        self, average: np.ndarray, temporal: TemporalVariance, count: int
+    ) -> tuple[float, float]:
         """What rows and columns add that stays.
 
         Args:
             average: (h, w) of all frames, DN.
             temporal: of these frames, which an average keeps a share of.
+            count: of frames.
 
         Returns:
             Variances of rows and of columns, DN^2; 0 where a frame is a single row or column.
         """
-        h, w = self._shape
-        if min(h, w) == 1:
+        if min(self._live.shape) == 1:
             return 0.0, 0.0
-        rows, columns = average.mean(axis=1), average.mean(axis=0)
-        rest = average - rows[:, None] - columns + average.mean()
-        pixels = float(np.sum(rest**2)) / ((h - 1) * (w - 1))
-        return (
-            float(rows.var(ddof=1)) - pixels / w - temporal.rows / self._count,
-            float(columns.var(ddof=1)) - pixels / h - temporal.columns / self._count,
+        away = average - self._live.mean(average)
+        of_rows, of_columns = (
+            float(np.nanmean(self._live.line_means(away, axis) ** 2)) for axis in (0, 1)
         )
+        _, rows, columns = self._parted(self._live.mean(away**2), of_rows, of_columns)
+        return float(rows - temporal.rows / count), float(columns - temporal.columns / count)
+
+    def _parted(self, total: float, of_rows: float, of_columns: float) -> np.ndarray:
+        """Pixels, rows and columns."""
+        if min(self._live.shape) == 1:
+            return np.array([total / self._shares[0, 0], 0.0, 0.0])
+        return np.linalg.solve(self._shares[:3], [total, of_rows, of_columns])

@@ -370,7 +370,7 @@ def test_noise_that_was_processed_is_named(kind, words):
     assert words in told
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_files_that_are_not_raw_make_no_sensor():
     found = section(calibrate(measured_of("denoised")))
     assert found.records == {}

@@ -1,5 +1,6 @@
 """Photon transfer of cameras that are not the project's own: their sheets against the truth."""
 
+import io
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -7,14 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.stats import norm, poisson
 
 from fitting import folders, noise
 from fitting.noise.findings import _light_offset
+from fitting.noise.level_sums import LevelSums, Unlit
 from fitting.noise.levels import linear_levels
+from fitting.noise.live_pixels import LivePixels
 from fitting.noise.neighbours import above_dark, copies
 from fitting.noise.periodic import periodic_in_words, periodic_structure
+from fitting.noise.printed_times import printed_times_in_words
 from fitting.noise.quantised import quantised_moments, window_for
+from fitting.noise.raw_frames import combs, processing_in_words
 from fitting.noise.section import section
 from fitting.noise.sensor import fitted_sensor
 from jaxvision.io import write_image
@@ -328,7 +334,7 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
 
 @pytest.mark.parametrize("bits", [12, 16])
 def test_dead_columns_rows_and_pixels_are_left_out(bits):
-    """At 0, and hot pixels at the top code, in every frame."""
+    """At 0, and stuck at the top code, in every frame."""
     rng = np.random.default_rng(12)
     prnu = 1 + 0.01 * rng.standard_normal(SHAPE)
     flats, darks, *others = read_out(rng, light=prnu)
@@ -338,12 +344,112 @@ def test_dead_columns_rows_and_pixels_are_left_out(bits):
         frame[[3, 50], [30, 60]] = 2**bits - 1
     measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=bits))
     (remark,) = (told for told in measured.remarks if "dead" in told)
-    assert "255 of 4096 pixels (columns 5, 20, 21 and row 40) read 0" in remark
-    np.testing.assert_allclose(measured.dark.mean, 64, atol=5 * np.sqrt(1.08 / 4096 / 2))
+    assert "255 of 4096 pixels were left out: 255 that are dead or stuck" in remark
+    assert "columns 5, 20, 21; row 40; row and column (3, 30), (50, 60)" in remark
+    assert float(measured.bright.pixels) == float(measured.dark.pixels) == 3841
+    assert measured.bright.shared.shape.tolist() == [63, 61]
+    np.testing.assert_allclose(measured.dark.mean, 64, atol=5 * np.sqrt(1.08 / 3841 / 2))
     assert periodic_structure(measured, linear_levels(measured)) == ()
     calibration = noise.calibrate(measured)
     assert_true(estimates(calibration), system_gain=K, read_noise=4.0, prnu=1.0)
     assert not any("anding" in told for told in section(calibration).findings)
+
+
+def test_hot_and_stuck_pixels_are_left_out_of_flats_and_darks():
+    """A hundredth of the pixels with a dark current of 3,000 electrons, and its shot noise; two
+    that always read about 700 DN."""
+    rng = np.random.default_rng(14)
+    flats, darks, *others = read_out(rng)
+    hot = rng.random(SHAPE) < 0.01
+    for frame in (frame for level in (*flats, *darks) for frame in level):
+        frame[hot] += np.round(K * rng.poisson(3000, int(hot.sum())))
+        frame[[9, 44], [17, 2]] = 700 + rng.integers(-1, 2, 2)
+    count = int(hot.sum())
+    alone = noise.darks_from_frames(darks, others[0], camera=noise.Camera(bits=16))
+    measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=16))
+    (remark,) = (told for told in measured.remarks if "hot" in told)
+    assert f"{count + 2} of 4096 pixels were left out: 2 that are dead or stuck" in remark
+    assert f"{count} that are hot" in remark
+    assert f"{count + 2} that are hot" in alone.left_out[0]
+    for dark in (measured.dark, alone):
+        assert float(dark.pixels) == 4096 - count - 2
+        error = np.sqrt(2 / (4094 - count))
+        np.testing.assert_allclose(dark.variance, 1 + 1 / 12, rtol=5 * error)
+        np.testing.assert_allclose(dark.mean, 64, atol=5 * np.sqrt(1.1 / 4000 / 2))
+
+
+def levels_of(count, *, flicker=0.0, vignette=0.0, dead=0.0, frames=2, electrons=10_000):
+    """Variances of simulated levels over those of their mean light, and pixels that count."""
+    found = []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        away = np.hypot(*(np.mgrid[:64, :64] / 64 - 0.5))
+        light = electrons * (1 - 2 * vignette * away**2) * (1 + 0.01 * rng.standard_normal(SHAPE))
+        live = LivePixels(rng.random(SHAPE) >= dead)
+        stack = [
+            K * rng.poisson(light * (1 + flicker * rng.standard_normal())) + 64
+            for _ in range(frames)
+        ]
+        sums = LevelSums(stack[0] * live.mask, 1e9, live, Unlit(64.0, 0.0))
+        for i, frame in enumerate(stack):
+            sums.add(str(i), frame * live.mask)
+        level = sums.level()
+        lines = np.array(level.lines[:2]) / level.variance
+        found.append([level.variance / (K * (level.mean - 64)), *lines, live.count])
+    return np.array(found).T
+
+
+@pytest.mark.parametrize(("frames", "flicker"), [(2, 0.03), (2, 0.1), (4, 0.03)])
+def test_a_lamp_that_flickers_over_uneven_light_moves_no_variance(frames, flicker):
+    """Light that falls by 60 % to the corners; taken as whole frames, 3 % of flicker add a fifth to
+    the variance."""
+    ratio, rows, columns, _ = levels_of(40, flicker=flicker, vignette=0.6, frames=frames)
+    for values, truth in ((ratio, 1.0), (rows, 0.0), (columns, 0.0)):
+        assert abs(values.mean() - truth) < 3.5 * values.std() / np.sqrt(40)
+    assert abs(ratio - 1).max() < 5 * np.sqrt(2 / 4096 / (frames - 1))
+
+
+def test_errors_know_how_many_pixels_are_left():
+    ratio, _, _, count = levels_of(120, dead=0.3)
+    z = (ratio - 1) / np.sqrt(2 / count)
+    assert abs(z.mean()) < 3.5 / np.sqrt(120)
+    assert 0.8 < z.std() < 1.2
+
+
+def jpeg(frame, quality):
+    """As it comes back from a JPEG file."""
+    file = io.BytesIO()
+    Image.fromarray(frame.astype(np.uint8)).save(file, "JPEG", quality=quality)
+    return np.asarray(Image.open(file))
+
+
+@pytest.mark.parametrize("quality", [100, 98, 95, 85, None])
+def test_frames_that_were_jpeg_of_high_quality_are_named(quality):
+    """8 bits; K comes out 2, 13 and 20 % too large at 100, 98 and 95, and half at 85."""
+    rng = np.random.default_rng(15)
+
+    def frame(electrons):
+        dn = 0.025 * (rng.poisson(electrons, (128, 128)) + 30 * rng.standard_normal((128, 128)))
+        raw = np.clip(np.round(8 + dn), 0, 255).astype(np.uint8)
+        return raw if quality is None else jpeg(raw, quality)
+
+    electrons = np.linspace(300, 9000, 8)
+    flats = [[frame(e), frame(e)] for e in electrons]
+    of = {"camera": noise.Camera(bits=8), "dark_exposures": [0.01]}
+    darks = [[frame(0), frame(0)]]
+    measured = noise.from_frames(flats, darks, [0.01] * 8, list(2 * electrons), **of)
+    told = processing_in_words(measured, linear_levels(measured))
+    assert len(told) == (quality is not None)
+    assert all("JPEG" in sentence for sentence in told)
+
+
+def test_raw_numbers_are_no_jpeg():
+    """Of any noise, also of numbers at the upper end of 16 bits."""
+    rng = np.random.default_rng(16)
+    for step in (1, 4, 16):
+        for deviation in rng.uniform(0.3, 8, 40):
+            raw = step * np.round(100 + deviation * rng.standard_normal((64, 64)))
+            assert np.sum(np.nan_to_num(combs(raw)).max(axis=0) > 5) < 10
 
 
 def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
@@ -351,3 +457,32 @@ def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
     flats[-1] = [np.full(SHAPE, 65535.0)] * 2
     measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=16))
     assert not any("dead" in told for told in measured.remarks)
+
+
+def timed(times, true, scatter=0.0):
+    """Flats of a linear camera whose light lasts for the true times, stated as others."""
+    rng = np.random.default_rng(17)
+    true = np.asarray(true) * (1 + scatter * rng.standard_normal(len(true)))
+    bright = SimpleNamespace(exposure=np.asarray(times), mean=64 + 3000 * true / true.max())
+    dark = SimpleNamespace(mean=np.array([64.0]))
+    of = {"photons_known": False, "dark_of": np.zeros(len(times), int)}
+    return SimpleNamespace(bright=bright, dark=dark, **of), np.arange(len(times))
+
+
+PRINTED = 1 / np.array([500, 250, 125, 60, 30, 15, 8, 4, 2, 1])
+EXACT = 2.0 ** np.arange(-9, 1)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.003])
+def test_times_that_cameras_print_are_named(scatter):
+    (told,) = printed_times_in_words(*timed(PRINTED, EXACT, scatter))
+    assert "1/16 s for 1/15 s" in told or "1/32 s for 1/30 s" in told or "1/64 s for 1/60" in told
+
+
+@pytest.mark.parametrize(
+    ("times", "true", "scatter"),
+    [(EXACT, EXACT, 0.0), (PRINTED, PRINTED, 0.003), (EXACT, EXACT, 0.05), (PRINTED, EXACT, 0.05)],
+    ids=["exact", "true as printed", "scatter", "both"],
+)
+def test_other_times_are_not_called_printed(times, true, scatter):
+    assert printed_times_in_words(*timed(times, true, scatter)) == []

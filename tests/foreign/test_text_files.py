@@ -202,6 +202,7 @@ def test_options_of_another_integrator_are_named(tmp_path):
     [
         (["levels.csv", "--channel", "red"], "table of one channel; leave out the channel 'red'"),
         ([".", "--bits", "8"], "camera.bits of the rig counts; leave out the bits, 8"),
+        (["rig.toml", "--bits", "12"], "camera.bits of the rig counts; leave out the bits, 12"),
     ],
 )
 def test_options_of_another_kind_of_measurement_are_refused(tmp_path, words, reason):
@@ -211,3 +212,11 @@ def test_options_of_another_kind_of_measurement_are_refused(tmp_path, words, rea
     found = CliRunner().invoke(fitting_app, ["noise", str(tmp_path / words[0]), *words[1:]])
     assert found.exit_code != 0
     assert reason in " ".join(found.stderr.split())
+
+
+@pytest.mark.parametrize("words", [["joint"], ["plan", "--target", "exponent"]])
+def test_an_index_beside_a_model_that_has_none_is_refused(tmp_path, words):
+    given = [words[0], str(tmp_path), *words[1:], "--index", "1.8", "--model", "phong"]
+    found = CliRunner().invoke(fitting_app, given)
+    assert found.exit_code == 2
+    assert "--index: phong has no index of refraction; leave it out" in found.stderr

@@ -14,6 +14,7 @@ from fitting.noise.calibration import calibrate
 from fitting.noise.findings import findings
 from fitting.noise.fit import noise_data
 from fitting.noise.levels import REACH
+from fitting.noise.live_pixels import LivePixels
 from fitting.noise.model import log_likelihood_terms
 from fitting.noise.neighbours import Neighbours, nearest, variance_terms
 from fitting.noise.section import section
@@ -63,12 +64,12 @@ def test_sums_over_frames_are_those_of_plain_loops():
     rng = np.random.default_rng(0)
     stack = rng.standard_normal((5, 7, 9))
     stack -= stack.mean(axis=(1, 2), keepdims=True)
-    neighbours = Neighbours((7, 9))
+    neighbours = Neighbours(LivePixels(np.ones((7, 9), bool)))
     for frame in stack[1:]:
         neighbours.add(frame - stack[0])
     variance = stack.var(axis=0, ddof=1).mean() * 63 / 62
     lost = variance / 63
-    got = neighbours.covariances((stack - stack[0]).sum(axis=0), variance, lost)
+    got = neighbours.covariances((stack - stack[0]).sum(axis=0), variance, lost, 5)
     away = stack - stack.mean(axis=0)
     for i in range(REACH + 1):
         for j in range(REACH + 1):

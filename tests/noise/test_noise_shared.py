@@ -12,6 +12,7 @@ from fitting.noise.findings import findings
 from fitting.noise.fit import base_space, fitted, noise_data
 from fitting.noise.flicker import extra_in_flats, flicker_in_words, without_flicker
 from fitting.noise.levels import Levels, linear_levels
+from fitting.noise.live_pixels import LivePixels
 from fitting.noise.pattern import fitted_pattern, pattern_variance, unequal_gains
 from fitting.noise.sampling import sampling_errors
 from fitting.noise.shared import (
@@ -371,9 +372,10 @@ def test_levels_whose_frames_are_alike_tell_nothing():
     assert not any(one.believed or one.variance for one in found([still, still]))
 
 
-@pytest.mark.parametrize("size", [(12, 30), (8, 8)])
-def test_parts_of_the_variance_add_up_in_the_mean(size):
-    """Of what rows, columns, pixels and frames add, each estimate scatters about its truth."""
+@pytest.mark.parametrize(("size", "dead"), [((12, 30), 0.0), ((8, 8), 0.0), ((12, 30), 0.2)])
+def test_parts_of_the_variance_add_up_in_the_mean(size, dead):
+    """Of what rows, columns, pixels and frames add, each estimate scatters about its truth, also
+    without a column and a fifth of the pixels."""
     rng, (h, w), frames = np.random.default_rng(9), size, 6
     truth = {"pixels": 4.0, "rows": 9.0, "columns": 1.0, "frames": 2.25}
     stays = {"rows": 4.0, "columns": 0.25}
@@ -387,13 +389,18 @@ def test_parts_of_the_variance_add_up_in_the_mean(size):
             + 1.5 * rng.standard_normal((frames, 1, 1))
             + lines
         )
-        moments = Moments(stack[0])
-        for frame in stack[1:]:
-            moments.add(frame - stack[0])
-        wander = stack.mean(axis=(1, 2)).var(ddof=1)
-        parts = moments.temporal(stack.var(axis=0, ddof=1).mean(), wander)
+        live = rng.permuted(np.arange(h * w)).reshape(h, w) >= dead * h * w
+        live[:, 2] &= dead == 0
+        moments = Moments(LivePixels(live))
+        shifts = stack[:, live].mean(axis=1)
+        still = (stack - shifts[:, None, None]) * live
+        for frame in still[1:]:
+            moments.add(frame - still[0])
+        variance = still.var(axis=0, ddof=1)[live].mean()
+        total = (still - still[0]).sum(axis=0)
+        parts = moments.temporal(total, variance, shifts.var(ddof=1), frames)
         found.append([getattr(parts, name) for name in truth] + [parts.of_a_pixel])
-        fixed.append(moments.fixed(stack.mean(axis=0), parts))
+        fixed.append(moments.fixed(stack.mean(axis=0), parts, frames))
     for values, true in (
         (found, [*truth.values(), 14.0]),
         (fixed, list(stays.values())),

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fitting.noise.live_pixels import LivePixels
 from fitting.noise.variance_parts import Moments
 
 
@@ -9,10 +10,13 @@ def level_of(
     stack: np.ndarray,
 ) -> tuple[np.ndarray, float, tuple[float, ...]]:
     """Average, temporal variance and what lines share, of one level's frames."""
-    moments = Moments(stack[0])
-    for frame in stack[1:]:
-        moments.add(frame - stack[0])
-    wander = stack.mean(axis=(1, 2)).var(ddof=1)
-    average, parts = stack.mean(axis=0), moments.temporal(stack.var(axis=0, ddof=1).mean(), wander)
-    lines = parts.rows, parts.columns, *moments.fixed(average, parts), parts.frames
+    moments, count = Moments(LivePixels(np.ones(stack[0].shape, bool))), len(stack)
+    shifts = stack.mean(axis=(1, 2))
+    still = stack - shifts[:, None, None]
+    for frame in still[1:]:
+        moments.add(frame - still[0])
+    average, variance = stack.mean(axis=0), still.var(axis=0, ddof=1).mean()
+    total = (still - still[0]).sum(axis=0)
+    parts = moments.temporal(total, variance, shifts.var(ddof=1), count)
+    lines = parts.rows, parts.columns, *moments.fixed(average, parts, count), parts.frames
     return average, parts.of_a_pixel, lines

@@ -9,8 +9,9 @@ from jaxvision.io import read_image
 from ...inference.precision import in_double
 from ...observation import Load
 from ...rig import Rig, load_rig
-from ..read import check, reduce_darks, reduce_rig
+from ..read import reduce_darks, reduce_rig
 from ..settings import Setting, by_setting
+from ..usable import check
 from .setting import FramesOfSetting
 
 

@@ -158,6 +158,7 @@ ELSEWHERE = (
         """
             fitting.*.read.*
             fitting.noise.levels_table.*
+            fitting.noise.usable.*
         """,
     ),
     Elsewhere(

@@ -1,0 +1,166 @@
+"""Statistics of the frames of one level, one frame in memory at a time."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..frame_checks.frame import Shown, shown
+from .live_pixels import LivePixels
+from .neighbours import Neighbours
+from .periodic import quarters, residues
+from .raw_frames import BLOCK, block_products, combs, local_variance
+from .variance_parts import Moments
+
+UNEVEN = 3.0  # standard errors by which light is seen to be uneven
+LEAST_FLICKER = 1e-5  # of a pixel's variance, below which what a flickering lamp adds is left
+
+
+class Unlit(NamedTuple):
+    """A level without light.
+
+    Attributes:
+        mean: DN.
+        variance: temporal, DN^2.
+    """
+
+    mean: float
+    variance: float
+
+
+class LevelStatistics(NamedTuple):
+    """Of the frames of one level, as `Levels` holds them of all, and what is kept of each frame."""
+
+    mean: float
+    variance: float
+    spatial: float
+    frames: float
+    lines: tuple[float, ...]
+    covariances: np.ndarray
+    live: LivePixels
+    shown: tuple[Shown, ...]
+    residues: np.ndarray
+    quarters: np.ndarray
+    local_pattern: float
+    blocks: np.ndarray
+    combs: np.ndarray
+
+
+class LevelSums:
+    """Sums over the frames of a level. Deviations from the first frame keep S2 and S1^2 small:
+    little cancels in their difference.
+
+    Args:
+        first: (h, w) frame, DN.
+        top: DN from which a pixel is saturated.
+        live: the pixels that count.
+        unlit: of flats, the level of their darks; None for darks.
+        corner: row and column of a frame's first pixel in its file.
+    """
+
+    def __init__(
+        self,
+        first: np.ndarray,
+        top: float,
+        live: LivePixels,
+        unlit: Unlit | None = None,
+        *,
+        corner: tuple[int, int] = (0, 0),
+    ) -> None:
+        self.first, self.live = first, live
+        self.shown: list[Shown] = []
+        self._top, self._unlit, self._corner = top, unlit, corner
+        self._total, self._squares = np.zeros_like(first), np.zeros_like(first)
+        self._shifted = np.zeros_like(first)
+        self._shifts: list[float] = []
+        self._lines, self._neighbours = Moments(live), Neighbours(live)
+        self._blocks = np.zeros((2, BLOCK))
+
+    def add(self, name: str, frame: np.ndarray) -> None:
+        """One more frame, or the first."""
+        self.shown.append(shown(name, self.live.filled(frame), top=self._top))
+        deviation = frame - self.first
+        self._shifts.append(self.live.mean(deviation))
+        if len(self.shown) == 1:
+            return
+        # Light that drifts between the frames moves all pixels together: no noise of pixels, and
+        # products would mix it with that noise.
+        deviation = self.live.only(deviation - self._shifts[-1])
+        self._total += deviation
+        if self._unlit is not None:
+            self._shifted += self._shifts[-1] * deviation
+        self._add_squares(deviation)
+
+    def _add_squares(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
+        self._squares += weight * deviation**2
+        self._lines.add(deviation, weight=weight)
+        self._neighbours.add(deviation, weight=weight)
+        self._blocks += weight * block_products(deviation, self.live)
+
+    def _without_flicker(self, average: np.ndarray) -> float:
+        """Takes out what a lamp that flickers makes of the unevenness of its light.
+
+        A frame whose light is larger by a share e_f has e_f P more at a pixel that differs by P
+        from the mean. With s^2 the sum of e_f^2, of the frames' components sum_f (e_f / s) d_f
+        loses s P; all others have none of it. P is taken from the average frame, noise and all.
+
+        Returns:
+            By which factor the variance of independent pixels is then too large.
+        """
+        if self._unlit is None:
+            return 1.0
+        shifts, count = np.array(self._shifts), len(self._shifts)
+        size = float(np.sum((shifts - shifts.mean()) ** 2))
+        mean = self.live.mean(average)
+        signal = mean - self._unlit.mean
+        if size == 0 or signal <= 0:
+            return 1.0
+        pattern = self.live.only(average - mean)
+        temporal = (self._squares.sum() - (self._total**2).sum() / count) / (count - 1)
+        noise = temporal / count
+        uneven = float(np.sum(pattern**2)) - noise
+        share = size / signal**2
+        seen = uneven > UNEVEN * noise * np.sqrt(2 / self.live.count)
+        if not seen or share * uneven < LEAST_FLICKER * temporal * (count - 1):
+            return 1.0
+        pattern *= np.sqrt(share)
+        along = (self._shifted - shifts.mean() * self._total) / np.sqrt(size)
+        self._add_squares(along - pattern)
+        self._add_squares(along, weight=-1.0)
+        # Of shot noise, which grows with the light, `along` has more than the mean frame.
+        shot = 1 - self._unlit.variance * self.live.count / max(temporal, 1e-300)
+        return 1 + (1 - 2 * shot) * share / (count * (count - 1))
+
+    def level(self) -> LevelStatistics:
+        """The statistics of two frames or more."""
+        count, total, live = len(self.shown), self._total, self.live
+        average = self.first + total / count + np.mean(self._shifts)
+        excess = self._without_flicker(average)
+        temporal = (count * self._squares - total**2) / (count * (count - 1) * excess)
+        wandering = float(np.var(self._shifts, ddof=1))
+        parts = self._lines.temporal(total, live.mean(temporal), wandering, count)
+        variance = parts.of_a_pixel
+        # A frame's mean holds the noise of its own pixels, too, which went with it.
+        lost = wandering - parts.frames
+        temporal += lost
+        covariances = self._neighbours.covariances(total, variance, lost, count)
+        passing = variance - (covariances[0, 1] + covariances[1, 0]) / 2
+        products = count * self._blocks - block_products(total, live)
+        return LevelStatistics(
+            mean=live.mean(average),
+            variance=variance,
+            spatial=float(average[live.mask].var(ddof=1)),
+            frames=float(count),
+            lines=(
+                *(parts.rows, parts.columns),
+                *self._lines.fixed(average, parts, count),
+                parts.frames,
+            ),
+            covariances=covariances,
+            live=live,
+            shown=tuple(self.shown),
+            residues=residues(average, temporal, live),
+            quarters=quarters(average, temporal, live),
+            local_pattern=local_variance(average, live) - passing / count,
+            blocks=products / (count * (count - 1)) + lost,
+            combs=combs(self.first, self._corner),
+        )

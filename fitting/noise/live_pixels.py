@@ -1,0 +1,192 @@
+"""Pixels that tell of light and noise, and those that do not: dead, stuck and hot ones.
+
+A dead or stuck pixel has the same number in the dark and under light. A hot one reads, without
+light, far from what the others do: it has a dark current of its own. Neither belongs in a mean or a
+variance that stands for all pixels, nor in the count that their errors rest on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+FOLLOWS = 0.1  # of what light adds to most pixels; a pixel that gains less is dead
+LIT = 20.0  # times a pixel's noise, that light must add before that can be told
+FAR = 6.0  # standard deviations from the others in the dark, of every frame of an exposure
+DECILE = 1.2816  # standard deviations of a normal distribution from its middle to a decile
+MOST = 0.1  # share of the pixels; of more, something else is the cause
+SHOWN = 6  # rows, columns or pixels that are listed
+
+
+class LivePixels:
+    """Which pixels of a frame count, and means over them.
+
+    Args:
+        mask: (h, w) true where a pixel counts.
+    """
+
+    def __init__(self, mask: Bool[np.ndarray, "h w"]) -> None:
+        self.mask, self.count = mask, int(mask.sum())
+        self._all = self.count == mask.size
+        self._of_line = [mask.sum(axis=1), mask.sum(axis=0)]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns that have pixels."""
+        rows, columns = (int((of > 0).sum()) for of in self._of_line)
+        return rows, columns
+
+    def only(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """The plane with 0 elsewhere."""
+        return plane if self._all else np.where(self.mask, plane, 0.0)
+
+    def mean(self, plane: Float[np.ndarray, "h w"]) -> float:
+        """Over all pixels that count."""
+        return float(self.only(plane).sum()) / self.count
+
+    def line_means(self, plane: Float[np.ndarray, "h w"], axis: int) -> np.ndarray:
+        """Of rows (axis 0) or columns (axis 1); NaN where none of a line counts."""
+        sums = self.only(plane).sum(axis=1 - axis)
+        counts = self._of_line[axis]
+        return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
+
+    def filled(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """The plane with its mean elsewhere."""
+        return plane if self._all else np.where(self.mask, plane, self.mean(plane))
+
+    def variance_shares(self) -> Float[np.ndarray, "4 3"]:
+        """What independent pixels, rows and columns of variance 1 add to variances of a frame.
+
+        Returns:
+            (4, 3) for pixels, rows and columns: to the variance about the frame's mean of a pixel,
+            of a row's mean and of a column's mean, each averaged; and to that of the frame's mean.
+        """
+        counts = [of[of > 0].astype(float) for of in self._of_line]
+        n, lines = float(self.count), [of.size for of in counts]
+        inverse = [float(np.mean(1 / of)) for of in counts]
+        square = [float(np.sum(of**2)) / n**2 for of in counts]
+        rows, columns = (np.maximum(of, 1) for of in self._of_line)
+        # Covariance of a row's mean with the frame's by what they have of the same columns.
+        crossed = self.mask / np.outer(rows, np.ones_like(columns)) * columns / n
+        of_rows = float(crossed.sum()) / lines[0]
+        crossed = self.mask / np.outer(np.ones_like(rows), columns) * rows[:, None] / n
+        of_columns = float(crossed.sum()) / lines[1]
+        return np.array(
+            [
+                [1 - 1 / n, 1 - square[0], 1 - square[1]],
+                [
+                    inverse[0] - 1 / n,
+                    1 - 2 / lines[0] + square[0],
+                    inverse[0] - 2 * of_rows + square[1],
+                ],
+                [
+                    inverse[1] - 1 / n,
+                    inverse[1] - 2 * of_columns + square[0],
+                    1 - 2 / lines[1] + square[1],
+                ],
+                [1 / n, square[0], square[1]],
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class DeadPixels:
+    """Pixels that do not count.
+
+    Attributes:
+        still: (h, w) true where light changes nothing.
+        hot: (h, w) true where a pixel is far from the others in the dark, but follows the light.
+    """
+
+    still: Bool[np.ndarray, "h w"]
+    hot: Bool[np.ndarray, "h w"]
+
+    @property
+    def all(self) -> Bool[np.ndarray, "h w"]:
+        """Of either kind."""
+        return self.still | self.hot
+
+    @property
+    def sentence(self) -> str:
+        """For a report."""
+        parts = [
+            f"{int(mask.sum())} {what}{_where(mask)}"
+            for mask, what in (
+                (self.still, "that are dead or stuck (the same with and without light)"),
+                (self.hot, "that are hot (in the dark far from the others)"),
+            )
+            if mask.any()
+        ]
+        gone = self.all
+        return (
+            f"{int(gone.sum())} of {gone.size} pixels were left out: {' and '.join(parts)}. Every "
+            f"figure is of the {gone.size - int(gone.sum())} others."
+        )
+
+
+def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> DeadPixels | None:
+    """Pixels that are dead, stuck or hot.
+
+    Args:
+        flats: (h, w) DN, of the brightest levels; empty where there are only darks, and a dead
+            pixel is one that is far from the others.
+        darks: (h, w) DN, of the longest exposure, two or more.
+
+    Returns:
+        The pixels; None where there are none, or more than a tenth of all.
+
+    Example:
+        >>> from fitting.noise.live_pixels import dead_pixels
+        >>> rng = np.random.default_rng(0)
+        >>> flats, darks = rng.normal(900, 9, (2, 20, 20)), rng.normal(60, 2, (2, 20, 20))
+        >>> flats[:, 3, 4] = darks[:, 3, 4] = 128
+        >>> print(np.argwhere(dead_pixels(list(flats), list(darks)).all))
+        [[3 4]]
+    """
+    shape = darks[0].shape
+    low = np.min([one for one in darks if one.shape == shape], axis=0)
+    high = np.max([one for one in darks if one.shape == shape], axis=0)
+    hot = _far(low, 1) | _far(high, -1)
+    still = np.zeros(shape, bool)
+    alike = [one for one in flats if one.shape == shape]
+    if alike:
+        gained = np.max(alike, axis=0) - low
+        usual = float(np.median(gained))
+        noise = float(np.median(high - low))
+        if usual > LIT * max(noise, _step(low)):
+            still = gained < FOLLOWS * usual
+            hot &= ~still
+    if not 0 < (still | hot).mean() <= MOST:
+        return None
+    return DeadPixels(still, hot)
+
+
+def _far(values: np.ndarray, sign: int) -> np.ndarray:
+    """Whether a pixel is far above (sign 1) or below (-1) the others."""
+    middle = float(np.median(values))
+    decile = float(np.quantile(sign * (values - middle), 0.9)) / DECILE
+    return sign * (values - middle) > FAR * max(decile, _step(values))
+
+
+def _step(values: np.ndarray) -> float:
+    """Between neighbouring numbers, DN."""
+    gaps = np.diff(np.unique(values))
+    return float(gaps.min()) if gaps.size else 1.0
+
+
+def _where(mask: Bool[np.ndarray, "h w"]) -> str:
+    """Whole columns and rows by number, and single pixels where they are few."""
+    parts, left = [], mask.copy()
+    for axis, name in ((0, "column"), (1, "row")):
+        whole = np.flatnonzero(mask.all(axis=axis))
+        if len(whole):
+            listed = ", ".join(str(i) for i in whole[:SHOWN]) + ", ..." * (len(whole) > SHOWN)
+            parts.append(f"{name}{'s' * (len(whole) > 1)} {listed}")
+            left[(slice(None), whole) if axis == 0 else whole] = False
+    places = np.argwhere(left)
+    if len(places):
+        listed = ", ".join(f"({i}, {j})" for i, j in places[:SHOWN].tolist())
+        listed += ", ..." * (len(places) > SHOWN)
+        parts.append(f"row and column {listed}")
+    return f", {'; '.join(parts)}," if parts else ""

@@ -1,0 +1,158 @@
+"""What no photon transfer can be had from, refused in one sentence each."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxvision.errors import InputError
+
+from .levels import PhotonTransfer, linear_levels
+from .raw_frames import tone_curve
+
+FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
+MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
+SEEN = 3.0  # standard errors by which a level must vary more than its darks
+FEWEST_FOR_BLACK = 6  # levels from which a parabola tells the flats' own black level
+SURE_OF_BLACK = 6.0  # standard errors by which it must differ from the darks
+MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
+
+
+def check(file: Path, measurement: PhotonTransfer) -> None:
+    """Refuses a measurement from which no photon transfer can be had.
+
+    Args:
+        file: where it comes from, for messages.
+        measurement: bright and dark levels.
+
+    Raises:
+        InputError: for what is missing or wrong.
+    """
+    try:
+        _check(file, measurement)
+    except InputError as error:
+        left_out = (*measurement.bright.left_out, *measurement.dark.left_out)
+        raise InputError(" ".join([str(error), *left_out[:3]])) from None
+
+
+def _check(file: Path, measurement: PhotonTransfer) -> None:
+    bright, dark = measurement.bright, measurement.dark
+    for name, levels in (("flat", bright), ("dark", dark)):
+        if bool(jnp.any(levels.exposure < 0)):
+            raise InputError(f"{file}: a {name} has a negative exposure; give it in seconds.")
+        if bool(jnp.any(levels.frames < 2)):
+            raise InputError(f"{file}: a {name} level has one frame; a variance needs two or more.")
+        if bool(jnp.any(levels.variance < 0)):
+            raise InputError(f"{file}: a {name} level has a negative variance; check its column.")
+    if not bool(jnp.any(bright.exposure > 0)):
+        raise InputError(f"{file}: no flat has a positive exposure; give it in seconds.")
+    if bool(jnp.any(bright.light < 0)):
+        raise InputError(f"{file}: a flat has negative light; correct its photons.")
+    if measurement.photons_known and float(bright.light.max()) > MOST_PHOTONS:
+        raise InputError(
+            f"{file}: a flat has {float(bright.light.max()):.3g} photons per pixel, more than any "
+            f"pixel can hold; correct the unit (at most {MOST_PHOTONS:g})."
+        )
+    lights, times = (np.unique(np.asarray(x)).size for x in (bright.light, bright.exposure))
+    if lights < FEWEST_LEVELS:
+        if measurement.photons_known and times >= FEWEST_LEVELS:
+            raise InputError(
+                f"{file}: the flats have {times} exposures, but {lights} different photons; these "
+                "are photons per pixel and exposure, so multiply a rate per second by the exposure."
+            )
+        raise InputError(
+            f"{file}: the flats have too few different levels of light; at least {FEWEST_LEVELS} "
+            "are needed, so vary the exposure or the light."
+        )
+    if measurement.photons_known and float(bright.light.max()) <= 0:
+        raise InputError(f"{file}: no flat has any photons; give the light of each level.")
+    exponent = tone_curve(measurement)
+    if exponent is not None:
+        raise InputError(
+            f"{file}: the signal grows as the light to the power of {exponent:.2g}, and its noise "
+            "not with it, as after a tone curve (gamma, sRGB), from which no gain follows; give "
+            "raw, linear frames."
+        )
+    if bool(jnp.all(dark.variance == 0)):
+        raise InputError(
+            f"{file}: no dark varies from frame to frame (mean {float(dark.mean.max()):g} DN), so "
+            "black is clipped, the frames are copies, or compression (JPEG) took their noise; "
+            "raise the camera's black level and give independent raw frames."
+        )
+    if bool(jnp.all(bright.variance == 0)):
+        raise InputError(
+            f"{file}: no flat varies from frame to frame, so all are saturated or copies of one; "
+            "give independent frames at lower light."
+        )
+    signal = bright.mean - dark.mean[measurement.dark_of]
+    if float(signal.max()) < 3 * float(jnp.sqrt(dark.variance.max() / bright.pixels)):
+        raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
+    if _most_shot_noise(measurement) < SEEN:
+        raise InputError(
+            f"{file}: the flats vary no more from frame to frame than the darks do, so no shot "
+            "noise is seen, from which the gain is read off; give raw frames, neither averaged, "
+            "smoothed nor compressed, and more light."
+        )
+    brightest = float(bright.mean.max()) / min(measurement.converter.step or 1.0, 1.0)
+    if (measurement.full_scale or 0) > 255 and brightest <= 255:
+        raise InputError(
+            f"{file}: no flat exceeds 255 DN, as in 8-bit data; correct camera.bits, or give more "
+            "light."
+        )
+    usable = linear_levels(measurement)
+    if len(usable) < FEWEST_LEVELS:
+        raise InputError(
+            f"{file}: {len(usable)} levels of light lie below 95 % of saturation; at least "
+            f"{FEWEST_LEVELS} are needed, so add flats at lower light."
+        )
+    _refuse_other_black(file, measurement, usable)
+
+
+def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
+    """Refuses darks whose black level is not that of the flats: where these have no signal, by
+    their variance and by their light alike."""
+    bright, dark = measurement.bright, measurement.dark
+    levels = usable[np.asarray(bright.light)[usable] > 0]
+    if len(levels) < FEWEST_FOR_BLACK:
+        return
+    mean, variance, light, frames = (
+        np.asarray(x)[levels] for x in (bright.mean, bright.variance, bright.light, bright.frames)
+    )
+    there = np.asarray(measurement.dark_of)[levels]
+    black, noise = float(np.mean(dark.mean[there])), float(np.mean(dark.variance[there]))
+    errors = variance * np.sqrt(2 / (float(bright.pixels) * (frames - 1)))
+    by_variance, slope, error = _at_zero(mean, variance - noise, errors)
+    by_variance, error = -by_variance / slope, np.hypot(error, noise) / abs(slope)
+    by_light, _, light_error = _at_zero(light, mean, np.sqrt(variance))
+    off = np.array([by_variance, by_light]) - black
+    signal = float(mean.min() - by_variance)
+    sure = np.all(np.abs(off) > SURE_OF_BLACK * np.array([error, light_error]))
+    alike = abs(off[0] - off[1]) < 0.5 * np.abs(off).min()
+    if sure and alike and np.abs(off).min() > MOST_OFF_BLACK * abs(signal):
+        raise InputError(
+            f"{file}: without light the flats would read {by_variance:.4g} DN by their variance "
+            f"and {by_light:.4g} DN by their light, but the darks read {black:.4g} DN; give flats "
+            "and darks with the same offset, none of them subtracted."
+        )
+
+
+def _at_zero(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
+    """Value and slope at zero of a parabola, and the error of the value, by how y scatters."""
+    design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
+    scale = np.sqrt(np.sum(design**2, axis=0))
+    found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)
+    covariance = np.linalg.pinv((design / scale).T @ (design / scale))
+    misfit = max(float(rest[0]) / (len(x) - 3), 1.0) if rest.size else 1.0
+    value, slope, _ = found / scale
+    return float(value), float(slope), float(np.sqrt(covariance[0, 0] * misfit) / scale[0])
+
+
+def _most_shot_noise(measurement: PhotonTransfer) -> float:
+    """By how much a level varies more than its dark frames, in standard errors, at most."""
+    bright, dark = measurement.bright, measurement.dark
+    there = dark.variance[measurement.dark_of]
+    errors = jnp.hypot(
+        bright.variance * jnp.sqrt(2 / (bright.pixels * (bright.frames - 1))),
+        there * jnp.sqrt(2 / (dark.pixels * (dark.frames - 1)))[measurement.dark_of],
+    )
+    return float(jnp.max((bright.variance - there) / errors))
