@@ -113,12 +113,12 @@ def calibrate_settings(
     if len(kept) < 2:
         raise InputError(" ".join((*left_out, "A fit over settings needs two or more.")))
     frames, calibrations = zip(*kept, strict=True)
-    told = [
-        told_by_darks(one.setting, one.frames)
-        if isinstance(one.frames, Levels)
-        else told_by_calibration(own)
-        for one, own in kept
-    ]
+    told = []
+    for one, own in kept:
+        if own is not None:
+            told.append(told_by_calibration(own))
+        elif isinstance(one.frames, Levels):
+            told.append(told_by_darks(one.setting, one.frames))
     fit = fitted([one.setting for one in frames], told, seed=seed)
     gains = np.exp(np.asarray(fit.figures.log_gain))
     return CameraCalibration(

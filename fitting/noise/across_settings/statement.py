@@ -37,7 +37,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.optimize import nnls
 from scipy.special import chdtrc
 
 from ...fits.result import Fit
@@ -53,7 +52,7 @@ from .setting import TOLD, Told
 
 BOLTZMANN_EV = 1.380649e-23 / 1.602176634e-19  # eV/K
 SEEN = 4.0  # standard errors of dark current at the warmest setting from which it has a law
-ENERGIES = np.linspace(0.1, 1.9, 37)  # eV, from which the search of the law starts
+USUAL_ENERGY = 0.6  # eV, where the search of the law begins
 EXPLAINED = 1e-6  # of a deviation's length, below which the parameters explain it
 
 Quantity = Literal["system_gain", "quantum_efficiency", "read_noise", "dark_current"]
@@ -313,27 +312,23 @@ def _stated(
     if "read_noise" in shared:
         start["read_noise"] = np.exp(averages("read_noise", log_noise))
     else:
-        design = np.stack([np.ones_like(gain), gain**-2], axis=1) * np.exp(-2 * log_noise)[:, None]
-        known = np.isfinite(log_noise)
-        squares, _ = nnls(design[known], np.ones(known.sum()))
-        before, behind = np.maximum(squares, 1e-6)
-        start |= {"variance_before_gain": before, "variance_behind_gain": behind}
+        half = np.exp(2 * log_noise) / 2
+        start["variance_before_gain"] = np.nanmin(half, initial=1e6)
+        start["variance_behind_gain"] = np.nanmin(half * gain**2, initial=1e6)
 
     alone = np.isfinite(column["dark_signal_rate"])
     current = np.where(alone, column["dark_signal_rate"] / gain, column["dark_current"])
     weight = np.where(alone, error["dark_signal_rate"] / gain, error["dark_current"]) ** -2.0
     known = np.isfinite(current)
-    kelvin = np.array([setting.temperature or reference or 1.0 for setting in settings])
-    colder = -(1 / kelvin - 1 / (reference or 1.0)) / BOLTZMANN_EV
+    hottest = reference or 1.0
+    kelvin = np.array([setting.temperature or hottest for setting in settings])
     warmest = known & (kelvin == np.max(kelvin, where=known, initial=0))
     own_dark = [("dark_current", "gain") in freed, ("dark_current", "temperature") in freed]
     seen = np.sum((weight * current)[warmest]) > SEEN * np.sqrt(np.sum(weight[warmest]))
     if seen and len({*kelvin[known]}) > 1 and not any(own_dark):
-        inputs["colder"] = colder
-        shapes = np.exp(ENERGIES[:, None] * colder[known])
-        rates = shapes @ current[known] / np.sum(shapes**2, axis=1)
-        best = int(np.argmin(np.sum((rates[:, None] * shapes - current[known]) ** 2, axis=1)))
-        start |= {"dark_current": max(rates[best], 1e-9), "activation_energy": ENERGIES[best]}
+        inputs["colder"] = -(1 / kelvin - 1 / hottest) / BOLTZMANN_EV
+        start["dark_current"] = np.average(current[warmest], weights=weight[warmest])
+        start["activation_energy"] = USUAL_ENERGY
     elif known.any():
         shared["dark_current"] = both if own_dark[0] else warmth
         start["dark_current"] = averages("dark_current", current)
