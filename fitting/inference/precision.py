@@ -58,21 +58,3 @@ def refuse_word_of_command(function: Callable[..., object], given: Mapping[str, 
             f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the command "
             "has; give sampling=SamplingOptions(), from fitting, for a chain."
         )
-
-
-def in_words_of_its_own(function: Callable[P, T]) -> Callable[P, T]:
-    """The function, with words of the command answered in one sentence.
-
-    Args:
-        function: that takes sampling options.
-
-    Returns:
-        The same function.
-    """
-
-    @wraps(function)
-    def done(*args: P.args, **kwargs: P.kwargs) -> T:
-        refuse_word_of_command(function, kwargs)
-        return function(*args, **kwargs)
-
-    return done

@@ -4,6 +4,8 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
+import numpy as np
+
 from .colours import OF_CHANNEL
 
 Numbers = Mapping[str, Any]
@@ -50,7 +52,7 @@ def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
     for row in table:
         numbers = row.condition(calibration)
         every: Iterable[Numbers]
-        if isinstance(numbers, bool) or numbers is None:
+        if isinstance(numbers, bool | np.bool_) or numbers is None:
             every = [{}] if numbers else []
         elif isinstance(numbers, Mapping):
             every = [cast(Numbers, numbers)]

@@ -35,6 +35,8 @@ from fitting.inference.formatting import (
 )
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import laplace, sample
+from fitting.noise.across_settings import findings as of_settings
+from fitting.reflectance.from_files import findings as of_files
 from fitting.reflectance.from_images.comparison import ModelScore, comparison_table
 from fitting.report import progress
 from fitting.report.chains import corner_figure
@@ -43,7 +45,7 @@ from fitting.report.inputs import MOST_PICTURES, inputs_of
 from fitting.report.notebook import ShownInNotebooks, section_html
 from fitting.report.page import as_html, as_json, write_report
 from fitting.report.section import Picture, Section, Table
-from fitting.report.sentences import said_once
+from fitting.report.sentences import Finding, said, said_once
 from fitting.report.sheet import sheet
 from fitting.rig import Rig
 from jaxvision.errors import InputError
@@ -89,6 +91,24 @@ def section():
         posteriors={"": posterior},
         settings={"bits": 12, "bad": np.nan},
     )
+
+
+def test_sentences_are_said_where_their_conditions_hold():
+    table = [
+        Finding("bool", lambda x: np.bool_(x > 0), "Positive."),
+        Finding("number", lambda x: {"x": x} if x > 1 else None, "{x:.1f} is above one."),
+        Finding("several", lambda x: ({"i": i} for i in range(x)), "Number {i}."),
+    ]
+    assert said(table, 0) == ()
+    assert said(table, 2) == ("Positive.", "2.0 is above one.", "Number 0.", "Number 1.")
+
+
+@pytest.mark.parametrize(
+    "table", [of_settings.FINDINGS, of_files.FINDINGS, of_files.OVER_MATERIALS, of_files.VERDICT]
+)
+def test_every_sentence_of_a_table_has_a_key_of_its_own(table):
+    assert len({row.key for row in table}) == len(table)
+    assert all(row.sentence.endswith((".", "}")) for row in table)
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from fitting.reflectance.from_files import read as measured_brdf
-from fitting.reflectance.from_files.axes import which_axis_wins
 from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
-from fitting.reflectance.from_files.findings import findings
+from fitting.reflectance.from_files.findings import findings, which_axis_wins
 from fitting.reflectance.from_files.read import read_measured_brdf
 
 FILES = {

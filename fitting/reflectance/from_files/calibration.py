@@ -9,27 +9,28 @@ Leeden, "Delete-m Jackknife for Unequal m", 1999) takes both into its covariance
 to the variance of Student's t for the few incidences there are, of three to its 95 % interval.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
-from jaxvision import Vec
+from jaxvision import Vec, as_dtype
 
 from ...inference.clustering import curvature_stretch
 from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import SamplingOptions, for_group
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
-from ...inference.precision import in_words_of_its_own
+from ...inference.precision import in_double
+from ...inference.problem import Problem, log_density
 from ...report.notebook import ShownInNotebooks
-from ..models import REFLECTANCES, amplitude, check_index, has_lobe, shape_range, unit_brdf
+from ..models import REFLECTANCES, amplitude, check_index, has_lobe, shape_range
 from ..names import INDEX, Model, Objective
 from .errors import Errors, best, errors, prediction_of_held_out
-from .fit import LobeFit, ModelFit, compressed, darkness, fit_models, reflected
+from .fit import LobeFit, ModelFit, brdf, fit_models, problem_of
 from .read import MeasuredBRDF
 
 FINE = 4000  # angles of an integral over the hemisphere
@@ -88,7 +89,7 @@ class BRDFCalibration(ShownInNotebooks):
     posterior: Posterior | None
 
 
-@in_words_of_its_own
+@in_double
 def calibrate(
     measured: MeasuredBRDF,
     *,
@@ -116,7 +117,10 @@ def calibrate(
         InputError: for an index outside its range.
     """
     check_index(index)
-    fits = fit_models(measured, objective=objective, index=index)
+    samples = replace(
+        measured, **{name: as_dtype(getattr(measured, name), np.float64) for name in ("wi", "wo")}
+    )
+    fits = fit_models(samples, objective=objective, index=index)
     fitted: dict[Model, Errors] = {
         name: errors(measured, fit.whole.predicted) for name, fit in fits.items()
     }
@@ -131,9 +135,9 @@ def calibrate(
     reasons = _open_parameters(reported, space, mean, covariance)
     posterior = None
     if not reasons:
-        posterior = _posterior(
-            measured, chosen, space, mean, covariance, index=index, sampling=sampling, seed=seed
-        )
+        problem = problem_of(samples, chosen, space, index)
+        own = for_group(sampling, measured.name)
+        posterior = _posterior(problem, mean, covariance, own, seed)
     return BRDFCalibration(
         measured=measured,
         objective=objective,
@@ -210,37 +214,17 @@ def amplitudes(fit: ModelFit) -> Amplitudes:
 
 def albedo(fit: ModelFit, index: float) -> Float[np.ndarray, " bands"]:
     """The light that a fitted surface reflects of what falls on it along the normal, where every
-    lobe lies about the normal: 2 pi times the integral of f_r cos(theta) sin(theta).
-
-    Args:
-        fit: of one model.
-        index: of refraction, of clear facets.
-
-    Returns:
-        (bands,); above 1 for no surface that emits no light.
-    """
-    whole = fit.whole
-    step = 1 / FINE
-    u = step * (np.arange(FINE) + 0.5)
+    lobe lies about the normal: 2 pi times the integral of f_r cos(theta) sin(theta), (bands,);
+    above 1 for no surface that emits no light."""
+    u = (np.arange(FINE) + 0.5) / FINE
     theta = np.pi / 2 * u**3  # crowded about the normal, as narrow lobes are
-    weight = 2 * np.pi * np.cos(theta) * np.sin(theta) * 3 * np.pi / 2 * u**2 * step
-    if whole.shape is None:
-        return np.pi * whole.diffuse
+    weight = 2 * np.pi * np.cos(theta) * np.sin(theta) * 3 * np.pi / 2 * u**2 / FINE
     zero, one = np.zeros_like(theta), np.ones_like(theta)
     wi = Vec(*(jnp.asarray(x) for x in (zero, zero, one)))
     wo = Vec(*(jnp.asarray(x) for x in (np.sin(theta), zero, np.cos(theta))))
-    unit = np.asarray(unit_brdf(fit.model, jnp.asarray(whole.shape), wi, wo, index)) @ weight
-    if not has_lobe(fit.model):
-        return whole.diffuse * unit
-    return np.pi * whole.diffuse + whole.specular * unit
-
-
-def _end_of_range(model: Model, shape: float) -> str:
-    """At which end of the range searched a shape lies; empty where at none."""
-    low, high = shape_range(model)
-    if shape < low * (1 + EDGE):
-        return "lower"
-    return "upper" if shape > high / (1 + EDGE) else ""
+    whole = fit.whole
+    values = brdf(fit.model, whole.diffuse, whole.specular, whole.shape, wi, wo, index)
+    return weight @ np.broadcast_to(np.asarray(values), (FINE, len(whole.diffuse)))
 
 
 def _open_parameters(
@@ -252,10 +236,14 @@ def _open_parameters(
         if parameter.name in ("diffuse", "specular"):
             if mean[i] <= 0:
                 reasons[parameter.name] = "the best fit has none: its amplitude is zero"
-        elif end := _end_of_range(model, mean[i]):
-            reasons[parameter.name] = (
-                f"the best fit lies at the {end} end of its range, {mean[i]:.3g}"
-            )
+        else:
+            low, high = shape_range(model)
+            below, above = mean[i] < low * (1 + EDGE), mean[i] > high / (1 + EDGE)
+            if below or above:
+                reasons[parameter.name] = (
+                    f"the best fit lies at the {'lower' if below else 'upper'} end of its range, "
+                    f"{mean[i]:.3g}"
+                )
         if parameter.name not in reasons and covariance[i, i] > OPEN**2:
             reasons[parameter.name] = (
                 "it changes by more than a factor of e with the incidences that are left out"
@@ -265,100 +253,19 @@ def _open_parameters(
     return reasons
 
 
-class Scaled(eqx.Module):
-    """Data of `log_density`: samples, the spectra that the two mean amplitudes multiply, and the
-    stretch that gives the density the jackknife's curvature.
-
-    Attributes:
-        model: its name.
-        index: of refraction, of clear facets.
-        cube_root: whether cube roots are compared.
-        wi: (n,) components, unit, local, toward the light.
-        wo: (n,) components, unit, local, toward the viewer.
-        values: (n, bands) f_r, sr^-1.
-        precision: (n,) inverse variances.
-        diffuse: (bands,) k_d over its mean.
-        specular: (bands,) k_s over its mean.
-        darkness: d of the cube-root objective, sr^-1.
-        mode: (P,) unconstrained.
-        stretch: (P, P).
-    """
-
-    model: Model = eqx.field(static=True)
-    index: float = eqx.field(static=True)
-    cube_root: bool = eqx.field(static=True)
-    wi: Vec
-    wo: Vec
-    values: Float[Array, "n bands"]
-    precision: Float[Array, " n"]
-    diffuse: Float[Array, " bands"]
-    specular: Float[Array, " bands"]
-    darkness: Float[Array, ""]
-    mode: Float[Array, " parameters"]
-    stretch: Float[Array, "parameters parameters"]
-
-
-def log_density(vector: Float[Array, " parameters"], data: Scaled) -> Float[Array, ""]:
-    """Minus half the weighted squares, the spectra of the amplitudes keeping their form.
-
-    Args:
-        vector: (P,) unconstrained.
-        data: samples and spectra.
-
-    Returns:
-        ().
-    """
-    natural = jnp.exp(data.mode + data.stretch @ (vector - data.mode))
-    cosine = data.wi.z[:, None]
-    predicted = jnp.broadcast_to(natural[0] * data.diffuse[None], data.values.shape)
-    if data.model != "lambert":
-        unit = unit_brdf(data.model, natural[-1], data.wi, data.wo, data.index)[:, None]
-        if has_lobe(data.model):
-            predicted = predicted + natural[1] * data.specular[None] * unit
-        else:
-            predicted = predicted * unit
-    missed = cosine * (predicted - data.values)
-    if data.cube_root:
-        measured = jnp.maximum(cosine * data.values, 0)
-        missed = jnp.cbrt(cosine * predicted + data.darkness) - jnp.cbrt(measured + data.darkness)
-    return -jnp.sum(data.precision[:, None] * missed**2) / 2
-
-
 def _posterior(
-    measured: MeasuredBRDF,
-    fit: ModelFit,
-    space: ParameterSpace,
+    problem: Problem,
     mean: np.ndarray,
     covariance: np.ndarray,
-    *,
-    index: float,
     sampling: SamplingOptions | None,
     seed: int,
 ) -> Posterior:
-    mode = jnp.asarray(np.log(mean))
-    whole = fit.whole
-    squares = reflected(measured, whole.predicted - measured.values)
-    if fit.objective == "cube-root":
-        squares = compressed(measured, whole.predicted) - compressed(measured, measured.values)
-    variance = float(np.average((squares**2).mean(axis=1), weights=measured.weights))
-    flat = np.ones_like(whole.diffuse)
-    data = Scaled(
-        model=fit.model,
-        index=index,
-        cube_root=fit.objective == "cube-root",
-        wi=measured.wi,
-        wo=measured.wo,
-        values=jnp.asarray(measured.values),
-        precision=jnp.asarray(measured.weights / variance),
-        diffuse=jnp.asarray(whole.diffuse / mean[0]),
-        specular=jnp.asarray(whole.specular / mean[1] if has_lobe(fit.model) else flat),
-        darkness=jnp.asarray(darkness(measured)),
-        mode=mode,
-        stretch=jnp.eye(len(space)),
-    )
+    """By the jackknife's covariance; of a chain the density is stretched to it."""
+    space, mode = problem.space, jnp.asarray(np.log(mean))
     if sampling is not None:
-        curvature = np.linalg.inv(laplace(log_density, space, mode, data).covariance)
+        curvature = np.linalg.inv(laplace(log_density, space, mode, problem).covariance)
         stretch = jnp.asarray(curvature_stretch(curvature, covariance))
-        data = eqx.tree_at(lambda d: d.stretch, data, stretch)
-    own = for_group(sampling, measured.name)
-    return laplace_or_emcee(log_density, space, mode, covariance, data, sampling=own, seed=seed)
+        problem = eqx.tree_at(lambda problem: problem.inputs["stretch"], problem, stretch)
+    return laplace_or_emcee(
+        log_density, space, mode, covariance, problem, sampling=sampling, seed=seed
+    )

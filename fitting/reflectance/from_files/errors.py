@@ -1,13 +1,15 @@
-"""Errors of a prediction of measured reflectance, in both metrics, and the model of least error."""
+"""Errors of predictions of measured reflectance in both metrics, and models compared by them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import bdtrc, stdtrit
 
-from ..names import DESCRIBES, Model, Objective
+from ..models import REFLECTANCES
+from ..names import DESCRIBES, Axis, Model, Objective
 from .fit import ModelFit, reflected
 from .read import MeasuredBRDF
 
@@ -16,6 +18,8 @@ SAME = 1e-6  # of an error: a smaller difference is where the solvers stopped, n
 NOTABLE = 1.05  # ratio of two errors from which an order of them is worth a word
 LIKELY = 0.05  # chance up to which a model that errs more at most incidences is called worse
 SMALLEST_ERROR = 1e-9  # of the signal's RMS: smaller errors are rounding, counted as this much
+METRICS: dict[Objective, str] = {"cosine": "cosine-weighted RMS", "cube-root": "cube-root error"}
+Side = Literal["half", "mirror", "neither"]  # which axis wins a comparison
 
 
 @dataclass(frozen=True)
@@ -39,18 +43,8 @@ class Errors:
 
 
 def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> Errors:
-    """Both metrics of a prediction.
-
-    What rounding alone misses counts as a billionth of the signal in either, so that no model wins
-    by it.
-
-    Args:
-        measured: samples of one material.
-        predicted: (n, bands) f_r, sr^-1.
-
-    Returns:
-        The errors.
-    """
+    """Both metrics of a prediction of f_r in sr^-1. What rounding alone misses counts as a
+    billionth of the signal in either, so that no model wins by it."""
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
     roots, root_signal = (
@@ -82,16 +76,14 @@ def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> E
 
 
 def metric(errors: Errors, objective: Objective) -> float:
-    """The error that belongs to an objective, in the form a reader compares.
-
-    Args:
-        errors: of one prediction.
-        objective: whose metric counts.
-
-    Returns:
-        Relative RMS, or sr^-1/3.
-    """
+    """The error that belongs to an objective: relative RMS, or sr^-1/3."""
     return errors.relative if objective == "cosine" else errors.cube_root
+
+
+def in_words(errors: Errors, objective: Objective) -> str:
+    """An error as a report says it: percent of the signal, or sr^(-1/3) of the cube roots."""
+    value = metric(errors, objective)
+    return f"{100 * value:.3g} %" if objective == "cosine" else f"{value:.3g} sr⁻¹ᐟ³"
 
 
 @dataclass(frozen=True)
@@ -138,16 +130,8 @@ class Ratio:
 
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
-    """The ratio of two models' errors of the same samples.
-
-    Args:
-        one: of a model.
-        other: of another.
-        objective: whose metric counts.
-
-    Returns:
-        The ratio; 1 of incidences where rounding is all that one of them misses.
-    """
+    """The ratio of two models' errors of the same samples; 1 of incidences where rounding is all
+    that one of them misses."""
     value = metric(one, objective) / metric(other, objective)
     column = 0 if objective == "cosine" else 1
     ours, theirs = one.parts[:, column], other.parts[:, column]
@@ -160,59 +144,30 @@ def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
     return Ratio(value, of(others @ ours, others @ theirs), of(ours, theirs))
 
 
-def distinguished(one: Errors, other: Errors, objective: Objective) -> bool:
-    """Whether two predictions of the same samples differ by more than chance: by `ratio`.
-
-    Args:
-        one: of a model.
-        other: of another.
-        objective: whose metric counts.
-
-    Returns:
-        Whether; never with fewer than three incidences.
-    """
-    return ratio(one, other, objective).told
-
-
 def exceeds_signal(errors: Errors, objective: Objective) -> bool:
-    """Whether a prediction misses more than one of no reflectance at all would.
-
-    Args:
-        errors: of one prediction.
-        objective: whose metric counts.
-
-    Returns:
-        Whether; never of cube roots, whose errors are not relative to their signal.
-    """
+    """Whether a prediction misses more than one of no reflectance would; never of cube roots, whose
+    errors are not relative to their signal."""
     return objective == "cosine" and errors.relative > 1
 
 
 def describes(errors: Errors, objective: Objective) -> bool:
-    """Whether a prediction tells most of the signal: its relative error is at most a half.
-
-    Args:
-        errors: of one prediction.
-        objective: whose metric counts.
-
-    Returns:
-        Whether; always of cube roots, whose errors are not relative to their signal.
-    """
+    """Whether a prediction errs by at most half of the signal; always of cube roots."""
     return objective != "cosine" or errors.relative <= DESCRIBES
+
+
+def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
+    """Which of two lobes, about the half vector and the mirror direction, errs less by more than
+    chance; neither where both describe nothing."""
+    useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
+    if useless or not ratio(half, mirror, objective).told:
+        return "neither"
+    return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
 
 
 def weight_by_incidence(
     measured: MeasuredBRDF, objective: Objective
 ) -> Float[np.ndarray, " incidences"]:
-    """Share of each incidence in the sum of squares that a fit of nothing would have: what decides
-    the fit.
-
-    Args:
-        measured: samples of one material.
-        objective: of the fit.
-
-    Returns:
-        (incidences,), of sum 1.
-    """
+    """Share of each incidence in the sum of squares that a fit of nothing would have."""
     signal = reflected(measured, measured.values)
     if objective == "cube-root":
         signal = np.cbrt(np.maximum(signal, 0))
@@ -221,15 +176,7 @@ def weight_by_incidence(
 
 
 def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.ndarray, "n bands"]:
-    """f_r of every sample by the fit that has not seen its incidence.
-
-    Args:
-        measured: samples of one material.
-        fit: of one model.
-
-    Returns:
-        (n, bands) sr^-1.
-    """
+    """f_r in sr^-1 of every sample by the fit that has not seen its incidence."""
     predicted = np.empty_like(measured.values)
     for i, without in enumerate(fit.without):
         own = measured.incidence == i
@@ -238,14 +185,20 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.nd
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """The model of least error in the metric of an objective; of equal ones the first.
+    """The model of least error in the metric of an objective; of equal ones the first."""
+    return min(scores, key=lambda model: metric(scores[model], objective))
+
+
+def of_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
+    """The best model with a lobe about one axis.
 
     Args:
         scores: errors by model.
+        axis: of the lobe.
         objective: whose metric counts.
 
     Returns:
         Its name.
     """
-
-    return min(scores, key=lambda model: metric(scores[model], objective))
+    own: dict[Model, Errors] = {m: e for m, e in scores.items() if REFLECTANCES[m].axis == axis}
+    return best(own, objective)

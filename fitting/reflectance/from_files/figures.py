@@ -12,12 +12,12 @@ from matplotlib.patches import Rectangle
 from jaxvision import Vec
 
 from ...report.colours import OF_CHANNEL
-from ..models import LABELS, REFLECTANCES, has_lobe, unit_brdf
+from ..models import LABELS, REFLECTANCES, has_lobe
 from ..names import MODELS, Axis, Model
 from .calibration import BRDFCalibration
-from .errors import best, metric
-from .findings import AXES, of_axis
-from .fit import LobeFit
+from .errors import best, metric, of_axis
+from .findings import AXES
+from .fit import LobeFit, brdf
 from .read import MeasuredBRDF
 
 AXIS_COLOURS: dict[Axis, str] = {"mirror": "tab:orange", "half": "tab:blue", "none": "0.55"}
@@ -114,15 +114,12 @@ def predicted(
     Returns:
         (n,) sr^-1.
     """
-    if fit.shape is None:
-        return np.full(len(theta_o), fit.diffuse.mean())
     flat, light = np.zeros(len(theta_o)), np.full(len(theta_o), theta_i)
     wi = Vec(*(jnp.asarray(c) for c in (np.sin(light), flat, np.cos(light))))
     wo = Vec(*(jnp.asarray(c) for c in (-np.sin(theta_o), flat, np.cos(theta_o))))
-    unit = np.asarray(unit_brdf(fit.model, jnp.asarray(fit.shape), wi, wo, index))
-    if not has_lobe(fit.model):
-        return fit.diffuse.mean() * unit
-    return fit.diffuse.mean() + fit.specular.mean() * unit
+    amplitudes = fit.diffuse.mean(keepdims=True), fit.specular.mean(keepdims=True)
+    found = np.asarray(brdf(fit.model, *amplitudes, fit.shape, wi, wo, index))
+    return np.broadcast_to(found[:, 0], len(theta_o))
 
 
 def errors_figure(calibration: BRDFCalibration) -> Figure:

@@ -1,7 +1,7 @@
-"""What a reader of fitted measured reflectance must be told: who wins, by how much, how sure."""
+"""Every sentence about fitted measured reflectance, with its condition: who wins, by how much, how
+sure; of one material, and of several."""
 
-from collections.abc import Mapping, Sequence
-from typing import Literal
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -10,31 +10,28 @@ from jaxvision import as_array
 from ...inference.diagnostics import listed
 from ...inference.formatting import format_percent
 from ...inference.trust import convergence_in_words
-from ..models import (
-    LABELS,
-    REFLECTANCES,
-    facet_sentence,
-    has_lobe,
-    shape_of,
-    shape_range,
-)
+from ...report.sentences import Finding, Numbers, said
+from ..models import LABELS, REFLECTANCES, facet_sentence, has_lobe, shape_of, shape_range
 from ..names import CLEAR, DESCRIBES, Axis, Model, Objective
 from .calibration import BRDFCalibration, albedo
 from .errors import (
     LIKELY,
+    METRICS,
     Errors,
     Ratio,
+    Side,
     best,
     describes,
-    distinguished,
     exceeds_signal,
+    in_words,
     metric,
+    of_axis,
     ratio,
     weight_by_incidence,
+    winner_of,
 )
-from .fit import compressed, reflected
+from .fit import in_metric
 
-Side = Literal["half", "mirror", "neither"]  # which axis wins a comparison
 MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which a reader is told
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
 NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
@@ -49,85 +46,51 @@ PAIRS: tuple[tuple[Model, Model], ...] = (  # same factor before the lobe, other
     ("normalised-phong", "normalised-blinn"),
 )
 AXES: tuple[Axis, ...] = ("half", "mirror")
-METRICS: dict[Objective, str] = {"cosine": "cosine-weighted RMS", "cube-root": "cube-root error"}
-
-
-def in_words(errors: Errors, objective: Objective) -> str:
-    """An error as a report says it: percent of the signal, or sr^(-1/3) of the cube roots."""
-    value = metric(errors, objective)
-    return f"{100 * value:.3g} %" if objective == "cosine" else f"{value:.3g} sr⁻¹ᐟ³"
-
-
-def of_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
-    """The best model with a lobe about one axis.
-
-    Args:
-        scores: errors by model.
-        axis: of the lobe.
-        objective: whose metric counts.
-
-    Returns:
-        Its name.
-    """
-    own: dict[Model, Errors] = {
-        model: e for model, e in scores.items() if REFLECTANCES[model].axis == axis
-    }
-    return best(own, objective)
+FRESNEL: tuple[Model, ...] = ("torrance-sparrow", "torrance-sparrow-metal", "lambert")
 
 
 def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
     """All sentences about one material."""
-    return (
-        *_no_description(calibration),
-        _verdict(calibration),
-        *_impossible(calibration),
-        *_toward_light(calibration),
-        _pairs(calibration),
-        *_weight(calibration),
-        *_generalisation(calibration),
-        *([facet_sentence(calibration.index)] if calibration.model in CLEAR else []),
-        *(
-            f"{name} of {LABELS[calibration.model]} is not determined: {why}."
-            for name, why in calibration.open_parameters.items()
-        ),
-        *_ends(calibration),
-        *_failures(calibration),
-        _intervals(calibration),
-        *calibration.measured.findings,
-    )
+    return said(FINDINGS, calibration)
 
 
-def _no_description(calibration: BRDFCalibration) -> list[str]:
-    """That the best model is no good, where it is none."""
+def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
+    """Over several materials: does the half vector win, as the literature has it, and why?"""
+    return said(OVER_MATERIALS, calibrations)
+
+
+def readable(name: str) -> str:
+    """A file's name as words."""
+    return name.replace("_", " ")
+
+
+# ---------------------------------------------------------------- one material
+
+
+def _no_description(calibration: BRDFCalibration) -> Numbers | None:
     winner = best(calibration.held_out, calibration.objective)
     found = calibration.held_out[winner]
     if describes(found, calibration.objective):
-        return []
-    return [
-        "No model here describes this file: at angles of incidence that no fit has seen, the best "
-        f"one ({LABELS[winner]}) misses {100 * found.relative:.1f} % of the signal's "
-        f"cosine-weighted RMS, more than {format_percent(DESCRIBES)}. Its parameters are no "
-        "properties of the surface."
-    ]
+        return None
+    return {
+        "model": LABELS[winner],
+        "missed": 100 * found.relative,
+        "most": format_percent(DESCRIBES),
+    }
 
 
-def _impossible(calibration: BRDFCalibration) -> list[str]:
+def _impossible(calibration: BRDFCalibration) -> Numbers | None:
     """Energy that the reported surface would add."""
-    fit = calibration.fits[calibration.model]
-    found = albedo(fit, calibration.index)
+    found = albedo(calibration.fits[calibration.model], calibration.index)
     most = int(np.argmax(found))
     if found[most] <= 1 + ROUNDING:
-        return []
+        return None
     bands = calibration.measured.bands
     band = f" in band {bands[most]}" if len(bands) > 1 else ""
-    return [
-        f"{LABELS[calibration.model]} as fitted is impossible: it reflects {found[most]:.2g} times "
-        f"the light that falls on it along the normal{band} (its albedo), and no surface reflects "
-        "more than all of it."
-    ]
+    return {"model": LABELS[calibration.model], "albedo": found[most], "band": band}
 
 
-def _toward_light(calibration: BRDFCalibration) -> list[str]:
+def _toward_light(calibration: BRDFCalibration) -> Numbers | None:
     """Data that peak toward the light, as those of no model here do."""
     measured = calibration.measured
     wi, wo = (np.asarray(as_array(v)) for v in (measured.wi, measured.wo))
@@ -144,15 +107,11 @@ def _toward_light(calibration: BRDFCalibration) -> list[str]:
         bright = values[peak] > BRIGHT * np.median(values[own])
         toward += bool(back < NEAR and back < forth and bright)
     if judged == 0 or 2 * toward <= judged:
-        return []
-    return [
-        f"The data peak within {np.degrees(NEAR):.3g}° of the direction toward the light at "
-        f"{toward} of {judged} oblique incidences: the surface is retro-reflective, which no model "
-        "here is."
-    ]
+        return None
+    return {"near": np.degrees(NEAR), "toward": toward, "judged": judged}
 
 
-def _verdict(calibration: BRDFCalibration) -> str:
+def _verdict(calibration: BRDFCalibration) -> Numbers:
     objective, held_out = calibration.objective, calibration.held_out
     winner = best(held_out, objective)
     found: dict[Model, Ratio] = {
@@ -169,197 +128,372 @@ def _verdict(calibration: BRDFCalibration) -> str:
     ]
     equal: list[Model] = [m for m in open_size if m not in (*worse, *useless)]
     far: list[Model] = [m for m in equal if found[m].value >= APART]
-
     rivals: list[Model] = [of_axis(held_out, axis, objective) for axis in AXES]
     others: list[Model] = [m for m in (*rivals, "lambert") if m not in (winner, *equal)]
     against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
-    against = f", against {against}" if others else ""
-    unit = " of the signal's" if objective == "cosine" else ""
-    told = [
-        f"At angles of incidence that no fit has seen, {LABELS[winner]} predicts best: "
-        f"{METRICS[objective]} {in_words(held_out[winner], objective)}{unit}{against}."
-    ]
-    if equal:
-        alike = [f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal]
-        told.append(f"Not told apart from it, leaving out incidence by incidence: {listed(alike)}.")
-    if far:
-        told.append(
-            "Of these some err far more here, but by how much hangs on single incidences: "
-            f"{_compared(calibration, found, far)}."
-        )
-    if worse:
-        told.append(
-            f"Worse than it at more incidences than is likely by chance (p up to {LIKELY:g}), "
-            "though by how much on the whole hangs on single ones: "
-            f"{_compared(calibration, found, worse, counted=True)}."
-        )
-    if useless:
-        told.append(
-            "Missing more than the whole signal, hence no description of it, though how it "
-            "compares with the best depends on the incidence that is left out: "
-            f"{_compared(calibration, found, useless)}."
-        )
-    return " ".join(told)
-
-
-def _compared(
-    calibration: BRDFCalibration,
-    found: Mapping[Model, Ratio],
-    models: Sequence[Model],
-    *,
-    counted: bool = False,
-) -> str:
-    """How much more models err than the best one, between which bounds with an incidence left out,
-    and at how many."""
     angles = np.degrees(calibration.measured.incidences)
 
-    def often(model: Model) -> str:
-        one = found[model]
-        told = f"; more at {one.more_often} of {len(one.alone)}, p = {one.chance:.2g}"
-        return told if counted else ""
+    def compared(models: Sequence[Model], *, counted: bool = False) -> str:
+        """How much more models err than the best one, between which bounds with an incidence left
+        out, and at how many."""
+        told = []
+        for m in models:
+            one = found[m]
+            least, most = (
+                f"{one.without[i]:.2f} times without {angles[i]:.0f}°"
+                for i in (np.argmin(one.without), np.argmax(one.without))
+            )
+            often = f"; more at {one.more_often} of {len(one.alone)}, p = {one.chance:.2g}"
+            told.append(
+                f"{LABELS[m]} ({in_words(held_out[m], objective)}: {one.value:.2f} times as much, "
+                f"{least}, {most}{often * counted})"
+            )
+        return listed(told) if told else ""
 
-    def bound(model: Model, i: np.intp) -> str:
-        return f"{found[model].without[i]:.2f} times without {angles[i]:.0f}°"
+    numbers = {
+        "winner": LABELS[winner],
+        "metric": METRICS[objective],
+        "error": in_words(held_out[winner], objective),
+        "unit": " of the signal's" if objective == "cosine" else "",
+        "against": f", against {against}" if others else "",
+        "equal": listed([f"{LABELS[m]} ({in_words(held_out[m], objective)})" for m in equal])
+        if equal
+        else "",
+        "far": compared(far),
+        "worse": compared(worse, counted=True),
+        "useless": compared(useless),
+        "likely": LIKELY,
+    }
+    return {"verdict": " ".join(said(VERDICT, numbers))}
 
-    return listed(
-        [
-            f"{LABELS[m]} ({in_words(calibration.held_out[m], calibration.objective)}: "
-            f"{found[m].value:.2f} times as much, {bound(m, np.argmin(found[m].without))}, "
-            f"{bound(m, np.argmax(found[m].without))}{often(m)})"
-            for m in models
-        ]
-    )
+
+def _described(model: Model) -> str:
+    where = {"mirror": "mirror direction", "half": "half vector"}.get(REFLECTANCES[model].axis)
+    return f"the best lobe about the {where} ({LABELS[model]})" if where else LABELS[model]
 
 
-def _weight(calibration: BRDFCalibration) -> list[str]:
+def _weight(calibration: BRDFCalibration) -> Numbers | None:
     """That a single incidence decides the fit, where one does."""
     shares = weight_by_incidence(calibration.measured, calibration.objective)
     most = int(np.argmax(shares))
     if shares[most] <= MOST_WEIGHT:
-        return []
-    return [
-        f"{format_percent(shares[most])} of the weight of the fit lies at one incidence, "
-        f"{np.degrees(calibration.measured.incidences[most]):.0f}°: what it says is about that one."
-    ]
+        return None
+    angle = np.degrees(calibration.measured.incidences[most])
+    return {"share": format_percent(shares[most]), "angle": angle}
 
 
-def _described(model: Model) -> str:
-    match REFLECTANCES[model].axis:
-        case "mirror":
-            return f"the best lobe about the mirror direction ({LABELS[model]})"
-        case "half":
-            return f"the best lobe about the half vector ({LABELS[model]})"
-    return LABELS[model]
-
-
-def _pairs(calibration: BRDFCalibration) -> str:
+def _pairs(calibration: BRDFCalibration) -> Numbers:
     """The axis by itself: pairs of lobes that differ in nothing else."""
     objective, held_out = calibration.objective, calibration.held_out
     told = []
     for mirror, half in PAIRS:
         ours, theirs = held_out[half], held_out[mirror]
+        relation = said(RELATIONS, (ours, theirs, ratio(ours, theirs, objective), objective))[0]
         told.append(
-            f"{LABELS[half]} {_relation(ours, theirs, objective)} {LABELS[mirror]} "
+            f"{LABELS[half]} {relation} {LABELS[mirror]} "
             f"({in_words(ours, objective)} against {in_words(theirs, objective)})"
         )
-    return f"Half vector against mirror direction, all else equal: {'; '.join(told)}."
+    return {"pairs": "; ".join(told)}
 
 
-def _relation(half: Errors, mirror: Errors, objective: Objective) -> str:
-    """How a lobe about the half vector stands to one about the mirror direction, as a verb."""
-    useless = exceeds_signal(half, objective), exceeds_signal(mirror, objective)
-    if all(useless):
-        return "errs by more than the whole signal, and so does"
-    winner = winner_of(half, mirror, objective)
-    if winner != "neither":
-        return "beats" if winner == "half" else "loses to"
-    found = ratio(half, mirror, objective)
-    if found.ordered:
-        more = "more" if found.value > 1 else "less"
-        at = f"{found.more_often} of {len(found.alone)} incidences"
-        return f"errs {more} at {at} (p = {found.chance:.2g}) than"
-    if any(useless):
-        return f"errs by {'more' if useless[0] else 'less'} than the whole signal, unlike"
-    return "is not told apart from"
-
-
-def _generalisation(calibration: BRDFCalibration) -> list[str]:
+def _generalisation(calibration: BRDFCalibration) -> Numbers | None:
     model, objective = calibration.model, calibration.objective
     unseen = metric(calibration.held_out[model], objective)
     seen = metric(calibration.fitted[model], objective)
     if unseen < OVERFIT * seen:
-        return []
+        return None
     worst = int(np.argmax(calibration.held_out[model].by_incidence))
-    return [
-        f"{LABELS[model]} errs {unseen / seen:.1f} times more at incidences it has not seen than "
-        f"at those of its fit, most at {np.degrees(calibration.measured.incidences[worst]):.0f}°: "
-        "what it says there depends on having been measured there."
-    ]
+    angle = np.degrees(calibration.measured.incidences[worst])
+    return {"model": LABELS[model], "times": unseen / seen, "angle": angle}
 
 
-def _ends(calibration: BRDFCalibration) -> list[str]:
-    """Other models with a shape at an end of its range."""
-    stuck, smooth = [], []
+def _open(calibration: BRDFCalibration) -> Iterable[Numbers]:
+    model = LABELS[calibration.model]
+    reasons = calibration.open_parameters.items()
+    return [{"name": name, "model": model, "why": why} for name, why in reasons]
+
+
+def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
+    """Other models with a shape at an end of its range: rough bodies without roughness, and the
+    others."""
+    smooth: list[Model] = []
+    stuck: list[Model] = []
     for model, fit in calibration.fits.items():
         if fit.whole.shape is None or model == calibration.model:
             continue
-        shape = shape_of(model)
         low, high = shape_range(model)
         if not has_lobe(model) and fit.whole.shape <= 1.001 * low:
-            smooth.append(f"{LABELS[model]} fits best without {shape.name}, as Lambert's model.")
+            smooth.append(model)
         elif not 1.001 * low < fit.whole.shape < high / 1.001:
-            stuck.append(f"{LABELS[model]} ({shape.name} {fit.whole.shape:.3g})")
-    if not stuck:
-        return smooth
-    return [
-        *smooth,
-        f"At an end of the range of their shape, hence no good description: {', '.join(stuck)}.",
+            stuck.append(model)
+    return smooth, stuck
+
+
+def _smooth(calibration: BRDFCalibration) -> Iterable[Numbers]:
+    smooth, _ = _ends(calibration)
+    return [{"model": LABELS[model], "shape": shape_of(model).name} for model in smooth]
+
+
+def _stuck(calibration: BRDFCalibration) -> Numbers | None:
+    told = [
+        f"{LABELS[model]} ({shape_of(model).name} {calibration.fits[model].whole.shape:.3g})"
+        for model in _ends(calibration)[1]
     ]
+    return {"models": ", ".join(told)} if told else None
 
 
-def _failures(calibration: BRDFCalibration) -> list[str]:
+def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
     """Searches that did not settle, or ended above Lambert's model, which all others contain."""
-    told, measured = [], calibration.measured
-    in_metric = reflected if calibration.objective == "cosine" else compressed
-    squares = measured.weights[:, None] * in_metric(measured, measured.values) ** 2
-    nothing = NOTHING**2 * float(squares.sum())
+    measured = calibration.measured
+    signal = in_metric(measured, calibration.objective, measured.values)
+    nothing = NOTHING**2 * float(np.sum(measured.weights[:, None] * signal**2))
     lambert = calibration.fits["lambert"]
     for model, fit in calibration.fits.items():
         pairs = zip((fit.whole, *fit.without), (lambert.whole, *lambert.without), strict=True)
-        settled = [
-            own.settled and own.cost <= (1 + NESTED) * matt.cost + nothing for own, matt in pairs
+        failed = [
+            not own.settled or own.cost > (1 + NESTED) * matt.cost + nothing for own, matt in pairs
         ]
-        if not all(settled):
-            told.append(
-                f"{LABELS[model]}: {settled.count(False)} of {len(settled)} fits did not reach a "
-                "minimum; do not use its numbers."
-            )
-    return told
+        if any(failed):
+            yield {"model": LABELS[model], "failed": sum(failed), "fits": len(failed)}
 
 
-def _intervals(calibration: BRDFCalibration) -> str:
-    count = len(calibration.measured.incidences)
-    first = (
-        f"Standard errors come from leaving out each of the {count} incidences in turn, so they "
-        "hold what the model misses, not only noise."
+def _intervals(calibration: BRDFCalibration) -> Numbers:
+    posterior = calibration.posterior
+    drawn = "" if posterior is None else f" {convergence_in_words(posterior)}"
+    return {"count": len(calibration.measured.incidences), "drawn": drawn}
+
+
+# ---------------------------------------------------------------- several materials
+
+
+def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
+    """The best lobe about the half vector, that about the mirror direction, and which wins."""
+    held_out, objective = calibration.held_out, calibration.objective
+    half = of_axis(held_out, "half", objective)
+    mirror = of_axis(held_out, "mirror", objective)
+    return half, mirror, winner_of(held_out[half], held_out[mirror], objective)
+
+
+def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
+    """The best lobe of each axis, whatever else it differs in, and where it does."""
+    wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
+    confounded = []
+    for calibration in calibrations:
+        name = readable(calibration.measured.name)
+        half, mirror, side = _of_best_lobes(calibration)
+        wins[side].append(name)
+        if side != "neither" and (mirror, half) not in PAIRS:
+            confounded.append(f"{LABELS[half]} against {LABELS[mirror]} on {name}")
+    sides: dict[Side, str] = {
+        "half": "the best lobe about the half vector wins",
+        "mirror": "the best about the mirror direction",
+        "neither": "neither by more than chance",
+    }
+    told = "; ".join(
+        f"{words} on {len(wins[side])} of {len(calibrations)} ({', '.join(wins[side])})"
+        for side, words in sides.items()
+        if wins[side]
     )
-    if calibration.posterior is None:
-        return first
-    return f"{first} {convergence_in_words(calibration.posterior)}"
+    if confounded:
+        told += (
+            ". By itself this says nothing about the axis where the lobes differ in more than the "
+            f"axis: {listed(confounded)}"
+        )
+    return {"metric": METRICS[calibrations[0].objective], "told": told}
 
 
-def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
-    """Which axis errs less by more than chance.
+def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
+    """Which axis wins comparisons of lobes that differ in nothing else, and what follows where
+    these tell and the best lobes, which differ in more than that, do not disagree."""
+    results = [
+        winner_of(c.held_out[half], c.held_out[mirror], c.objective)
+        for c in calibrations
+        for mirror, half in PAIRS
+    ]
+    alone, overall = set(results), {_of_best_lobes(c)[-1] for c in calibrations}
+    if {"half", "mirror"} <= alone:
+        judgement = "confirm only in part"
+    elif "half" in alone and "mirror" not in overall:
+        judgement = "confirm"
+    elif "mirror" in alone and "half" not in overall:
+        judgement = "contradict"
+    else:
+        judgement = "neither confirm nor contradict"
+    if "neither" in alone and not judgement.startswith("neither"):
+        judgement += ", where they tell,"
+    return {
+        "half": results.count("half"),
+        "mirror": results.count("mirror"),
+        "every": len(results),
+        "judgement": judgement,
+    }
 
-    Args:
-        half: errors of a lobe about the half vector.
-        mirror: of one about the mirror direction.
-        objective: whose metric counts.
 
-    Returns:
-        The axis; neither where both lobes describe nothing.
-    """
-    useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
-    if useless or not distinguished(half, mirror, objective):
-        return "neither"
-    return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
+def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
+    """Where clear facets win, how much of its lead GGX loses without Fresnel reflectance."""
+    objective = calibrations[0].objective
+    told = []
+    for calibration in calibrations:
+        held_out = calibration.held_out
+        clear, metal, matt = (held_out[model] for model in FRESNEL)
+        lead = metric(matt, objective) - metric(clear, objective)
+        if best(held_out, objective) not in CLEAR or lead <= 0:
+            continue
+        rise = max(metric(metal, objective) - metric(clear, objective), 0.0)
+        told.append(
+            f"{readable(calibration.measured.name)} {in_words(metal, objective)} instead of "
+            f"{in_words(clear, objective)}, which is {format_percent(rise / lead)} of their lead "
+            f"over Lambert's {in_words(matt, objective)}"
+        )
+    return {"told": "; ".join(told)} if told else None
+
+
+# ---------------------------------------------------------------- the sentences
+
+Pair = tuple[Errors, Errors, Ratio, Objective]  # of a lobe about the half vector, and the other one
+
+
+def _useless(pair: Pair) -> tuple[bool, bool]:
+    """Which of both miss more than the whole signal."""
+    half, mirror, _, objective = pair
+    return exceeds_signal(half, objective), exceeds_signal(mirror, objective)
+
+
+def _order(pair: Pair) -> Numbers | None:
+    """An order of both whose size is open."""
+    found = pair[2]
+    if not found.ordered:
+        return None
+    more = "more" if found.value > 1 else "less"
+    times, of = found.more_often, len(found.alone)
+    return {"more": more, "times": times, "of": of, "chance": found.chance}
+
+
+RELATIONS = (  # of a lobe about the half vector to that about the mirror direction: the first holds
+    Finding(
+        "useless",
+        lambda pair: all(_useless(pair)),
+        "errs by more than the whole signal, and so does",
+    ),
+    Finding("wins", lambda pair: winner_of(pair[0], pair[1], pair[3]) == "half", "beats"),
+    Finding("loses", lambda pair: winner_of(pair[0], pair[1], pair[3]) == "mirror", "loses to"),
+    Finding("ordered", _order, "errs {more} at {times} of {of} incidences (p = {chance:.2g}) than"),
+    Finding(
+        "more than the signal",
+        lambda pair: _useless(pair)[0],
+        "errs by more than the whole signal, unlike",
+    ),
+    Finding(
+        "less than the signal",
+        lambda pair: _useless(pair)[1],
+        "errs by less than the whole signal, unlike",
+    ),
+    Finding("open", lambda pair: True, "is not told apart from"),
+)
+VERDICT = (
+    Finding(
+        "best",
+        lambda numbers: numbers,
+        "At angles of incidence that no fit has seen, {winner} predicts best: {metric} {error}"
+        "{unit}{against}.",
+    ),
+    Finding(
+        "equal",
+        lambda numbers: numbers if numbers["equal"] else None,
+        "Not told apart from it, leaving out incidence by incidence: {equal}.",
+    ),
+    Finding(
+        "far",
+        lambda numbers: numbers if numbers["far"] else None,
+        "Of these some err far more here, but by how much hangs on single incidences: {far}.",
+    ),
+    Finding(
+        "worse",
+        lambda numbers: numbers if numbers["worse"] else None,
+        "Worse than it at more incidences than is likely by chance (p up to {likely:g}), though by "
+        "how much on the whole hangs on single ones: {worse}.",
+    ),
+    Finding(
+        "useless",
+        lambda numbers: numbers if numbers["useless"] else None,
+        "Missing more than the whole signal, hence no description of it, though how it compares "
+        "with the best depends on the incidence that is left out: {useless}.",
+    ),
+)
+FINDINGS = (
+    Finding(
+        "no description",
+        _no_description,
+        "No model here describes this file: at angles of incidence that no fit has seen, the best "
+        "one ({model}) misses {missed:.1f} % of the signal's cosine-weighted RMS, more than "
+        "{most}. Its parameters are no properties of the surface.",
+    ),
+    Finding("verdict", _verdict, "{verdict}"),
+    Finding(
+        "impossible",
+        _impossible,
+        "{model} as fitted is impossible: it reflects {albedo:.2g} times the light that falls on "
+        "it along the normal{band} (its albedo), and no surface reflects more than all of it.",
+    ),
+    Finding(
+        "toward the light",
+        _toward_light,
+        "The data peak within {near:.3g}° of the direction toward the light at {toward} of "
+        "{judged} oblique incidences: the surface is retro-reflective, which no model here is.",
+    ),
+    Finding("axis", _pairs, "Half vector against mirror direction, all else equal: {pairs}."),
+    Finding(
+        "weight",
+        _weight,
+        "{share} of the weight of the fit lies at one incidence, {angle:.0f}°: what it says is "
+        "about that one.",
+    ),
+    Finding(
+        "unseen incidences",
+        _generalisation,
+        "{model} errs {times:.1f} times more at incidences it has not seen than at those of its "
+        "fit, most at {angle:.0f}°: what it says there depends on having been measured there.",
+    ),
+    Finding(
+        "facets",
+        lambda c: {"told": facet_sentence(c.index)} if c.model in CLEAR else None,
+        "{told}",
+    ),
+    Finding("not determined", _open, "{name} of {model} is not determined: {why}."),
+    Finding("smooth", _smooth, "{model} fits best without {shape}, as Lambert's model."),
+    Finding(
+        "end of range",
+        _stuck,
+        "At an end of the range of their shape, hence no good description: {models}.",
+    ),
+    Finding(
+        "no minimum",
+        _failures,
+        "{model}: {failed} of {fits} fits did not reach a minimum; do not use its numbers.",
+    ),
+    Finding(
+        "standard errors",
+        _intervals,
+        "Standard errors come from leaving out each of the {count} incidences in turn, so they "
+        "hold what the model misses, not only noise.{drawn}",
+    ),
+    Finding("data", lambda c: [{"told": one} for one in c.measured.findings], "{told}"),
+)
+OVER_MATERIALS = (
+    Finding("best lobes", _best_lobes, "By {metric} at incidences that no fit has seen, {told}."),
+    Finding(
+        "axis alone",
+        _axis_alone,
+        "Between lobes that differ in the axis alone (Phong and Blinn, with and without "
+        "normalisation), the half vector wins {half} of {every} comparisons, the mirror direction "
+        "{mirror}; the others leave it open. Together these comparisons {judgement} the finding of "
+        "Ngan, Durand & Matusik (2005) on 100 materials that lobes about the half vector fit "
+        "better.",
+    ),
+    Finding(
+        "Fresnel",
+        _fresnel,
+        "Where Torrance-Sparrow with clear facets wins, GGX facets without the rise of Fresnel "
+        "reflectance toward grazing angles (metal) err on {told}.",
+    ),
+)

@@ -16,9 +16,9 @@ objective and at Lambert's of the same objective, which every model contains (wi
 out, at the optimum with all of them); the lowest end counts.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, lru_cache
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,14 +28,17 @@ from jaxtyping import Array, Float
 
 from jaxvision import Vec
 
-from ...inference.separable import SeparableFit, first_knots, fit_amplitudes, fit_separable
+from ...inference.likelihoods import Gaussian
+from ...inference.parameters import ParameterSpace
+from ...inference.problem import Problem, Values
+from ...inference.separable import first_knots, fit_amplitudes, fit_separable
 from ..models import has_lobe, log_range, unit_brdf
-from ..names import INDEX, MODELS, Model, Objective
+from ..names import MODELS, Model, Objective
 from .read import MeasuredBRDF
 
 DARK = 1e-3  # of the RMS of f_r cos(theta_i): d of the cube-root objective
 MOST_STEPS = 100
-SETTLED = 1e-8  # relative fall of the cost from which a fit stands
+SETTLED = 1e-8  # relative fall of the cost from which a fit has converged
 SHARES = (1.0, 0.25, 0.05, 0.01, 1e-3)  # of a step that are tried
 NARROWEST = 1e-3  # of a logarithm: a shape that may move less stays
 
@@ -80,77 +83,72 @@ class ModelFit:
     without: tuple[LobeFit, ...]
 
 
-@eqx.filter_jit
-def _columns(model: Model, wi: Vec, wo: Vec, index: float, log_shapes: Array) -> Array:
-    return jax.lax.map(
-        lambda log_shape: unit_brdf(model, jnp.exp(log_shape), wi, wo, index), log_shapes
+def brdf(
+    model: Model, diffuse: Any, specular: Any, shape: Any, wi: Vec, wo: Vec, index: float
+) -> Float[Array, "n bands"]:
+    """f_r in sr^-1 of (bands,) amplitudes toward (n,) directions; n is 1 for Lambert."""
+    diffuse, specular = (jnp.asarray(k)[None] for k in (diffuse, specular))
+    if model == "lambert":
+        return diffuse
+    unit = unit_brdf(model, jnp.asarray(shape), wi, wo, index)[:, None]
+    return diffuse + specular * unit if has_lobe(model) else diffuse * unit
+
+
+def problem_of(
+    measured: MeasuredBRDF, fit: ModelFit, space: ParameterSpace, index: float
+) -> Problem:
+    """One model of a material as a problem of its mean amplitudes and its shape: the spectra of the
+    amplitudes keep their form, and every sample errs alike in the objective's metric."""
+    whole = fit.whole
+    mean = {"diffuse": whole.diffuse.mean(), "specular": whole.specular.mean() or 1.0}
+    wanted = in_metric(measured, fit.objective, measured.values)
+    missed = in_metric(measured, fit.objective, whole.predicted) - wanted
+    squares = np.mean(missed**2, axis=1)
+    variance = np.average(squares, weights=measured.weights)
+    variance = max(float(variance), float(np.finfo(np.float32).tiny))
+    sd = np.sqrt(variance / measured.weights)[:, None]
+    names = [parameter.name for parameter in space]
+    inputs = {
+        "diffuse": whole.diffuse / mean["diffuse"],
+        "specular": whole.specular / mean["specular"],
+        "wi": measured.wi,
+        "wo": measured.wo,
+        "index": index,
+        "mode": np.log([mean.get(name, whole.shape) for name in names]),
+        "stretch": np.eye(len(names)),
+        "dark": darkness(measured) if fit.objective == "cube-root" else None,
+    }
+    return Problem(
+        {parameter.name: parameter for parameter in space},
+        _predict_of(fit.model),
+        Gaussian(sd=np.broadcast_to(sd, wanted.shape)),
+        data=wanted,
+        inputs=inputs,
     )
 
 
-def fit_model(
-    measured: MeasuredBRDF, model: Model, *, objective: Objective = "cosine", index: float
-) -> ModelFit:
-    """Fits one model to all samples and, for testing, with each incidence left out.
+@lru_cache
+def _predict_of(model: Model) -> Any:
+    """One function a model: it is part of the compile key."""
 
-    Args:
-        measured: samples of one material.
-        model: to fit.
-        objective: to minimise.
-        index: of refraction, of the clear facets of Torrance-Sparrow.
+    def predict(values: Values, inputs: dict[str, Any]) -> Array:
+        """In the objective's metric, the logarithms of the parameters stretched about the mode."""
+        names = list(values)
+        vector = jnp.log(jnp.stack([values[name] for name in names]))
+        stretched = inputs["mode"] + inputs["stretch"] @ (vector - inputs["mode"])
+        at = dict(zip(names, jnp.exp(stretched), strict=True))
+        diffuse = at.pop("diffuse") * inputs["diffuse"]
+        specular = at.pop("specular", 0.0) * inputs["specular"]
+        shape = next(iter(at.values()), None)
+        wi, wo = inputs["wi"], inputs["wo"]
+        reflected = wi.z[:, None] * brdf(model, diffuse, specular, shape, wi, wo, inputs["index"])
+        return reflected if inputs["dark"] is None else jnp.cbrt(reflected + inputs["dark"])
 
-    Returns:
-        The fits.
-    """
-    search = _search_of(measured, model, objective, index)
-
-    def as_fit(end: _End) -> LobeFit:
-        diffuse, specular = np.asarray(end.found.amplitudes, np.float64).T
-        if model != "lambert" and not has_lobe(model):
-            diffuse, specular = specular, diffuse
-        natural = None if model == "lambert" else float(np.exp(end.found.nonlinear))
-        predicted = _prediction(search, end.found)
-        return LobeFit(model, diffuse, specular, natural, predicted, end.cost, end.settled)
-
-    everything = np.ones(len(measured.weights))
-    end = _minimise(search, everything)
-    left_out = [measured.incidence != i for i in range(len(measured.incidences))]
-    return ModelFit(
-        model,
-        objective,
-        as_fit(end),
-        tuple(as_fit(_minimise(search, kept.astype(float), near=end.found)) for kept in left_out),
-    )
-
-
-def fit_models(
-    measured: MeasuredBRDF, *, objective: Objective = "cosine", index: float
-) -> dict[Model, ModelFit]:
-    """Every model, fitted as `fit_model` does.
-
-    Args:
-        measured: samples of one material.
-        objective: to minimise.
-        index: of refraction, of the clear facets of Torrance-Sparrow.
-
-    Returns:
-        The fits.
-    """
-    return {model: fit_model(measured, model, objective=objective, index=index) for model in MODELS}
-
-
-# ---------------------------------------------------------------- objectives
+    return predict
 
 
 def reflected(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, "n bands"]:
-    """f_r cos(theta_i).
-
-    Args:
-        measured: samples of one material.
-        values: (n, bands) f_r, sr^-1.
-
-    Returns:
-        (n, bands) sr^-1.
-    """
+    """f_r cos(theta_i) in sr^-1 of (n, bands) f_r."""
     return measured.cosine[:, None] * values
 
 
@@ -161,155 +159,181 @@ def darkness(measured: MeasuredBRDF) -> float:
 
 
 def compressed(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, "n bands"]:
-    """c(f_r cos(theta_i)); negative values count as 0.
-
-    Args:
-        measured: samples of one material.
-        values: (n, bands) f_r, sr^-1.
-
-    Returns:
-        (n, bands) sr^-1/3.
-    """
+    """c(f_r cos(theta_i)) in sr^-1/3 of (n, bands) f_r; negative values count as 0."""
     return np.cbrt(np.maximum(reflected(measured, values), 0) + darkness(measured))
+
+
+def in_metric(
+    measured: MeasuredBRDF, objective: Objective, values: np.ndarray
+) -> Float[np.ndarray, "n bands"]:
+    """What an objective compares."""
+    return (reflected if objective == "cosine" else compressed)(measured, values)
 
 
 # ---------------------------------------------------------------- search
 
 
+@eqx.filter_jit
+def _columns(model: Model, wi: Vec, wo: Vec, index: float, log_shapes: Array) -> Array:
+    return jax.lax.map(
+        lambda log_shape: unit_brdf(model, jnp.exp(log_shape), wi, wo, index), log_shapes
+    )
+
+
 @dataclass(frozen=True)
 class _Search:
-    """What every search of one model shares.
-
-    Attributes:
-        measured: samples of one material.
-        objective: to minimise.
-        columns: f_r of unit amplitude at many log shapes; None for Lambert.
-        coarse: the same on the first grid.
-        fixed: (1, n) the column of the diffuse term, zeros where the searched column is the body's.
-        low: smallest log shape.
-        high: largest.
-    """
+    """What every search of one model shares."""
 
     measured: MeasuredBRDF
+    model: Model
     objective: Objective
-    columns: Callable[[Array], Array] | None
-    coarse: Array | None
-    fixed: Array
-    low: float
-    high: float
+    index: float
+
+    @cached_property
+    def range(self) -> tuple[float, float]:
+        """Of the logarithm of the shape."""
+        return (0.0, 0.0) if self.model == "lambert" else log_range(self.model)
+
+    @cached_property
+    def wanted(self) -> np.ndarray:
+        return in_metric(self.measured, self.objective, self.measured.values)
+
+    def columns(self, log_shapes: Any) -> Array:
+        """(knots, n) f_r of unit amplitude."""
+        measured = self.measured
+        return _columns(self.model, measured.wi, measured.wo, self.index, jnp.asarray(log_shapes))
+
+    @cached_property
+    def coarse(self) -> Array:
+        """The columns of the first grid."""
+        return self.columns(first_knots(*self.range))
+
+    def at(
+        self, kept: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, shape: float | None
+    ) -> LobeFit:
+        """The fit at some parameters, `kept` being the share of each sample's weight."""
+        measured = self.measured
+        parameters = self.model, diffuse, specular, shape
+        predicted = np.asarray(brdf(*parameters, measured.wi, measured.wo, self.index))
+        predicted = np.broadcast_to(predicted, measured.values.shape)
+        missed = in_metric(measured, self.objective, predicted) - self.wanted
+        cost = float(np.sum((kept * measured.weights)[:, None] * missed**2))
+        return LobeFit(*parameters, predicted, cost, settled=True)
+
+    def separable(
+        self,
+        kept: np.ndarray,
+        values: np.ndarray,
+        weights: np.ndarray,
+        window: tuple[float, float] = (-np.inf, np.inf),
+    ) -> tuple[np.ndarray, np.ndarray, float | None]:
+        """Amplitudes and shape of weighted least squares, the log shape within a window."""
+        y, w = jnp.asarray(values), jnp.asarray(weights)
+        ones = jnp.ones((1, len(values)), y.dtype)
+        if self.model == "lambert":
+            (diffuse, specular) = np.asarray(fit_amplitudes(ones, y, w).amplitudes, np.float64).T
+            return diffuse, specular, None
+        low, high = max(window[0], self.range[0]), min(window[1], self.range[1])
+        coarse = self.coarse if (low, high) == self.range else None
+        # A rough diffuse surface is a single term: its amplitude is the searched column's.
+        fixed = ones if has_lobe(self.model) else 0 * ones
+        found = fit_separable(self.columns, fixed, y, w, lower=low, upper=high, coarse=coarse)
+        diffuse, specular = np.asarray(found.amplitudes, np.float64).T
+        if not has_lobe(self.model):
+            diffuse, specular = specular, diffuse
+        return diffuse, specular, float(np.exp(found.nonlinear))
+
+    def minimum(self, kept: np.ndarray, matt: LobeFit | None, near: LobeFit | None) -> LobeFit:
+        """The best fit; of cube roots begun also at Lambert's and at `near`, where these are."""
+        measured = self.measured
+        weights = (kept * measured.weights * measured.cosine**2)[:, None]
+        weights = np.broadcast_to(weights, measured.values.shape)
+        of_squares = self.at(kept, *self.separable(kept, measured.values, weights))
+        if self.objective == "cosine":
+            return of_squares
+        ends = [self.descent(kept, of_squares)]
+        if matt is not None and near is not None:
+            ends.append(self.descent(kept, near))
+        if matt is not None and (near is None or min(end.cost for end in ends) > matt.cost):
+            ends.append(self.descent(kept, replace(matt, shape=float(np.exp(self.range[0])))))
+        return min(ends, key=lambda end: end.cost)
+
+    def descent(self, kept: np.ndarray, start: LobeFit) -> LobeFit:
+        """Gauss-Newton on the cube roots; a step that leads up is shortened, in the amplitudes and
+        in how far the shape may move."""
+        measured, cosine = self.measured, self.measured.cosine[:, None]
+        weights, dark = (kept * measured.weights)[:, None], darkness(measured)
+        best = self.at(kept, start.diffuse, start.specular, start.shape)
+        reach = self.range[1] - self.range[0]
+        for _ in range(MOST_STEPS):
+            root = np.cbrt(cosine * best.predicted + dark)
+            slope = cosine / (3 * root**2)
+            goal, pull = best.predicted + (self.wanted - root) / slope, weights * slope**2
+            here = 0.0 if best.shape is None else float(np.log(best.shape))
+            diffuse, specular, shape = self.separable(
+                kept, goal, pull, (here - reach, here + reach)
+            )
+            away = 0.0 if shape is None else float(np.log(shape)) - here
+            tried = (
+                self.at(
+                    kept,
+                    best.diffuse + share * (diffuse - best.diffuse),
+                    best.specular + share * (specular - best.specular),
+                    None if shape is None else float(np.exp(here + share * away)),
+                )
+                for share in SHARES
+            )
+            lower = next((one for one in tried if one.cost < best.cost * (1 - SETTLED)), None)
+            if lower is not None:
+                best = lower
+            elif reach <= NARROWEST:
+                return best
+            else:
+                reach /= 16
+        return replace(best, settled=False)
 
 
-@dataclass(frozen=True)
-class _End:
-    """Where a search ended: the fit, its cost, and whether that is a minimum."""
+def fit_model(
+    measured: MeasuredBRDF,
+    model: Model,
+    *,
+    objective: Objective = "cosine",
+    index: float,
+    matt: ModelFit | None = None,
+) -> ModelFit:
+    """Fits one model to all samples and, for testing, with each incidence left out.
 
-    found: SeparableFit
-    cost: float
-    settled: bool
+    Args:
+        measured: samples of one material.
+        model: to fit.
+        objective: to minimise.
+        index: of refraction, of the clear facets of Torrance-Sparrow.
+        matt: Lambert's fits of the same objective, where they are known.
 
-
-def _search_of(measured: MeasuredBRDF, model: Model, objective: Objective, index: float) -> _Search:
-    if model == "lambert":
-        ones = jnp.ones((1, len(measured.cosine)))
-        return _Search(measured, objective, None, None, ones, 0.0, 0.0)
-    low, high = log_range(model)
-    columns = partial(_columns, model, measured.wi, measured.wo, index)
-    coarse = columns(jnp.asarray(first_knots(low, high)))
-    # A rough diffuse surface is a single term: its amplitude is the searched column's.
-    body = np.ones_like if has_lobe(model) else np.zeros_like
-    fixed = jnp.asarray(body(measured.cosine))[None]
-    return _Search(measured, objective, columns, coarse, fixed, low, high)
-
-
-def _separable(
-    search: _Search, values: np.ndarray, weights: np.ndarray, window: tuple[float, float]
-) -> SeparableFit:
-    """Least squares with the log shape within a window."""
-    y, w = jnp.asarray(values), jnp.asarray(weights)
-    if search.columns is None:
-        return fit_amplitudes(search.fixed, y, w)
-    low, high = max(window[0], search.low), min(window[1], search.high)
-    coarse = search.coarse if (low, high) == (search.low, search.high) else None
-    return fit_separable(search.columns, search.fixed, y, w, lower=low, upper=high, coarse=coarse)
-
-
-def _prediction(search: _Search, found: SeparableFit) -> np.ndarray:
-    """(n, bands) f_r of all samples."""
-    amplitudes = np.asarray(found.amplitudes)
-    predicted = np.asarray(search.fixed).T * amplitudes[:, 0]
-    if search.columns is not None:
-        lobe = np.asarray(search.columns(jnp.full(1, found.nonlinear)))[0]
-        predicted = predicted + lobe[:, None] * amplitudes[:, 1]
-    return predicted
-
-
-def _cost(search: _Search, kept: np.ndarray, predicted: np.ndarray) -> float:
-    measured = search.measured
-    metric = reflected if search.objective == "cosine" else compressed
-    missed = metric(measured, predicted) - metric(measured, measured.values)
-    return float(np.sum((kept * measured.weights)[:, None] * missed**2))
-
-
-def _minimise(search: _Search, kept: np.ndarray, *, near: SeparableFit | None = None) -> _End:
-    """The best fit to the samples of weight `kept` times their own; also begun at `near`."""
-    measured = search.measured
-    everywhere = (search.low, search.high)
-    weights = (kept * measured.weights * measured.cosine**2)[:, None]
-    weights = np.broadcast_to(weights, measured.values.shape)
-    of_squares = _separable(search, measured.values, weights, everywhere)
-    if search.objective == "cosine":
-        return _End(of_squares, _cost(search, kept, _prediction(search, of_squares)), True)
-    ends = [_descend(search, kept, of_squares)]
-    if search.columns is not None:
-        matt = _matt(search, kept)
-        if near is not None:
-            ends.append(_descend(search, kept, near))
-        if near is None or min(end.cost for end in ends) > matt.cost:
-            ends.append(_descend(search, kept, matt.found))
-    return min(ends, key=lambda end: end.cost)
-
-
-def _matt(search: _Search, kept: np.ndarray) -> _End:
-    """Lambert's optimum of the same objective as parameters of the model."""
-    lambert = _search_of(search.measured, "lambert", search.objective, INDEX)
-    end = _minimise(lambert, kept)
-    amplitudes = end.found.amplitudes
-    if not bool(search.fixed.any()):
-        amplitudes = amplitudes[:, ::-1]
-    return replace(end, found=SeparableFit(amplitudes, search.low, float("nan")))
-
-
-def _descend(search: _Search, kept: np.ndarray, start: SeparableFit) -> _End:
-    """Gauss-Newton on the cube roots; a step that leads up is shortened, in the amplitudes and in
-    how far the shape may move."""
-    measured, cosine = search.measured, search.measured.cosine[:, None]
-    wanted, dark = compressed(measured, measured.values), darkness(measured)
-    weights = (kept * measured.weights)[:, None]
-    best, here = start, _prediction(search, start)
-    lowest = _cost(search, kept, here)
-    reach = search.high - search.low
-    for _ in range(MOST_STEPS):
-        root = np.cbrt(cosine * here + dark)
-        slope = cosine / (3 * root**2)
-        goal, pull = here + (wanted - root) / slope, weights * slope**2
-        window = (best.nonlinear - reach, best.nonlinear + reach)
-        found = _separable(search, goal, pull, window)
-        parts = (_between(best, found, share) for share in SHARES)
-        tried = ((part, _prediction(search, part)) for part in parts)
-        costs = ((part, there, _cost(search, kept, there)) for part, there in tried)
-        lower = next((step for step in costs if step[2] < lowest * (1 - SETTLED)), None)
-        if lower is not None:
-            best, here, lowest = lower
-        elif reach <= NARROWEST:
-            return _End(best, lowest, True)
-        else:
-            reach /= 16
-    return _End(best, lowest, False)
-
-
-def _between(a: SeparableFit, b: SeparableFit, share: float) -> SeparableFit:
-    return SeparableFit(
-        a.amplitudes + share * (b.amplitudes - a.amplitudes),
-        a.nonlinear + share * (b.nonlinear - a.nonlinear),
-        float("nan"),
+    Returns:
+        The fits.
+    """
+    if model == "lambert" or objective == "cosine":
+        matt = None
+    elif matt is None:
+        matt = fit_model(measured, "lambert", objective=objective, index=index)
+    search = _Search(measured, model, objective, index)
+    matts = [None] * len(measured.incidences) if matt is None else matt.without
+    whole = search.minimum(np.ones(len(measured.weights)), matt and matt.whole, None)
+    without = tuple(
+        search.minimum((measured.incidence != i).astype(float), own, whole)
+        for i, own in enumerate(matts)
     )
+    return ModelFit(model, objective, whole, without)
+
+
+def fit_models(
+    measured: MeasuredBRDF, *, objective: Objective = "cosine", index: float
+) -> dict[Model, ModelFit]:
+    """Every model, fitted as `fit_model` does."""
+    options: dict[str, Any] = {"objective": objective, "index": index}
+    matt = fit_model(measured, "lambert", **options)
+    return {
+        model: matt if model == "lambert" else fit_model(measured, model, matt=matt, **options)
+        for model in MODELS
+    }

@@ -165,22 +165,10 @@ def from_samples(
     findings: tuple[str, ...] = (),
     source: str = "samples",
 ) -> MeasuredBRDF:
-    """Checks samples and sorts them by incidence.
+    """Checks samples and sorts them by incidence; `InputError` for what cannot be fitted.
 
     Those with a direction in the horizon are left out; negative values, noise about zero, are kept.
-
-    Args:
-        name: of the material.
-        samples: of f_r.
-        weights: (n,) what a sample counts, up to a factor.
-        findings: what a reader must know already.
-        source: of the samples, named in errors.
-
-    Returns:
-        The samples.
-
-    Raises:
-        InputError: for too few samples or incidences, and for values that no BRDF has.
+    `weights` are (n,) what a sample counts, up to a factor; `source` is named in messages.
     """
     theta_i, theta_o = (np.asarray(x, np.float64) for x in (samples.theta_i, samples.theta_o))
     values = np.asarray(samples.values, np.float64)

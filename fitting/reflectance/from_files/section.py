@@ -13,23 +13,15 @@ from ...report.section import Picture, Section, Table
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from ..names import MODELS, OBJECTIVES, Model, Objective
 from . import figures
-from .axes import readable, which_axis_wins
 from .calibration import BRDFCalibration
-from .errors import best, metric
-from .findings import METRICS, findings
+from .errors import METRICS, best, metric
+from .findings import findings, readable, which_axis_wins
 
 AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
 
 
 def section(calibration: BRDFCalibration) -> Section:
-    """One material as its reader sees it.
-
-    Args:
-        calibration: of the material.
-
-    Returns:
-        Estimates, findings, tables and pictures.
-    """
+    """One material as its reader sees it: estimates, findings, tables and pictures."""
     measured = calibration.measured
     posterior = calibration.posterior
     return Section(
@@ -82,15 +74,7 @@ def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
 
 
 def materials_table(calibrations: Sequence[BRDFCalibration], which: Objective) -> Table:
-    """One metric of the held-out predictions: models down, materials across.
-
-    Args:
-        calibrations: one a material.
-        which: whose metric counts.
-
-    Returns:
-        The table.
-    """
+    """One metric of the held-out predictions: models down, materials across."""
     factor, digits, unit = (
         (100, 1, "% of the signal's RMS") if which == "cosine" else (1, 4, "sr⁻¹ᐟ³")
     )

@@ -229,7 +229,6 @@ ELSEWHERE = (
         """
             fitting.*.findings.*
             fitting.noise.flicker: flicker_in_words
-            fitting.reflectance.from_files.axes: readable which_axis_wins
             fitting.*.section.*
             fitting.report.*
             fitting.inference.formatting.*
@@ -355,7 +354,7 @@ ELSEWHERE = (
         CHOICES,
         "test_from_memory foreign/test_exposure_stacks",
         """
-            fitting.inference.precision: in_double in_words_of_its_own refuse_word_of_command
+            fitting.inference.precision: in_double refuse_word_of_command
         """,
     ),
     Elsewhere(
@@ -714,12 +713,13 @@ ELSEWHERE = (
         STATISTICS,
         "test_brdf_fit test_comparison test_fitted_material foreign/test_surfaces",
         """
-            fitting.reflectance.from_files.calibration: albedo amplitudes calibrate log_density
+            fitting.reflectance.from_files.calibration: albedo amplitudes calibrate
             fitting.reflectance.from_files.calibration: parameter_space
-            fitting.reflectance.from_files.errors: best distinguished errors prediction_of_held_out
-            fitting.reflectance.from_files.errors: exceeds_signal metric ratio weight_by_incidence
-            fitting.reflectance.from_files.errors: describes
-            fitting.reflectance.from_files.fit: compressed darkness fit_model fit_models reflected
+            fitting.reflectance.from_files.errors: best describes errors exceeds_signal in_words
+            fitting.reflectance.from_files.errors: metric of_axis prediction_of_held_out ratio
+            fitting.reflectance.from_files.errors: weight_by_incidence winner_of
+            fitting.reflectance.from_files.fit: brdf compressed darkness fit_model fit_models
+            fitting.reflectance.from_files.fit: in_metric problem_of reflected
             fitting.reflectance.models: amplitude check_index facet_sentence has_lobe log_range
             fitting.reflectance.models: is_searched
             fitting.reflectance.models: shape_of shape_range unit_brdf unit_shading
