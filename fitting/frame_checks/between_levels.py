@@ -91,7 +91,9 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
             return
         signal, light = _signals(levels, there), levels.light[there]
         rates = signal / light / np.median(signal / light)
-        chance = np.array([levels.chance(i) for i in there]) / signal
+        # Of black that drifts, the level's own and that of its darks.
+        drift = [levels.wander * np.sqrt(2 / len(levels.frames[i])) for i in there]
+        chance = np.hypot([levels.chance(i) for i in there], drift) / signal
         away, scatter, degrees = _from_the_others(rates, _response(light), rates, chance * rates)
         limit = -stdtrit(degrees, ONCE / len(there) / 2) * scatter
         beyond = np.abs(away) / np.maximum(limit, STATED_WRONGLY * rates)

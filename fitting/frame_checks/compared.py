@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from .deviates import usual_size
 from .frame import ALONE, Odd, Shown
 
 BLOCKS = 16  # of a frame, along each side
@@ -25,6 +26,8 @@ class ComparedLevels:
         self.frames, self.light, self.black = frames, light, black
         self.odd: list[Odd] = []
         own = [self.pixel_noise(level) for level in range(len(frames))]
+        apart = [a.mean - b.mean for level in frames for a, b in pairwise(level)]
+        self.wander = usual_size(apart) / float(np.sqrt(2))  # DN, of a frame's mean
         self.noise = _noise_of_levels(frames, light, np.array(own))
 
     def pixel_noise(self, level: int) -> float:

@@ -137,16 +137,19 @@ def _means(levels: ComparedLevels) -> None:
         for level, values in enumerate(means)
         for i, j in _pairs(len(values))
     ]
+    degrees = sum(len(values) - 1 for values in means if len(values))
     if levels.black is None:
         spread = SURE * _scatter(apart)
     else:
-        degrees = sum(len(values) - 1 for values in means if len(values))
         spread = min(beyond_chance(degrees) * usual_size(apart), MOST)
     for level, values in enumerate(means):
         if len(values) < 2:
             continue
-        scale, chance = levels.scale(level), SURE * levels.chance(level)
-        least = levels.floor(level) if levels.black is None else max(LAMP * scale, chance)
+        scale, least = levels.scale(level), levels.floor(level)
+        if levels.black is not None:
+            # Black that drifts moves all levels alike, whatever their light.
+            drift = min(beyond_chance(degrees) * np.sqrt(2) * levels.wander, MOST * scale)
+            least = max(LAMP * scale, SURE * levels.chance(level), drift)
         limit = max(spread * scale, least)
         middle = np.median(values)
         distances = np.abs(values - middle) * (2 if len(values) == 2 else 1)
