@@ -31,6 +31,7 @@ from ._types import (
     is_any_axes,
     is_known,
     require_metres,
+    within_integers,
 )
 from .errors import nearest
 from .plain_arrays import plain_array
@@ -92,6 +93,7 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
         arrays = {n: w for n, w in wanted.items() if w is not None and n in values}
         given = values
         values = {n: plain_array(_place(function, n), value) for n, value in values.items()}
+        values |= {n: within_integers(values[n]) for n in arrays}
         plain = [n for n, want in arrays.items() if _is_plain(values[n], want)]
         if plain:
             dtype = _dtype_beside(values)

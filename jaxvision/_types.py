@@ -98,8 +98,26 @@ def in_short(x: Any) -> str:
     return words if len(words) <= 80 else f"{words[:80]} ..."
 
 
+def within_integers(x: Any) -> Any:
+    """The same numbers, floating if JAX's integers, of 32 bits by default, do not hold them all:
+    it would cut their upper bits off, or refuse plain ones in words of its own."""
+    if type(x) in (list, tuple):
+        if all(type(part) is float for part in x):
+            return x
+        parts = [within_integers(part) for part in x]
+        return x if all(new is old for new, old in zip(parts, x, strict=True)) else parts
+    if type(x) is int:
+        held = jnp.iinfo(jnp.result_type(int))
+        return x if held.min <= x <= held.max else float(x)
+    if isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "iu" and x.dtype.itemsize == 8:
+        held = jnp.iinfo(jax.dtypes.canonicalize_dtype(x.dtype))
+        if x.size and not (held.min <= x.min() and x.max() <= held.max):
+            return x.astype(np.float64)
+    return x
+
+
 def _as_numbers(x: Any) -> Array:
-    x = plain_array("an argument", x)
+    x = within_integers(plain_array("an argument", x))
     try:
         return jnp.asarray(x)
     except (TypeError, ValueError) as error:

@@ -15,6 +15,7 @@ from .._types import (
     check_direction,
     check_fields,
     print_by_name,
+    within_integers,
 )
 
 
@@ -134,8 +135,8 @@ class Box(Shown):
 
 
 def _as_indices(x: Any) -> Array:
-    """An int32 array; `ValueError` unless the numbers are integers."""
-    array = jnp.asarray(x)
+    """An int32 array; `ValueError` unless the numbers are integers that it holds."""
+    array = jnp.asarray(within_integers(x))
     if not jnp.issubdtype(array.dtype, jnp.integer):
         raise ValueError(f"TriangleMesh.faces must be whole numbers, got {array.dtype}.")
     return array.astype(jnp.int32)

@@ -241,3 +241,54 @@ def test_plain_numbers_pass_as_they_are():
     numbers = [1.0, 2.0]
     for value in (numbers, np.ones(2), jnp.ones(2), 1, None, "one", np.float32(1)):
         assert jv.plain_arrays.plain_array("x", value) is value
+
+
+LARGE = 3_000_000_000  # beyond 32 bits
+
+
+@pytest.fixture
+def as_users_start():
+    """JAX's own integers, of 32 bits."""
+    with jax.enable_x64(False):
+        yield
+
+
+@pytest.mark.usefixtures("as_users_start")
+@pytest.mark.parametrize("kind", [np.int64, np.uint64])
+def test_whole_numbers_beyond_32_bits_keep_their_value(kind):
+    picture = np.full((8, 8), 1_500_000_000, kind)
+    picture[3, 4] = 2**40
+    given = picture.astype(np.float64)
+    for of in (
+        lambda x: jv.filters.box(x, size=3),
+        lambda x: jv.filters.integral_image(x),
+        lambda x: jv.filters.resize(x, (4, 4)),
+        lambda x: jv.demosaic(x, "RGGB"),
+        lambda x: jv.expected_signal(jv.Sensor(gain=0.5), x[..., None]),
+        lambda x: jv.environment_map(x[:4, :, None]).radiance,
+    ):
+        np.testing.assert_array_equal(of(picture), of(given))
+    total = jv.filters.window_sum(jv.filters.integral_image(picture), (8, 8))
+    np.testing.assert_allclose(total[4, 4], sum(map(int, picture.ravel())), rtol=1e-6)
+    power = (2.0**40) ** (1 / 2.4)
+    encoded = jv.srgb_encode(np.array([2**40, 3], np.int64))
+    np.testing.assert_allclose(encoded[0], 1.055 * power - 0.055, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("as_users_start")
+def test_plain_whole_numbers_beyond_32_bits_keep_their_value():
+    for five in (5_000_000_000, np.int64(5_000_000_000)):
+        assert jv.Sensor(full_well=five).full_well == np.float32(5e9)
+        np.testing.assert_allclose(jv.gain_bias([0.5], five, 0), [2.5e9])
+        place = jv.PointLight((0, 0, five), [LARGE]).position
+        np.testing.assert_array_equal(place, np.float32([0, 0, 5e9]))
+    corner = [[0, 0, 0], [4_000_000_000, 0, 0], [0, LARGE, 0]]
+    mesh = jv.TriangleMesh(np.array(corner), [[0, 1, 2]])
+    np.testing.assert_array_equal(mesh.vertices, np.float32(corner))
+    np.testing.assert_allclose(jv.srgb_decode([LARGE]), ((3e9 + 0.055) / 1.055) ** 2.4, rtol=1e-5)
+
+
+@pytest.mark.usefixtures("as_users_start")
+def test_corners_of_triangles_beyond_32_bits_are_refused():
+    with pytest.raises(ValueError, match="whole numbers"):
+        jv.TriangleMesh(np.eye(3), np.array([[0, 1, 2**32 + 2]]))
