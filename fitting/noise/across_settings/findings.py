@@ -1,6 +1,7 @@
 """Every sentence about a camera over its settings, with its condition: what is not shared first."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -35,10 +36,11 @@ def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
         return None
     # with one degree of freedom all are as significant, but for rounding
     most = sorted(claim.own, key=lambda one: -round(abs(one.value) / one.error, 3))[:3]
+    shown = most if law[0] == "dark_current" else [_relative(one) for one in most]
     scale, unit = (1, "e⁻/s") if law == ("dark_current", "temperature") else (100, "%")
     rivals = [NAMES[rival[0]] for rival in claim.rivals if rival not in calibration.fit.freed]
     return {
-        "own": ", ".join(f"{one.label}: {_signed(one, scale)} {unit}" for one in most),
+        "own": ", ".join(f"{one.label}: {_signed(one, scale)} {unit}" for one in shown),
         "chi_square": claim.chi_square,
         "degrees": claim.degrees,
         "p": format_p(claim.p_value),
@@ -70,6 +72,11 @@ def _given_up(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, F
     )
 
 
+def _relative(one: OwnDeviation) -> OwnDeviation:
+    """Of a difference of logarithms."""
+    return replace(one, value=np.expm1(one.value), error=np.exp(one.value) * one.error)
+
+
 def _signed(one: OwnDeviation, scale: float = 100) -> str:
     return format_with_error(scale * one.value, scale * one.error, signed=True)
 
@@ -93,14 +100,12 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
     found = proportional_gain(calibration.fit)
     if found is None or (found[1] >= MISFIT) != holds:
         return None
-    worst = max(found[2], key=lambda one: abs(one.value) / one.error)
     stated = "unit of ISO speed" if calibration.settings[0].gain_unit == "ISO" else "factor of gain"
     return {
         "scale": found[0],
         "unit": stated,
         "p": format_p(found[1]),
-        "label": worst.label,
-        "off": _signed(worst),
+        "off": ", ".join(f"{one.label}: {_signed(one)} %" for one in found[2]),
     }
 
 
@@ -222,8 +227,8 @@ FINDINGS = (
     Finding(
         "not proportional",
         partial(_proportion, False),
-        "The conversion gain is not proportional to the stated one: at {label} it is {off} % off "
-        "the others ({p}), so the stated gain is a label there; use the measured K.",
+        "The conversion gain is not proportional to the stated one ({p}); off the others are "
+        "{off}. There the stated gain is a label, or belongs to other frames; use the measured K.",
     ),
     Finding(
         "dark current unknown",

@@ -133,8 +133,9 @@ def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"
 
 @dataclass(frozen=True)
 class OwnDeviation:
-    """How far the settings of one gain or temperature are off the others: relative, or e-/s of a
-    dark current over temperature."""
+    """How far the settings of one gain or temperature are off the others: a difference of
+    logarithms, of dark current relative (over gain) or in e-/s (over temperature); of a gain that
+    is off its proportion relative."""
 
     label: str
     value: float
@@ -168,6 +169,13 @@ class Claim:
     @property
     def p_value(self) -> float:
         return p_value(self.chi_square, self.degrees)
+
+    @property
+    def significance(self) -> float:
+        """Standard deviations of a normal variable, also where p is 0 to all digits (Wilson &
+        Hilferty, PNAS 17, 1931)."""
+        spread = 2 / (9 * self.degrees)
+        return ((self.chi_square / self.degrees) ** (1 / 3) - (1 - spread)) / spread**0.5
 
     @property
     def holds(self) -> bool:
@@ -230,7 +238,7 @@ def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) 
         begin = np.concatenate([np.ravel(start[parameter.name]) for parameter in problem.free])
         optimum = search(problem, start_at(problem.space, begin)[None])
         claims = _judged(problem, optimum.vector, settings, freed)
-        worst = min(claims, key=lambda claim: claim.p_value, default=None)
+        worst = max(claims, key=lambda claim: claim.significance, default=None)
         if worst is None or worst.holds:
             break
         rivals = tuple(one.law for one in claims if one is not worst and not one.holds)
@@ -424,7 +432,8 @@ def _judged(
 
 def proportional_gain(fit: SharedFit) -> tuple[float, float, tuple[OwnDeviation, ...]] | None:
     """The test of K = c times the stated gain, by generalised least squares of ln K: c in DN/e- per
-    stated unit, the p-value, and how far each gain is off the others; None with one gain."""
+    stated unit, the p-value of all gains, and those that are off, the worst first, by how much of
+    the others, to which c belongs then; None with one gain."""
     labels = fit.labels["system_gain"]
     index = np.asarray(fit.fit.problem.inputs["system_gain"])
     first = [int(np.argmax(index == i)) for i in range(len(labels))]
@@ -432,14 +441,23 @@ def proportional_gain(fit: SharedFit) -> tuple[float, float, tuple[OwnDeviation,
     if len(np.unique(factors)) < 2:
         return None
     ratio = fit.vector[: len(labels)] - np.log(factors)
-    precision = np.linalg.inv(fit.covariance[: len(labels), : len(labels)])
-    common = float(np.sum(precision @ ratio) / precision.sum())
-    missed = ratio - common
-    # One gain off, all others in proportion: the score of its indicator.
-    columns = precision - np.outer(precision.sum(axis=1), precision.sum(axis=0)) / precision.sum()
-    own = tuple(
-        OwnDeviation(label, float(column @ ratio / column[i]), float(column[i] ** -0.5))
-        for i, (label, column) in enumerate(zip(labels, columns.T, strict=True))
-    )
-    p = float(chdtrc(len(labels) - 1, missed @ precision @ missed))
-    return float(np.exp(common)), p, own
+    covariance = fit.covariance[: len(labels), : len(labels)]
+    rest, off, p_values = [*range(len(labels))], [], []
+    while True:
+        precision = np.linalg.inv(covariance[np.ix_(rest, rest)])
+        weights = precision.sum(axis=0) / precision.sum()
+        missed = ratio[rest] - weights @ ratio[rest]
+        p_values.append(float(chdtrc(len(rest) - 1, missed @ precision @ missed)))
+        if p_values[-1] >= MISFIT or len(rest) == 1:
+            break
+        # One gain off, all others in proportion: the score of its indicator.
+        score = precision @ missed
+        size = np.diag(precision) - weights * precision.sum(axis=1)
+        off.append(rest.pop(int(np.argmax(score**2 / size))))
+    mean = np.zeros(len(labels))
+    mean[rest] = weights
+    contrasts = np.eye(len(labels))[off] - mean
+    relative = np.exp(contrasts @ ratio)
+    errors = relative * np.sqrt(np.einsum("ij,jk,ik->i", contrasts, covariance, contrasts))
+    own = zip((labels[i] for i in off), relative - 1, errors, strict=True)
+    return float(np.exp(mean @ ratio)), p_values[0], tuple(OwnDeviation(*one) for one in own)
