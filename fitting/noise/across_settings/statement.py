@@ -250,7 +250,7 @@ def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) 
     values = {name: jnp.asarray(value) for name, value in found.values.items()}
     return SharedFit(
         *(tuple(settings), tuple(told), freed, labels, found, _named(found, labels)),
-        figures=figures(values, problem.inputs),
+        figures=jax.tree.map(np.asarray, figures(values, problem.inputs)),
         claims=(*failed, *claims),
         reference=reference,
     )
