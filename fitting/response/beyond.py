@@ -1,50 +1,51 @@
-"""The curve below the darkest code that pixels were seen at.
+"""The curve at codes beyond those that pixels were seen at.
 
-A smooth prior alone would go on with the exponent of the darkest codes, and be too sure of it. What
-cameras do lies between two ends: a pure gamma keeps its exponent e; most others (sRGB, film, tone
-curves) become linear toward black, where their exponent is 1. With u the code above black over full
-scale, u_0 the darkest that was seen, and c = .12, as sRGB has it,
+A smooth prior alone would go on with the exponent of the last codes seen, and be too sure of it.
+What cameras do is a family of curves of a few shapes, as the empirical model of response has it
+(Grossberg & Nayar, IEEE TPAMI 26, 2004). Here the family is made by formula, with u the code above
+black over full scale and X the exposure:
 
-    e(u) = e(u_0) - b (c / (u + c) - c / (u_0 + c)),    b = 0 of a gamma,
-                                                        b = b_1 where e(0) = 1.
+    gamma        X = u^g
+    toe          linear up to where its slope meets ((u + a) / (1 + a))^g: sRGB, Rec. 709
+    log          X = expm1(u ln(1 + a)) / a
+    saturating   u = X^n (1 + c) / (X^n + c), n <= 1
+    film         the same, n > 1: an S-shaped curve
+    tone         u = (1 - k) x + k (3 x^2 - 2 x^3), x = X^(1/g)
 
-The seen codes tell b as far as they bend likewise; before that it is N(b_1 / 2, (b_1 / 2)^2). The
-error adds that of e(u_0), of b, and of a family that no camera obeys exactly.
+Each kind is a Gaussian with the mean and the covariance of its curves' ln X, and so are all of them
+together. To each a departure is added whose exponent wanders along ln u, as no camera obeys a
+formula: it is small for a linear camera. The seen codes give each Gaussian its weight and condition
+it; what is predicted is their mixture.
+
+Each kind predicted from the other five, of three ranges of codes that begin at 60 to 130, the 95 %
+band covers codes 8 to 50 in 95 to 100 % of the cases. A curve that is S-shaped and a gamma at black
+is outside: X = u^2.2 / 2 + sin^3(pi u / 2) / 2, seen at 115 to 242, is off by 1.4 at code 17, with
+a band of 1.4.
 """
 
-from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from .code_bins import CodeBins
 
-TOE = 0.12  # c, share of full scale
-LOWEST = 1.6  # times the darkest seen code, up to which its exponent is measured
-FEWEST = 4  # seen codes to go on from
-UNLIKE = 0.02, 0.2  # rms of the exponent beyond the family: of a linear camera; for each unit of e
+ALL = 0.3  # prior weight of all kinds as one Gaussian; the kinds share the rest
+WANDERS = 0.03, 0.4  # rms of the exponent's departure: of a linear camera; for each unit of e - 1
+SIZES = 0.7, 1.0  # of the departure, alike likely before the codes are seen
+REACH = 1.0  # of the departure, in ln u
+FEWEST, MOST = 4, 24  # seen codes to go on from; that are used
+SURELY_KNOWN = 1e-8  # variance of a code's ln X
 
 
-@dataclass(frozen=True)
-class Beyond:
-    """The curve at codes below those seen.
-
-    Attributes:
-        log_exposure: (below,).
-        variance: (below,) relative to the darkest seen code.
-    """
-
-    log_exposure: Float[np.ndarray, " below"]
-    variance: Float[np.ndarray, " below"]
-
-
-def below_seen(
+def extrapolated(
     bins: CodeBins,
     log_exposure: Float[np.ndarray, " bins"],
     covariance: Float[np.ndarray, "bins bins"],
     seen: Bool[np.ndarray, " bins"],
-) -> Beyond | None:
-    """The curve below the darkest seen code.
+) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, "bins bins"]]:
+    """The curve with the family's prediction at codes below and above the seen ones.
 
     Args:
         bins: of codes.
@@ -53,35 +54,111 @@ def below_seen(
         seen: (bins,).
 
     Returns:
-        The codes below; None where there are none, or too few seen ones to go on from.
+        The curve and its covariance, as they are where too few codes were seen to go on from. A
+        code beyond has the covariance of the last code seen, and what is added on the way.
     """
     places = np.flatnonzero(seen)
-    if len(places) < FEWEST or places[0] == 0:
-        return None
-    first = places[0]
+    if len(places) < FEWEST:
+        return log_exposure, covariance
+    found, whole = log_exposure.copy(), covariance.copy()
+    for edge, beyond in (
+        (places[0], np.arange(places[0])),
+        (places[-1], np.arange(places[-1] + 1, len(seen))),
+    ):
+        if not beyond.size:
+            continue
+        way, variance = _way(bins, log_exposure, covariance, places, edge, beyond)
+        found[beyond] = log_exposure[edge] + way
+        whole[beyond] = whole[edge]
+        whole[:, beyond] = whole[:, edge][:, None]
+        root = np.sqrt(variance)
+        whole[np.ix_(beyond, beyond)] = covariance[edge, edge] + np.outer(root, root)
+    return found, whole
+
+
+def _way(
+    bins: CodeBins,
+    log_exposure: np.ndarray,
+    covariance: np.ndarray,
+    places: np.ndarray,
+    edge: int,
+    beyond: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """ln X from the edge of the seen codes to those beyond, and its variance."""
+    used = places[np.unique(np.linspace(0, len(places) - 1, MOST).astype(int))]
+    used = used[used != edge]
+    both = np.concatenate([used, beyond])
     u = (bins.centres - bins.black) / (bins.full_scale - bins.black)
-    log_u, toe = np.log(u), np.log1p(TOE / u)
-    near = places[u[places] <= LOWEST * u[first]]
-    near = near if len(near) >= FEWEST else places[:FEWEST]
-    way = log_u - log_u[first]
-    shape = toe - toe[first] + TOE / (u[first] + TOE) * way  # of b, at an exponent of e(u_0)
-    columns = np.stack([np.ones(len(u)), way, shape], axis=1)
-    own = covariance[np.ix_(near, near)]
-    own = own + np.diag(np.diagonal(own) + 1e-8)  # neighbours that go together tell no more
-    weighted = np.linalg.solve(own, columns[near])
-    plain, right = columns[near].T @ weighted, weighted.T @ log_exposure[near]
-    to_linear, told, information = 0.0, np.zeros(3), plain
-    for _ in range(2):  # b_1 follows from e
-        prior = np.array([0, 0, max(abs(to_linear) / 2, UNLIKE[0]) ** -2])
-        information = plain + np.diag(prior)
-        told = np.linalg.solve(information, right + prior * to_linear / 2)
-        to_linear = (told[1] - 1) * (u[first] + TOE) / u[first]
-    bend = float(np.clip(told[2], min(0, to_linear), max(0, to_linear)))
-    left = log_exposure[near] - columns[near] @ told
-    misfit = float(left @ np.linalg.solve(own, left)) / max(len(near) - 3, 1)
-    e, spread = told[1], np.linalg.inv(information) * max(1.0, misfit)
-    low = np.arange(first)
-    unlike = UNLIKE[0] + UNLIKE[1] * abs(e - 1)
-    beyond = columns[low, 1:]
-    variance = np.sum((beyond @ spread[1:, 1:]) * beyond, axis=1) + (unlike * way[low]) ** 2
-    return Beyond(log_exposure[first] + beyond @ np.array([e, bend]), variance)
+    log_u, own = np.log(u[both]), np.arange(len(used))
+    measured = log_exposure[used] - log_exposure[edge]
+    step = np.eye(len(log_exposure))[used] - np.eye(len(log_exposure))[edge]
+    error = step @ covariance @ step.T
+    error += np.diag(np.diagonal(error) + SURELY_KNOWN)  # neighbours that go together tell no more
+    near = np.argsort(np.abs(log_u[own] - np.log(u[edge])))[: max(FEWEST, len(used) // 4)]
+    off = log_u[near] - np.log(u[edge])
+    exponent = float(off @ measured[near] / (off @ off))
+    wanders = WANDERS[0] + WANDERS[1] * abs(exponent - 1)
+    departure = wanders**2 * _wandering(log_u, np.log(u[edge]))
+    kinds = [own_kind[:, both] - own_kind[:, [edge]] for own_kind in _family(tuple(u))]
+    shares = [np.full(len(kind), 1 / len(kind)) for kind in kinds]
+    every = np.concatenate(kinds), np.concatenate(shares) / len(kinds)
+    evidence, means, variances = [], [], []
+    for (curves, share), size in product((*zip(kinds, shares, strict=True), every), SIZES):
+        mean = share @ curves
+        spread = (curves - mean).T * share @ (curves - mean) + size**2 * departure
+        known = spread[np.ix_(own, own)] + error
+        left = measured - mean[own]
+        gain = np.linalg.solve(known, spread[own]).T
+        evidence.append(-(left @ np.linalg.solve(known, left) + np.linalg.slogdet(known)[1]) / 2)
+        means.append((mean + gain @ left)[len(own) :])
+        variances.append((np.diagonal(spread) - np.sum(gain * spread[:, own], axis=1))[len(own) :])
+    prior = np.array([(1 - ALL) / len(kinds)] * len(kinds) + [ALL])
+    weight = np.repeat(prior, len(SIZES)) * np.exp(np.array(evidence) - max(evidence))
+    weight /= weight.sum()
+    way = weight @ np.array(means)
+    variance = weight @ (np.array(variances) + (np.array(means) - way) ** 2)
+    return way, np.maximum(variance, 0)
+
+
+def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndarray, "codes codes"]:
+    """Covariance of ln X relative to the edge, of a unit exponent that is an Ornstein-Uhlenbeck
+    process in ln u."""
+    off = (log_u - edge) / REACH
+    size, side = np.abs(off), np.sign(off)
+    fall = np.exp(-size)
+    less = 2 * np.minimum(size[:, None], size)
+    one_side = less + fall[:, None] + fall - 1 - np.exp(-np.abs(off[:, None] - off))
+    two_sides = -(1 - fall[:, None]) * (1 - fall)
+    return REACH**2 * np.where(side[:, None] * side >= 0, one_side, two_sides)
+
+
+@lru_cache(maxsize=8)
+def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]:
+    """ln X at codes u of the curves of each kind, up to a constant each."""
+    u = np.array(shares)
+    log_u = np.log(u)
+    gammas = [g * log_u for g in np.linspace(1, 3, 9)]
+    toes = [
+        _with_toe(u, g, a) for g in (1.6, 1.9, 2.22, 2.4, 2.8) for a in (0.02, 0.055, 0.1, 0.16)
+    ]
+    logs = [np.log(np.expm1(u * np.log1p(a))) for a in (3, 10, 30, 100, 300, 1000)]
+    saturating = [_saturating(u, n, c) for n in (0.45, 0.6, 0.8, 1.0) for c in (0.15, 0.4, 1.5)]
+    film = [_saturating(u, n, c) for n in (0.9, 1.25, 1.65) for c in (0.05, 0.1, 0.2)]
+    x = np.linspace(0, 1, 4097)[1:]
+    tones = [
+        g * np.interp(u, (1 - k) * x + k * (3 * x**2 - 2 * x**3), np.log(x))
+        for g in (1.6, 2.0, 2.2, 2.5)
+        for k in (0.3, 0.6, 0.9)
+    ]
+    return [np.array(kind) for kind in (gammas, toes, logs, saturating, film, tones)]
+
+
+def _with_toe(u: np.ndarray, g: float, a: float) -> np.ndarray:
+    """ln X of a power that is linear below where a line through black touches it."""
+    end = a / (g - 1)
+    power = g * np.log((np.maximum(u, end) + a) / (1 + a))
+    return power + np.minimum(np.log(u / end), 0)
+
+
+def _saturating(u: np.ndarray, n: float, c: float) -> np.ndarray:
+    return np.log(c * u / (1 + c - u)) / n

@@ -40,7 +40,7 @@ from jaxvision.errors import InputError
 
 from ..copies import Copies
 from ..inference.formatting import format_percent
-from .beyond import below_seen
+from .beyond import extrapolated
 from .code_bins import MAX_BINS, CodeBins, code_bins, interval_variance
 from .code_pairs import PairStatistics, statistics_of_parts, total
 from .flat_places import in_register, to_flat_places
@@ -402,11 +402,7 @@ def _curve(
     covariance, freedom = widened(covariance, shutter, over_tiles(whole, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T
     seen = (np.diagonal(statistics.matrix)[:size] > 0) & expected
-    beyond = below_seen(bins, g, covariance, seen)
-    if beyond is not None:
-        first = len(beyond.log_exposure)
-        g = np.concatenate([beyond.log_exposure, g[first:]])
-        covariance = _with_beyond(covariance, beyond.variance)
+    g, covariance = extrapolated(bins, g, covariance, seen)
     return ResponseCurve(
         bins=bins,
         log_exposure=g,
@@ -427,16 +423,3 @@ def _curve(
         held_out=held_out,
         busy_places=whole.means - found.means,
     )
-
-
-def _with_beyond(covariance: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """The covariance with that of codes beyond the seen ones: what the darkest seen code has, and
-    what is added on the way."""
-    first = len(variance)
-    whole = covariance.copy()
-    whole[:first] = whole[first]
-    whole[:, :first] = whole[:, first][:, None]
-    whole[:first, :first] = covariance[first, first]
-    way = np.sqrt(variance)
-    whole[:first, :first] += np.outer(way, way)
-    return whole

@@ -196,8 +196,8 @@ def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
     if not told:
         return ""
     return (
-        f"The curve is extrapolated where no usable pixel was seen: {', '.join(told)}. Toward "
-        "black it lies between a gamma and a camera that becomes linear there."
+        f"The curve is extrapolated where no usable pixel was seen: {', '.join(told)}. It "
+        "is what curves of gammas, sRGB, logarithms and film that fit the seen codes do there."
     )
 
 

@@ -21,6 +21,7 @@ from ..frame_checks.heads import Stated, odd_heads
 from ..inference.formatting import format_percent
 from ..observation import Load, in_region, read_frame, read_stack, split_channels
 from ..rig import Camera, Exposure, Rig, SiteCamera, as_rig, require
+from .moved import moved_exposures
 
 LONGER = 8.0  # a pixel that stays alike while its exposure grows so much sees no light
 BRIGHTER = 1.9
@@ -117,8 +118,8 @@ def read_exposure_stack(
     Raises:
         InputError: for a group without two different exposure times, or whose images get darker as
             they last longer, for images of different size, for values that are not integers, for
-            heads that say half of the images were taken otherwise, and for a mask of another size
-            or with nothing in it.
+            heads that say half of the images were taken otherwise, for exposures half of which
+            moved, and for a mask of another size or with nothing in it.
     """
     rig = as_rig(rig)
     require(rig, "a response calibration")
@@ -158,10 +159,19 @@ def _without_odd_images(
     for entry in entries:
         frame = images[entry.file]
         seen.append(shown(entry.file, frame.mean(axis=2) if frame.ndim == 3 else frame, top=top))
-    times = [entry.exposure for entry in entries]
-    odd = odd_exposures(rig.folder, seen, times, full_scale=rig.camera.full_scale)
+    blank = blank_images(seen)
+    gone = {name for one in blank for name in one.names}
+    clear = [entry.file for entry in entries if entry.file not in gone]
+    pictures, full_scale = [images[file] for file in clear], rig.camera.full_scale
+    moved = moved_exposures(clear, pictures, full_scale=full_scale, cell=rig.camera.cell)
+    gone = {name for one in moved for name in one.names}
+    still = [i for i, one in enumerate(seen) if one.name not in gone]
+    times = [entries[i].exposure for i in still]
+    odd = odd_exposures(rig.folder, [seen[i] for i in still], times, full_scale=full_scale)
+    odd = [*moved, *odd]
+    refuse_half(rig.folder, odd, len(entries))
     # What is blank is not fitted, but tells where black lies and codes clip.
-    remarks += [one.sentence for one in (*blank_images(seen), *odd)]
+    remarks += [one.sentence for one in (*blank, *odd)]
     gone = {name for one in odd for name in one.names}
     return tuple(entry for entry in entries if entry.file not in gone)
 

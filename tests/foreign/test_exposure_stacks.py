@@ -6,10 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from photographs import photograph
+from scipy.ndimage import gaussian_filter
 
 from fitting import joint, noise, reflectance
 from fitting.reflectance.from_files.calibration import calibrate as of_files
-from fitting.response import Camera, calibrate, fit_response_curve, from_stack, read_exposure_stack
+from fitting.response import (
+    Camera,
+    beyond,
+    calibrate,
+    fit_response_curve,
+    from_stack,
+    read_exposure_stack,
+)
 from fitting.response.calibration import radiance_images
 from fitting.response.code_bins import code_bins
 from fitting.response.curve import ripple
@@ -354,11 +362,79 @@ def test_codes_that_were_not_seen_are_within_their_band(decode):
     curve, truth = seen_in_part(decode, 0.45, 0.95)
     gap = curve.log_exposure - truth
     gap -= np.median(gap[curve.seen])
-    below = (curve.codes < curve.codes[curve.seen][0]) & (curve.codes >= 10)
+    # Two codes on: light that ends at a code leaves half of the noise there, and a bias of .004.
+    below = (curve.codes < curve.codes[curve.seen][0] - 2) & (curve.codes >= 10)
     assert below.sum() > 90
     assert (np.abs(gap[below]) < curve.half_width[below]).all()
     assert np.abs(gap[curve.codes == 17]).max() < 0.8
     assert (np.diff(curve.half_width[below]) < 0).all()  # it grows toward black
+
+
+def s_shaped(u):
+    """Hill's curve, of an exponent of 1.65."""
+    return (0.05 * u / (1.05 - u)) ** (1 / 1.65)
+
+
+@pytest.mark.parametrize("decode", [film, s_shaped])
+def test_codes_brighter_than_those_seen_are_within_their_band(decode):
+    """Smoothness alone held 57 and 42 % of these codes."""
+    curve, truth = seen_in_part(decode, 0.1, 0.6)
+    gap = curve.log_exposure - truth
+    gap -= np.median(gap[curve.seen])
+    above = (curve.codes > curve.codes[curve.seen][-1]) & (curve.codes <= 250)
+    assert above.sum() > 80
+    assert np.mean(np.abs(gap[above]) < curve.half_width[above]) > 0.9
+    assert np.abs(gap[curve.codes == 245]).max() < 0.2
+
+
+def test_a_kind_of_curve_outside_of_the_family_is_within_the_band(monkeypatch):
+    """Each kind is predicted from the others: 95 % cover codes 8 to 60 in 94 % or more."""
+    bins, rng = code_bins(8, 0.0, 255.0), np.random.default_rng(0)
+    shares = tuple((bins.centres - bins.black) / bins.full_scale)
+    kinds = beyond._family(shares)
+    for left_out, curves in enumerate(kinds):
+        others = [kind for i, kind in enumerate(kinds) if i != left_out]
+        monkeypatch.setattr(beyond, "_family", lambda _, others=others: others)
+        z = []
+        for truth in curves[::3]:
+            seen = (bins.centres >= 80) & (bins.centres <= 220)
+            measured = truth + rng.normal(0, 0.004, truth.shape)
+            g, covariance = beyond.extrapolated(bins, measured, 3e-5 * np.eye(len(truth)), seen)
+            codes = np.searchsorted(bins.centres, [8, 17, 30, 50])
+            z.append((g - truth)[codes] / np.sqrt(np.diagonal(covariance)[codes]))
+        assert np.mean(np.abs(z) < 1.96) >= 0.9
+
+
+def hand_held(moves, seed=0):
+    """Codes of a textured scene under four exposures, moved by rows and columns in each."""
+    rng = np.random.default_rng(seed)
+    light = 0.3 * np.exp(5 * gaussian_filter(rng.standard_normal((96, 128)), 1.5))
+    images = []
+    for time, move in zip(FIVE[1:], moves, strict=True):
+        counts = rng.poisson(20_000 * time * np.roll(light, move, (0, 1))) / 20_000
+        images.append(np.round(255 * np.minimum(counts, 1) ** (1 / 2.2)).astype(int))
+    return images
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_exposure_that_moved_is_named_with_its_shift(seed):
+    """Its pixels were taken for those of the other exposures, without a word."""
+    camera, still = Camera(bits=8), (0, 0)
+    stack = from_stack(hand_held([still] * 4, seed), FIVE[1:], camera=camera)
+    assert len(stack.planes[0].files) == 4
+    moves = [still, still, still, still]
+    moves[seed] = (2, -3)
+    stack = from_stack(hand_held(moves, seed), FIVE[1:], camera=camera)
+    assert f"images[{seed}]" not in stack.planes[0].files
+    assert len(stack.planes[0].files) == 3
+    (said,) = [sentence for sentence in stack.remarks if "pixels" in sentence]
+    assert f"images[{seed}]" in said
+    assert "-3 pixels to the right and +2 down" in said
+
+
+def test_a_stack_that_moved_throughout_is_refused():
+    with pytest.raises(InputError, match=r"half of its 4 frames .* pixels to the right"):
+        from_stack(hand_held([(0, 0), (3, 0), (0, 4), (-5, 5)]), FIVE[1:], camera=Camera(bits=8))
 
 
 def test_a_stack_that_never_reaches_mid_scale_has_a_curve():

@@ -666,7 +666,7 @@ ELSEWHERE = (
         STATISTICS,
         "test_response_curve test_response_gamma test_response foreign/test_exposure_stacks",
         """
-            fitting.response.beyond: below_seen
+            fitting.response.beyond: extrapolated
             fitting.response.shutter: mixed over_tau prior_of
             fitting.response.calibration: alike calibrate radiance_images
             fitting.response.code_bins: code_bins interval_variance
@@ -674,6 +674,7 @@ ELSEWHERE = (
             fitting.response.curve: fit_response_curve ripple slope_error
             fitting.response.gamma: fit_gamma given_shutter log_code_means log_density space_of
             fitting.response.left_out: without_effect
+            fitting.response.moved: moved_exposures
             fitting.response.pilot: degrees_of_freedom fit_noise fit_pilot on_bins rising
             fitting.response.pixel_noise: noise_variance
             fitting.response.clipping: clear_of_clipping

@@ -1,0 +1,114 @@
+"""Whether the exposures of a stack lie on each other, as those of a camera on a tripod do.
+
+Each image is cut at a quantile of its codes into bright and dark (Ward, J. Graphics Tools 8, 2003):
+the same places are bright however long the exposure and whatever the response. The shift of two
+images is where most of their pixels agree. It is believed where they agree in more pixels than
+where they lie, by far more than those pixels' number scatters.
+"""
+
+from collections.abc import Sequence
+from itertools import islice, pairwise
+
+import numpy as np
+from jaxtyping import Float, Shaped
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.ndimage import uniform_filter
+
+from ..frame_checks import Odd
+
+QUANTILES = 0.5, 0.35, 0.65, 0.2, 0.8  # at which images are cut
+CUTS = 3  # at most
+WIDEST = 1024  # pixels of a side of what is compared, from the middle
+CLEAR = 0.03, 0.95  # of the range of codes, between which a cut must lie
+FARTHEST = 8  # of the picture's sides: the farthest shift is a part of so many
+LEAST = 2.0  # pixels: less is seen to by the classes of steepness
+SURE = 6.0  # standard deviations by which agreement must rise
+ALIKE = 0.75  # share of pixels that must agree where the images are said to lie
+
+
+def moved_exposures(
+    names: Sequence[str],
+    frames: Sequence[Shaped[np.ndarray, "h w *channels"]],
+    *,
+    full_scale: float,
+    cell: tuple[int, int] = (1, 1),
+) -> list[Odd]:
+    """Exposures that show the scene at another place than most.
+
+    Args:
+        names: of the images.
+        frames: (h, w) or (h, w, channels) codes each, in the order of their exposures.
+        full_scale: of the codes, DN.
+        cell: rows and columns after which colours repeat.
+
+    Returns:
+        What does not lie where most lie, with its shift in pixels.
+    """
+    if len({np.shape(frame) for frame in frames}) != 1:
+        return []  # refused where they are read
+    smooth = [uniform_filter(_middle(frame), cell) for frame in frames]
+    steps = [_shift(one, other, full_scale) for one, other in pairwise(smooth)]
+    places = np.concatenate([np.zeros((1, 2)), np.cumsum(np.array(steps).reshape(-1, 2), axis=0)])
+    far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST
+    home = places[np.argmin(far.sum(axis=1))]
+    return [
+        Odd(
+            (name,),
+            f"the scene lies {right:+.0f} pixels to the right and {down:+.0f} down of where most "
+            "of the exposures show it, so that its pixels see other places; align the images "
+            "or use a tripod",
+        )
+        for name, (down, right) in zip(names, places - home, strict=True)
+        if np.hypot(down, right) >= LEAST
+    ]
+
+
+def _shift(
+    one: Float[np.ndarray, "h w"], other: Float[np.ndarray, "h w"], full_scale: float
+) -> Float[np.ndarray, "2"]:
+    """Rows and columns by which the scene of the second image lies beside that of the first; 0
+    where none is shown."""
+    cuts = (_cut(one, other, q, full_scale) for q in QUANTILES)
+    pairs = list(islice((pair for pair in cuts if pair is not None), CUTS))
+    if not pairs:
+        return np.zeros(2)
+    reach = [max(2, size // FARTHEST) for size in one.shape]
+    size = [next_fast_len(n + m, real=True) for n, m in zip(one.shape, reach, strict=True)]
+
+    def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        full = irfft2(np.conj(rfft2(a, size)) * rfft2(b, size), size)
+        rows, columns = (np.arange(-m, m + 1) for m in reach)
+        return full[np.ix_(rows % size[0], columns % size[1])]
+
+    agree = np.sum([correlation(a, b) for a, b in pairs], axis=0)
+    common = np.sum([correlation(np.abs(a), np.abs(b)) for a, b in pairs], axis=0)
+    share = agree / np.maximum(common, 1)
+    best = np.unravel_index(np.argmax(np.where(common > common.max() / 2, share, -1)), share.shape)
+    middle = (reach[0], reach[1])
+    # Agreeing less agreeing pixels: each changes the sum by 2, of those that differ in one of both.
+    scatter = 2 * np.sqrt(len(pairs) * (1 - min(share[middle], 1)) * common[middle] / 2 + 1)
+    rise = (share[best] - share[middle]) * common[middle]
+    if rise < SURE * scatter or share[best] < 2 * ALIKE - 1:
+        return np.zeros(2)
+    return np.array(best, float) - middle
+
+
+def _cut(
+    one: np.ndarray, other: np.ndarray, quantile: float, full_scale: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Where two images are brighter (1) and darker (-1) than a quantile; None where it is black or
+    saturated in one."""
+    found = []
+    for image in (one, other):
+        level, black = np.quantile(image, quantile), float(image.min())
+        if not CLEAR[0] * full_scale < level - black or not level < CLEAR[1] * full_scale:
+            return None
+        found.append(np.sign(image - level))
+    return found[0], found[1]
+
+
+def _middle(frame: Shaped[np.ndarray, "h w *channels"]) -> Float[np.ndarray, "h w"]:
+    """The middle of a picture, where it is large, as grey."""
+    top, left = (max(0, size - WIDEST) // 2 for size in frame.shape[:2])
+    middle = np.asarray(frame[top : top + WIDEST, left : left + WIDEST], float)
+    return middle.mean(axis=2) if middle.ndim == 3 else middle
