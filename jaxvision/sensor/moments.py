@@ -11,14 +11,17 @@ Blooming has no closed form and is left out.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtr
 
 from .._arguments import takes_numbers
 from .._types import Scalar, Scalars, is_known
-from ..scene import Sensor
+from ..scene import FastPoissonShotNoise, PoissonShotNoise, Sensor
 from ._clipped_gaussian import (
     in_narrow_window,
     is_narrow,
@@ -33,6 +36,9 @@ from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
 from .read_out import read_out_variance
 
 _FAR = 50.0  # standard deviations: the tail beyond is 0 even in float64
+FAINT = 20.0  # electrons: below it Poisson's counts are summed one by one
+COUNTS = 64  # of them; one variable of mean FAINT in 1e13 is larger
+ROUNDED = 8  # codes on either side of the mean, standard deviations and more
 QUANTISATION_VARIANCE = 1 / 12  # DN^2, the variance of rounding to whole numbers
 
 
@@ -176,9 +182,12 @@ def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
 def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     """Mean and temporal variance of raw data that a full well and the range of the ADC clip.
 
-    The clipped variable is taken as Gaussian: exact for Gaussian noise; for Poisson noise the mean
-    is off by less than 0.07 of the noise's rms over sqrt(electrons at the clipping level). Smooth
-    in every parameter, with gradients that fall to 0 beyond saturation.
+    Below 20 electrons, Poisson's counts are summed one by one (not under the brighter-fatter
+    effect, poor charge transfer, or unequal gains). Elsewhere the clipped variable is taken as
+    Gaussian: exact for Gaussian noise; for Poisson noise the mean is off by less than 0.07 of the
+    noise's rms over sqrt(electrons at the clipping level). Rounding of noise below 1 DN is exact;
+    of more it adds 1/12 DN^2. Smooth in every parameter of a noisy sensor, with gradients that fall
+    to 0 beyond saturation.
 
     Args:
         sensor: the sensor; `full_well` and `bits` clip.
@@ -196,12 +205,23 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
         39.9
     """
     charge = _charge(sensor, irradiance)
+    mean = charge.mean
     if sensor.full_well is not None:
         charge = censored(charge, high=sensor.full_well)
-    signal = _signal(sensor, _read(sensor, charge))
-    if sensor.bits is None:
-        return signal
-    return censored(signal, low=jnp.zeros_like(sensor.bits), high=largest_number(sensor.bits))
+    gaussian = _converted(sensor, _read(sensor, charge))
+    counted = isinstance(sensor.shot_noise, PoissonShotNoise | FastPoissonShotNoise)
+    clips = sensor.full_well is not None or sensor.bits is not None
+    spread = (sensor.charge_transfer, sensor.conversion_prnu, sensor.column_prnu)
+    if not (counted and clips) or any(x is not None for x in (*spread, sensor.brighter_fatter)):
+        return gaussian
+    faint = (mean >= 0) & (mean < FAINT)
+    return jax.lax.cond(
+        jnp.any(faint),
+        lambda: jax.tree.map(
+            partial(jnp.where, faint), _over_counts(sensor, jnp.where(faint, mean, 1)), gaussian
+        ),
+        lambda: gaussian,
+    )
 
 
 @takes_numbers
@@ -333,6 +353,63 @@ def _read(sensor: Sensor, charge: Moments) -> Moments:
     if sensor.conversion_prnu is not None:
         variance = variance * (1 + sensor.conversion_prnu**2)
     return Moments(mean, variance + read_out_variance(sensor, dtype=mean.dtype))
+
+
+def _over_counts(sensor: Sensor, mean: Scalars) -> Moments:
+    """Moments of the raw numbers of Poisson's counts of that mean, below FAINT: sums over counts,
+    about the number of the mean."""
+    about = _converted(sensor, _read(sensor, Moments(mean, jnp.zeros_like(mean)))).mean
+    about = jax.lax.stop_gradient(about)
+
+    def count(
+        sums: tuple[Scalars, Scalars, Scalars], electrons: Scalar
+    ) -> tuple[tuple[Scalars, Scalars, Scalars], None]:
+        chance, first, second = sums
+        held = electrons if sensor.full_well is None else jnp.minimum(electrons, sensor.full_well)
+        charge = Moments(jnp.full_like(mean, held), jnp.zeros_like(mean))
+        found = _converted(sensor, _read(sensor, charge), of_one_count=True)
+        off = found.mean - about
+        first = first + chance * off
+        second = second + chance * (found.variance + off**2)
+        return (chance * mean / (electrons + 1), first, second), None
+
+    nothing = jnp.zeros_like(mean)
+    counts = jnp.arange(COUNTS, dtype=mean.dtype)
+    (_, first, second), _ = jax.lax.scan(count, (jnp.exp(-mean), nothing, nothing), counts)
+    return Moments(about + first, jnp.maximum(second - first**2, 0))
+
+
+def _converted(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
+    """Moments of the numbers of the ADC, DN. Without noise rounding counts as 1/12 DN^2, but for
+    electrons of one count, whose number is known."""
+    if sensor.bits is None:
+        return _signal(sensor, read)
+    analogue = _signal(replace(sensor, bits=None), read)
+    low, high = jnp.zeros_like(sensor.bits), largest_number(sensor.bits)
+    wide = censored(
+        Moments(analogue.mean, analogue.variance + QUANTISATION_VARIANCE), low=low, high=high
+    )
+    fine = analogue.variance < 1  # DN^2
+    fine = fine if of_one_count else fine & (analogue.variance > 0)
+    return jax.tree.map(partial(jnp.where, fine), _rounded(analogue, fine, high), wide)
+
+
+def _rounded(analogue: Moments, fine: Scalars, high: Scalar) -> Moments:
+    """Moments of Gaussian noise of less than 1 DN rms, rounded to whole numbers from 0 to `high`:
+    with P_c = P(x > c + 1/2), the mean is sum P_c and the mean square sum (2 c + 1) P_c."""
+    noisy = fine & (analogue.variance > 0)
+    sigma = jnp.sqrt(jnp.where(noisy, analogue.variance, 1))
+    base = jax.lax.stop_gradient(jnp.floor(analogue.mean)) - ROUNDED
+    first = second = jnp.zeros_like(analogue.mean)
+    start = jnp.clip(base, 0, high)
+    for step in range(2 * ROUNDED + 1):
+        code = base + step
+        beyond = analogue.mean - code - 0.5
+        chance = jnp.where(noisy, ndtr(beyond / sigma), (beyond > 0).astype(beyond.dtype))
+        chance = jnp.where((code >= 0) & (code < high), chance, 0)
+        first = first + chance
+        second = second + (2 * (code - start) + 1) * chance
+    return Moments(start + first, jnp.maximum(second - first**2, 0))
 
 
 def _signal(sensor: Sensor, read: Moments) -> Moments:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from oracles.sensors import OF_PHOTONS
 from scipy import integrate, stats
+from scipy.special import ndtr
+from scipy.stats import poisson
 
 from jaxvision import scene as s
 from jaxvision.sensor import (
@@ -172,3 +174,45 @@ def test_pattern_of_light_conversion_and_columns_is_the_variance_of_their_produc
     signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
     signals = 0.5 * 400 * np.prod(1 + signs * [prnu, conversion, column], axis=1)
     np.testing.assert_allclose(pattern_variance(sensor, jnp.array([400.0])), signals.var())
+
+
+def by_counts(electrons, read_noise, gain, offset, bits, well=np.inf):
+    """Mean and variance of whole numbers: a sum over Poisson's counts and the ADC's codes."""
+    counts = np.arange(0, electrons + 12 * np.sqrt(electrons) + 40)
+    codes = np.arange(2.0**bits)
+    ends = (codes - 0.5 - offset) / gain, (codes + 0.5 - offset) / gain
+    ends[0][0], ends[1][-1] = -np.inf, np.inf
+    held = np.minimum(counts, well)[:, None]
+    share = ndtr((ends[1] - held) / read_noise) - ndtr((ends[0] - held) / read_noise)
+    share = poisson.pmf(counts, electrons) @ share
+    mean = share @ codes
+    return mean, share @ (codes - mean) ** 2
+
+
+@pytest.mark.parametrize(
+    ("electrons", "read_noise", "gain", "offset", "bits", "well", "error"),
+    [
+        (0.01, 0.2, 1.0, 0.0, 1, np.inf, 1e-5),  # of a one-bit sensor
+        (2.0, 0.15, 1.0, 0.0, 1, np.inf, 1e-5),
+        (10.0, 0.3, 1.0, 0.0, 3, np.inf, 1e-5),
+        (0.2, 0.1, 1.0, 0.0, 12, np.inf, 1e-5),
+        (19.9, 2.0, 0.7, 8.0, 10, np.inf, 1e-5),
+        (5.0, 0.3, 1.0, 2.0, 8, 4.0, 1e-5),
+        (30.0, 2.0, 0.1, 0.3, 12, np.inf, 5e-3),  # as Gaussian
+        (900.0, 3.0, 0.25, 8.0, 8, np.inf, 1e-3),
+    ],
+)
+def test_faint_light_and_few_bits_have_the_moments_of_counts(
+    electrons, read_noise, gain, offset, bits, well, error
+):
+    sensor = s.Sensor(
+        shot_noise=s.PoissonShotNoise(),
+        read_noise=read_noise,
+        gain=gain,
+        offset=offset,
+        bits=float(bits),
+        full_well=None if well == np.inf else well,
+    )
+    found = clipped_moments(sensor, jnp.asarray([electrons]))
+    truth = by_counts(electrons, read_noise, gain, offset, bits, well)
+    np.testing.assert_allclose([x[0] for x in found], truth, rtol=error)
