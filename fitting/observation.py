@@ -186,9 +186,7 @@ def read_frame(
             "give (h, w) or (h, w, channels) numbers."
         )
     said = (
-        read_settings(path).bits
-        if load is read_image and path.suffix.lower() in TELL_DEPTH
-        else None
+        read_settings(path).bits if path.suffix.lower() in TELL_DEPTH and path.is_file() else None
     )
     depth = said or (8 if stored.dtype == np.uint8 else 16)
     if depth < min(camera.bits, 16):

@@ -101,7 +101,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     channel = channel or _first_site(rig.camera)
     dead = _dead(rig, flats, darks, channel, load)
     if dead is not None:
-        remarks.append(dead.sentence)
+        remarks.append(_dead_in_words(rig, dead, channel))
     source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
     dark = _reduced(source, darks, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
@@ -158,7 +158,7 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     dead = _dead(rig, [], entries, channel, load)
     source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
     darks = _reduced(source, entries, odd=odd["dark"])
-    told = () if dead is None else (dead.sentence,)
+    told = () if dead is None else (_dead_in_words(rig, dead, channel),)
     return replace(darks, converter=source.codes.converter(), left_out=(*told, *darks.left_out))
 
 
@@ -205,6 +205,15 @@ def _dead(
 
     unlit = planes(darks[-1:])
     return dead_pixels(planes(flats[-BRIGHTEST:]), unlit) if len(unlit) > 1 else None
+
+
+def _dead_in_words(rig: Rig, dead: DeadPixels, channel: str) -> str:
+    told = dead.sentence
+    if len(rig.camera.sites) > 1:
+        told += f" Rows and columns count those of {channel} alone."
+    if rig.camera.region is not None:
+        told += " They begin at the corner of camera.region."
+    return told
 
 
 def _is_jpeg(name: str) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fitting.noise import read_photon_transfer
 from fitting.observation import read_frame, read_mask
 from fitting.rig import Camera
 from fitting.rig_from_folder import rig_of
@@ -172,6 +173,19 @@ def test_a_12_bit_tiff_fits_its_camera_and_no_deeper_one(tmp_path):
     assert read_frame(tmp_path / "dark.tif", Camera(bits=12)).max() == 4095
     with pytest.raises(InputError, match=r"dark\.tif: 12-bit data, but the rig declares 14 bits"):
         read_frame(tmp_path / "dark.tif", Camera(bits=14))
+
+
+def test_frames_of_12_bits_are_no_photon_transfer_of_14(tmp_path):
+    rng, rig = np.random.default_rng(0), "[camera]\nbits = 14\n"
+    for i, mean in enumerate([64, 300, 900, 1500, 2100]):
+        names = [f"{i}_{k}.tif" for k in (0, 1)]
+        for name in names:
+            write_tiff(tmp_path / name, rng.poisson(mean, (16, 16)), 12)
+        kind = "flat" if i else "dark"
+        rig += f"[[{kind}]]\nfiles = {names}\nexposure = {0.01 * max(i, 1)}\n"
+    (tmp_path / "rig.toml").write_text(rig)
+    with pytest.raises(InputError, match="12-bit data, but the rig declares 14 bits"):
+        read_photon_transfer(tmp_path)
 
 
 @pytest.mark.parametrize("depth", [1, 2, 4, 8])
