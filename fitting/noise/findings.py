@@ -13,6 +13,7 @@ from .calibration import NoiseCalibration
 from .emva1288 import is_floored, least_dark_variance
 from .fit import gain_drop
 from .flicker import flicker_in_words
+from .levels import PhotonTransfer
 from .misfit import MISFIT
 from .neighbours import are_known
 from .parts import Part, deviation_quantiles
@@ -25,6 +26,7 @@ from .shared import Found, drift, temporal_lines
 LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
 ASTRAY = 0.5  # relative deviation of a gain from which it is none
+FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset
 SAID = 2.0  # standard errors below which an offset of the light is not told
 
 
@@ -171,7 +173,13 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
     if "compression" in chosen.values:
         told += _compression(calibration)
     if "light_offset" in chosen.values:
-        told += _light_offset(calibration)
+        offset = _light_offset(calibration)
+        told += offset
+        if offset and _by_the_dimmest_alone(calibration.measurement, calibration.usable):
+            told.append(
+                "Without the dimmest level the others show no such offset: its own light or "
+                "exposure time may be off instead."
+            )
     return [*told, *_neighbours(calibration)]
 
 
@@ -247,6 +255,23 @@ def _light_offset(calibration: NoiseCalibration) -> list[str]:
         f"Every exposure gets {format_with_error(abs(offset), error)} photons {way} than recorded "
         f"({abs(offset) / error:.0f} standard errors){late} or light leaked."
     ]
+
+
+def _by_the_dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
+    """Whether the other levels, about a line of signal over light, show no offset of the light."""
+    bright = measurement.bright
+    light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
+    dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
+    rest = np.argsort(light)[1:]
+    rest = rest[light[rest] > 0]
+    light, signal = light[rest], (np.asarray(bright.mean)[usable] - dark)[rest]
+    if len(light) < FEWEST_FOR_OFFSET:
+        return False
+    x = light / light.max()
+    design, rates = np.stack([np.ones_like(x), x, 1 / x], axis=1), signal / light
+    found, squares, *_ = np.linalg.lstsq(design, rates)
+    covariance = np.linalg.inv(design.T @ design) * squares[0] / (len(x) - design.shape[1])
+    return bool(abs(found[2]) < FAR * np.sqrt(covariance[2, 2]))
 
 
 def _random_effects(calibration: NoiseCalibration) -> list[str]:

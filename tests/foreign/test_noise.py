@@ -12,7 +12,7 @@ from PIL import Image
 from scipy.stats import norm, poisson
 
 from fitting import folders, noise
-from fitting.noise.findings import _light_offset
+from fitting.noise.findings import _by_the_dimmest_alone, _light_offset
 from fitting.noise.level_sums import LevelSums, Unlit
 from fitting.noise.levels import linear_levels
 from fitting.noise.live_pixels import LivePixels
@@ -457,6 +457,13 @@ def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
     flats[-1] = [np.full(SHAPE, 65535.0)] * 2
     measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=16))
     assert not any("dead" in told for told in measured.remarks)
+
+
+@pytest.mark.parametrize(("late", "alone"), [("the first", True), ("all", False)])
+def test_an_offset_that_the_dimmest_level_alone_shows_is_told_from_one_of_all(late, alone):
+    stated = np.linspace(1e-3, 2e-2, 10)
+    true = stated - np.where((late == "all") | (np.arange(10) == 0), 1e-4, 0)
+    assert _by_the_dimmest_alone(*timed(stated, true, 2e-4)) == alone
 
 
 def timed(times, true, scatter=0.0):
