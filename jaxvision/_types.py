@@ -5,8 +5,9 @@ columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray 
 vmaps.
 """
 
+import sys
 from collections.abc import Collection
-from dataclasses import fields
+from dataclasses import Field, fields
 from functools import cache
 from types import UnionType
 from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -19,6 +20,7 @@ import numpy.typing as npt
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
+from .errors import InputError
 from .plain_arrays import plain_array
 
 
@@ -88,7 +90,7 @@ def as_float(x: Any) -> Array:
     if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
         return array
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
-        raise ValueError(f"real numbers are wanted, got {in_short(x)}.")
+        raise ValueError(f"{_field()}real numbers are wanted, got {in_short(x)}.")
     return array.astype(jnp.result_type(float))
 
 
@@ -116,12 +118,33 @@ def within_integers(x: Any) -> Any:
     return x
 
 
+_ANY = "an argument"
+
+
 def _as_numbers(x: Any) -> Array:
-    x = within_integers(plain_array("an argument", x))
+    try:
+        x = plain_array(_ANY, x)
+    except InputError as error:
+        place = _field().removesuffix(": ") or _ANY
+        raise InputError(str(error).replace(_ANY, place, 1)) from None
+    x = within_integers(x)
     try:
         return jnp.asarray(x)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"numbers are wanted, got {in_short(x)}.") from error
+        raise ValueError(f"{_field()}numbers are wanted, got {in_short(x)}.") from error
+
+
+def _field() -> str:
+    """The record and field, with a colon, while Equinox converts that field; else nothing. Equinox
+    gives a converter the value alone; its own call is among the frames above."""
+    frame = sys._getframe(1)
+    while frame and frame.f_globals.get("__name__") in (__name__, "jaxvision._vector"):
+        frame = frame.f_back
+    local = frame.f_locals if frame else {}
+    record, field = local.get("self"), local.get("f")
+    if isinstance(record, eqx.Module) and isinstance(field, Field):
+        return f"{type(record).__name__}.{field.name}: "
+    return ""
 
 
 def common_dtype(*records: object) -> jnp.dtype:

@@ -6,13 +6,14 @@ difference of both kinds is a `Vec`.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ._arguments import takes_numbers
 from ._shown import Shown
-from ._types import Scalars, print_by_name
+from ._types import Scalars, as_float, print_by_name
 
 
 class Vec(Shown):
@@ -84,6 +85,11 @@ def as_vec(v: Vec3) -> Vec:
         1.0 2.0 3.0
     """
     return v if isinstance(v, Vec) else Vec(v[..., 0], v[..., 1], v[..., 2])
+
+
+def vector_field(v: Any) -> Vec:
+    """`as_vec` of a record's field, which a message then names."""
+    return v if isinstance(v, Vec) else as_vec(as_float(v))
 
 
 @takes_numbers

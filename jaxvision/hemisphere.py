@@ -15,7 +15,7 @@ from ._numerics import dot, norm, normalize, safe_sqrt, sine_cosine
 from ._quadrature import gauss_legendre
 from ._shown import Shown
 from ._types import Scalars
-from ._vector import Directions, Vec, Vec3, as_array, as_vec, where
+from ._vector import Directions, Vec, Vec3, as_array, as_vec, vector_field, where
 
 
 class Frame(Shown):
@@ -31,9 +31,9 @@ class Frame(Shown):
         [0.0, 0.0, 1.0]
     """
 
-    tangent: Vec = eqx.field(converter=as_vec)
-    bitangent: Vec = eqx.field(converter=as_vec)
-    normal: Vec = eqx.field(converter=as_vec)
+    tangent: Vec = eqx.field(converter=vector_field)
+    bitangent: Vec = eqx.field(converter=vector_field)
+    normal: Vec = eqx.field(converter=vector_field)
 
 
 @takes_numbers

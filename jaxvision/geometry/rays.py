@@ -15,7 +15,7 @@ from .._numerics import dot
 from .._numerics import log_cos_between as log_cos_between
 from .._shown import Shown
 from .._types import Scalar, is_known
-from .._vector import Direction, Directions, Vec, Vec3, Vector, as_vec, scaled
+from .._vector import Direction, Directions, Vec, Vec3, Vector, as_vec, scaled, vector_field
 from ._size import largest_component, offset_length
 
 
@@ -32,8 +32,8 @@ class Ray(Shown):
         [3.0, 0.0, 5.0]
     """
 
-    origin: Vec = eqx.field(converter=as_vec)
-    direction: Vec = eqx.field(converter=as_vec)
+    origin: Vec = eqx.field(converter=vector_field)
+    direction: Vec = eqx.field(converter=vector_field)
 
     def __check_init__(self) -> None:
         if all(map(is_known, jax.tree.leaves(self.direction))):
@@ -77,8 +77,8 @@ class Hit(Shown):
     """
 
     distance: Scalar
-    normal: Vec = eqx.field(converter=as_vec)
-    point: Vec = eqx.field(converter=as_vec)
+    normal: Vec = eqx.field(converter=vector_field)
+    point: Vec = eqx.field(converter=vector_field)
     size: Scalar
     shading_normal: Vec | None = None
     uv: tuple[Scalar, Scalar] | None = None

@@ -229,6 +229,21 @@ def test_a_camera_names_the_field_with_a_unit_or_an_index():
             noise.Camera(bits=8, taps=(1, 2), gain=value)
 
 
+@pytest.mark.parametrize("value", [1 * units.m, xarray.DataArray(1.0), pandas.Series([1.0]), "one"])
+def test_a_record_names_the_field_that_refuses(value):
+    for make, field in (
+        (lambda: jv.Sphere([0, 0, 0], value), "Sphere.radius"),
+        (lambda: jv.Sphere([0, 0, value], 1.0), "Sphere.centre"),
+        (lambda: jv.Phong([0.1], value, 9.0), "Phong.specular"),  # a field of its base
+        (lambda: jv.Phong([0.1], [0.1], 9.0, ambient=value), "Phong.ambient"),
+        (lambda: jv.Ray([0, 0, 0], value), "Ray.direction"),
+    ):
+        said = refusal(make)
+        assert said.startswith(field)
+        assert len(said) < 300
+    assert "." not in refusal(lambda: jv.as_float(value)).split()[0]
+
+
 def test_plots_draw_no_masked_number():
     x = np.arange(3.0)
     axes = jv.plots.curve(x, masked([1e9, 1.0, 2.0]))
