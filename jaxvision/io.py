@@ -654,14 +654,46 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
         attributes["compression"] = f"jpeg:{quality}"
         attributes["jpeg:subsampling"] = "4:2:0" if quality < 90 else "4:4:4"
     if np.issubdtype(array.dtype, np.floating):
-        if (np.isfinite(array) & (np.abs(array) > np.finfo(np.float32).max)).any():
-            raise InputError(f"{file}: float32, which it holds, ends at 3.4e38; scale the image.")
-        array = array.astype(np.float32)
+        array = as_float32(file, array)
     shape = array.shape if array.ndim == 3 else (*array.shape, 1)
     with replaced_on_success(file) as partial:
         _write(partial, [array.reshape(shape)], shape, array.dtype, attributes)
         if suffix in INTEGER_FORMATS and not _reads_back(partial, array):
             raise InputError(f"{file}: what was written does not read back; is the disk full?")
+
+
+def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
+    """The numbers in the precision of a file, none of them lost.
+
+    Args:
+        path: the file that is to hold them, for the message.
+        numbers: (...) in any unit; NaN and infinity stay.
+
+    Returns:
+        (...) float32, rounded.
+
+    Raises:
+        InputError: for finite numbers beyond 3.4e38, for whole numbers that float32 does not hold,
+            and where all numbers are so small, below 1e-31, that it would round them coarsely.
+    """
+    if numbers.dtype == np.float32:
+        return numbers
+    with np.errstate(over="ignore", under="ignore"):
+        single = numbers.astype(np.float32)
+    if numbers.dtype.kind in "iu":
+        lost, why = single.astype(numbers.dtype) != numbers, "ends for whole numbers at 2^24"
+    else:
+        lost, why = np.isfinite(numbers) & ~np.isfinite(single), "ends at 3.4e38"
+    if not lost.any() and numbers.dtype.kind == "f":
+        size = np.abs(np.where(np.isfinite(numbers), numbers, 0))
+        limit = np.finfo(np.float32)
+        lost, why = (size > 0) & (size.max() < limit.tiny / limit.eps), "begins at 1.2e-38"
+    if count := int(lost.sum()):
+        raise InputError(
+            f"{path}: float32, which the file holds, {why}: {count} of {numbers.size} numbers do "
+            "not fit; scale them."
+        )
+    return single
 
 
 def _check_format(file: Path, dtype: np.dtype) -> None:
@@ -708,7 +740,7 @@ def write_exr(
         attributes: of the file's header; a number of more than 32 bits becomes text.
 
     Raises:
-        InputError: if the file cannot be written.
+        InputError: if the file cannot be written, and for numbers that `as_float32` refuses.
         ValueError: unless the blocks make up the shape.
     """
     file = Path(path)
@@ -744,7 +776,8 @@ def _write(
         raise InputError(f"{file}: cannot be written ({_reason(oiio)}).")
     written, row = True, 0
     for block in blocks:
-        pixels = np.ascontiguousarray(block, dtype)
+        pixels = as_float32(file, np.asarray(block)) if sample == "float" else block
+        pixels = np.ascontiguousarray(pixels, dtype)
         if pixels.shape[1:] != (width, channels) or row + len(pixels) > height:
             raise ValueError(f"a block of {pixels.shape} does not fit at row {row} of {shape}.")
         written = written and sink.write_scanlines(row, row + len(pixels), 0, pixels)

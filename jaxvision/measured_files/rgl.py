@@ -16,7 +16,7 @@ import numpy as np
 
 from ..brdf.rgl import RGL, rgl_material
 from ..errors import InputError
-from ..io import replaced_on_success
+from ..io import as_float32, replaced_on_success
 from ._contents import NANOMETRE, TURN, contents_of, representable
 from ._tensor_file import fields_in, tensor_file
 
@@ -147,7 +147,7 @@ def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str =
         fields["wavelengths"] = np.asarray(material.wavelengths, np.float64) / NANOMETRE
         fields["spectra"] = values
     arrays = {
-        name: np.asarray(x) if np.asarray(x).dtype == np.uint8 else np.asarray(x, "<f4")
+        name: np.asarray(x) if np.asarray(x).dtype == np.uint8 else as_float32(path, np.asarray(x))
         for name, x in fields.items()
     }
     with replaced_on_success(Path(path)) as partial:
