@@ -4,7 +4,7 @@ TIFF and PNG by OpenImageIO, of raw files by exifread, headers of FITS by astrop
 import datetime
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +30,17 @@ from .errors import InputError, check_utf8
 from .raw_files import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
 
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
+_HIGHEST_RATING = 65535
+_OUTPUT, _INDEX, _SPEED = "StandardOutputSensitivity", "RecommendedExposureIndex", "ISOSpeed"
+_SENSITIVITIES = {
+    1: (_OUTPUT,),
+    2: (_INDEX,),
+    3: (_SPEED,),
+    4: (_INDEX, _OUTPUT),
+    5: (_SPEED, _OUTPUT),
+    6: (_INDEX, _SPEED),
+    7: (_INDEX, _SPEED, _OUTPUT),
+}
 _CODES = "bits of codes"  # beside the names of OpenImageIO
 
 
@@ -117,10 +128,10 @@ def _attributes(file: Path) -> dict[str, Any]:
 
 
 def _of_exif(file: Path, said: Mapping[str, Any]) -> ImageSettings:
-    sensitivity = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
+    rating = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
     return ImageSettings(
         exposure=_seconds(said.get("ExposureTime"), said.get("Exif:ShutterSpeedValue")),
-        iso=_positive(sensitivity),
+        iso=_sensitivity(file, rating, lambda name: said.get(f"Exif:{name}")),
         f_number=_f_number(said.get("FNumber"), said.get("Exif:ApertureValue")),
         taken=_time(said.get("Exif:DateTimeOriginal") or said.get("DateTime")),
         camera=_name(said.get("Make"), said.get("Model")),
@@ -180,7 +191,7 @@ def _of_raw(file: Path) -> ImageSettings:
         saturation = float(raw.white_level)
     return ImageSettings(
         exposure=_seconds(said("ExposureTime"), said("ShutterSpeedValue")),
-        iso=_positive(said("ISOSpeedRatings")),
+        iso=_sensitivity(file, said("ISOSpeedRatings"), said),
         f_number=_f_number(said("FNumber"), said("ApertureValue")),
         taken=_time(said("DateTimeOriginal") or tags.get("Image DateTime")),
         camera=_name(tags.get("Image Make"), tags.get("Image Model")),
@@ -293,6 +304,24 @@ def _number(said: Any) -> float | None:
 def _positive(said: Any) -> float | None:
     found = _number(said)
     return found if found is not None and found > 0 else None
+
+
+def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float | None:
+    """The rating of 16 bits; where it is absent, or 65535, which stands for that and more, the one
+    of 32 bits that the kind of sensitivity names (EXIF 2.3, tag 0x8830)."""
+    found = _positive(rating)
+    if found is not None and found < _HIGHEST_RATING:
+        return found
+    kind = _number(said("SensitivityType"))
+    names = _SENSITIVITIES.get(int(kind or 0), ()) + _SENSITIVITIES[7]
+    further = next((speed for name in names if (speed := _positive(said(name)))), None)
+    if found is not None and further is None:
+        warnings.warn(
+            f"{file}: its head says ISO 65535, which stands for that and more; the sensitivity is "
+            "not used.",
+            stacklevel=4,
+        )
+    return further
 
 
 def _seconds(time: Any, speed: Any) -> float | None:

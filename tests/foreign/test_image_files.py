@@ -743,3 +743,58 @@ def test_bands_that_no_filter_uses_are_named(tmp_path):
     (tmp_path / "a.toml").write_text(text)
     with pytest.warns(UserWarning, match="bands has no effect without"):
         read_camera(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
+@pytest.mark.parametrize(("kind", "speed"), [(1, 204800), (2, 102400), (3, 51200), (7, 102400)])
+def test_a_sensitivity_beyond_16_bits_is_read(tmp_path, suffix, kind, speed):
+    """EXIF 2.3: 65535 stands for that and more, and 0x8830 says which tag of 32 bits has it."""
+    spec = oiio.ImageSpec(4, 4, 3, "uint8")
+    for name, value in (
+        ("PhotographicSensitivity", 65535),
+        ("SensitivityType", kind),
+        ("StandardOutputSensitivity", 204800),
+        ("RecommendedExposureIndex", 102400),
+        ("ISOSpeed", 51200),
+    ):
+        spec.attribute(f"Exif:{name}", value)
+    file = tmp_path / f"a.{suffix}"
+    sink = oiio.ImageOutput.create(str(file))
+    assert sink.open(str(file), spec)
+    assert sink.write_image(np.zeros((4, 4, 3), np.uint8))
+    assert sink.close()
+    assert read_settings(file).iso == speed
+
+
+def test_a_sensitivity_of_65535_or_more_is_named(tmp_path):
+    spec = oiio.ImageSpec(4, 4, 3, "uint8")
+    spec.attribute("Exif:PhotographicSensitivity", 65535)
+    file = tmp_path / "a.jpg"
+    sink = oiio.ImageOutput.create(str(file))
+    assert sink.open(str(file), spec)
+    assert sink.write_image(np.zeros((4, 4, 3), np.uint8))
+    assert sink.close()
+    with pytest.warns(UserWarning, match="ISO 65535, which stands for that and more"):
+        assert read_settings(file).iso is None
+
+
+def test_an_exr_holds_every_number_or_is_not_written(tmp_path):
+    file = tmp_path / "a.exr"
+    held = np.array([[[-3.5], [np.nan], [np.inf], [-np.inf], [1e-60], [3.4e38]]])
+    write_blocks(file, [held], shape=held.shape)
+    np.testing.assert_array_equal(read_image(file), held[..., 0].astype(np.float32))
+    held[..., :2, 0] = 1e39
+    write_image(tmp_path / "b.exr", np.float32(held[:, 2:]))
+    many = np.full((1, 3, 1), 2**24 + 1)
+    small = np.array([[[1e-41], [0.0], [1e-60]]])
+    for pixels, said in (
+        (held, "ends at 3.4e38: 2 of 6 numbers do not fit"),
+        (many, "ends for whole numbers at 2.24: 3 of 3"),
+        (small, "begins at 1.2e-38: 2 of 3"),
+    ):
+        with pytest.raises(InputError, match=said):
+            write_blocks(tmp_path / "c.exr", [pixels], shape=pixels.shape)
+        if pixels.dtype == float:
+            with pytest.raises(InputError, match=said):
+                write_image(tmp_path / "c.exr", pixels)
+        assert not (tmp_path / "c.exr").exists()
