@@ -10,6 +10,7 @@ shutter opens all rows at time 0.
 """
 
 from collections.abc import Callable
+from functools import reduce
 from typing import TypeVar
 
 import jax
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._numerics import divide
-from .._types import Scalar, check_count
+from .._types import Scalar, check_count, is_known
 from ..scene import RollingShutter
 
 Pictures = TypeVar("Pictures")
@@ -106,7 +107,8 @@ def exposed(
         shutter: the rolling shutter; None is a global shutter.
         exposure_time: () s.
         picture_at: the picture at a time () in s: (rows, w, bands) in any unit, or a record of
-            several such pictures.
+            several such pictures. It is called once a slot, as it is: wrap it in `jax.jit` where it
+            is slow without.
         rows: number of rows, static.
         slots: how many times the picture is evaluated, static; the error of a smooth motion falls
             with the square of it.
@@ -136,4 +138,8 @@ def exposed(
     start = jax.tree.map(
         lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(picture_at, times[0])
     )
+    if is_known(times):  # a scan outside of `jit` would compile the caller's function in each call
+        return reduce(
+            lambda total, slot: add(total, slot)[0], zip(times, weights.T, strict=True), start
+        )
     return jax.lax.scan(add, start, (times, weights.T))[0]
