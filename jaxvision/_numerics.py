@@ -1,9 +1,13 @@
 """NaN-safe primitives: finite values and finite gradients at the edges of their domain.
 
 A risky operation gets a harmless argument where it would fail, and its output is then masked
-("double where"), so that reverse-mode differentiation never multiplies zero by infinity. Functions
-work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records; any floating
-dtype is kept.
+("double where"), so that reverse-mode differentiation never multiplies zero by infinity. Compiled
+code may compute the condition twice and round it in two ways, so that the argument is replaced and
+the output is not masked: that must still be right. Therefore the stand-in is a number from the edge
+of the domain, or the argument is replaced under a condition of its own, well away from the mask's.
+
+Functions work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records;
+any floating dtype is kept.
 """
 
 from collections.abc import Sequence
@@ -115,7 +119,7 @@ def safe_sqrt(x: Scalars) -> Scalars:
         0.0
     """
     zero = x <= 0
-    return jnp.where(zero, 0, jnp.sqrt(jnp.where(zero, 1, x)))
+    return jnp.where(zero, 0, jnp.sqrt(jnp.where(zero, smallest_divisor(x.dtype) ** 2, x)))
 
 
 def safe_log(x: Scalars, *, floor: float | None = None) -> Scalars:
@@ -135,7 +139,7 @@ def reciprocal(x: Scalars) -> Scalars:
 
 def or_one(b: Scalars, where: Bool[Array, "..."] | None = None) -> Scalars:
     """b, in its unit, where the condition holds (default: b > 0 or NaN); elsewhere 1, with gradient
-    0, for a quotient that its caller masks."""
+    0, for a quotient that its caller masks. The condition must be one that only tiny b fail."""
     return jnp.where(~(b <= 0) if where is None else where, b, 1)
 
 
@@ -392,7 +396,7 @@ def log1p(x: Scalars) -> Scalars:
     if x.dtype != jnp.float64:
         return jnp.log1p(x)
     low = x < -0.25
-    return jnp.where(low, jnp.log(jnp.where(low, 1 + x, 1)), jnp.log1p(jnp.where(low, 0, x)))
+    return jnp.where(low, jnp.log(1 + x), jnp.log1p(jnp.where(x < -0.5, 0, x)))
 
 
 @jax.custom_jvp
@@ -419,7 +423,8 @@ def power(base: Scalars, exponent: Scalars) -> Scalars:
     A negative base counts as 0.
     """
     zero = base <= 0
-    return jnp.where(zero, 0, jnp.power(jnp.where(zero, 1, base), exponent))
+    least = smallest_divisor(base.dtype) ** 2
+    return jnp.where(zero, 0, jnp.power(jnp.where(zero, least, base), exponent))
 
 
 @jax.custom_jvp

@@ -74,8 +74,8 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
     body, lobe = body * scale, lobe * scale
     # of a quotient, so that the slope of all of something is no difference
     brighter = ~(body < lobe)
-    mostly = 1 / (1 + lobe / or_one(body, brighter & (body != 0)))
-    little = body / or_one(body + lobe, ~brighter)
+    mostly = 1 / (1 + lobe / or_one(body, ~(body <= 0.5)))  # the larger one is 1 here
+    little = body / or_one(body + lobe, ~(lobe <= 0.5))
     return jnp.where(size <= 0, 0.5, jnp.where(brighter, mostly, little))
 
 
@@ -102,8 +102,8 @@ def log_cosine(angle: Scalars) -> Scalars:
     """log(cos(angle)), `angle` in [0, pi / 2] rad: by 1 - cos = 2 sin^2(angle / 2) near 0, where
     the cosine itself has lost the digits that a sharp lobe magnifies; `log_of_zero` at the end."""
     near = angle < 1
-    small = log1p(-2 * jnp.square(jnp.sin(jnp.where(near, angle, 0) / 2)))
-    return jnp.where(near, small, safe_log(jnp.cos(jnp.where(near, 0, angle))))
+    small = log1p(-2 * jnp.square(jnp.sin(jnp.minimum(angle, 1.25) / 2)))
+    return jnp.where(near, small, safe_log(jnp.cos(angle)))
 
 
 _NODES = 48

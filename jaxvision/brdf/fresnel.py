@@ -136,7 +136,8 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     g_squared = contrast + c * c
     passes = ~(g_squared <= 0)
     g = safe_sqrt(g_squared)
-    s_sum, p_sum = or_one(c + g, passes), or_one(square * c + g, passes)
+    # one condition more than `passes`, on which rounding may decide in two ways at total reflection
+    s_sum, p_sum = (or_one(x, passes | (x > 1e-6)) for x in (c + g, square * c + g))
     # divided twice: of equal indices at grazing angles the square's own gradient would overflow
     r_s = contrast / s_sum / s_sum
     r_p = contrast * (c * c * (square + 1) - 1) / p_sum / p_sum
@@ -197,8 +198,7 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
         first square lacks of the second and which has more of its digits."""
         below = total * total + other * other
         above = difference * difference + other * other
-        part = divide(jnp.where(3 * above < below, above, -missing), below, otherwise=0)
-        return jnp.where(3 * above < below, part, 1 + part)
+        return jnp.where(3 * above < below, divide(above, below), 1 - divide(missing, below))
 
     r_s = ratio(apart, a + c, b, 4 * a * c)
     return r_s * (1 + ratio(a * c - s_squared, a * c + s_squared, b * c, 4 * a * c * s_squared)) / 2

@@ -195,11 +195,9 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     """
     apart, together = u - v, u + v
     chord, other = dot(apart, apart), dot(together, together)
-    near = chord <= other
-    x = jnp.minimum(chord, other)
-    coefficients = _SQUARED_ANGLE_OVER_CHORD[8 if x.dtype == jnp.float64 else 4]
-    square = x * polynomial(coefficients[::-1], x)
-    return jnp.where(near, square, jnp.square(jnp.pi - safe_sqrt(jnp.where(near, 0, square))))
+    coefficients = _SQUARED_ANGLE_OVER_CHORD[8 if chord.dtype == jnp.float64 else 4][::-1]
+    near, far = (x * polynomial(coefficients, x) for x in (chord, other))
+    return jnp.where(chord <= other, near, jnp.square(jnp.pi - safe_sqrt(far)))
 
 
 @takes_numbers

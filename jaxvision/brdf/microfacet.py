@@ -58,7 +58,7 @@ def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distributio
     match distribution:
         case "beckmann":
             above = ~(n.z <= 1e-5)  # the weight of steeper facets underflows
-            z = or_one(n.z, above)
+            z = jnp.maximum(n.z, 1e-5)
             steepness = across / (z * z)
             # where the exponential is 0, z^4 in a derivative would leave the range of a float
             counts = above & ~(steepness >= -log_of_zero(z.dtype))
@@ -144,7 +144,7 @@ def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     view = as_vec(normalize(Vec(v.x * a[0], v.y * a[1], v.z)))
     sine = safe_sqrt(view.x * view.x + view.y * view.y)
     tilted = sine > smallest_divisor(sine.dtype)
-    side = 1 / or_one(sine, tilted)
+    side = 1 / divisor(sine)
     t1 = Vec(jnp.where(tilted, -view.y * side, 1), jnp.where(tilted, view.x * side, 0), 0 * view.z)
     t2 = cross(view, t1)
     radius, phi = safe_sqrt(u[0]), 2 * jnp.pi * u[1]

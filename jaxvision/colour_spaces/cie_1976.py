@@ -25,7 +25,7 @@ def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
     below. In two parts whose sum is f(t) - 4/29, so that a dark colour loses no digits to the
     line's constant, nor the difference of two cube roots to its own."""
     curved = t > _BREAK**3
-    root = jnp.cbrt(jnp.where(curved, t, 1))
+    root = jnp.cbrt(jnp.maximum(t, _BREAK**3 / 2))
     return jnp.where(curved, root, t * (1 / (3 * _BREAK**2))), jnp.where(curved, -4 / 29, 0.0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
-from .._numerics import or_one
+from .._numerics import smallest_divisor
 from .._types import Scalars, as_relative, is_known, print_by_name, refuse_codes
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
 from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
@@ -117,8 +117,11 @@ def _monotone_slopes(inputs: Points, outputs: Points) -> Points:
     before, behind = chord[:-1], chord[1:]
     near_before, near_behind = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
     onward = ~(before * behind <= 0)
-    safe_before, safe_behind = (or_one(c, onward) for c in (before, behind))
-    mean = (near_before + near_behind) / (near_before / safe_before + near_behind / safe_behind)
+    steep_before, steep_behind = (
+        jnp.maximum(jnp.abs(c), smallest_divisor(c.dtype)) for c in (before, behind)
+    )
+    mean = (near_before + near_behind) / (near_before / steep_before + near_behind / steep_behind)
+    mean = jnp.where(before < 0, -mean, mean)
     first = _end_slope(width[0], width[1], chord[0], chord[1])
     last = _end_slope(width[-1], width[-2], chord[-1], chord[-2])
     return jnp.concatenate([first[None], jnp.where(onward, mean, 0), last[None]])

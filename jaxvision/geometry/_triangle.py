@@ -57,9 +57,9 @@ def triangle_distance(ray: Ray, frame: Frame, a: Vec, b: Vec, c: Vec) -> Scalar:
     front = (u >= -du) & (v >= -dv) & (w >= -dw)
     back = (u <= du) & (v <= dv) & (w <= dw)
     area = u + v + w
-    # within rounding of 0: seen edge on, or degenerate
+    # within rounding of 0: seen edge on, or degenerate; then the distance is 0, which is a miss
     flat = jnp.abs(area) <= jnp.maximum(jnp.maximum(du, dv), dw)
-    inverse = 1 / or_one(area, ~flat)
+    inverse = 1 / jnp.where(flat, jnp.inf, area)
     distance = (u * a.z + v * b.z + w * c.z) * inverse
     return jnp.where((front | back) & ~flat & (distance > 0), distance, jnp.inf)
 

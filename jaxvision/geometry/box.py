@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from .._numerics import divide, dot, or_one, smallest_divisor, with_gradient_of
+from .._numerics import divide, dot, smallest_divisor, with_gradient_of
 from .._staging import stored
 from .._types import Scalar
 from .._vector import Vec, as_vec, where
@@ -43,8 +43,9 @@ def _slabs(
         (half.x, half.y, half.z),
         strict=True,
     ):
-        crosses = jnp.abs(d) > smallest_divisor(d.dtype)
-        inverse = 1 / or_one(d, crosses)
+        least = smallest_divisor(d.dtype)
+        crosses = jnp.abs(d) > least
+        inverse = 1 / jnp.where(crosses, d, least)
         middle, half_chord = -o * inverse, h * jnp.abs(inverse)
         enter.append(jnp.where(crosses, middle - half_chord, -jnp.inf))
         leave.append(jnp.where(crosses, middle + half_chord, jnp.inf))

@@ -114,8 +114,8 @@ def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, 
     narrow, wide = _cases(square, cosine)
     length = square + cosine * cosine
     inverse = divide(1, length, where=narrow | wide)
-    adjacent = or_one(cosine, narrow)
-    x = jnp.where(narrow, square, 0) / (adjacent * adjacent)
+    adjacent = jnp.maximum(cosine, smallest_divisor(cosine.dtype))
+    x = jnp.minimum(square / (adjacent * adjacent), 2 * _SMALL)
     series = jnp.zeros_like(x)  # sum over k >= 1 of (-1)^k x^(k - 1) k / (2 k + 1), Horner
     for k in range(_TERMS, 0, -1):
         series = (-1) ** k * k / (2 * k + 1) + x * series

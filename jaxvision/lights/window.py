@@ -96,11 +96,9 @@ def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
     b = a + step
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
     same_side = a * b > 0
-    total = b * across_a + a * across_b
-    rise = step * (b + a) / or_one(total, same_side)
-    span = jnp.where(
-        same_side, jnp.arcsinh(jnp.where(same_side, rise, 0)), jnp.arcsinh(b) - jnp.arcsinh(a)
-    )
+    total = b * across_a + a * across_b  # at least a step on one side, and about it at its ends
+    rise = step * (b + a) / or_one(total, ~(jnp.abs(total) <= step / 2))
+    span = jnp.where(same_side, jnp.arcsinh(rise), jnp.arcsinh(b) - jnp.arcsinh(a))
     return Spread(start, length, scale, jnp.arcsinh(a), span)
 
 

@@ -250,9 +250,11 @@ def _mean_within(a: Scalar, b: Scalar, left: Scalar) -> Scalar:
     origin = jnp.clip(0, left, right)
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)
     enters, leaves = (low < left) & (high > left), (low < right) & (high > right)
-    beyond = jnp.where(leaves, right - low, high - left)
-    corner = divide(beyond * beyond, 2 * (high - low), enters ^ leaves)
-    one_end = jnp.where(leaves, (right - origin) - corner, (left - origin) + corner)
-    both_ends = (left - origin) + divide((high - left) - 0.5, high - low, enters & leaves)
+    width = high - low
+    run = jnp.maximum(width, smallest_divisor(width.dtype))
+    of_right, of_left = ((x * x) / (2 * run) for x in (right - low, high - left))
+    one_end = (right - origin) - of_right, (left - origin) + of_left
+    both_ends = (left - origin) + ((high - left) - 0.5) / jnp.maximum(width, 0.5)
     inside = jnp.clip((low + high) / 2, left, right) - origin
-    return jnp.where(enters & leaves, both_ends, jnp.where(enters ^ leaves, one_end, inside))
+    inside = jnp.where(leaves, one_end[0], jnp.where(enters, one_end[1], inside))
+    return jnp.where(enters & leaves, both_ends, inside)

@@ -147,7 +147,7 @@ def _segment(alpha: Scalars) -> Scalars:
     t^3 / 3! (1 - t^2 / (4 5) (1 - t^2 / (6 7) (...))) where the two nearly cancel."""
     t = 2 * alpha
     small = t < 2
-    square = jnp.where(small, t * t, 0)
+    square = jnp.square(jnp.minimum(t, 2.25))
     series = jnp.ones_like(square)
     for k in range(28 if t.dtype == jnp.float64 else 18, 2, -2):
         series = 1 - square / (k * (k + 1)) * series

@@ -48,9 +48,8 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
     """
     _check_metres("image_distance", object_distance, focal_length)
     z, f = object_distance, focal_length
-    near = _is_near(z, f)
-    close = jnp.where(near, z, 0) * f * _reciprocal(jnp.where(near, z, 0) - f)
-    return jnp.where(near, close, f / (1 - f / jnp.where(near, jnp.inf, z)))
+    close, far = _parts(z, f)
+    return jnp.where(_is_near(z, f), close * f * _reciprocal(close - f), f / (1 - f / far))
 
 
 @takes_numbers
@@ -88,7 +87,8 @@ def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
         1.0
     """
     near = _is_near(first, second) & _is_near(second, first) & jnp.isfinite(first)
-    a, b = (or_one(z, near) for z in (first, second))
+    closer = _is_near(first, second, 4) & _is_near(second, first, 4) & jnp.isfinite(first)
+    a, b = (or_one(z, closer) for z in (first, second))
     close = (b - a) * _reciprocal(a) * _reciprocal(b)
     far = _reciprocal(first) - _reciprocal(second)
     return jnp.where(near, close, far)
@@ -139,9 +139,9 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
     """
     _check_metres("working_f_number", focus_distance, focal_length)
     z, f = focus_distance, focal_length
-    near = _is_near(z, f)
-    close = jnp.where(near, z, 0) * _reciprocal(jnp.where(near, z, 0) - f)
-    return f_number * jnp.where(near, close, 1 / (1 - f / jnp.where(near, jnp.inf, z)))
+    close, far = _parts(z, f)
+    magnified = jnp.where(_is_near(z, f), close * _reciprocal(close - f), 1 / (1 - f / far))
+    return f_number * magnified
 
 
 @takes_numbers
@@ -332,15 +332,20 @@ def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None
         )
 
 
-def _is_near(z: Scalars, f: Scalars) -> Bool[Array, "..."]:
+def _is_near(z: Scalars, f: Scalars, times: float = 2) -> Bool[Array, "..."]:
     """Where z is at most twice f, so that the difference of reciprocals would lose digits."""
-    return jnp.abs(z) <= 2 * jnp.abs(f)
+    return jnp.abs(z) <= times * jnp.abs(f)
+
+
+def _parts(z: Scalars, f: Scalars) -> tuple[Scalars, Scalars]:
+    """z in m, where it is near and where it is far, and in both about the border between them."""
+    return jnp.where(_is_near(z, f, 4), z, 0), jnp.where(_is_near(z, f, 1.5), jnp.inf, z)
 
 
 def _reciprocal(x: Scalars) -> Scalars:
     """1 / x; at a size below `smallest_divisor` that of the divisor itself, with gradient 0."""
     least = smallest_divisor(x.dtype)
-    return divide(1, x, ~(jnp.abs(x) <= least), jnp.where(x < 0, -1 / least, 1 / least))
+    return 1 / jnp.where(jnp.abs(x) <= least, jnp.where(x < 0, -least, least), x)
 
 
 def _positive_reciprocal(x: Scalars) -> Scalars:

@@ -5,6 +5,7 @@ from fractions import Fraction
 import jax.numpy as jnp
 
 from .._arguments import in_range, takes_numbers
+from .._numerics import smallest_divisor
 from .._powers import (
     Exponent,
     exact,
@@ -91,7 +92,7 @@ def srgb_encode(linear: Scalars, *, method: str = "power") -> Scalars:
     """
     refuse_codes(linear := as_relative(linear))
     curved = is_above(linear, Fraction("0.0031308"))
-    base, exponent = jnp.where(curved, linear, 1), exact(Fraction(10, 24), linear.dtype)
+    base, exponent = jnp.where(linear < 0.0015, 1, linear), exact(Fraction(10, 24), linear.dtype)
     if method == "power":
         root, rest = power_in_parts(base, exponent)
         encoded = _above_offset(root, 1.055 * rest)
@@ -138,7 +139,7 @@ def srgb_decode(encoded: Scalars, *, method: str = "power") -> Scalars:
     """
     refuse_codes(encoded := as_relative(encoded))
     curved = is_above(encoded, Fraction("0.04045"))
-    base = jnp.where(curved, encoded, 1)
+    base = jnp.where(encoded < 0.02, 1, encoded)
     if method == "power":
         linear = power_of_sum(base, Fraction(55, 1000), _SRGB_SCALE, Fraction(24, 10))
     else:
@@ -154,8 +155,8 @@ def _raised(base: Scalars, exponent: Exponent, method: str) -> Scalars:
     check_choice("method", method, ("power", "exp2"))
     if method == "power":
         return exact_power(base, exponent)
-    zero = base <= 0
-    return jnp.where(zero, 0, jnp.exp2(exponent[0] * jnp.log2(jnp.where(zero, 1, base))))
+    zero, least = base <= 0, smallest_divisor(base.dtype) ** 2
+    return jnp.where(zero, 0, jnp.exp2(exponent[0] * jnp.log2(jnp.where(zero, least, base))))
 
 
 @takes_numbers

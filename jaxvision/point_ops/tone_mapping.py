@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import in_range, takes_numbers
-from .._numerics import divide, log1p, polynomial, safe_log, smallest_divisor
+from .._numerics import divide, log1p, or_one, polynomial, safe_log, smallest_divisor
 from .._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
 
 
@@ -134,7 +134,7 @@ def _log_ratio(x: Scalars, strength: Scalars) -> Scalars:
     overflows = jnp.isinf(product) & jnp.isfinite(x) & jnp.isfinite(strength)
     bright, steep = jnp.where(overflows, x, 1), jnp.where(overflows, strength, 1)
     apart = (jnp.log(bright) + jnp.log(steep)) / log1p(steep)
-    large = log1p(product) / log1p(jnp.where(product < 1, 1, strength))
+    large = log1p(product) / log1p(or_one(strength))
     small = x * (_mean_slope(product) / _mean_slope(strength))
     return jnp.where(overflows, apart, jnp.where(product < 1, small, large))
 
@@ -154,10 +154,11 @@ def _log_ratio_jvp(primals, tangents):
     )
     near = (product < _NEAR) & (strength < _NEAR)
     of_x, of_one = (
-        (_mean_slope(z), polynomial(_SERIES, jnp.where(near, z, 0))) for z in (product, strength)
+        (_mean_slope(z), polynomial(_SERIES, jnp.minimum(z, 2 * _NEAR)))
+        for z in (product, strength)
     )
     series = x * (x * of_x[1] * of_one[0] - of_x[0] * of_one[1]) / jnp.square(of_one[0])
-    steep = jnp.where(near, 1, strength)
+    steep = jnp.where((product < _NEAR / 2) & (strength < _NEAR / 2), 1, strength)
     difference = (1 / (divide(1, x) + steep) - mapped / (1 + steep)) / log1p(steep)
     by_strength = jnp.where(near, series, jnp.where(x > 0, difference, 0 * mapped))
     return mapped, by_x * dx + by_strength * ds
@@ -165,8 +166,7 @@ def _log_ratio_jvp(primals, tangents):
 
 def _mean_slope(z: Scalars) -> Scalars:
     """log(1 + z) / z, 1 at 0, for z >= 0."""
-    small = z < jnp.finfo(z.dtype).eps / 2
-    return jnp.where(small, 1, log1p(z) / jnp.where(small, 1, z))
+    return jnp.where(z < jnp.finfo(z.dtype).eps / 2, 1, log1p(z) / or_one(z))
 
 
 _NEAR = 0.1

@@ -305,7 +305,8 @@ def _at_both_ends(
     middle = (first + last) / 2 - mean
     width, offset = (last - first) / sigma, jnp.abs(middle) / sigma
     narrow = bounded & is_narrow(width, offset)
-    part, square = in_narrow_window(jnp.where(narrow, width, 0), jnp.where(narrow, offset, 0))
+    taken = bounded & is_narrow(width / 2, offset)
+    part, square = in_narrow_window(jnp.where(taken, width, 0), jnp.where(taken, offset, 0))
     within = (last - first) * part
     within = jnp.where(middle < 0, last - within, first + within)
     return (

@@ -95,9 +95,10 @@ def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
 @jax.custom_jvp
 def _sinc(x: Scalars) -> Scalars:
     """sin(pi x) / (pi x), which keeps its digits beside its zeros."""
-    low = jnp.abs(x) < smallest_divisor(x.dtype)
-    sine, _ = sine_cosine(jnp.where(low, 0.5, x) / 2)
-    return jnp.where(low, 1, sine / (jnp.pi * jnp.where(low, 1, x)))
+    least = smallest_divisor(x.dtype)
+    away = jnp.maximum(jnp.abs(x), least / 2)
+    sine, _ = sine_cosine(away / 2)
+    return jnp.where(jnp.abs(x) < least, 1, sine / (jnp.pi * away))
 
 
 @_sinc.defjvp
@@ -105,15 +106,15 @@ def _sinc_jvp(primals, tangents):
     """(cos(pi x) - sinc(x)) / x; near 0, where that cancels, the series
     -pi^2 x / 3 (1 - z / (2 5) (1 - z / (4 7) (...))) of z = (pi x)^2."""
     (x,), (change,) = primals, tangents
-    near = jnp.abs(x) < 0.5
-    z = jnp.square(jnp.pi * jnp.where(near, x, 0))
+    size = jnp.abs(x)
+    z = jnp.square(jnp.pi * jnp.minimum(size, 0.6))
     series = jnp.ones_like(z)
     for k in range(20, 0, -2):
         series = 1 - z / (k * (k + 3)) * series
     _, cosine = sine_cosine(x / 2)
     value = _sinc(x)
-    far = (cosine - value) / jnp.where(near, 1, x)
-    return value, jnp.where(near, -(jnp.pi**2) / 3 * x * series, far) * change
+    far = (cosine - value) / jnp.where(size < 0.4, 1, x)
+    return value, jnp.where(size < 0.5, -(jnp.pi**2) / 3 * x * series, far) * change
 
 
 def _cell_weights(aperture: PixelAperture) -> Float[Array, " n"]:

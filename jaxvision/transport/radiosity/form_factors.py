@@ -173,7 +173,7 @@ def _gain(x: Scalars, y: Scalars) -> Scalars:
     longer = y * y / (1 + s)
     of_angles = longer * arctan2(x, s) - arctan2(x * longer, s + x * x)
     near = x < _NEAR
-    small = jnp.where(near, x, 0)
+    small = jnp.minimum(x, 2 * _NEAR)
     power, steps = jnp.ones_like(small), jnp.ones_like(small)
     series = jnp.full_like(small, 1 / 3)
     for j in range(1, _TERMS[x.dtype == jnp.float64]):
@@ -209,7 +209,7 @@ def _log_of_side(w: Scalars, h: Scalars) -> Scalars:
 def _log_remaining(lost: Scalars, remaining: Scalars) -> Scalars:
     """log(1 - lost), where 1 - lost = remaining; each is used where it has the more digits."""
     small = lost < 0.5
-    return jnp.where(small, log1p(-jnp.where(small, lost, 0)), safe_log(remaining))
+    return jnp.where(small, log1p(-jnp.minimum(lost, 0.75)), safe_log(remaining))
 
 
 @takes_numbers

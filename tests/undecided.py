@@ -1,0 +1,106 @@
+"""Conditions that rounding may decide in two ways within one program.
+
+XLA may compute a comparison twice, with and without fused multiply-adds, so that `jnp.where(c, a /
+jnp.where(c, b, 1), 0)` disagrees with itself where c is met to the last digit. Here a program is
+run operation by operation, and each use of such a flag is given the other answer, one at a time.
+"""
+
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+_INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # what a call's parameters call its program
+
+
+def _steps(closed, into, arguments):
+    """Appends (operation, inputs, outputs) of a program, those of its calls in their place. Inputs
+    and outputs are numbers of slots, or constants."""
+    jaxpr, slots = closed.jaxpr, {}
+    for variable, value in zip(jaxpr.constvars, closed.consts, strict=True):
+        slots[variable] = ("constant", value)
+    for variable, slot in zip(jaxpr.invars, arguments, strict=True):
+        slots[variable] = slot
+
+    def read(x):
+        return ("constant", x.val) if isinstance(x, Literal) else slots[x]
+
+    for eqn in jaxpr.eqns:
+        inside = next((eqn.params[name] for name in _INSIDE if name in eqn.params), None)
+        if inside is not None and eqn.primitive.name not in ("while", "scan"):
+            if not hasattr(inside, "consts"):
+                inside = ClosedJaxpr(inside, ())
+            found = _steps(inside, into, [read(x) for x in eqn.invars])
+        else:
+            found = [("slot", (len(into), k)) for k in range(len(eqn.outvars))]
+            into.append((eqn, [read(x) for x in eqn.invars]))
+        for variable, slot in zip(eqn.outvars, found, strict=True):
+            slots[variable] = slot
+    return [read(x) for x in jaxpr.outvars]
+
+
+def _run(steps, results, arguments, changed=None):
+    """The results; `changed`: (step, input) -> array that this use gets instead."""
+    values: dict = {("argument", i): x for i, x in enumerate(arguments)}
+
+    def read(slot):
+        return slot[1] if slot[0] == "constant" else values[slot]
+
+    for i, (eqn, inputs) in enumerate(steps):
+        given = [read(slot) for slot in inputs]
+        for (step, place), value in (changed or {}).items():
+            if step == i:
+                given[place] = value
+        out = eqn.primitive.bind(*given, **eqn.params)
+        out = out if eqn.primitive.multiple_results else [out]
+        for k, x in enumerate(out):
+            values["slot", (i, k)] = x
+    return [np.asarray(read(slot)) for slot in results], values
+
+
+def moved(arguments, ulps):
+    """The arguments, each moved by some units in the last place, in every combination of them."""
+    for steps in product(ulps, repeat=len(arguments)):
+        yield [
+            jnp.asarray(x + np.float64(step) * np.spacing(np.asarray(x)), x.dtype)
+            for x, step in zip(arguments, steps, strict=True)
+        ]
+
+
+def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
+    """(number of flags that these arguments decide to the last digit, sentences for their uses of
+    which the other answer gives a result beyond those of the neighbours, by `within` of them).
+
+    The neighbours are the arguments moved by a few units in the last place."""
+    arguments = [jnp.asarray(x) for x in arguments]
+    closed = jax.make_jaxpr(function)(*arguments)
+    steps = []
+    results = _steps(closed, steps, [("argument", i) for i in range(len(arguments))])
+    found, values = _run(steps, results, arguments)
+    low, high = list(found), list(found)
+    flags = {}
+    for near in moved(arguments, ulps):
+        own, others = _run(steps, results, near)
+        low = [np.fmin(a, b) for a, b in zip(low, own, strict=True)]
+        high = [np.fmax(a, b) for a, b in zip(high, own, strict=True)]
+        for slot, value in others.items():
+            if value.dtype == bool and (value != values[slot]).any():
+                flags[slot] = flags.get(slot, False) | (value != values[slot])
+    wrong = []
+    for i, (eqn, inputs) in enumerate(steps):
+        gives_flags = all(v.aval.dtype == bool for v in eqn.outvars)
+        for place, slot in enumerate(inputs):
+            if slot[0] == "constant" or slot not in flags:
+                continue
+            if gives_flags and eqn.primitive.name != "select_n":
+                continue
+            other = jnp.asarray(values[slot]) ^ flags[slot]
+            got, _ = _run(steps, results, arguments, {(i, place): other})
+            for a, b, c in zip(got, low, high, strict=True):
+                scale = within * np.maximum(np.abs(b), np.abs(c))
+                good = (a >= b - scale) & (a <= c + scale) | (np.isnan(a) & np.isnan(b))
+                if not good.all():
+                    wrong.append(f"{eqn.primitive} {i}: {a} beyond {b} to {c}")
+    return len(flags), wrong
