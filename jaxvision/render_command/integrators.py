@@ -140,6 +140,7 @@ def lacking(source: SceneFile, settings: RenderEntry) -> list[str]:
             integrator=settings.integrator,
             depth=settings.depth,
             rule=_rule(settings, jax.random.key(settings.seed)),
+            samples=settings.samples,
             view=source.view,
             surfaces=source.surfaces,
             lights=source.lights,

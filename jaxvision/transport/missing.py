@@ -24,13 +24,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._numerics import norm, normalize
-from .._types import check_choice
+from .._types import check_choice, common_dtype
 from .._vector import as_array, as_vec, where
-from ..brdf import is_body, is_delta
+from ..brdf import evaluate, is_body, is_delta
 from ..brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
 from ..brdf.dichromatic import Dichromatic
 from ..brdf.gaussian_lobe import GaussianLobe, GaussianLobeBRDF
+from ..brdf.half_difference import HalfDifferenceTable
+from ..brdf.measured import AnisotropicTable, IsotropicTable
 from ..brdf.phong import NormalisedPhong, Phong, PhongBRDF
+from ..brdf.rgl import RGL
 from ..brdf.torrance_sparrow import TorranceSparrow
 from ..geometry import Ray, ball_around, has_area, surface_area
 from ..lights import (
@@ -65,6 +68,7 @@ def missing_light(
     integrator: Integrator,
     depth: int | None = None,
     rule: Rule | None = None,
+    samples: int | None = None,
     view: View | None = None,
     surfaces: Sequence[str] | None = None,
     lights: Sequence[str] | None = None,
@@ -88,6 +92,8 @@ def missing_light(
             `view` it is compared with the faces of glass and mirrors in a row. None: not looked at.
         rule: how "direct", "rays" and "radiosity" sample lights without a rule of their own; None:
             the integrator's default.
+        samples: of "path", a pixel: then a sentence about light that is rarely met says in how many
+            pixels, of whose errors alone it is a part. None: it gives the chance alone.
         view: of the camera, or None: then it is taken to see every mirror and glass.
         surfaces: name of each surface; None: their places in the scene.
         lights: name of each light; None: their places in the scene.
@@ -127,7 +133,7 @@ def missing_light(
             if isinstance(its_rule, Quadrature) and integrator != "radiosity":
                 found += _too_narrow(name, light, its_rule, own, integrator)
     if integrator == "path":
-        found += _rarely_in_lobe(scene, lamps, own)
+        found += _rarely_in_lobe(scene, lamps, own, samples)
     if not turning or integrator == "radiosity":
         return found
     matt = len(turning) < len(own)
@@ -175,7 +181,7 @@ def missing_light(
                 "glass."
             )
     if integrator == "path" and matt:
-        found += _rarely_found(scene, lamps, own, faces)
+        found += _rarely_found(scene, lamps, own, faces, samples)
     found += [
         f"{name}: this mesh of glass is not closed, {gaps} of its edges belonging to one triangle: "
         "a ray that passes there is taken to stay inside; close the mesh."
@@ -287,7 +293,8 @@ def _too_narrow(
 def _lobe(material: Material) -> tuple[float, float]:
     """Widths of the narrowest lobe, rad, along and across; pi where it is broad or not known.
 
-    A facet lobe has 2 alpha; the others have as much at an equal half width.
+    A facet lobe has 2 alpha; the others have as much at an equal half width. That of measured
+    numbers is found in them.
     """
     match material:
         case Dichromatic():
@@ -300,11 +307,33 @@ def _lobe(material: Material) -> tuple[float, float]:
             along = across = 4 / max(float(material.exponent), 1e-3) ** 0.5
         case GaussianLobe() | GaussianLobeBRDF():
             along = across = 2**0.5 / max(float(material.concentration), 1e-3)
+        case HalfDifferenceTable() | RGL() | IsotropicTable() | AnisotropicTable():
+            return _lobe_of_table(material)
         case _:
             return np.pi, np.pi
     if not np.asarray(material.specular).any():
         return np.pi, np.pi
     return min(float(along), np.pi), min(float(across), np.pi)
+
+
+def _lobe_of_table(material: Material) -> tuple[float, float]:
+    """`_lobe` of measured numbers, about the mirror's direction of light at 0.6 rad: from where
+    they fall half-way to their least. It is broad where it throws less than a hundredth."""
+    away = np.concatenate([[0], np.geomspace(1e-4, 1, 80)])
+    light = np.array([-np.sin(0.6), 0, np.cos(0.6)])
+    along = np.stack([np.sin(0.6 - away), 0 * away, np.cos(0.6 - away)], -1)
+    aside = along[0] + np.tan(away)[:, None] * np.array([0, 1, 0])
+    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
+    viewers = jnp.asarray(np.stack([along, aside]), common_dtype(material))
+    seen = jax.vmap(jax.vmap(lambda wo: evaluate(material, jnp.asarray(light, wo.dtype), wo)))
+    values = np.asarray(seen(viewers), float).mean(axis=-1)
+    peak, body = values[0, 0], values.min()
+    half = [away[np.argmax(row < (peak + body) / 2)] or np.pi for row in values]
+    thrown = (peak - body) * half[0] * half[1]  # of sr^-1, times half a width squared
+    if not (peak > 4 * body and thrown > 0.01 * (body + thrown)):
+        return np.pi, np.pi
+    width, other = (min(1.55 * float(x), np.pi) for x in half)  # 2 alpha of a facet lobe
+    return width, other
 
 
 def _angle(light: RectangleLight, shape: Shape) -> float:
@@ -322,7 +351,10 @@ def _angle(light: RectangleLight, shape: Shape) -> float:
 
 
 def _rarely_in_lobe(
-    scene: Scene, lamps: Sequence[str], own: Sequence[tuple[str, Surface]]
+    scene: Scene,
+    lamps: Sequence[str],
+    own: Sequence[tuple[str, Surface]],
+    samples: int | None,
 ) -> list[str]:
     """A sentence for each surface whose lobe throws light where paths hardly ever look for it."""
     matt = [surface for _, surface in own if not is_delta(surface.material)]
@@ -338,15 +370,23 @@ def _rarely_in_lobe(
         rare = [(lamp, c) for lamp, c in zip(lamps, chances, strict=True) if c < RARE]
         if rare:
             names, met = zip(*rare, strict=True)
-            found.append(_rare(_list(names), name, max(met)))
+            found.append(_rare(_list(names), name, max(met), samples))
     return found
 
 
-def _rare(light: str, faces: str, chance: float) -> str:
+def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
+    """The rest of a mean is what no sample of the pixel has met: its error knows nothing of it."""
+    shown = "Few samples show noise or nothing, and errors that are too small."
+    if samples is not None:
+        meets = -np.expm1(samples * np.log1p(-chance))
+        shown = (
+            f"At {samples} samples at most {meets:.2g} of the pixels meet it at all; errors of the "
+            f"others leave it out. It takes {np.ceil(3 / chance):,.0f} samples to meet it in 95 %."
+        )
     return (
         f"Rare: light of {light} on other surfaces by {faces} is met by chance alone, by at most "
-        f"one path in {round(1 / chance):,}. Few samples show noise or nothing, and errors that "
-        "are too small. Set integrator = 'light', which finds it on purpose."
+        f"one path in {round(1 / chance):,}. {shown} Set integrator = 'light', which finds it on "
+        "purpose."
     )
 
 
@@ -364,7 +404,11 @@ def _arriving(
 
 
 def _rarely_found(
-    scene: Scene, lamps: Sequence[str], own: Sequence[tuple[str, Surface]], faces: str
+    scene: Scene,
+    lamps: Sequence[str],
+    own: Sequence[tuple[str, Surface]],
+    faces: str,
+    samples: int | None,
 ) -> list[str]:
     """A sentence for each lamp with a size that paths beyond mirrors and glass hardly ever meet."""
     matt = [surface for _, surface in own if not is_delta(surface.material)]
@@ -376,7 +420,7 @@ def _rarely_found(
         for name, surface in own
         if _emits(surface) and has_area(surface.shape)
     ]
-    return [_rare(name, faces, chance) for name, chance in chances if 0 < chance < RARE]
+    return [_rare(name, faces, chance, samples) for name, chance in chances if 0 < chance < RARE]
 
 
 def _chance(light: Light, matt: Sequence[Surface]) -> float:

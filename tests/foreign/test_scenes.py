@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
+from jaxvision.brdf.half_difference import bin_angles
 from jaxvision.errors import InputError
 from jaxvision.scene_checks import idle_lamps
 from jaxvision.toml_files import read_toml
@@ -96,6 +97,22 @@ def test_lamps_that_paths_behind_glass_hardly_meet_are_named():
     assert missing_light(jv.Scene([FLOOR, PANE], [even]), integrator="path") == []
 
 
+@pytest.mark.long
+def test_the_share_of_pixels_that_meet_rare_light_is_said():
+    """A caustic under a pane, of a chip that one path in 31,416 meets at most: the pixels that are
+    not black are those whose errors know of it."""
+    chip = jv.RectangleLight([-0.01, -0.01, 2], [0.0, 0.02, 0], [0.02, 0.0, 0], [4e4])
+    scene = jv.Scene([FLOOR, PANE], [chip])
+    (said,) = missing_light(scene, integrator="path", samples=256)
+    given = float(said.split("at most ")[2].split()[0])
+    assert given == pytest.approx(256 / 31416, rel=0.02)
+    wide = replace(BELOW, pixel_pitch=jnp.asarray(0.005), resolution=(100, 100))
+    found = path_traced(jax.random.key(0), scene, wide, method=Paths(samples=256, depth=4))
+    met = float((found.radiance[..., 0] > 0).mean())
+    assert 0.4 * given < met < 1.1 * given  # 0.92 of the light passes the pane, at a slant less
+    assert (np.asarray(found.error[..., 0])[np.asarray(found.radiance[..., 0]) == 0] == 0).all()
+
+
 def _sky_with_sun(rows, sun):
     sky = np.full((rows, 2 * rows, 1), 0.01)
     sky[rows // 8, rows // 3] = sun
@@ -170,6 +187,24 @@ def test_a_lobe_between_the_samples_of_a_lamp_is_named(material, order, said):
     key = jax.random.key(0)
     assert missing_light(scene, integrator="direct", rule=jv.Balanced(key, 8)) == []
     assert missing_light(scene, integrator="path") == []
+
+
+@pytest.mark.parametrize(
+    ("alpha", "height", "said"), [(0.02, 100.0, 1), (0.3, 1.0, 0), (0.02, 0.5, 0), (0.02, 0.0, 0)]
+)
+def test_the_gloss_of_a_measured_table_between_the_samples_of_a_lamp_is_named(alpha, height, said):
+    """Facets of Beckmann's slopes in bins of half angles, on a body of albedo 0.3."""
+    half = np.asarray(bin_angles(jv.HalfDifferenceTable(jnp.zeros((90, 4, 4, 1))))[0])
+    values = 0.1 + height * np.exp(-((np.tan(half) / alpha) ** 2))
+    table = jv.HalfDifferenceTable(np.broadcast_to(values[:, None, None, None], (90, 4, 4, 1)))
+    lamp = jv.RectangleLight([-1.0, -1, 2], [0.0, 2, 0], [2.0, 0, 0], [5.0])
+    scene = jv.Scene([replace(FLOOR, material=table)], [lamp])
+    found = missing_light(scene, integrator="direct", rule=jv.Quadrature(8))
+    assert [s[:7] for s in found] == ["Narrow:"] * said
+    view = jv.Orthographic([0.0, 0, 1.5], DOWN, 0.01, resolution=(1, 1))
+    coarse = jv.render(scene, view, rule=jv.Quadrature(8))
+    fine = jv.render(scene, view, rule=jv.Quadrature(96))
+    assert (abs(float((coarse / fine).mean()) - 1) > 0.1) == bool(said)
 
 
 def test_a_lobe_between_the_directions_of_a_sky_is_named():
