@@ -92,17 +92,28 @@ def by_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
     if PLAIN:  # JAX cannot differentiate the choice
         return finished(whole(_widest()))
 
-    least, darkest = _range(image, k)
+    largest, darkest, bound = _range(image, k)
+
+    def exact() -> Planes:
+        mean = jnp.square(image).sum((1, 2)) / (image.shape[1] * image.shape[2])
+        return _least(jnp.sqrt(mean)[..., None, None], largest, k)
+
+    # the picture is summed up only where the bound is too wide to say that the sums are right
+    least = lax.cond((darkest >= bound).all(), lambda: bound, exact)
     even = (darkest >= least).all()
     first = partial(whole, dtype)
     sums = lax.cond(even, first, lambda: jnp.zeros_like(jax.eval_shape(first)))
-    smallest = jnp.abs(sums[:, :, :rows, :columns]).min((2, 3), keepdims=True)
+    # along the columns first, where XLA's loop vectorises
+    smallest = jnp.abs(sums[:, :, :rows, :columns]).min(2).min(2)[..., None, None]
     right = (smallest >= least).all()
 
-    def either_sign() -> Bool[Array, ""]:
-        return (image.min() < 0) | (k.min() < 0)
+    def else_right() -> Bool[Array, ""]:
+        either_sign = (image.min() < 0) | (k.min() < 0)
+        return (smallest >= exact()).all() | even & either_sign
 
-    right = lax.cond(right, lambda: right, lambda: even & either_sign())
+    # XLA's minima may pass by NaN, which a transform spreads over the whole plane
+    known = jnp.isfinite(sums[:, :, 0, 0]).all()
+    right = known & lax.cond(right, lambda: right, else_right)
     return finished(_in_tiles(image, k, around, sums, right))
 
 
@@ -112,9 +123,10 @@ def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
     return np.where(own == 0, n, source)
 
 
-def _range(image: Stack, k: Planes) -> tuple[Planes, Planes]:
-    """The least sums that one transform gets right, and the most that the darkest window sums to,
-    each (n, c, 1, 1)."""
+def _range(image: Stack, k: Planes) -> tuple[Planes, Planes, Planes]:
+    """The largest magnitude, the most that the darkest window sums to, and a bound on `_least` of
+    which the mean square is that of the largest values of stretches of columns, each
+    (n, c, 1, 1)."""
     n, h, w, c = image.shape
     kh, kw = (min(side, taps, _SEEN) for side, taps in zip((h, w), k.shape[2:], strict=True))
     rows = image.reshape(n, h, w * c)  # whole rows of numbers are fast
@@ -124,9 +136,14 @@ def _range(image: Stack, k: Planes) -> tuple[Planes, Planes]:
     largest = jnp.maximum(down.max((1, 2)), left.max(1))
     across = down[:, :, : w // kw * kw].reshape(n, h // kh, w // kw, kw, c)
     darkest = across.max(3).min((1, 2)).reshape(n, c, 1, 1) * _sum(k)
-    mean = jnp.square(rows).sum(1).reshape(n, w, c).sum(1) / (h * w)
+    mean = (kh * jnp.square(down).sum(1) + rest.shape[1] * jnp.square(left)).sum(1) / (h * w)
     mean, largest = (x.reshape(n, c, 1, 1) for x in (mean, largest))
-    return _rounding(jnp.sqrt(mean), largest, k) / _RIGHT[k.dtype.itemsize], darkest
+    return largest, darkest, _least(jnp.sqrt(mean), largest, k)
+
+
+def _least(rms: Planes, largest: Planes, k: Planes) -> Planes:
+    """The least sums that one transform gets right, (n, c, 1, 1)."""
+    return _rounding(rms, largest, k) / _RIGHT[k.dtype.itemsize]
 
 
 def _in_tiles(
