@@ -138,6 +138,12 @@ def warn_caller(text: str) -> None:
     warnings.warn(text, stacklevel=level)
 
 
+def warn_of_idle_fill(fill: Any, border: str) -> None:
+    """Warns of a known fill, in any unit, that a border does not use."""
+    if border != "constant" and is_known(fill) and np.any(np.asarray(fill) != 0):
+        warn_caller(f'fill has no effect with border "{border}"; set border = "constant".')
+
+
 def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """A decorator, below `takes_numbers`: `ValueError` for arguments outside their range, where
     they are known."""

@@ -25,7 +25,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped
 
-from ._arguments import takes_numbers, warn_caller
+from ._arguments import takes_numbers, warn_caller, warn_of_idle_fill
 from ._types import as_float, print_by_name
 
 Picture = Shaped[Array | np.ndarray, "*picture"]
@@ -201,6 +201,7 @@ def pad(
     check_border(border)
     if np.shape(widths) != (2, 2) or np.min(widths) < 0:
         raise ValueError(f"widths must be ((top, bottom), (left, right)), each >= 0, got {widths}.")
+    warn_of_idle_fill(fill, border)
     outside = jnp.asarray(fill, image.dtype) if border == "constant" else jnp.zeros((), image.dtype)
     for axis, (before, after) in zip((1, 2), widths, strict=True):
         image = continued(image, axis, before, after, border, outside)

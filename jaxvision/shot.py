@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import takes_numbers
+from ._arguments import takes_numbers, warn_caller
 from ._band_count import band_count
 from ._shown import Shown
 from ._types import Image, Key, Scalar, check_given, in_short, is_known, print_by_name
@@ -143,6 +143,8 @@ def capture(
         )
     if integrator is not None and samples is not None:
         raise ValueError("samples are of direct light: an integrator brings its own, leave them.")
+    if motion is None and moments != 8:
+        warn_caller("capture: moments has no effect without a motion; leave it out.")
     certificate = None
     if tolerance is not None:
         if not (integrator is None or isinstance(integrator, Paths)):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import in_range, takes_numbers
+from ._arguments import in_range, takes_numbers, warn_caller
 from ._exponential import decay
 from ._numerics import difference_of_products, or_one
 from ._powers import exact
@@ -351,7 +351,7 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
     Args:
         basis: (bands, 3) relative, as `colour_data.daylight_basis` gives it.
         temperature: () correlated colour temperature in K, clamped to CIE's range of 4000 to 25000
-            K; D65 is at 6504 K (6500 K on the scale of 1931).
+            K, with a warning where it is known; D65 is at 6504 K (6500 K on the scale of 1931).
 
     Returns:
         (bands,) relative.
@@ -359,6 +359,11 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
     Source:
         CIE 15:2018, section 4.1.2.
     """
+    if is_known(temperature) and not ((temperature >= 4000) & (temperature <= 25000)).all():
+        warn_caller(
+            f"daylight: CIE defines it from 4000 to 25000 K, got {float(temperature):g} K; the "
+            "nearest end is taken. Cooler lamps have the spectrum of a black body."
+        )
     inverse = 1e3 / jnp.clip(temperature, 4000, 25000)
     cool = temperature <= 7000
 

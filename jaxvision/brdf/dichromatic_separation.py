@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._arguments import takes_numbers
+from .._arguments import takes_numbers, warn_caller
 from .._numerics import divide, or_one, running_sum, safe_sqrt, smallest_divisor
 from .._shown import Shown
 from .._types import Colour, Scalar, check_shape, print_by_name
@@ -124,14 +124,17 @@ def separate(
     check_shape("illuminant", illuminant, (image.shape[-1],))
     check_shape("body", body, (image.shape[-1],))
     c_i = _unit(illuminant)
+    if body is not None and quantile != 0.02:
+        warn_caller("separate: quantile has no effect beside a body colour; leave it out.")
     c_b = body_colour(image, illuminant, valid=valid, quantile=quantile) if body is None else body
     c_b = _unit(c_b)
     cos = (c_b * c_i).sum()
     aside = c_b - cos * c_i
     sine = _length(aside)
-    same = sine <= jnp.finfo(image.dtype).eps
+    least = float(jnp.finfo(image.dtype).eps)
+    same = sine <= least
     on_b, on_i = image @ c_b, image @ c_i
-    below = jnp.square(or_one(sine, ~same))
+    below = jnp.square(jnp.maximum(sine, least))
     m_b, m_i = (on_b - cos * on_i) / below, (on_i - cos * on_b) / below
     outside = same | (m_b <= 0) | (m_i <= 0)
     alone_b, alone_i = jnp.maximum(on_b, 0), jnp.maximum(on_i, 0)
@@ -179,7 +182,7 @@ def body_colour(
     total = (weight[..., None] * across).reshape(-1, image.shape[-1]).sum(axis=0)
     length = _length(total)
     tinted = ~(length <= jnp.finfo(image.dtype).eps * jnp.abs(weight * along).sum())
-    side = total / or_one(length, tinted)
+    side = total / or_one(length, ~(length <= smallest_divisor(length.dtype)))
     m = jnp.maximum((across @ side) * weight, 0).reshape(-1)
     positive = m > smallest_divisor(m.dtype)
     ratio = divide(along.reshape(-1), m, where=positive, otherwise=jnp.inf)

@@ -22,10 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._arguments import takes_numbers
+from .._arguments import takes_numbers, warn_caller
 from .._numerics import with_gradient_of
 from .._staging import stored
-from .._types import Image, Scalar, as_float, as_relative, check_choice
+from .._types import Image, Scalar, as_float, as_relative, check_choice, is_known
 from ..padding import Picture
 from ..scene.developments import ROUNDINGS, SUBSAMPLINGS
 
@@ -72,7 +72,7 @@ def quantisation_tables(
     """The divisors of the coefficients, for luma and chroma.
 
     Args:
-        quality: () no unit, cut to [1, 100].
+        quality: () no unit, cut to [1, 100], with a warning where it is known.
         rounding: "straight_through" gives whole numbers, "cubic" the scaled tables themselves.
 
     Returns:
@@ -87,6 +87,8 @@ def quantisation_tables(
         [ 3  2  2  3  5  8 10 12]
     """
     whole = _is_whole(rounding)
+    if is_known(quality) and not 1 <= quality <= 100:
+        warn_caller(f"quality is a number from 1 to 100, got {quality:g}; the nearest is taken.")
     quality = jnp.clip(as_float(quality), 1, 100)
     low = quality < 50
     divisor = jnp.where(low, quality, 1)
@@ -114,7 +116,7 @@ def jpeg(
     Args:
         picture: (..., h, w, 1) or (..., h, w, 3) encoded, relative; half precision passes through
             float32.
-        quality: () no unit, cut to [1, 100].
+        quality: () no unit, cut to [1, 100], with a warning where it is known.
         subsampling: "4:4:4" keeps the chroma; "4:2:0" halves it both ways (it is upsampled by
             libjpeg's triangle filter).
         rounding: "straight_through" or "cubic".

@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Shaped
 
+from .._arguments import warn_of_idle_fill
 from .._numerics import divide, smallest_divisor
 from .._types import print_by_name
 from ..padding import Filtered, Picture, as_planes, ghosts
@@ -47,9 +48,14 @@ class Settings(NamedTuple):
     method: str
 
 
-@partial(jax.jit, static_argnames="settings")
 def filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
     """The picture correlated with the sum of the terms, with the contribution of the border."""
+    warn_of_idle_fill(fill, settings.border)
+    return _filtered(picture, terms, fill, settings)
+
+
+@partial(jax.jit, static_argnames="settings")
+def _filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) -> Filtered:
     anchor, border, method = settings
     image, restore = as_planes(picture)
     passes = tuple(_passes(term, image.dtype) for term in terms)

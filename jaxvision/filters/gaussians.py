@@ -25,7 +25,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.polynomial.legendre import leggauss
 
-from .._arguments import takes_numbers
+from .._arguments import takes_numbers, warn_caller, warn_of_idle_fill
 from .._types import Scalar, as_float, check_choice, check_count, print_by_name
 from ..padding import Filtered, Picture
 from ._terms import Fill
@@ -86,6 +86,9 @@ def gaussian(
         if isinstance(sigma, Tracer):
             raise ValueError("a traced sigma needs a size: pass size=gaussian_size(largest sigma).")
         size = gaussian_size(float(np.max(np.asarray(sigma))), truncate=truncate)
+    elif truncate != 4.0:
+        warn_caller("truncate has no effect beside a size; leave one of them out.")
+    warn_of_idle_fill(fill, border)
     return _gaussian(picture, sigma, fill, (size, order, sampling), border, method)
 
 

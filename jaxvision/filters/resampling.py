@@ -13,11 +13,12 @@ import jax.numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float
 
-from .._arguments import takes_numbers
+from .._arguments import takes_numbers, warn_of_idle_fill
 from .._types import check_choice, check_count, check_shape
 from ..padding import as_planes
 from ._neighbours import AnyPicture, Floats
 
+_NOTHING = 1e-12  # what rounding in double precision leaves of a weight of 0
 METHODS = ("nearest", "linear", "cubic", "lanczos3", "lanczos5")
 BORDERS = {  # names of this library and of SciPy
     "clamp": "nearest",
@@ -31,7 +32,7 @@ BORDERS = {  # names of this library and of SciPy
 def resize(
     picture: AnyPicture, size: tuple[int, int], *, method: str = "cubic", antialias: bool = True
 ) -> Floats:
-    """A picture at another size, by `jax.image.resize`.
+    """A picture at another size, with the kernels of `jax.image.resize`.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.
@@ -63,25 +64,51 @@ def resize(
 def _resized(picture: AnyPicture, size: tuple[int, int], method: str, antialias: bool) -> Floats:
     image, restore = as_planes(picture)
     n, h, w, c = image.shape
-    scaled = partial(jax.image.resize, method=method, antialias=antialias)
     if method == "nearest":
-        return restore(scaled(image, (n, *size, c)))
+        return restore(jax.image.resize(image, (n, *size, c), method, antialias=antialias))
     known = jnp.isfinite(image)
-    total = scaled(jnp.where(known, image, 0), (n, *size, c))  # by matrices, where 0 NaN is NaN
+    rows, columns = (
+        _weights(side, count, method, antialias).astype(image.dtype)
+        for side, count in zip((h, w), size, strict=True)
+    )
+    total = jnp.einsum(
+        "ih,nhwc,jw->nijc",
+        rows,
+        jnp.where(known, image, 0),
+        columns,
+        precision=jax.lax.Precision.HIGHEST,
+    )
 
     def with_unknown() -> Floats:
-        rows, columns = (
-            scaled(jnp.eye(side, dtype=image.dtype), (count, side))
-            for side, count in zip((h, w), size, strict=True)
-        )
         return _with_unknown(total, image, rows, columns)
 
     return restore(jax.lax.cond(known.all(), lambda: total, with_unknown))
 
 
+def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array, "count side"]:
+    """The matrix that makes `count` samples of `side`, as `jax.image.scale_and_translate` has it,
+    but in double precision and 0 where the kernel is: a bright pixel lends nothing to those that it
+    does not reach."""
+    with jax.enable_x64(True):
+        scale = side / count
+        middle = (jnp.arange(count, dtype=jnp.float64) + 0.5) * scale - 0.5
+        away = jnp.abs(middle[:, None] - jnp.arange(side, dtype=jnp.float64)[None])
+        x = away / max(scale, 1) if antialias else away
+        match method:
+            case "linear":
+                weights = jnp.maximum(1 - x, 0)
+            case "cubic":
+                near, far = (1.5 * x - 2.5) * x * x + 1, ((2.5 - 0.5 * x) * x - 4) * x + 2
+                weights = jnp.where(x < 1, near, jnp.where(x < 2, far, 0))
+            case _:
+                reach = int(method[-1])
+                weights = jnp.where(x < reach, jnp.sinc(x) * jnp.sinc(x / reach), 0)
+        weights = jnp.where(jnp.abs(weights) < _NOTHING, 0, weights)
+        return weights / weights.sum(1, keepdims=True)
+
+
 def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -> Floats:
     """The sums of the finite values, and what NaN and infinity that have a weight make of them."""
-    least = 4 * jnp.finfo(image.dtype).eps  # what rounding makes of a weight of 0
 
     def count(chosen: Bool[Array, "..."], sign: int) -> Floats:
         """How many of the chosen pixels have a weight of that sign."""
@@ -89,9 +116,9 @@ def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -
         same, opposite = (
             jnp.einsum(
                 "ih,nhwc,jw->nijc",
-                (own * rows > least).astype(jnp.float32),
+                (own * rows > 0).astype(jnp.float32),
                 values,
-                (sign * own * columns > least).astype(jnp.float32),
+                (sign * own * columns > 0).astype(jnp.float32),
             )
             for own in (1, -1)
         )
@@ -105,7 +132,6 @@ def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -
 
 
 @takes_numbers
-@partial(jax.jit, static_argnames=("samples", "border"))
 def warp(
     picture: AnyPicture,
     rows: Float[Array, "h w"],
@@ -143,6 +169,19 @@ def warp(
     check_choice("border", border, tuple(BORDERS))
     check_count("samples", samples, 1)
     check_shape("columns", columns, rows.shape)
+    warn_of_idle_fill(fill, border)
+    return _warped(picture, rows, columns, fill, samples, border)
+
+
+@partial(jax.jit, static_argnames=("samples", "border"))
+def _warped(
+    picture: AnyPicture,
+    rows: Float[Array, "h w"],
+    columns: Float[Array, "h w"],
+    fill: Float[Array, ""] | float,
+    samples: int,
+    border: str,
+) -> Floats:
     image, restore = as_planes(picture)
     # JAX fills with 0 alone where the value may be traced.
     outside = jnp.asarray(fill if border == "constant" else 0, image.dtype)

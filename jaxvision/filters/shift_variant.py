@@ -20,11 +20,19 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
+from .._arguments import takes_numbers, warn_of_idle_fill
 from .._numerics import divide, smallest_divisor
 from .._staging import stored
 from .._types import as_float, check_count, print_by_name
-from ..padding import Filtered, Picture, Widths, as_planes, check_border, check_picture, pad
+from ..padding import (
+    Filtered,
+    Picture,
+    Widths,
+    as_planes,
+    check_border,
+    check_picture,
+    pad,
+)
 from ._methods import Anchor
 from ._terms import Fill
 from .convolution import _anchor, correlate
@@ -253,6 +261,7 @@ def gaussian_varying(
     if len(sigmas) < 2 or any(b <= a for a, b in pairwise(sigmas)):
         raise ValueError(f"sigmas must be at least two increasing numbers, got {sigmas}.")
     bank = tuple(float(s) for s in sigmas)
+    warn_of_idle_fill(fill, border)
     return _gaussian_bank(picture, sigma, fill, sigmas=bank, truncate=truncate, border=border)
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._arguments import takes_numbers
+from .._arguments import takes_numbers, warn_caller
 from .._staging import stored
 from .._types import Scalars
 from ._planes import (
@@ -77,6 +77,8 @@ def equalise(
     stack = as_stack(image)
     check_codes_whole(stack, bins, value_range)
     chosen = binning(stack, bins, value_range)
+    if not first_to_zero and levels_of(stack) is None:
+        warn_caller("equalise: first_to_zero has no effect on an image that is not of integers.")
     return _equalised(stack, amount, chosen, first_to_zero).reshape(image.shape)
 
 
