@@ -104,7 +104,7 @@ CASES = {
 DECIDED = {("log1p", "float32"), ("censored", "float32"), ("censored, single", "float64")}
 
 
-@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.long)])
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", CASES)
 def test_an_undecided_condition_does_not_matter(name, dtype):
     function, numbers = CASES[name]

@@ -97,7 +97,7 @@ def test_lamps_that_paths_behind_glass_hardly_meet_are_named():
     assert missing_light(jv.Scene([FLOOR, PANE], [even]), integrator="path") == []
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_share_of_pixels_that_meet_rare_light_is_said():
     """A caustic under a pane, of a chip that one path in 31,416 meets at most: the pixels that are
     not black are those whose errors know of it."""
