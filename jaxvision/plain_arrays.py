@@ -5,6 +5,7 @@ missing number everywhere here; the others are refused.
 """
 
 import datetime
+from numbers import Number
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,12 @@ _CARRIED = {
     "pint": ("a unit", ".m_as(UNIT)"),
     "unyt": ("a unit", ".to_value(UNIT)"),
     "unxt": ("a unit", ".to_value(UNIT)"),
+    "dask": ("parts that are still to be computed", ".compute()"),
+    "h5py": ("attributes such as a scale", "[...]"),
+    "zarr": ("attributes such as a scale", "[...]"),
+    "scipy": ("zeros that are not stored", ".toarray()"),
+    "torch": ("a device and gradients", ".numpy(force=True)"),
+    "tensorflow": ("a device and gradients", ".numpy()"),
 }
 
 
@@ -55,6 +62,12 @@ def plain_array(name: str, value: Any) -> Any:
         if value.dtype == object:
             for part in value.flat:
                 plain_array(f"a number of {name}", part)
+                if not isinstance(part, Number):
+                    raise InputError(f"{name} holds {part!r:.40}, which is no number; take it out.")
+            return value.astype(float)
+        if value.dtype.kind in "VM":
+            held = "dates" if value.dtype.kind == "M" else "fields by name"
+            raise InputError(f"{name} holds {held} ({value.dtype}), not numbers; give numbers.")
         return value
     for base in type(value).__mro__:
         package = base.__module__.partition(".")[0]

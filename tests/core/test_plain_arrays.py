@@ -4,6 +4,7 @@ are refused in one sentence, at every entrance."""
 import datetime
 import re
 import warnings
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from astropy.utils.masked import Masked
 from examples import ROOMS, examples_of
 from fuzz.arguments import at, places, with_at
 from public_names import traced
+from scipy.sparse import csr_array
 
 import jaxvision as jv
 from fitting import Gaussian, Parameter, Problem, fit, fit_map, noise, reflectance, response
@@ -307,3 +309,22 @@ def test_plain_whole_numbers_beyond_32_bits_keep_their_value():
 def test_corners_of_triangles_beyond_32_bits_are_refused():
     with pytest.raises(ValueError, match="whole numbers"):
         jv.TriangleMesh(np.eye(3), np.array([[0, 1, 2**32 + 2]]))
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (np.zeros((5, 5), "M8[s]"), r"holds dates \(datetime64\[s\]\)"),
+        (np.zeros((5, 5), [("r", "f4")]), "holds fields by name"),
+        (np.array([[1, None], [2, 3]], object), "holds None, which is no number"),
+        (csr_array(np.eye(5)), r"zeros that are not stored, which would be lost.*\.toarray\(\)"),
+    ],
+)
+@pytest.mark.parametrize("entrance", [partial(jv.filters.gaussian, sigma=1.0), jv.srgb_encode])
+def test_arrays_that_hold_no_numbers_are_refused_in_one_sentence(entrance, value, said):
+    assert re.search(said, refusal(partial(entrance, value)))
+
+
+def test_arrays_of_python_numbers_are_numbers():
+    halves = np.array([Fraction(1, 2), 0.5, 1], object)
+    np.testing.assert_allclose(jv.srgb_encode(halves), jv.srgb_encode([0.5, 0.5, 1.0]))
