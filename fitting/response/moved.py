@@ -14,7 +14,7 @@ from jaxtyping import Float, Shaped
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import uniform_filter
 
-from ..frame_checks import Odd
+from ..frame_checks.frame import Odd
 
 QUANTILES = 0.5, 0.35, 0.65, 0.2, 0.8  # at which images are cut
 CUTS = 3  # at most
