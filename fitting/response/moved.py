@@ -11,7 +11,6 @@ from itertools import islice, pairwise
 
 import numpy as np
 from jaxtyping import Float, Shaped
-from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import uniform_filter
 
 from ..frame_checks.frame import Odd
@@ -46,7 +45,7 @@ def moved_exposures(
     """
     if len({np.shape(frame) for frame in frames}) != 1:
         return []  # refused where they are read
-    smooth = [uniform_filter(_middle(frame), cell) for frame in frames]
+    smooth = [uniform_filter(_middle(frame), list(cell)) for frame in frames]
     steps = [_shift(one, other, full_scale) for one, other in pairwise(smooth)]
     places = np.concatenate([np.zeros((1, 2)), np.cumsum(np.array(steps).reshape(-1, 2), axis=0)])
     far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST
@@ -73,10 +72,10 @@ def _shift(
     if not pairs:
         return np.zeros(2)
     reach = [max(2, size // FARTHEST) for size in one.shape]
-    size = [next_fast_len(n + m, real=True) for n, m in zip(one.shape, reach, strict=True)]
+    size = [-(-(n + m) // 64) * 64 for n, m in zip(one.shape, reach, strict=True)]
 
     def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        full = irfft2(np.conj(rfft2(a, size)) * rfft2(b, size), size)
+        full = np.fft.irfft2(np.conj(np.fft.rfft2(a, size)) * np.fft.rfft2(b, size), size)
         rows, columns = (np.arange(-m, m + 1) for m in reach)
         return full[np.ix_(rows % size[0], columns % size[1])]
 
