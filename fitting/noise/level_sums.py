@@ -162,5 +162,5 @@ class LevelSums:
             quarters=quarters(average, temporal, live),
             local_pattern=local_variance(average, live) - passing / count,
             blocks=products / (count * (count - 1)) + lost,
-            combs=combs(self.first, self._corner),
+            combs=combs(self.first, corner=self._corner),
         )

@@ -63,7 +63,7 @@ def _by_line(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def combs(
-    frame: Float[np.ndarray, "h w"], corner: tuple[int, int] = (0, 0)
+    frame: Float[np.ndarray, "h w"], *, corner: tuple[int, int] = (0, 0)
 ) -> Float[np.ndarray, "steps 8 8"]:
     """How far the coefficients of JPEG's blocks lie at multiples of steps, in standard errors.
 

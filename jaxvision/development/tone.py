@@ -32,7 +32,8 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
         (...) relative.
 
     Raises:
-        ValueError: for fewer than two points or unequal shapes, and for codes beyond the inputs.
+        ValueError: for fewer than two points or unequal shapes, for known inputs that do not
+            ascend, and for codes beyond the inputs.
 
     Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes.
 
@@ -47,8 +48,11 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
             "inputs and outputs must be (points,) with at least two points, got shapes "
             f"{inputs.shape} and {outputs.shape}."
         )
-    if is_known(inputs) and np.asarray(inputs)[-1] <= 100:  # a curve through codes takes codes
-        refuse_codes(x)
+    if is_known(inputs):
+        if not (np.diff(inputs) > 0).all():
+            raise ValueError(f"tone_curve: inputs must ascend, got {np.asarray(inputs)}.")
+        if np.asarray(inputs)[-1] <= 100:  # a curve through codes takes codes
+            refuse_codes(x)
     slopes = _monotone_slopes(inputs, outputs)
     within = jnp.where(x < inputs[0], inputs[0], jnp.where(x > inputs[-1], inputs[-1], x))
     k = jnp.clip(jnp.searchsorted(inputs, within, side="right") - 1, 0, inputs.shape[0] - 2)

@@ -429,3 +429,9 @@ def test_other_depths_are_refused():
 def test_records_refuse_what_cannot_be_meant(record, message):
     with pytest.raises(ValueError, match=message):
         record()
+
+
+@pytest.mark.parametrize("inputs", [[0.0, 1.0, 0.5], [0.0, 0.5, 0.5], [0.0, np.nan, 1.0]])
+def test_a_curve_through_points_in_no_order_is_refused(inputs):
+    with pytest.raises(ValueError, match="inputs must ascend"):
+        tone_curve(np.float32(0.3), inputs, [0.0, 0.5, 1.0])
