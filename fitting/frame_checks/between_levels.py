@@ -5,12 +5,10 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from ..inference.formatting import format_percent
-from .compared import HALF, SURE, UNEVEN, ComparedLevels, rms
+from .compared import HALF, MOSTLY, OTHER_NOISE, SURE, UNEVEN, ComparedLevels, rms
 from .frame import Odd
 
 SPIKE = 0.15  # by which a level's light differs from that of both levels beside it
-OTHER_NOISE = 1.4  # ratio of variances
-MOSTLY = 0.9  # share of the pixels at one end of the codes
 FEWEST_LEVELS = 4  # to tell what a level should be from those beside it
 FEWEST_ON_A_CURVE = 6  # to tell one level from a curve through the others
 ONCE = 1e-3  # chance that a level of a clean camera is named

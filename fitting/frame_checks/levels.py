@@ -17,16 +17,23 @@ from jaxvision import ArrayLike
 from ..copies import Copies
 from ..inference.formatting import format_percent
 from .between_levels import distribution_of_levels, light_of_levels, noise_of_levels
-from .compared import MOST, SURE, ComparedLevels, of_one_mean, rms, trimmed_variance
+from .compared import (
+    MOST,
+    MOSTLY,
+    OTHER_NOISE,
+    SURE,
+    ComparedLevels,
+    of_one_mean,
+    rms,
+    trimmed_variance,
+)
 from .deviates import beyond_chance, usual_size
 from .frame import COPIED, Odd, Shown, listed
 
 PAIRS = 2.22  # standard deviations a quartile of pairwise differences
 LAMP = 0.005  # of the signal: less changes no figure by more than half of it
-OTHER_NOISE = 1.4  # ratio of variances
 CLOSER = 3.0  # times that one of two frames must be nearer to what the other levels tell
 BETWEEN = 0.01  # share of pixels that are neither black nor white in a frame that can be a copy
-MOSTLY = 0.9  # share of the pixels at one end of the codes
 
 
 def odd_frames(
