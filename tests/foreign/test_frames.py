@@ -3,6 +3,7 @@
 import io
 from fractions import Fraction
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from fitting.frame_checks.frame import shown
 from fitting.frame_checks.levels import odd_frames
 from fitting.joint import from_photographs as joint_photographs
 from fitting.noise import Camera, calibrate, from_frames, read_photon_transfer
+from fitting.noise.findings import _processing, is_no_sensor
 from fitting.noise.levels import linear_levels
 from fitting.noise.raw_frames import processing_in_words, tone_curve
-from fitting.noise.section import section
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.response import from_stack
 from fitting.response.read import read_exposure_stack
@@ -370,12 +371,17 @@ def test_noise_that_was_processed_is_named(kind, words):
     assert words in told
 
 
-@pytest.mark.slow
-def test_files_that_are_not_raw_make_no_sensor():
-    found = section(calibrate(measured_of("denoised")))
-    assert found.records == {}
-    assert any("No sensor file is written" in told for told in found.findings)
-    assert "sensor" in section(calibrate(read())).records
+@pytest.mark.parametrize(
+    ("measure", "none"),
+    [(lambda: measured_of("jpeg"), True), (lambda: measured_of("denoised"), True), (read, False)],
+    ids=["jpeg", "denoised", "raw"],
+)
+def test_files_that_are_not_raw_make_no_sensor(measure, none):
+    measured = measure()
+    levels = linear_levels(measured)
+    found = SimpleNamespace(measurement=measured, usable=levels, efficiency=0.6)
+    assert is_no_sensor(found) == none
+    assert any("No sensor file is written" in told for told in _processing(found)) == none
 
 
 @pytest.mark.parametrize("kind", ["gamma", "sRGB"])
