@@ -36,6 +36,7 @@ from .inference.design import (
     Plan as Plan,
 )
 from .inference.emcee_run import (
+    Emcee as Emcee,
     SamplingOptions as SamplingOptions,
 )
 from .inference.estimates import (
@@ -48,10 +49,14 @@ from .inference.likelihoods import (
     StudentT as StudentT,
 )
 from .inference.nuts import (
+    Nuts as Nuts,
     NutsOptions as NutsOptions,
 )
 from .inference.parameters import (
     Parameter as Parameter,
+)
+from .inference.posterior import (
+    Laplace as Laplace,
 )
 from .inference.priors import (
     Gamma as Gamma,

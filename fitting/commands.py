@@ -72,12 +72,12 @@ class Options:
 
     def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
         """How a calibration samples, None for Laplace, and the seed of its draws."""
-        from .inference.emcee_run import SamplingOptions
+        from .inference.emcee_run import Emcee
 
         if not self.mcmc:
             return {"sampling": None, "seed": self.seed}
         chain = self.chain
-        sampling = SamplingOptions(
+        sampling = Emcee(
             walkers=chain["walkers"],
             steps=chain["steps"],
             block=min(100, chain["steps"]),

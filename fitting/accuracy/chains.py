@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from jaxvision.accuracy.records import Compute
 
-from ..inference.emcee_run import SamplingOptions
-from ..inference.nuts import NutsOptions, nuts
+from ..inference.emcee_run import Emcee
+from ..inference.nuts import Nuts, nuts
 from ..inference.parameters import ParameterSpace, to_unconstrained
 from ..inference.posterior import LogDensity, Posterior, laplace, sample
 
@@ -71,9 +71,9 @@ def chain_knobs(density: Density) -> Mapping[str, Turn]:
     """
     about = (density.log_density, density.space, density.mode, density.covariance, density.args)
 
-    def drawn(options: SamplingOptions | NutsOptions | None) -> Compute:
+    def drawn(options: Emcee | Nuts | None) -> Compute:
         def compute(seed: int) -> np.ndarray:
-            if isinstance(options, NutsOptions):
+            if isinstance(options, Nuts):
                 found = nuts(*about, options=options, seed=seed)
             else:
                 found = sample(*about, options=options, seed=seed)
@@ -95,10 +95,10 @@ def chain_knobs(density: Density) -> Mapping[str, Turn]:
             density,
         )
 
-    ways = {"laplace": gaussian(100_000), "nuts": drawn(NutsOptions()), "emcee": drawn(None)}
+    ways = {"laplace": gaussian(100_000), "nuts": drawn(Nuts()), "emcee": drawn(None)}
     return {
         "posterior": ways.__getitem__,
-        "chain length": lambda steps: drawn(SamplingOptions(steps=steps, block=min(BLOCK, steps))),
-        "NUTS draws": lambda draws: drawn(NutsOptions(draws=draws)),
+        "chain length": lambda steps: drawn(Emcee(steps=steps, block=min(BLOCK, steps))),
+        "NUTS draws": lambda draws: drawn(Nuts(draws=draws)),
         "Laplace draws": gaussian,
     }

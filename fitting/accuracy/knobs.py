@@ -57,7 +57,7 @@ _OF_RIGS = (
         (1600, 3200),
         order=-0.5,
         random=True,
-        sets=("*Options.steps", "*Options.walkers"),
+        sets=("*.Emcee.steps", "*.Emcee.walkers"),
     ),
     Knob(
         "NUTS draws",
@@ -67,7 +67,7 @@ _OF_RIGS = (
         (4000,),
         order=-0.5,
         random=True,
-        sets=("*.NutsOptions.draws", "*.NutsOptions.chains", "*.NutsOptions.acceptance"),
+        sets=("*.Nuts.draws", "*.Nuts.chains", "*.Nuts.acceptance"),
     ),
     Knob(
         "code bins",

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 from jaxvision.in_notebooks import record_html
 
-from ..fits.solve import fit
+from ..fits.solve import Method, fit, method_of
 from ..inference.given import require_seed, require_whole
 from ..inference.parameters import Parameter, names, prior_values
 from ..inference.problem import Problem, likelihood_at, prediction, values_from
@@ -80,7 +80,7 @@ def check(
     *,
     simulations: int = 200,
     truth: dict[str, Any] | None = None,
-    posterior: Literal["laplace", "emcee", "nuts"] = "laplace",
+    posterior: Method | str | None = None,
     kept: Path | str | None = None,
     seed: int = 0,
 ) -> Check:
@@ -121,6 +121,7 @@ def check(
     """
     require_seed(seed)
     require_whole("simulations", simulations)
+    method = method_of(posterior)
     space = problem.space
     labels = names(space)
     truths = _from_priors(space) if truth is None else _given(problem, truth)
@@ -134,7 +135,7 @@ def check(
         )
         again = problem.with_data(drawn)
         begin = {p.name: np.asarray(values[p.name]) for p in problem.free}
-        found = fit(again, start=begin, posterior=posterior, seed=number)
+        found = fit(again, start=begin, posterior=method, seed=number)
         if not found.optimum.stationary:
             raise InputError("the search did not converge.")
         draws = found.posterior.samples

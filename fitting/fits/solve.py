@@ -1,5 +1,6 @@
 """`fit`: a problem to its posterior, with a verdict."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, Literal
@@ -15,15 +16,15 @@ from jaxvision.progress import progress_bar
 from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.differences import seen_by_differences
-from ..inference.emcee_run import SamplingOptions
+from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind, require_seed
 from ..inference.importance import laplace_where_it_holds
 from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import judge_sums, sums
-from ..inference.nuts import NutsOptions, nuts, require_blackjax
+from ..inference.nuts import Nuts, nuts, require_blackjax
 from ..inference.on_host import on_host
 from ..inference.parameters import log_prior, scalars
-from ..inference.posterior import Posterior, sample
+from ..inference.posterior import Laplace, Posterior, sample
 from ..inference.problem import Problem, Vector, log_density, log_likelihood
 from ..inference.search import Optimum, joined, search, spread_starts, start_at
 from ..inference.search_read import derivatives, search_read
@@ -35,7 +36,8 @@ from .words import about_chains, about_posterior, about_search, is_confirmed, ve
 ROUNDS = 4  # of starts, as long as the best of all stands alone
 OTHER_SEED = 1_000_003  # between the seeds of rounds
 SINGLE_ROUNDING = 1e-6  # of a scaled eigenvalue computed with 7 digits
-Options = SamplingOptions | NutsOptions
+METHODS = {"laplace": Laplace, "emcee": Emcee, "nuts": Nuts}
+Method = Laplace | Emcee | Nuts
 
 
 def fit(
@@ -43,11 +45,12 @@ def fit(
     *,
     start: dict[str, Any] | None = None,
     starts: int = 16,
-    posterior: Literal["laplace", "emcee", "nuts"] = "laplace",
+    solver: Any = None,
+    posterior: Method | str | None = None,
     misfit: Literal["fail", "inflate"] = "fail",
-    sampling: Options | None = None,
     seed: int = 0,
     after: Fit | None = None,
+    sampling: Emcee | Nuts | None = None,
 ) -> Fit:
     """Fits a problem: the best of many searches, its posterior, and whether to believe it.
 
@@ -71,21 +74,24 @@ def fit(
             as many where no other ends where the best one does. If none does then, the fit fails.
             A width of noise to be fitted grows until a wrong optimum passes for noise: then four
             must end there, of up to eight times as many, and a single search always fails.
-        posterior: `laplace`, a Gaussian about the mode of the unconstrained values, or draws by
+        solver: the method of the searches, any least-squares solver or minimiser of optimistix
+            (`optimistix.Dogleg(rtol=1e-8, atol=1e-8)`); a least-squares solver needs a likelihood
+            of least squares. None takes Levenberg and Marquardt's method for such a likelihood and
+            Newton's for any other.
+        posterior: `Laplace()`, a Gaussian about the mode of the unconstrained values, or draws by
             importance sampling where the posterior is not as Gaussian as that; or draws from the
-            exact posterior, by `emcee`, an ensemble that needs no gradient, or by `nuts`, whose
-            chains follow the gradient: for many parameters, and where `predict` is smooth (the
-            `nuts` extra); their metric is the covariance of `laplace`.
+            exact posterior, by `Emcee(...)`, an ensemble that needs no gradient, or by `Nuts(...)`,
+            whose chains follow the gradient: for many parameters, and where `predict` is smooth
+            (the `nuts` extra); their metric is the covariance of `Laplace`. None for `Laplace()`.
         misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
             or `inflate` the intervals by the square root of chi-square per degree of freedom
             (Birge's factor), which takes the model for a sufficient approximation. The intervals
             of `Clustered` are wider by themselves; `inflate` then accepts also a misfit that is
             more than an offset and a gain of each group.
-        sampling: how long to sample: `SamplingOptions` of emcee, `NutsOptions` of NUTS; None for
-            their defaults.
         seed: of starts and draws.
         after: a fit of the same problem and seed whose chains go on, with more steps or draws in
-            `sampling`: they end bit-identical to chains that never stopped.
+            `posterior`: they end bit-identical to chains that never stopped.
+        sampling: deprecated: `posterior` takes what it held.
 
     Returns:
         The fit.
@@ -116,11 +122,12 @@ def fit(
     require_kind("fit: problem", problem, Problem)
     if start is not None and not isinstance(start, Mapping):
         raise InputError(f"start: give natural values by name, got {start!r:.60}.")
-    options = _options(posterior, sampling)
-    if problem.stream is not None and options is not None:
+    method = method_of(posterior, sampling)
+    if problem.stream is not None and not isinstance(method, Laplace):
         raise InputError(
-            f"posterior = {posterior!r} reads all data at every step of a chain, which takes too "
-            "long for data in chunks: use 'laplace', or fit a part of the data without chunk."
+            f"posterior = {type(method).__name__}() reads all data at every step of a chain, which "
+            "takes too long for data in chunks: use Laplace(), or fit a part of the data without "
+            "chunk."
         )
     if misfit not in ("fail", "inflate"):
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
@@ -129,15 +136,15 @@ def fit(
     with progress_bar("reading data", shown=problem.stream is not None) as advance:
         if after is None:
             if start:
-                found = search(problem, _given(problem, start)[None])
+                found = search(problem, _given(problem, start)[None], solver=solver)
                 optimum = seen_by_differences(problem, found)
             else:
-                optimum = _searched(problem, starts, seed, wide_noise=_fits_width(problem))
+                optimum = _searched(problem, starts, seed, solver)
             if problem.stream is not None:
                 optimum = search_read(problem, optimum, advance)
             optimum = _determined(problem, optimum, advance)
         else:
-            optimum = _searched_before(after, options)
+            optimum = _searched_before(after, method)
         vector = jnp.asarray(optimum.vector, jnp.result_type(float))
         residuals = residuals_at(problem, vector, seed=seed)
         if problem.stream is None:
@@ -151,15 +158,15 @@ def fit(
     )
     before = None if after is None else after.posterior
     failures = verdict(optimum, checks, wide.explained, wide_noise=_fits_width(problem))
-    drawn = _draw(problem, vector, optimum, wide, options, seed, before, failed=bool(failures))
+    drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
     failures += about_search(optimum, drawn) + about_chains(drawn)
     findings = (*wide.words, *checks.remarks, *about_posterior(problem, optimum, drawn))
     settings = {
         "starts": len(optimum.costs),
-        "posterior": posterior,
+        "posterior": type(method).__name__.lower(),
         "misfit": misfit,
         "likelihood": type(problem.likelihood).__name__,
-        **_numbers(options),
+        **_numbers(method),
     }
     return Fit(
         *(problem, optimum, drawn, checks, residuals, tuple(failures), findings),
@@ -183,34 +190,34 @@ def _fits_width(problem: Problem) -> bool:
     return named_width(problem.likelihood) in {parameter.name for parameter in problem.free}
 
 
-def _searched(problem: Problem, starts: int, seed: int, *, wide_noise: bool) -> Optimum:
+def _searched(problem: Problem, starts: int, seed: int, solver: Any) -> Optimum:
     """The best of many searches; of more, where none of them ends where the best one does."""
-    found = search(problem, spread_starts(problem, starts, seed=seed))
+    wide_noise = _fits_width(problem)
+    found = search(problem, spread_starts(problem, starts, seed=seed), solver=solver)
     optimum = seen_by_differences(problem, found)
     for again in range(1, ROUNDS * (2 if wide_noise else 1)):
         if starts == 1 or is_confirmed(optimum, wide_noise=wide_noise):
             break
         others = spread_starts(problem, starts + 1, seed=seed + again * OTHER_SEED)[1:]
-        optimum = seen_by_differences(problem, joined(optimum, search(problem, others)))
+        found = search(problem, others, solver=solver)
+        optimum = seen_by_differences(problem, joined(optimum, found))
     return optimum
 
 
-def _numbers(options: Options | None) -> dict[str, Any]:
+def _numbers(method: Method) -> dict[str, Any]:
     """What a report repeats of a sampler's options."""
-    if options is None:
-        return {}
     return {
-        field.name: getattr(options, field.name)
-        for field in fields(options)
-        if isinstance(getattr(options, field.name), int | float)
+        field.name: getattr(method, field.name)
+        for field in fields(method)
+        if isinstance(getattr(method, field.name), int | float)
     }
 
 
-def _searched_before(after: Fit, options: Options | None) -> Optimum:
+def _searched_before(after: Fit, method: Method) -> Optimum:
     """The optimum of a fit whose chain goes on."""
-    if options is None or not after.posterior.blocks:
+    if isinstance(method, Laplace) or not after.posterior.blocks:
         raise InputError(
-            "after: only chains go on; give a fit by posterior='emcee' or 'nuts', and the same one."
+            "after: only chains go on; give a fit by posterior=Emcee() or Nuts(), and the same one."
         )
     return after.optimum
 
@@ -234,21 +241,36 @@ def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum
     raise InputError(" ".join((*judged.sentences, *hint)))
 
 
-def _options(posterior: str, sampling: Options | None) -> Options | None:
-    """How to run the sampler, None for Laplace; what cannot be run is said before the search."""
-    kinds = {"laplace": type(None), "emcee": SamplingOptions, "nuts": NutsOptions}
-    if posterior not in kinds:
-        raise InputError(f"posterior = {posterior!r}: use 'laplace', 'emcee' or 'nuts'.")
-    if posterior == "nuts":
-        require_blackjax()
-    if sampling is None:
-        return kinds[posterior]()
-    if not isinstance(sampling, kinds[posterior]):
-        raise InputError(
-            f"posterior = {posterior!r} does not go with {type(sampling).__name__}: "
-            "SamplingOptions are emcee's, NutsOptions those of NUTS."
+def method_of(posterior: Method | str | None, sampling: Emcee | Nuts | None = None) -> Method:
+    """The method of a posterior, by an object or by its deprecated name, for the function that a
+    user calls; what cannot be run is refused before the search."""
+    method: Any = Laplace() if posterior is None else posterior
+    if isinstance(posterior, str):
+        if posterior not in METHODS:
+            raise InputError(f"posterior = {posterior!r}: use Laplace(), Emcee() or Nuts().")
+        kind = METHODS[posterior]
+        method = kind() if sampling is None else sampling
+        if not isinstance(method, kind):
+            raise InputError(
+                f"posterior = {posterior!r} does not go with {type(sampling).__name__}: write "
+                "posterior=Laplace(), Emcee(...) or Nuts(...), and leave sampling out."
+            )
+        new = f"{kind.__name__}({'' if sampling is None else '...'})"
+        warnings.warn(
+            f"posterior={posterior!r} is deprecated: write posterior={new}.",
+            DeprecationWarning,
+            stacklevel=3,
         )
-    return sampling
+    elif sampling is not None:
+        raise InputError(
+            "sampling: write posterior=Emcee(...) or Nuts(...) with what it holds, and leave it "
+            "out."
+        )
+    if not isinstance(method, Method):
+        raise InputError(f"posterior = {posterior!r}: use Laplace(), Emcee() or Nuts().")
+    if isinstance(method, Nuts):
+        require_blackjax()
+    return method
 
 
 def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
@@ -292,7 +314,7 @@ def _draw(
     vector: Array,
     optimum: Optimum,
     wide: Widening,
-    options: Options | None,
+    method: Method,
     seed: int,
     after: Posterior | None,
     *,
@@ -305,17 +327,17 @@ def _draw(
     elif isinstance(problem.likelihood, Clustered):
         stretch = jnp.asarray(curvature_stretch(optimum.curvature, covariance), vector.dtype)
         density = (_stretched_log_density, (problem, vector, stretch))
-    if not isinstance(options, SamplingOptions):
+    if not isinstance(method, Emcee):
         told: dict[str, Any] = {"freedom": wide.freedom, "wider": covariance, "by_chain": False}
         if failed or problem.stream is not None:
             told["missed"] = np.zeros(len(space))
         run = (density[0], space, vector, wide.covariance, density[1])
         found = laplace_where_it_holds(*run, seed=seed, **told)
-        if options is None:
+        if isinstance(method, Laplace):
             return found
         if found.method != "Laplace":
             covariance = found.covariance
     run = (density[0], space, vector, covariance, density[1])
-    if isinstance(options, NutsOptions):
-        return nuts(*run, options=options, seed=seed, after=after)
-    return sample(*run, options=options, seed=seed, after=after)
+    if isinstance(method, Nuts):
+        return nuts(*run, options=method, seed=seed, after=after)
+    return sample(*run, options=method, seed=seed, after=after)

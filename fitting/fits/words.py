@@ -184,7 +184,7 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
         if skew:
             found.append(
                 f"The intervals of {listed(skew)} are wide, so that a Gaussian may misjudge them: "
-                "posterior='emcee' or 'nuts' draws from the posterior itself."
+                "posterior=Emcee() or Nuts() draws from the posterior itself."
             )
     if is_trusted(posterior):
         found.append(convergence_in_words(posterior))

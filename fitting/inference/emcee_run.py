@@ -7,6 +7,7 @@ it had never stopped.
 """
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,8 +51,8 @@ class Unbounded(InputError):
 
 
 @dataclass(frozen=True)
-class SamplingOptions:
-    """How to run the ensemble.
+class Emcee:
+    """Draws by emcee's ensemble, which needs no gradient.
 
     Attributes:
         walkers: how many at least, even and at least 4; with P parameters 2 P + 2 are taken where
@@ -68,11 +69,11 @@ class SamplingOptions:
 
     Example:
         >>> import jaxvision as jv
-        >>> from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit
+        >>> from fitting import Emcee, Gaussian, Parameter, Problem, fit
         >>> free = {"gain": Parameter(start=1.0), "bias": Parameter(start=0.0)}
         >>> line = {"x": np.array([-1.0, 0.0, 1.0]), **free}
         >>> problem = Problem(line, jv.gain_bias, Gaussian(sd=0.1), np.array([1.0, 3.0, 5.0]))
-        >>> found = fit(problem, posterior="emcee", sampling=SamplingOptions(walkers=8))
+        >>> found = fit(problem, posterior=Emcee(walkers=8))
         >>> found.converged, len(found.draws["gain"])
         (True, 8)
     """
@@ -96,7 +97,26 @@ class SamplingOptions:
             )
 
 
-def for_group(options: SamplingOptions | None, group: str) -> SamplingOptions | None:
+class SamplingOptions(Emcee):
+    """Deprecated: `Emcee`, of the same fields.
+
+    Example:
+        >>> from fitting import Emcee
+        >>> Emcee(walkers=8).walkers
+        8
+    """
+
+    def __post_init__(self) -> None:
+        warnings.warn(
+            "SamplingOptions is deprecated: write Emcee(...), as in "
+            "fit(problem, posterior=Emcee(walkers=64)).",
+            DeprecationWarning,
+            stacklevel=3,
+        )
+        super().__post_init__()
+
+
+def for_group(options: Emcee | None, group: str) -> Emcee | None:
     """The same options with a checkpoint folder of its own for one group (a colour channel).
 
     Args:
@@ -112,7 +132,7 @@ def for_group(options: SamplingOptions | None, group: str) -> SamplingOptions | 
     return replace(options, checkpoint=Path(options.checkpoint) / name)
 
 
-def enough_walkers(options: SamplingOptions, dimension: int) -> int:
+def enough_walkers(options: Emcee, dimension: int) -> int:
     """Walkers of an ensemble.
 
     Args:
@@ -154,7 +174,7 @@ def run_ensemble(
     covariance: Float[np.ndarray, "parameters parameters"],
     *,
     names: Sequence[str],
-    options: SamplingOptions,
+    options: Emcee,
     seed: int,
     fingerprint: str,
     before: Sequence[Block] = (),
@@ -303,7 +323,7 @@ def _due(steps: int, block: int) -> bool:
     return math.log(blocks, PATIENCE) // 1 > math.log(blocks - 1, PATIENCE) // 1
 
 
-def _judged(blocks: list[Block], options: SamplingOptions) -> Chain | None:
+def _judged(blocks: list[Block], options: Emcee) -> Chain | None:
     """The chain where it is long enough or may not grow; None where it must go on."""
     steps = length(blocks)
     last = steps >= options.steps

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri, ndtri
 
-from .emcee_run import SamplingOptions, Unbounded
+from .emcee_run import Emcee, Unbounded
 from .parameters import ParameterSpace, from_scaled, names, scaled_ends, to_natural, to_scaled
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
 
@@ -89,7 +89,7 @@ def laplace_where_it_holds(
         return replace(drawn, missed=worst)
     if found is None:
         try:
-            options = SamplingOptions(gives_up=True)
+            options = Emcee(gives_up=True)
             chain = sample(log_density, space, mode, spread, args, options=options, seed=seed)
         except Unbounded as error:
             return replace(drawn, endless=error.parameter)

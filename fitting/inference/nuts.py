@@ -11,6 +11,7 @@ interruption changes a chain. Chains are trusted from 400 effective draws and up
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -41,8 +42,8 @@ SHRINKING = (1.0, 0.5, 0.25, 0.1, 0.0)  # of a start toward the mode until it is
 
 
 @dataclass(frozen=True)
-class NutsOptions:
-    """How to run NUTS.
+class Nuts:
+    """Draws by the No-U-Turn sampler, whose chains follow the gradient (the `nuts` extra).
 
     Attributes:
         draws: of each chain, at least 10, after a warm-up of 300 steps.
@@ -57,9 +58,9 @@ class NutsOptions:
         InputError: for unusable numbers.
 
     Example:
-        >>> from fitting import NutsOptions
-        >>> options = NutsOptions(draws=500, chains=4)
-        >>> options.draws * options.chains, options.acceptance
+        >>> from fitting import Nuts
+        >>> longer = Nuts(draws=500, chains=4)  # fit(problem, posterior=longer)
+        >>> longer.draws * longer.chains, longer.acceptance
         (2000, 0.8)
     """
 
@@ -79,6 +80,25 @@ class NutsOptions:
             raise InputError(f"acceptance = {self.acceptance!r}: use a number between 0 and 1.")
 
 
+class NutsOptions(Nuts):
+    """Deprecated: `Nuts`, of the same fields.
+
+    Example:
+        >>> from fitting import Nuts
+        >>> Nuts(draws=500).draws
+        500
+    """
+
+    def __post_init__(self) -> None:
+        warnings.warn(
+            "NutsOptions is deprecated: write Nuts(...), as in "
+            "fit(problem, posterior=Nuts(draws=1000)).",
+            DeprecationWarning,
+            stacklevel=3,
+        )
+        super().__post_init__()
+
+
 class _State(eqx.Module):
     """Where the chains are, and the adaptation of their step: log of the step, of its average,
     count, mean error and centre (Nesterov's dual averaging)."""
@@ -96,7 +116,7 @@ def nuts(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
     *,
-    options: NutsOptions | None = None,
+    options: Nuts | None = None,
     seed: int = 0,
     after: Posterior | None = None,
 ) -> Posterior:
@@ -125,7 +145,7 @@ def nuts(
             posterior to go on from, of another run.
     """
     _ = require_blackjax()
-    options = options or NutsOptions()
+    options = options or Nuts()
     chains, block = options.chains, options.block
     spread = jnp.asarray(np.linalg.cholesky(np.asarray(covariance, np.float64)), mode.dtype)
     settings = (space, seed, chains, WARM_UP, options.acceptance)

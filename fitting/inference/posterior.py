@@ -21,7 +21,7 @@ from jaxvision.errors import InputError
 
 from .blocks import Block
 from .diagnostics import identifiability
-from .emcee_run import SamplingOptions, enough_walkers, run_ensemble
+from .emcee_run import Emcee, enough_walkers, run_ensemble
 from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
 from .fingerprint import fingerprint
 from .in_blocks import at_a_time
@@ -99,6 +99,20 @@ class Posterior:
         return self.method != "Laplace"
 
 
+@dataclass(frozen=True)
+class Laplace:
+    """A Gaussian about the mode of the unconstrained values, or draws by importance sampling where
+    the posterior is not as Gaussian as that.
+
+    Example:
+        >>> from fitting import Gaussian, Laplace, Parameter, Problem, fit
+        >>> likelihood, data = Gaussian(sd=0.2), np.array([1.9, 2.0, 2.0, 2.1])
+        >>> mean = Problem({"m": Parameter(start=1.0)}, lambda m: m * jnp.ones(4), likelihood, data)
+        >>> fit(mean, posterior=Laplace()).posterior.method
+        'Laplace'
+    """
+
+
 def laplace_or_emcee(
     log_density: LogDensity,
     space: ParameterSpace,
@@ -106,7 +120,7 @@ def laplace_or_emcee(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
     *,
-    sampling: SamplingOptions | None,
+    sampling: Emcee | None,
     seed: int,
     freedom: Float[np.ndarray, " parameters"] | None = None,
 ) -> Posterior:
@@ -209,7 +223,7 @@ def sample(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
     *,
-    options: SamplingOptions | None = None,
+    options: Emcee | None = None,
     seed: int = 0,
     after: Posterior | None = None,
 ) -> Posterior:
@@ -236,7 +250,7 @@ def sample(
         InputError: for a checkpoint, or a posterior to go on from, of another run; `Unbounded`
             where the data bound a parameter on one side only.
     """
-    options = options or SamplingOptions()
+    options = options or Emcee()
 
     def evaluate(vectors: np.ndarray) -> np.ndarray:
         return evaluate_density(log_density, jnp.asarray(vectors, mode.dtype), args)

@@ -56,5 +56,5 @@ def refuse_word_of_command(function: Callable[..., object], given: Mapping[str, 
     if "mcmc" in given and "mcmc" not in signature(function).parameters:
         raise TypeError(
             f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the command "
-            "has; give sampling=SamplingOptions(), from fitting, for a chain."
+            "has; give sampling=Emcee(), from fitting, for a chain."
         )

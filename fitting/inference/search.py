@@ -56,6 +56,7 @@ from .problem import Problem, Vector, least_squares_residuals, log_density
 
 _OF_CORE = 2  # starts searched at a time: the cache holds their residuals, and both end sooner
 STEPS = 100  # of a search; a straggler ends there
+MANY_STEPS = 1000  # of a solver that a user gives: those that know no curvature take more
 EDGE = 1e-3  # of a range, the nearest to an end that a search begins
 SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
 
@@ -213,23 +214,31 @@ def _kronecker(count: int, dimensions: int, seed: int) -> np.ndarray:
     return (shift + np.outer(np.arange(count), steps)) % 1
 
 
-def search(problem: Problem, starts: Float[np.ndarray, "starts parameters"]) -> Optimum:
+def search(
+    problem: Problem, starts: Float[np.ndarray, "starts parameters"], *, solver: Any = None
+) -> Optimum:
     """The mode of a problem's posterior.
 
     Args:
         problem: of P free numbers.
         starts: (starts, P), unconstrained.
+        solver: a least-squares solver or minimiser of optimistix; None chooses by the likelihood.
 
     Returns:
         The best end, taken to the mode, and where all searches ended.
 
     Raises:
-        InputError: when the prediction is finite at none of the starts.
+        InputError: when the prediction is finite at none of the starts, and for a solver that does
+            not suit the likelihood.
     """
     begin = jnp.asarray(starts, jnp.result_type(float))
     mean, sd = (jnp.asarray(part, begin.dtype) for part in prior_gaussian(problem.space))
     modes = None
-    if problem.likelihood.least_squares:
+    if solver is not None:
+        _require_solver(solver, problem)
+        vectors = _by_solver(begin, problem, mean, 1 / sd, solver)
+        costs = _costs(vectors, problem)
+    elif problem.likelihood.least_squares:
         vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd)
     else:
         modes = _newton(_by_surrogate(begin, problem, mean, 1 / sd), problem)
@@ -286,6 +295,40 @@ def _by_surrogate(starts: Array, problem: Problem, mean: Array, weight: Array) -
     ends, _ = _levenberg_marquardt(starts, squares, mean, weight)
     better = _costs(ends, problem) < _costs(starts, problem)
     return jnp.where(better[:, None], ends, starts)
+
+
+def _require_solver(solver: Any, problem: Problem) -> None:
+    from optimistix import AbstractLeastSquaresSolver, AbstractMinimiser
+
+    if not isinstance(solver, AbstractLeastSquaresSolver | AbstractMinimiser):
+        raise InputError(
+            f"solver = {solver!r:.60}: give a least-squares solver or a minimiser of optimistix, "
+            "such as optimistix.Dogleg(rtol=1e-8, atol=1e-8)."
+        )
+    if isinstance(solver, AbstractLeastSquaresSolver) and not problem.likelihood.least_squares:
+        raise InputError(
+            f"solver = {type(solver).__name__}(...) solves least squares, and "
+            f"{type(problem.likelihood).__name__} is none: give a minimiser, such as "
+            "optimistix.BFGS(rtol=1e-8, atol=1e-8)."
+        )
+
+
+@eqx.filter_jit
+def _by_solver(starts: Array, problem: Problem, mean: Array, weight: Array, solver: Any) -> Array:
+    """Where a solver of optimistix ends."""
+    import optimistix as optx
+
+    squares = isinstance(solver, optx.AbstractLeastSquaresSolver)
+
+    def one(start: Array) -> Array:
+        if squares:
+            args = (problem, mean, weight)
+            how: Any = (_with_gaussian_prior, solver, start, args)
+            return optx.least_squares(*how, max_steps=MANY_STEPS, throw=False).value
+        how = (negative_log_density, solver, start, problem)
+        return optx.minimise(*how, max_steps=MANY_STEPS, throw=False).value
+
+    return jax.lax.map(one, starts, batch_size=at_a_time(starts))
 
 
 def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:

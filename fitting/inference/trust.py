@@ -34,7 +34,7 @@ def convergence_in_words(posterior: Posterior) -> str:
     if posterior.missed and posterior.method == "Laplace":
         return (
             f"The posterior of {posterior.missed} is far from a Gaussian, so Laplace's intervals "
-            "may mislead: a chain (--mcmc, or posterior='emcee' or 'nuts') draws from the "
+            "may mislead: a chain (--mcmc, or posterior=Emcee() or Nuts()) draws from the "
             "posterior itself."
         )
     if posterior.missed:
@@ -90,5 +90,5 @@ def _independent_chains_in_words(posterior: Posterior, name: str, effective: flo
         )
     if _diverges(posterior):
         told += ". Trajectories that diverge miss a part of the posterior: a higher acceptance="
-        return f"{told} of NutsOptions takes smaller steps, which more draws do not replace."
+        return f"{told} of Nuts takes smaller steps, which more draws do not replace."
     return f"{told}."

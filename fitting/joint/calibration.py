@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..inference.clustering import Robustness
-from ..inference.emcee_run import SamplingOptions, for_group
+from ..inference.emcee_run import Emcee, for_group
 from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
@@ -55,7 +55,7 @@ def calibrate(
     model: Model = "phong",
     index: float = INDEX,
     fit_gamma: bool = False,
-    sampling: SamplingOptions | None = None,
+    sampling: Emcee | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> JointCalibration:
@@ -122,7 +122,7 @@ def is_determined(fit: JointFit) -> bool:
 
 
 def _posterior(
-    fit: JointFit, robust: Robustness | None, sampling: SamplingOptions | None, seed: int
+    fit: JointFit, robust: Robustness | None, sampling: Emcee | None, seed: int
 ) -> Posterior:
     covariance, mode = np.linalg.inv(fit.information), jnp.asarray(fit.vector)
     if robust is not None:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Int
 from jaxvision import as_dtype
 
 from ..inference.compiled import compiled_briefly
-from ..inference.emcee_run import SamplingOptions
+from ..inference.emcee_run import Emcee
 from ..inference.estimates import Estimate, gaussian_estimate, not_determined, sampled_estimate
 from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
@@ -116,7 +116,7 @@ class NoiseCalibration(ShownInNotebooks):
 
 @in_double
 def calibrate(
-    measurement: PhotonTransfer, *, sampling: SamplingOptions | None = None, seed: int = 0
+    measurement: PhotonTransfer, *, sampling: Emcee | None = None, seed: int = 0
 ) -> NoiseCalibration:
     """Both sheets of a measurement: by the standard's regressions and by maximum likelihood.
 
@@ -186,7 +186,7 @@ def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternV
     return replace(pattern, dark=Spread(variance, noise, parts))
 
 
-def _posterior(fit: LikelihoodFit, sampling: SamplingOptions | None, seed: int) -> Posterior:
+def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posterior:
     """Of the chosen model; about the mode of the posterior itself where a scatter is in it, which
     has a prior."""
     args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Integer
 
 from jaxvision.errors import InputError
 
-from ..inference.emcee_run import SamplingOptions, for_group
+from ..inference.emcee_run import Emcee, for_group
 from ..inference.given import require_kind
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
@@ -66,13 +66,13 @@ class ResponseCalibration(ShownInNotebooks):
     stack: ExposureStack
     channels: tuple[ChannelResponse, ...]
     skipped: tuple[tuple[Plane, str], ...]
-    sampling: SamplingOptions | None
+    sampling: Emcee | None
     seed: int
 
 
 @in_double
 def calibrate(
-    stack: ExposureStack, *, sampling: SamplingOptions | None = None, seed: int = 0
+    stack: ExposureStack, *, sampling: Emcee | None = None, seed: int = 0
 ) -> ResponseCalibration:
     """The response of every plane of a stack.
 
@@ -139,7 +139,7 @@ def _of_suspects(names: list[str]) -> str:
 
 
 def _calibrate(
-    plane: Plane, stack: ExposureStack, sampling: SamplingOptions | None, seed: int
+    plane: Plane, stack: ExposureStack, sampling: Emcee | None, seed: int
 ) -> ChannelResponse:
     layout = layout_of(plane.codes, plane.mask, black=plane.black, clip=plane.clip)
 

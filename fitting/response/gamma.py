@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 from jaxvision.point_ops import srgb_decode
 
 from ..inference.diagnostics import identifiability
-from ..inference.emcee_run import SamplingOptions
+from ..inference.emcee_run import Emcee
 from ..inference.estimates import Estimate, sampled_estimate
 from ..inference.left_out import LeftOut
 from ..inference.parameters import (
@@ -141,7 +141,7 @@ def fit_gamma(
     label: str = "",
     black_sd: float = 0.0,
     exposure_sd: float = 0.0,
-    sampling: SamplingOptions | None = None,
+    sampling: Emcee | None = None,
     seed: int = 0,
 ) -> GammaFit:
     """The gamma that explains the pixels behind a response curve.

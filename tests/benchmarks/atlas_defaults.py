@@ -9,7 +9,7 @@ import numpy as np
 
 from fitting import fit
 from fitting.inference.newton import minimise
-from fitting.inference.nuts import NutsOptions
+from fitting.inference.nuts import Nuts
 from fitting.inference.posterior import laplace
 from fitting.response.curve import fit_response_curve
 from jaxvision import Diffraction, PixelAperture, capture, optics, point_ops
@@ -45,7 +45,7 @@ OF_CALLS = {
     "posterior": (fit, "posterior"),
     "starts": (fit, "starts"),
     "Laplace draws": (laplace, "draws"),
-    "NUTS draws": (NutsOptions, "draws"),
+    "NUTS draws": (Nuts, "draws"),
     "solver tolerance": (minimise, "tolerance"),
     "code bins": (fit_response_curve, "most_bins"),
     "curve rounds": (fit_response_curve, "rounds"),

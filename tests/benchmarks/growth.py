@@ -110,10 +110,10 @@ def line(count):
 
 
 def walkers(count):
-    from fitting import SamplingOptions, fit
+    from fitting import Emcee, fit
 
-    options = SamplingOptions(walkers=count, steps=200, block=200, gives_up=False)
-    return partial(fit, line(50), posterior="emcee", sampling=options)
+    options = Emcee(walkers=count, steps=200, block=200, gives_up=False)
+    return partial(fit, line(50), posterior=options)
 
 
 def observations(count):

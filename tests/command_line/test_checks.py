@@ -152,7 +152,11 @@ def test_a_check_of_which_no_fit_succeeds_says_why(tmp_path):
         Gaussian(0.1),
         np.zeros(4),
     )
-    with pytest.raises(InputError, match=r"none of 3 fits gave an interval; the first: posterior"):
+    free = {"a": Parameter(prior=Normal(0.0, 1.0))}
+    nowhere = Problem(free, lambda a: a * np.full(4, np.nan), Gaussian(0.1), np.zeros(4))
+    with pytest.raises(InputError, match=r"none of 3 fits gave an interval; the first: "):
+        fitting.check(nowhere, simulations=3)
+    with pytest.raises(InputError, match="posterior = 'x': use Laplace"):
         fitting.check(line, simulations=3, posterior="x")
     with pytest.raises(InputError, match="truth has values that are NaN"):
         fitting.check(line, simulations=3, truth={"a": np.nan})

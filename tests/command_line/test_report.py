@@ -17,7 +17,7 @@ import xarray
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.emcee_run import Emcee
 from fitting.inference.estimates import (
     Estimate,
     find,
@@ -342,7 +342,7 @@ def test_files_of_a_report_and_chains_that_arviz_opens(section, tmp_path):
         import arviz
 
     args = jnp.asarray(0.01)
-    options = SamplingOptions(walkers=16, block=300)
+    options = Emcee(walkers=16, block=300)
     chain = sample(gaussian, SPACE, jnp.zeros(2), 0.01 * np.eye(2), args, options=options)
     sections = [
         section,

@@ -10,13 +10,13 @@ from scipy import stats
 
 from fitting import (
     Clustered,
+    Emcee,
     Gaussian,
     HalfNormal,
     Normal,
-    NutsOptions,
+    Nuts,
     Parameter,
     Problem,
-    SamplingOptions,
     SensorNoise,
     StudentT,
     fit,
@@ -65,16 +65,14 @@ def test_bands_of_inflated_noise_hold_new_data_and_their_middle_is_that_of_the_d
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("likelihood", "sampling"),
-    [("emcee", SamplingOptions(walkers=32, steps=1500, block=500))],
+    "posterior", [Emcee(walkers=32, steps=1500, block=500)], ids=lambda x: type(x).__name__
 )
-def test_a_sampler_tempers_the_data_and_not_the_prior(likelihood, sampling):
+def test_a_sampler_tempers_the_data_and_not_the_prior(posterior):
     """Normal prior 1.5 +- .02; data 2, whose mean is known to .1 / sqrt(60), tempered."""
     prior = Normal(1.5, 0.02)
     found = fit(
         level(2 + 0.3 * NOISE, parameter=Parameter(prior=prior)),
-        posterior=likelihood,
-        sampling=sampling,
+        posterior=posterior,
         misfit="inflate",
     )
     weight = COUNT / (0.1 * found.noise) ** 2
@@ -387,24 +385,21 @@ def test_labels_of_another_shape_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("posterior", "short", "long"),
+    ("short", "long"),
     [
-        ("emcee", SamplingOptions(8, steps=100), SamplingOptions(8, steps=300)),
-        pytest.param(
-            *("nuts", NutsOptions(100, chains=2), NutsOptions(200, chains=2)),
-            marks=pytest.mark.slow,
-        ),
+        (Emcee(8, steps=100), Emcee(8, steps=300)),
+        pytest.param(Nuts(100, chains=2), Nuts(200, chains=2), marks=pytest.mark.slow),
     ],
     ids=["emcee", "nuts"],
 )
-def test_a_chain_goes_on_as_if_it_had_never_stopped(posterior, short, long):
+def test_a_chain_goes_on_as_if_it_had_never_stopped(short, long):
     problem = level(2 + 0.1 * NOISE)
-    run = partial(fit, problem, posterior=posterior, starts=2)
-    begun = run(sampling=short)
-    continued, whole = run(sampling=long, after=begun), run(sampling=long)
+    run = partial(fit, problem, starts=2)
+    begun = run(posterior=short)
+    continued, whole = run(posterior=long, after=begun), run(posterior=long)
     np.testing.assert_array_equal(continued.draws["a"], whole.draws["a"])
     with pytest.raises(InputError, match="another run"):
-        run(sampling=long, after=begun, seed=3)
+        run(posterior=long, after=begun, seed=3)
     with pytest.raises(InputError, match="only chains go on"):
         fit(problem, after=begun)
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm, t
 
 from fitting.inference import importance
-from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.emcee_run import Emcee
 from fitting.inference.importance import gaussian_miss, laplace_where_it_holds
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import estimates
@@ -95,9 +95,9 @@ def test_a_chain_that_nobody_asked_for_is_not_needed(monkeypatch):
     data = jnp.asarray(norm.ppf((np.arange(6) + 0.5) / 6))
     mode = jnp.asarray([float(data.mean()), float(jnp.log(data.std()))])
     covariance = np.linalg.inv(-np.asarray(jax.hessian(level)(mode, data)))
-    options = SamplingOptions(walkers=8, steps=20, block=10)
+    options = Emcee(walkers=8, steps=20, block=10)
     monkeypatch.setattr(importance, "_importance", lambda *args: None)
-    monkeypatch.setattr(importance, "SamplingOptions", lambda **given: options)
+    monkeypatch.setattr(importance, "Emcee", lambda **given: options)
     found = laplace_where_it_holds(level, SPACE, mode, covariance, data, seed=1)
     assert (found.method, found.missing_steps) == ("Laplace", 0)
     assert "far from a Gaussian, so Laplace's intervals may mislead" in convergence_in_words(found)

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from fitting.inference.convergence import effective_draws
-from fitting.inference.emcee_run import SamplingOptions
-from fitting.inference.nuts import NutsOptions, nuts
+from fitting.inference.emcee_run import Emcee
+from fitting.inference.nuts import Nuts, nuts
 from fitting.inference.parameters import Parameter
 from fitting.inference.posterior import estimates, sample
 from fitting.inference.trust import convergence_in_words, is_trusted
@@ -36,7 +36,7 @@ def twisted(vector, args):
 def run(twist, *, seed=0, after=None, **options):
     return nuts(
         *(twisted, SPACE, jnp.zeros(3), COVARIANCE, (PRECISION, jnp.asarray(twist))),
-        options=NutsOptions(**options),
+        options=Nuts(**options),
         seed=seed,
         after=after,
     )
@@ -113,7 +113,7 @@ def test_the_step_adapts_to_the_acceptance_that_is_asked_for():
 def test_emcee_agrees_with_nuts_on_a_banana(banana):
     by_emcee = sample(
         *(twisted, SPACE, jnp.zeros(3), COVARIANCE, (PRECISION, jnp.asarray(TWIST))),
-        options=SamplingOptions(walkers=64, block=300),
+        options=Emcee(walkers=64, block=300),
         seed=4,
     )
     assert by_emcee.missing_steps == 0
@@ -146,7 +146,7 @@ def half_line(vector, rate):
 @pytest.mark.slow
 def test_nan_counts_as_impossible_and_starts_are_moved_to_where_it_is_not():
     space = SPACE[:1]
-    options = NutsOptions(draws=500)
+    options = Nuts(draws=500)
     posterior = nuts(half_line, space, jnp.ones(1), np.eye(1), jnp.asarray(1.0), options=options)
     assert posterior.samples.min() > 0
     np.testing.assert_allclose(posterior.samples.mean(), 1.0, atol=0.3)
@@ -158,11 +158,11 @@ def test_what_cannot_be_run_is_said(monkeypatch):
     with pytest.raises(InputError, match="draws = 3: give a whole number of at least 10"):
         run(0.0, draws=3)
     with pytest.raises(InputError, match=r"acceptance = 1\.0: use a number between 0 and 1"):
-        NutsOptions(acceptance=1.0)
+        Nuts(acceptance=1.0)
     with pytest.raises(InputError, match="acceptance = None: use a number"):
-        NutsOptions(acceptance=None)
+        Nuts(acceptance=None)
     with pytest.raises(InputError, match=r"chains = 2\.5: give a whole number"):
-        NutsOptions(chains=2.5)
+        Nuts(chains=2.5)
     monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(InputError, match=r"pip install 'jaxvision-imaging\[nuts\]'"):
         run(0.0)

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from fitting.inference import blocks
-from fitting.inference.emcee_run import SamplingOptions, for_group
+from fitting.inference.emcee_run import Emcee, for_group
 from fitting.inference.estimates import gaussian_estimate
 from fitting.inference.importance import laplace_where_it_holds
 from fitting.inference.parameters import Parameter
@@ -96,7 +96,7 @@ def chain_of(options, *, density=gaussian, precision=PRECISION, seed=SEED, after
 @pytest.fixture(scope="module")
 def sampled():
     """One chain that runs through, and the same one killed after 300 steps and resumed."""
-    return chain_of(SamplingOptions(**SHORT, steps=20_000))
+    return chain_of(Emcee(**SHORT, steps=20_000))
 
 
 def test_emcee_finds_the_gaussian(sampled):
@@ -111,7 +111,7 @@ def test_emcee_finds_the_gaussian(sampled):
 
 
 def test_the_same_seed_gives_the_same_chain_and_another_another(sampled):
-    again, different = (chain_of(SamplingOptions(**SHORT, steps=100), seed=s) for s in (SEED, 6))
+    again, different = (chain_of(Emcee(**SHORT, steps=100), seed=s) for s in (SEED, 6))
     assert (sampled.seed, different.seed) == (SEED, 6)
     first, same, other = (run.blocks[0]["chain"] for run in (sampled, again, different))
     np.testing.assert_array_equal(same, first)
@@ -129,7 +129,7 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
             raise KilledError
 
     def options(progress=None):
-        return SamplingOptions(**SHORT, checkpoint=tmp_path / "c", progress=progress)
+        return Emcee(**SHORT, checkpoint=tmp_path / "c", progress=progress)
 
     with pytest.raises(KilledError):
         chain_of(options(kill))
@@ -142,14 +142,14 @@ def test_a_killed_run_resumes_bit_identical(tmp_path, sampled):
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
-    options = SamplingOptions(**SHORT, steps=100, checkpoint=tmp_path)
+    options = Emcee(**SHORT, steps=100, checkpoint=tmp_path)
     begun = chain_of(options)
     others = ({"precision": 2 * PRECISION}, {"seed": SEED + 1}, {"density": heavy_tailed})
     for other in others:
         with pytest.raises(InputError, match=r"holds the chain of another run .* delete"):
             chain_of(options, **other)
         with pytest.raises(InputError, match="go on from is the chain of another run"):
-            chain_of(SamplingOptions(**SHORT, steps=100), after=begun, **other)
+            chain_of(Emcee(**SHORT, steps=100), after=begun, **other)
 
 
 def test_a_damaged_block_and_one_that_is_missing_are_named(tmp_path):
@@ -171,7 +171,7 @@ def test_a_damaged_block_and_one_that_is_missing_are_named(tmp_path):
 
 def test_a_short_chain_is_kept_and_says_what_it_lacks():
     def run(steps, block, **more):
-        return chain_of(SamplingOptions(walkers=32, block=block, steps=steps), seed=2, **more)
+        return chain_of(Emcee(walkers=32, block=block, steps=steps), seed=2, **more)
 
     stuck = run(3, 3)
     assert stuck.draws.shape == (32, 2, 3)
@@ -187,7 +187,7 @@ def test_a_short_chain_is_kept_and_says_what_it_lacks():
 
 def test_a_chain_that_will_not_do_is_given_up_at_a_quarter():
     for gives_up, steps in ((True, 20), (False, 80)):
-        options = SamplingOptions(walkers=32, block=20, steps=80, gives_up=gives_up)
+        options = Emcee(walkers=32, block=20, steps=80, gives_up=gives_up)
         given_up = chain_of(options)
         assert given_up.steps == steps
         assert given_up.missing_steps > 80
@@ -197,17 +197,17 @@ def test_a_chain_that_will_not_do_is_given_up_at_a_quarter():
 def test_a_chain_that_goes_on_is_one_that_never_stopped(tmp_path, sampled, kept):
     """Also where it stopped within a block: 150 is no multiple of 100."""
     folder = tmp_path if kept == "checkpoint" else None
-    short = chain_of(SamplingOptions(**SHORT, steps=150, checkpoint=folder))
+    short = chain_of(Emcee(**SHORT, steps=150, checkpoint=folder))
     assert short.missing_steps
-    whole = chain_of(SamplingOptions(**SHORT, checkpoint=folder), after=None if folder else short)
+    whole = chain_of(Emcee(**SHORT, checkpoint=folder), after=None if folder else short)
     for name in ("draws", "log_density", "tau"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(sampled, name))
     assert (whole.steps, whole.acceptance) == (sampled.steps, sampled.acceptance)
 
 
 def test_a_chain_in_memory_fills_a_checkpoint(tmp_path):
-    short = chain_of(SamplingOptions(**SHORT, steps=200))
-    chain_of(SamplingOptions(**SHORT, steps=300, checkpoint=tmp_path), after=short)
+    short = chain_of(Emcee(**SHORT, steps=200))
+    chain_of(Emcee(**SHORT, steps=300, checkpoint=tmp_path), after=short)
     assert len(list(tmp_path.glob("*.npz"))) == 3
 
 
@@ -238,7 +238,7 @@ def test_walkers_and_moves_suit_the_dimension(parameters):
         jnp.zeros(parameters),
         np.eye(parameters),
         jnp.eye(parameters),
-        options=SamplingOptions(steps=100, block=100),
+        options=Emcee(steps=100, block=100),
     )
     assert chain.draws.shape[0] == max(64, 2 * parameters + 2)
     assert 0.1 < chain.acceptance < 0.8
@@ -254,7 +254,7 @@ def test_many_walkers_take_time_in_proportion(monkeypatch):
         return stats.gaussian_kde(points, **kinds)
 
     monkeypatch.setattr("emcee.moves.kde.gaussian_kde", recorded)
-    options = SamplingOptions(walkers=1200, steps=100, block=100, gives_up=False)
+    options = Emcee(walkers=1200, steps=100, block=100, gives_up=False)
     chain = sample(gaussian, SPACE, ORIGIN, COVARIANCE, PRECISION, options=options, seed=SEED)
     assert set(seen) == {256}
     vectors = np.array(chain.draws[:, 50:])
@@ -269,7 +269,7 @@ def test_emcee_follows_a_skewed_posterior_where_laplace_cannot():
     shape = jnp.asarray(3.0)
     start = jnp.log(shape)[None]
     gaussian_fit = laplace(gamma_in_log, space, start, shape)
-    options = SamplingOptions(walkers=32, block=400)
+    options = Emcee(walkers=32, block=400)
     chain = sample(
         gamma_in_log, space, start, gaussian_fit.covariance, shape, options=options, seed=1
     )
@@ -287,7 +287,7 @@ def nan_below_zero(vector, args):
 @pytest.mark.slow
 def test_nan_counts_as_impossible():
     space = (Parameter("x", symbol="x", unit="1"),)
-    options = SamplingOptions(walkers=16, block=400)
+    options = Emcee(walkers=16, block=400)
     chain = sample(
         nan_below_zero,
         space,
@@ -312,11 +312,11 @@ def test_nan_counts_as_impossible():
 )
 def test_unusable_options_are_refused(options, expected):
     with pytest.raises(InputError, match=expected):
-        SamplingOptions(**options)
+        Emcee(**options)
 
 
 def test_each_group_has_a_checkpoint_of_its_own():
-    options = SamplingOptions(checkpoint=Path("c"))
+    options = Emcee(checkpoint=Path("c"))
     assert for_group(options, "green 1").checkpoint == Path("c/green_1")
     assert for_group(None, "red") is None
 
@@ -340,7 +340,7 @@ def test_what_is_open_over_the_range_of_numbers_has_no_value():
 
 def test_walkers_that_start_where_there_is_no_density_warn_of_nothing():
     """emcee would subtract infinities; half of the walkers start below zero."""
-    options = SamplingOptions(walkers=16, steps=60, block=30)
+    options = Emcee(walkers=16, steps=60, block=30)
     space = (Parameter("a"),)
     drawn = sample(
         nan_below_zero, space, jnp.asarray([0.5]), np.eye(1) * 4, 1.0, options=options, seed=0
@@ -352,7 +352,7 @@ def test_walkers_that_start_where_there_is_no_density_warn_of_nothing():
 
 def test_walkers_in_a_plane_move_by_their_differences():
     """A density of them, which has none there, is not asked: SciPy would warn."""
-    options = SamplingOptions(walkers=16, steps=20, block=10)
+    options = Emcee(walkers=16, steps=20, block=10)
     line = np.full((3, 3), 1.0) + 1e-15 * np.eye(3)
     found = sample(gaussian, SPACE, ORIGIN, line, PRECISION, options=options, seed=SEED)
     assert np.isfinite(found.samples).all()

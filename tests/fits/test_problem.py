@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 from scipy import stats
 
-from fitting import Gaussian, Normal, Parameter, Problem, SamplingOptions, Tied, fit
+from fitting import Emcee, Gaussian, Normal, Parameter, Problem, Tied, fit
 from fitting.inference.problem import give, log_density, prediction, values_at
 from fitting.inference.search import spread_starts
 from jaxvision import Lambert, Phong, PointLight, Scene, Sphere, Surface
@@ -64,7 +64,7 @@ def test_least_squares_against_scipy(fitted):
     assert "height" in fitted._repr_html_()
 
 
-ENSEMBLE = {"posterior": "emcee", "sampling": SamplingOptions(walkers=8, block=50)}
+ENSEMBLE = {"posterior": Emcee(walkers=8, block=50)}
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Samplers of a problem against its posterior on a grid; what cannot be run is said at once."""
 
+import re
 import sys
 
 import jax.numpy as jnp
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fitting import Gaussian, NutsOptions, Parameter, Problem, SamplingOptions, fit
+from fitting import Emcee, Gaussian, Nuts, NutsOptions, Parameter, Problem, SamplingOptions, fit
+from fitting.fits.solve import method_of
 from jaxvision.errors import InputError
 
 TIME = np.array([0.2, 0.6, 1.2, 2.0, 3.0])
@@ -40,15 +42,13 @@ def on_a_grid():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("posterior", "sampling"),
-    [("emcee", SamplingOptions(walkers=64, block=300)), ("nuts", NutsOptions(draws=1000))],
-    ids=["emcee", "nuts"],
+    "posterior", [Emcee(walkers=64, block=300), Nuts(draws=1000)], ids=["emcee", "nuts"]
 )
-def test_draws_are_those_of_the_posterior_on_a_grid(posterior, sampling):
-    result = fit(problem(), starts=4, posterior=posterior, sampling=sampling, seed=1)
+def test_draws_are_those_of_the_posterior_on_a_grid(posterior):
+    result = fit(problem(), starts=4, posterior=posterior, seed=1)
     assert result.converged
     assert result.posterior.missing_steps == 0
-    assert result.posterior.method.lower() == posterior
+    assert result.posterior.method.lower() == type(posterior).__name__.lower()
     for name, (values, weight) in on_a_grid().items():
         mean = weight @ values
         sd = np.sqrt(weight @ (values - mean) ** 2)
@@ -62,8 +62,8 @@ def test_draws_are_those_of_the_posterior_on_a_grid(posterior, sampling):
 
 @pytest.mark.slow
 def test_a_chain_too_short_is_kept_and_reads_as_not_converged():
-    options = SamplingOptions(walkers=8, steps=40, block=40)
-    result = fit(problem(), starts=4, posterior="emcee", sampling=options)
+    options = Emcee(walkers=8, steps=40, block=40)
+    result = fit(problem(), starts=4, posterior=options)
     assert not result.converged
     assert "NOT CONVERGED" in str(result)
     assert any("more steps are missing" in sentence for sentence in result.failures)
@@ -72,7 +72,7 @@ def test_a_chain_too_short_is_kept_and_reads_as_not_converged():
 
 
 def test_progress_that_cannot_be_called_is_refused():
-    for options in (SamplingOptions, NutsOptions):
+    for options in (Emcee, Nuts):
         with pytest.raises(InputError, match="progress = 3: give a function of"):
             options(progress=3)
 
@@ -80,9 +80,11 @@ def test_progress_that_cannot_be_called_is_refused():
 @pytest.mark.parametrize(
     ("posterior", "sampling", "expected"),
     [
-        ("hmc", None, "posterior = 'hmc': use 'laplace', 'emcee' or 'nuts'"),
-        ("nuts", SamplingOptions(), "'nuts' does not go with SamplingOptions"),
-        ("laplace", NutsOptions(), "'laplace' does not go with NutsOptions"),
+        ("hmc", None, r"posterior = 'hmc': use Laplace\(\), Emcee\(\) or Nuts\(\)"),
+        (Emcee, None, r"posterior = <class .*Emcee'>: use Laplace"),
+        ("nuts", Emcee(), "'nuts' does not go with Emcee"),
+        ("laplace", Nuts(), "'laplace' does not go with Nuts"),
+        (Emcee(), Emcee(), r"sampling: write posterior=Emcee\(...\)"),
     ],
 )
 def test_a_sampler_that_cannot_be_run_is_refused(posterior, sampling, expected):
@@ -90,7 +92,42 @@ def test_a_sampler_that_cannot_be_run_is_refused(posterior, sampling, expected):
         fit(problem(), posterior=posterior, sampling=sampling)
 
 
+@pytest.mark.parametrize(
+    ("posterior", "sampling", "new"),
+    [
+        ("laplace", None, "Laplace()"),
+        ("emcee", None, "Emcee()"),
+        ("emcee", Emcee(walkers=8), "Emcee(...)"),
+        ("nuts", Nuts(draws=20), "Nuts(...)"),
+    ],
+)
+def test_names_of_posteriors_still_work_and_say_the_new_form(posterior, sampling, new):
+    with pytest.warns(DeprecationWarning, match=re.escape(f"write posterior={new}.")):
+        method = method_of(posterior, sampling)
+    assert type(method).__name__ == new.partition("(")[0]
+    assert sampling is None or method is sampling
+
+
+def test_a_fit_takes_the_old_form_and_its_numbers():
+    with pytest.warns(DeprecationWarning, match=r"write posterior=Laplace\(\)") as told:
+        old = fit(problem(), starts=4, posterior="laplace")
+    assert told[0].filename == __file__
+    np.testing.assert_array_equal(old.posterior.draws, fit(problem(), starts=4).posterior.draws)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "given"),
+    [(SamplingOptions, Emcee, {"walkers": 8}), (NutsOptions, Nuts, {"draws": 20})],
+)
+def test_options_of_samplers_are_deprecated_names_of_them(old, new, given):
+    with pytest.warns(DeprecationWarning, match=rf"write {new.__name__}\(\.\.\.\)") as told:
+        options = old(**given)
+    assert told[0].filename == __file__
+    assert isinstance(options, new)
+    assert vars(options) == vars(new(**given))
+
+
 def test_nuts_without_blackjax_is_refused_before_the_search(monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(InputError, match=r"pip install 'jaxvision-imaging\[nuts\]'"):
-        fit(problem(), posterior="nuts")
+        fit(problem(), posterior=Nuts())

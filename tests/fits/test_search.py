@@ -2,11 +2,13 @@
 
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import pytest
 import scipy.optimize
 from scipy import stats
 
-from fitting import Parameter, Problem, StudentT, fit
+from fitting import Gaussian, Parameter, Problem, StudentT, fit
+from jaxvision.errors import InputError
 
 PLACE = np.linspace(-5, 5, 150)
 SD = 0.3
@@ -59,3 +61,29 @@ def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
         # The mode of the unconstrained values lies a small part of an error from it.
         errors = np.array([e.standard_error for e in result.estimates[:4]])
         assert (np.abs(found - best[:4]) < 0.05 * errors).all()
+
+
+@pytest.mark.parametrize("solver", [optx.Dogleg, optx.BFGS], ids=lambda solver: solver.__name__)
+def test_a_solver_of_optimistix_ends_where_the_default_does(solver):
+    """A decay of 2 exp(-1.3 t), whose mode SciPy finds too."""
+    time = np.linspace(0, 3, 40)
+    data = 2 * np.exp(-1.3 * time) + 0.01 * np.random.default_rng(3).standard_normal(40)
+    free = {"height": Parameter(start=1.0), "rate": Parameter(start=0.5)}
+    problem = Problem(
+        free, lambda height, rate: height * jnp.exp(-rate * time), Gaussian(0.01), data
+    )
+    found = fit(problem, starts=4, solver=solver(rtol=1e-8, atol=1e-8))
+    expected = scipy.optimize.least_squares(
+        lambda p: p[0] * np.exp(-p[1] * time) - data, [1.0, 0.5]
+    ).x
+    np.testing.assert_allclose([*found.values.values()], expected, rtol=1e-6)
+    assert found.converged
+
+
+def test_a_solver_that_cannot_be_used_is_refused():
+    free = {"a": Parameter(start=0.0)}
+    counted = Problem(free, lambda a: a * jnp.ones(4), StudentT(scale=1.0), np.zeros(4))
+    with pytest.raises(InputError, match=r"Dogleg.* solves least squares, and StudentT is none"):
+        fit(counted, solver=optx.Dogleg(rtol=1e-8, atol=1e-8))
+    with pytest.raises(InputError, match=r"solver = 'lm': give a least-squares solver"):
+        fit(counted, solver="lm")

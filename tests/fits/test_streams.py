@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fitting import Censored, Clustered, Gaussian, Parameter, Problem, fit
+from fitting import Censored, Clustered, Emcee, Gaussian, Parameter, Problem, fit
 from fitting.inference.misfit import judge, judge_sums, sums
 from fitting.inference.search import search, spread_starts
 from fitting.inference.search_read import derivatives, search_read
@@ -199,7 +199,7 @@ def test_data_that_change_and_chains_are_refused():
     with pytest.raises(InputError, match="the same data each time"):
         list(chunks(changing))
     with pytest.raises(InputError, match="reads all data at every step"):
-        fit(problem(chunk=CHUNK), posterior="emcee")
+        fit(problem(chunk=CHUNK), posterior=Emcee())
 
 
 @pytest.mark.slow

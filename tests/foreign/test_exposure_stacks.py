@@ -322,7 +322,7 @@ def test_the_word_of_the_command_is_answered():
     codes = np.random.default_rng(5).integers(1, 200, (2, 20, 20))
     stack = from_stack(codes, (0.5, 1.0), camera=Camera(bits=8))
     for one in (calibrate, noise.calibrate, joint.calibrate, reflectance.calibrate, of_files):
-        with pytest.raises(TypeError, match=r"calibrate has no argument mcmc.*sampling=Sampling"):
+        with pytest.raises(TypeError, match=r"calibrate has no argument mcmc.*sampling=Emcee"):
             one(stack, mcmc=True)
 
 

@@ -7,7 +7,7 @@ import pytest
 from test_joint import BALL, BLACK, GAMMA, LIGHT, READ, photographs
 
 from fitting.inference import nuts
-from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.emcee_run import Emcee
 from fitting.inference.parameters import Parameter, log_prior, to_unconstrained
 from fitting.inference.posterior import sample
 from fitting.joint import calibrate, from_photographs, marginal
@@ -57,7 +57,7 @@ def test_draws_without_the_errors_of_lights_are_those_with_them():
     (fit,), posterior = found.fits, found.posteriors["grey"]
     mode, data, count = jnp.asarray(fit.vector), fit.data, len(fit.space)
 
-    options = SamplingOptions(steps=3000)
+    options = Emcee(steps=3000)
     drawn = sample(log_posterior, fit.space, mode, posterior.covariance, data, options=options)
     assert not drawn.missing_steps
 
@@ -71,7 +71,7 @@ def test_draws_without_the_errors_of_lights_are_those_with_them():
     )
     space = (*fit.space, *(Parameter(f"error_{i}") for i in range(len(errors))))
     start = jnp.concatenate([mode, jnp.asarray(errors)])
-    options = nuts.NutsOptions(draws=1500)
+    options = nuts.Nuts(draws=1500)
     reference = nuts.nuts(of_all, space, start, whole, data, options=options)
     assert reference.divergences == 0
 

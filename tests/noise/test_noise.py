@@ -15,7 +15,7 @@ from scipy.stats import norm, poisson
 from test_emva1288 import measurement_of, noise_free
 
 from fitting.cli import app
-from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.emcee_run import Emcee
 from fitting.inference.estimates import find
 from fitting.inference.formatting import format_with_error
 from fitting.inference.left_out import negligible
@@ -457,7 +457,7 @@ def _barrier(vector, target):
 def test_sampling_agrees_with_laplace():
     measured = simulate(CameraTruth(), seed=3)
     smooth = calibrate_noise(measured)
-    drawn = calibrate_noise(measured, sampling=SamplingOptions(walkers=32), seed=1)
+    drawn = calibrate_noise(measured, sampling=Emcee(walkers=32), seed=1)
     for name in ("system_gain", "read_noise", "quantum_efficiency"):
         one, two = (find(c.sheet, name) for c in (smooth, drawn))
         assert abs(one.value - two.value) < 0.15 * one.standard_error

@@ -15,7 +15,7 @@ from fitting import Gaussian, Parameter, Problem, fit, folders
 from fitting.cli import app
 from fitting.demo.compare import calibrate_lab
 from fitting.inference import posterior
-from fitting.inference.emcee_run import Chain, SamplingOptions
+from fitting.inference.emcee_run import Chain, Emcee
 from fitting.joint import calibration as joint
 from fitting.joint.read import JointMeasurement
 from fitting.noise import calibration as noise
@@ -94,7 +94,7 @@ def test_a_seed_reaches_every_draw(calibrations, name, monkeypatch):
         return Chain(drawn, np.zeros((60, 8)), np.ones(len(mode)), 0.5, 60, 0, ())
 
     monkeypatch.setattr(posterior, "run_ensemble", ensemble)
-    sampled = posteriors(calibrate(sampling=SamplingOptions(walkers=8), seed=9))
+    sampled = posteriors(calibrate(sampling=Emcee(walkers=8), seed=9))
     assert seeds == [9] * len(first)
     assert {one.seed for one in sampled} == {9}
 

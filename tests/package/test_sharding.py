@@ -20,7 +20,7 @@ import numpy as np
 from jax.experimental.multihost_utils import process_allgather
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 import jaxvision as jv
-from fitting import Gaussian, Parameter, Problem, SamplingOptions, fit, fit_map
+from fitting import Gaussian, Parameter, Problem, Emcee, fit, fit_map
 from fitting.inference import search
 from jaxvision.errors import InputError
 from jaxvision.scene_files import read_scene
@@ -96,7 +96,7 @@ begin = jnp.asarray(search.spread_starts(many, 8, seed=0))
 lowered = search._searched.lower(begin, many, jnp.zeros(2), jnp.ones(2), True)
 squares = lowered.compile().compiled.as_text()
 assert "all-reduce" in squares and "all-gather" not in squares
-options = {"posterior": "emcee", "sampling": SamplingOptions(steps=40, walkers=16, block=20)}
+options = {"posterior": Emcee(steps=40, walkers=16, block=20)}
 one, four = (fit(p, **options) for p in (problem(jnp.asarray), many))
 # A search that sums in another order takes other steps to the same mode, to which it comes within
 # 4e-4 standard errors; the ends lie a millionth of one apart.

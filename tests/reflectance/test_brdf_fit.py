@@ -19,7 +19,7 @@ from oracles import brdfs
 from typer.testing import CliRunner
 
 from fitting import cli
-from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.emcee_run import Emcee
 from fitting.inference.separable import fit_separable
 from fitting.reflectance.from_files.calibration import amplitudes
 from fitting.reflectance.from_files.calibration import calibrate as calibrate_brdf
@@ -409,7 +409,7 @@ def test_misfit_widens_the_intervals(calibration):
 def test_draws_have_the_jackknife_covariance(calibration):
     laplace = calibrate_brdf(calibration.measured, model="blinn")
     drawn = calibrate_brdf(
-        calibration.measured, model="blinn", sampling=SamplingOptions(walkers=16, steps=4000)
+        calibration.measured, model="blinn", sampling=Emcee(walkers=16, steps=4000)
     )
     assert drawn.posterior.method == "emcee"
     logs = np.log(drawn.posterior.samples)

@@ -21,7 +21,7 @@ from oracles.sphere_photographs import (
 )
 from scipy.stats import binom, norm
 
-from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.emcee_run import Emcee
 from fitting.inference.estimates import find
 from fitting.reflectance.from_images.calibration import (
     USUAL,
@@ -378,7 +378,7 @@ def test_draws_agree_with_laplace(observation):
     found = fit(observation)
     grouping = cells(observation, found.selection)
     laplace = channel_posterior(found, grouping, sampling=None, seed=0)
-    options = SamplingOptions(walkers=24, steps=6000)
+    options = Emcee(walkers=24, steps=6000)
     drawn = channel_posterior(found, grouping, sampling=options, seed=1)
     assert (laplace.method, drawn.method) == ("Laplace", "emcee")
     width = np.sqrt(np.diagonal(laplace.covariance))

@@ -6,7 +6,7 @@ import pytest
 from oracles.stacks import exposure_stack, gamma, srgb
 from scipy import stats
 
-from fitting.inference.emcee_run import SamplingOptions
+from fitting.inference.emcee_run import Emcee
 from fitting.inference.left_out import TOLERANCE
 from fitting.response import gamma as gamma_module
 from fitting.response.curve import fit_response_curve
@@ -57,7 +57,7 @@ def test_three_exposures_need_wider_intervals_than_nine():
 @pytest.mark.slow
 def test_sampling_agrees_with_the_exact_integral():
     exact = fitted(gamma(2.2), TIMES, 2, pixels=4000, shutter_error=0.02).gamma
-    options = SamplingOptions(walkers=32, steps=6000, block=500)
+    options = Emcee(walkers=32, steps=6000, block=500)
     sampled = fitted(gamma(2.2), TIMES, 2, pixels=4000, shutter_error=0.02, sampling=options)
     assert sampled.posterior.method == "emcee"
     width = exact.interval_95[1] - exact.interval_95[0]

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxvision.errors import InputError
 
-from ...inference.emcee_run import SamplingOptions
+from ...inference.emcee_run import Emcee
 from ...inference.posterior import Posterior
 from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
@@ -133,7 +133,7 @@ def calibrate_settings(
 
 
 def calibrate_one(
-    one: FramesOfSetting, *, sampling: SamplingOptions | None, seed: int
+    one: FramesOfSetting, *, sampling: Emcee | None, seed: int
 ) -> NoiseCalibration | InputError | None:
     """One setting by itself, by emcee or Laplace; None of darks alone, and the error where the fit
     has no maximum."""

@@ -21,7 +21,7 @@ from jaxvision import Vec, as_dtype
 
 from ...inference.clustering import curvature_stretch
 from ...inference.diagnostics import OPEN
-from ...inference.emcee_run import SamplingOptions, for_group
+from ...inference.emcee_run import Emcee, for_group
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, laplace, laplace_or_emcee
 from ...inference.precision import in_double
@@ -96,7 +96,7 @@ def calibrate(
     model: Model | None = None,
     objective: Objective = "cosine",
     index: float = INDEX,
-    sampling: SamplingOptions | None = None,
+    sampling: Emcee | None = None,
     seed: int = 0,
 ) -> BRDFCalibration:
     """Fits every model to a material and reports one in full.
@@ -257,7 +257,7 @@ def _posterior(
     problem: Problem,
     mean: np.ndarray,
     covariance: np.ndarray,
-    sampling: SamplingOptions | None,
+    sampling: Emcee | None,
     seed: int,
 ) -> Posterior:
     """By the jackknife's covariance; of a chain the density is stretched to it."""

@@ -11,7 +11,7 @@ from jaxvision.errors import InputError
 from jaxvision.side_by_side import side_by_side
 
 from ...inference.diagnostics import OPEN
-from ...inference.emcee_run import Progress, SamplingOptions
+from ...inference.emcee_run import Emcee, Progress
 from ...inference.given import require_kind
 from ...inference.posterior import Posterior
 from ...inference.precision import in_double
@@ -76,7 +76,7 @@ def calibrate(
     model: Model,
     compare_all: bool = False,
     index: float = INDEX,
-    sampling: SamplingOptions | None = None,
+    sampling: Emcee | None = None,
     seed: int = 0,
     ambient: bool = False,
     fit_gamma: bool = False,

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...inference.clustering import curvature_stretch
-from ...inference.emcee_run import SamplingOptions, for_group
+from ...inference.emcee_run import Emcee, for_group
 from ...inference.importance import laplace_where_it_holds
 from ...inference.posterior import Posterior, sample
 from .fit import ChannelFit
@@ -91,7 +91,7 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
 
 
 def channel_posterior(
-    fit: ChannelFit, grouping: Grouping, *, sampling: SamplingOptions | None, seed: int
+    fit: ChannelFit, grouping: Grouping, *, sampling: Emcee | None, seed: int
 ) -> Posterior:
     """Draws of one channel: Laplace with the robust covariance and Student's t. Where the
     likelihood is not Gaussian, draws from one whose 95 % intervals are as wide as those of t.
