@@ -32,6 +32,13 @@ from .fits.result import (
 from .fits.solve import (
     fit as fit,
 )
+from .inference.candidates import (
+    Candidate as Candidate,
+    Choice as Choice,
+)
+from .inference.channels import (
+    by_channel as by_channel,
+)
 from .inference.design import (
     Plan as Plan,
 )

@@ -138,8 +138,12 @@ def check(
         found = fit(again, start=begin, posterior=method, seed=number)
         if not found.optimum.stationary:
             raise InputError("the search did not converge.")
-        draws = found.posterior.samples
-        return (np.sum(draws < natural, axis=0) + rng.uniform(size=len(natural))) / (len(draws) + 1)
+        draws, own = found.posterior.samples, names(found.problem.space)
+        at = [labels.index(name) for name in own]  # candidates that are left out have no interval
+        places = np.full(len(labels), np.nan)
+        below = np.sum(draws < natural[at], axis=0)
+        places[at] = (below + rng.uniform(size=len(at))) / (len(draws) + 1)
+        return places
 
     places = simulated(
         simulate, simulations, parameters=len(labels), kept=None if kept is None else Path(kept)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError, nearest
 from jaxvision.in_notebooks import record_html
 
+from ..inference.candidates import whole_name
 from ..inference.formatting import format_with_error
 from ..inference.likelihoods import Clustered
 from ..inference.on_host import on_host
@@ -219,22 +220,17 @@ def _of_priors(
     """g^T C P_m C g of each source; the priors are independent, their information diagonal."""
     each = np.diagonal(prior) * along**2
     owner = {name: group for group, members in nuisances.items() for name in members}
-    known = {name for number in problem.space for name in (number.name, _whole(number.name))}
+    known = {name for number in problem.space for name in (number.name, whole_name(number.name))}
     for unknown in owner.keys() - known:
         raise InputError(f"nuisances: no free number {unknown!r}; {nearest(unknown, known)}.")
     terms: dict[str, float] = dict.fromkeys(nuisances, 0.0)
     for number, term in zip(problem.space, each, strict=True):
-        own = owner.get(number.name, owner.get(_whole(number.name)))
+        own = owner.get(number.name, owner.get(whole_name(number.name)))
         if own is None and term == 0:
             continue
         name = own or f"prior of {number.name}"
         terms[name] = terms.get(name, 0.0) + float(term)
     return terms
-
-
-def _whole(name: str) -> str:
-    """The array parameter of a number's name."""
-    return name.rpartition("[")[0] if name.endswith("]") else name
 
 
 def _of_groups(fit: "Fit", slope: np.ndarray, stated: np.ndarray) -> float:

@@ -19,7 +19,7 @@ from ..inference.on_host import require_here
 from ..inference.parameters import to_natural
 from ..inference.pixelwise import Ends, fit_side_by_side
 from ..inference.problem import Problem, prediction
-from ..inference.search import spread_starts
+from ..inference.search import spread_starts, unstarted
 from .map import STATES, FitMap, found_in_words
 from .result import Fit
 from .solve import fit
@@ -105,6 +105,14 @@ def fit_map(
             "comes first, that of the map behind it."
         )
     leaves = _by_pixel(problem, inputs, shape)
+    if problem.candidates:
+        raise InputError(
+            "fit_map has no candidates: state a Parameter, or a number for a term that is absent."
+        )
+    if labels is not None and problem.start is not None:
+        raise InputError(
+            "labels: a start from the data is that of one pixel; give starts to the parameters."
+        )
     if labels is not None:
         return _by_label(
             *(problem, data, leaves, labels, shape),
@@ -113,11 +121,16 @@ def fit_map(
             chunk=chunk,
             seed=seed,
         )
-    begin = jnp.asarray(spread_starts(problem, starts, seed=seed), jnp.result_type(float))
+    dtype = jnp.result_type(float)
+    require_whole("starts", starts, of="searches")
+    table, distances = unstarted(problem, starts, seed=seed)
+    begin = jnp.asarray(table, dtype), jnp.asarray(distances, dtype)
+    if problem.start is None:
+        spread_starts(problem, starts, seed=seed)  # refuses what nothing says where to search
     pixels = int(np.prod(shape))
     chunk = min(chunk, pixels)
     flat = data.reshape(*own_shape, pixels)
-    chance = jnp.asarray(np.random.default_rng(seed).uniform(size=own_shape), begin.dtype)
+    chance = jnp.asarray(np.random.default_rng(seed).uniform(size=own_shape), dtype)
     numbers = len(problem.space)
     table = {name: np.full((numbers, pixels), np.nan) for name in OUTLINE}
     chi_square, dof = np.full(pixels, np.nan), np.full(pixels, np.nan)
@@ -129,7 +142,7 @@ def fit_map(
         ends = fit_side_by_side(
             begin,
             problem,
-            jnp.asarray(np.moveaxis(flat[..., filled], -1, 0), begin.dtype),
+            jnp.asarray(np.moveaxis(flat[..., filled], -1, 0), dtype),
             [None if leaf is None else jnp.asarray(leaf[filled]) for leaf in leaves],
             jnp.asarray(steps),
             chance,

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxvision.errors import InputError, nearest
 from jaxvision.in_notebooks import record_html
 
+from ..inference.candidates import Choice
 from ..inference.design import Plan
 from ..inference.estimates import Estimate
 from ..inference.formatting import format_interval, format_p, format_unit, format_value
@@ -44,6 +45,7 @@ class Fit:
         findings: what else a reader should know.
         noise: factor by which a misfit has widened the noise of the data; 1 for none.
         settings: of the fit, for its report.
+        choices: whether each candidate stayed, and by what evidence.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -64,6 +66,7 @@ class Fit:
     findings: tuple[str, ...]
     noise: float = 1.0
     settings: dict[str, Any] = field(default_factory=dict)
+    choices: tuple[Choice, ...] = ()
 
     @property
     def converged(self) -> bool:

@@ -37,6 +37,12 @@ def section(fit: "Fit", title: str) -> Section:
         rows,
         "A ratio near 1: only the prior or the bounds are seen.",
     )
+    terms = Table(
+        "Candidate terms",
+        ("term", "stays", "standard errors from absent", "needed"),
+        tuple((one.name, str(one.kept), one.ratio, one.needed) for one in fit.choices),
+        "A term stays if it pays for its numbers by BIC and is no chance.",
+    )
     left_out = fit.problem.left_out
     gone = () if left_out is None else (left_out_table(left_out),)
     state = ("The fit did not converge.",) if fit.failures else ()
@@ -52,7 +58,7 @@ def section(fit: "Fit", title: str) -> Section:
         estimates=fit.estimates,
         findings=(*state, *fit.failures, f"{fit.summary()}.", *fit.findings),
         pictures=(picture,),
-        tables=(table, *gone),
+        tables=(table, *(terms,) * bool(fit.choices), *gone),
         posteriors={"": fit.posterior},
         arrays={p.name: p.shape for p in fit.problem.free if p.shape},
     )

@@ -2,7 +2,8 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import jax
@@ -13,6 +14,7 @@ from jaxtyping import Array
 from jaxvision.errors import InputError
 from jaxvision.progress import progress_bar
 
+from ..inference.candidates import Choice, numbers_of, price, squared_ratios, weakest
 from ..inference.clustering import curvature_stretch
 from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.differences import seen_by_differences
@@ -20,12 +22,12 @@ from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind, require_seed
 from ..inference.importance import laplace_where_it_holds
 from ..inference.likelihoods import Clustered, named_width
-from ..inference.misfit import judge_sums, sums
+from ..inference.misfit import Misfit, judge_sums, sums
 from ..inference.nuts import Nuts, nuts, require_blackjax
 from ..inference.on_host import on_host
 from ..inference.parameters import log_prior, scalars
 from ..inference.posterior import Laplace, Posterior, sample
-from ..inference.problem import Problem, Vector, log_density, log_likelihood
+from ..inference.problem import Problem, Vector, log_density, log_likelihood, values_at
 from ..inference.search import Optimum, joined, search, spread_starts, start_at
 from ..inference.search_read import derivatives, search_read
 from ..inference.streams import Advance
@@ -57,6 +59,10 @@ def fit(
     Of data in chunks (`Problem(..., chunk=...)`) a sample is searched; the best end is followed to
     the mode of all data, which are read once a step, and judged by them. The fit's residuals and
     bands are then those of the sample, and a bar shows how far each reading is.
+
+    A `Candidate` stays only if the data call for it: it pays for its numbers by Schwarz' criterion
+    and is not so far from absent by chance. The weakest goes first; the estimates are those of the
+    problem without those that went, and `Fit.choices` says why.
 
     Where finite differences at the optimum show more than the gradient sees, as where edges of
     shadows move, the fit goes on by them: its verdict and curvature are theirs, and a finding names
@@ -133,34 +139,26 @@ def fit(
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
     if problem.present is not None and not on_host(problem.present).any():
         raise InputError("There is nothing to fit: all data are missing (NaN).")
+    how = _How(starts, start, solver, misfit == "inflate", seed)
+    choices: tuple[Choice, ...] = ()
     with progress_bar("reading data", shown=problem.stream is not None) as advance:
-        if after is None:
-            if start:
-                found = search(problem, _given(problem, start)[None], solver=solver)
-                optimum = seen_by_differences(problem, found)
-            else:
-                optimum = _searched(problem, starts, seed, solver)
-            if problem.stream is not None:
-                optimum = search_read(problem, optimum, advance)
-            optimum = _determined(problem, optimum, advance)
+        if after is not None:
+            optimum, choices = _searched_before(after, method), after.choices
+            for choice in choices:
+                problem = problem if choice.kept else problem.without(choice.name)
+        elif problem.candidates:
+            problem, optimum, choices = _chosen(problem, how, advance)
         else:
-            optimum = _searched_before(after, method)
-        vector = jnp.asarray(optimum.vector, jnp.result_type(float))
-        residuals = residuals_at(problem, vector, seed=seed)
-        if problem.stream is None:
-            totals = sums(_in_order(problem, residuals))
-        else:
-            totals = residual_sums(problem, vector, advance, seed=seed)
-    covariance = _inverse(optimum.curvature)
-    checks = judge_sums(totals, float(np.trace(optimum.data_information @ covariance)))
-    wide = widening(
-        *(problem, optimum, covariance, residuals, checks), inflate=misfit == "inflate", seed=seed
-    )
+            optimum = _optimum(problem, how, advance)
+        end = _judged(problem, optimum, how, advance)
+    optimum, residuals, checks, wide = end.optimum, end.residuals, end.checks, end.wide
+    vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     before = None if after is None else after.posterior
     failures = verdict(optimum, checks, wide.explained, wide_noise=_fits_width(problem))
     drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
     failures += about_search(optimum, drawn) + about_chains(drawn)
     findings = (*wide.words, *checks.remarks, *about_posterior(problem, optimum, drawn))
+    findings = (*map(str, choices), *findings)
     settings = {
         "starts": len(optimum.costs),
         "posterior": type(method).__name__.lower(),
@@ -172,7 +170,119 @@ def fit(
         *(problem, optimum, drawn, checks, residuals, tuple(failures), findings),
         noise=wide.noise,
         settings=settings,
+        choices=choices,
     )
+
+
+@dataclass(frozen=True)
+class _How:
+    """What `fit` is told of the search and the judgement."""
+
+    starts: int
+    start: dict[str, Any] | None
+    solver: Any
+    inflate: bool
+    seed: int
+
+
+@dataclass(frozen=True)
+class _End:
+    """A best fit and what its residuals say."""
+
+    optimum: Optimum
+    residuals: np.ndarray
+    checks: Misfit
+    wide: Widening
+
+
+def _optimum(
+    problem: Problem, how: _How, advance: Advance, *, near: dict[str, Any] | None = None
+) -> Optimum:
+    """The best of the searches; `near` begins the only one, as `start` does for a user."""
+    begin = how.start if near is None else near
+    if begin:
+        found = search(problem, _given(problem, begin)[None], solver=how.solver)
+        optimum = seen_by_differences(problem, found)
+    else:
+        optimum = _searched(problem, how.starts, how.seed, how.solver)
+    if problem.stream is not None:
+        optimum = search_read(problem, optimum, advance)
+    return optimum
+
+
+def _chosen(
+    problem: Problem, how: _How, advance: Advance
+) -> tuple[Problem, Optimum, tuple[Choice, ...]]:
+    """The problem without the candidates that do not pay for themselves, its optimum, and why: the
+    weakest goes first, and the others are judged anew without it."""
+    optimum, gone = _optimum(problem, how, advance), []
+    while True:
+        choices = _choices(problem, optimum, how, advance)
+        shares = {one.name: one.ratio**2 for one in choices}
+        prices = {one.name: one.needed**2 for one in choices}
+        name = weakest(shares, prices, problem.candidates)
+        if name is None:
+            break
+        gone += [replace(one, kept=False) for one in choices if one.name == name]
+        near = values_at(problem, jnp.asarray(optimum.vector, jnp.result_type(float)))
+        problem = problem.without(name)
+        near = {p.name: np.asarray(near[p.name]) for p in problem.free}
+        if how.start is not None:
+            how = replace(how, start={p.name: how.start[p.name] for p in problem.free})
+        if not problem.candidates:
+            choices = ()
+            break
+        optimum = _optimum(problem, how, advance, near=near)
+    if gone:
+        optimum = _optimum(problem, how, advance)
+    return problem, optimum, (*choices, *gone)
+
+
+def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> tuple[Choice, ...]:
+    """Of each candidate its ratio and price, as if all of them stayed."""
+    information, end = np.asarray(optimum.curvature), None
+    freedom, count = np.full(len(information), np.inf), float(problem.data.size)
+    if problem.stream is not None:
+        count = float(problem.stream.count)
+    elif problem.present is not None:
+        count = float(on_host(problem.present).sum())
+    with suppress(InputError):  # a term that is absent may leave a direction open
+        end = _judged(problem, optimum, how, advance)
+        information = np.linalg.inv(end.wide.covariance)
+    if end is not None and end.wide.noise > 1:
+        freedom[:] = max(end.checks.dof, 1)
+    if end is not None and end.wide.freedom is not None:
+        freedom = end.wide.freedom
+    ratios = squared_ratios(problem.space, optimum.vector, information, problem.candidates)
+    scatter = (int(count), len(information) - 1) if _fits_width(problem) else None
+    found = []
+    for candidate, ratio in zip(problem.candidates, ratios, strict=True):
+        own = numbers_of(candidate, problem.space)
+        needed = price(
+            *(count, candidate.chance),
+            numbers=int(own.sum()),
+            freedom=float(np.min(freedom[own])),
+            scatter=scatter,
+        )
+        sizes = float(np.sqrt(ratio)), float(np.sqrt(needed))
+        found.append(Choice(candidate.name, True, *sizes, candidate.absent))
+    return tuple(found)
+
+
+def _judged(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
+    """The residuals of a best fit and the covariance that allows for them; an optimum with an open
+    direction is refused."""
+    optimum = _determined(problem, optimum, advance)
+    vector = jnp.asarray(optimum.vector, jnp.result_type(float))
+    residuals = residuals_at(problem, vector, seed=how.seed)
+    if problem.stream is None:
+        totals = sums(_in_order(problem, residuals))
+    else:
+        totals = residual_sums(problem, vector, advance, seed=how.seed)
+    covariance = _inverse(optimum.curvature)
+    checks = judge_sums(totals, float(np.trace(optimum.data_information @ covariance)))
+    stated = (problem, optimum, covariance, residuals, checks)
+    return _End(optimum, residuals, checks, widening(*stated, inflate=how.inflate, seed=how.seed))
 
 
 def _in_order(problem: Problem, residuals: np.ndarray) -> np.ndarray:
@@ -193,7 +303,8 @@ def _fits_width(problem: Problem) -> bool:
 def _searched(problem: Problem, starts: int, seed: int, solver: Any) -> Optimum:
     """The best of many searches; of more, where none of them ends where the best one does."""
     wide_noise = _fits_width(problem)
-    found = search(problem, spread_starts(problem, starts, seed=seed), solver=solver)
+    begin = spread_starts(problem, starts, seed=seed)
+    found = search(problem, begin, solver=solver, as_given=False)
     optimum = seen_by_differences(problem, found)
     for again in range(1, ROUNDS * (2 if wide_noise else 1)):
         if starts == 1 or is_confirmed(optimum, wide_noise=wide_noise):
@@ -286,7 +397,7 @@ def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
         stated, shape = replace(parameter, start=start[parameter.name]), parameter.shape or ()
         scalars(stated, shape)  # refuses a start of another shape
         parts.append(np.broadcast_to(np.asarray(stated.start), shape).ravel())
-    return start_at(problem.space, np.concatenate(parts))
+    return np.asarray(start_at(problem.space, np.concatenate(parts)), np.float64)
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:

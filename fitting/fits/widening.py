@@ -86,8 +86,10 @@ def widening(
         The covariance and what it stands for.
     """
     if isinstance(problem.likelihood, Clustered):
-        labels = on_host(problem.likelihood.labels)
-        return _of_groups(problem, optimum, labels, residuals, inflate=inflate, seed=seed)
+        labels = problem.likelihood.labels
+        every = labels if isinstance(labels, dict) else {"": labels}
+        every = {name: on_host(one) for name, one in every.items()}
+        return _of_groups(problem, optimum, every, residuals, inflate=inflate, seed=seed)
     if not inflate or checks.dof <= 0 or checks.chi_square <= max(checks.dof, 1):
         return Widening(covariance)
     factor = checks.chi_square / max(checks.dof, 1)
@@ -105,28 +107,36 @@ def widening(
 def _of_groups(
     problem: Problem,
     optimum: Optimum,
-    every: np.ndarray,
+    every: dict[str, np.ndarray],
     residuals: np.ndarray,
     *,
     inflate: bool,
     seed: int,
 ) -> Widening:
-    if every.shape != residuals.shape:
-        raise InputError(
-            f"Clustered: labels of shape {every.shape} do not fit data of shape {residuals.shape}."
-        )
-    labels = np.unique(every.ravel(), return_inverse=True)[1]
+    for one in every.values():
+        if one.shape != residuals.shape:
+            raise InputError(
+                f"Clustered: labels of shape {one.shape} do not fit data of shape "
+                f"{residuals.shape}."
+            )
+    levels = [np.unique(one.ravel(), return_inverse=True)[1] for one in every.values()]
     vector = jnp.asarray(optimum.vector, problem.data.dtype)
     scores = on_host(_scores(vector, problem), dtype=np.float64)
     prior = optimum.curvature - optimum.data_information
     slope, predicted = _slopes(problem, vector, seed)
     moved = on_host(_predictions(vector, problem), dtype=np.float64) * np.nan_to_num(slope.ravel())
-    robust = cluster_robust(scores, optimum.curvature, labels, None, slopes=moved, prior=prior)
+    robust = cluster_robust(scores, optimum.curvature, *levels, slopes=moved, prior=prior)
     shared = robust.design_effect > 1
-    sentences = [_in_words(robust, optimum, labels.max() + 1)]
+    sentences = [_in_words(robust, optimum, levels[0].max() + 1)]
+    if len(levels) > 1:
+        sizes = zip(every, robust.effects, strict=True)
+        told = ", ".join(f"{name} {effect:.3g}" for name, effect in sizes)
+        sentences.append(f"Design effects of the residuals by level: {told} (independent data: 1).")
     determined = float(np.trace(optimum.data_information @ robust.covariance))
-    left = without_shared(residuals, labels, (slope, slope * predicted))
-    lost = 2 * (labels.max() + 1) + min(determined, len(optimum.vector))
+    left, lost = residuals, min(determined, len(optimum.vector))
+    for labels in levels:
+        left = without_shared(left, labels, (slope, slope * predicted))
+        lost += 2 * (labels.max() + 1)
     beyond = judge(left, lost)
     if shared:
         sentences.append("Bands of new data leave out the error that a group shares.")

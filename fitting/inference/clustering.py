@@ -23,6 +23,7 @@ Student's t that its interval takes (Imbens & Kolesar, Rev. Econ. Stat. 98, 2016
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -44,16 +45,24 @@ class Robustness:
             lights are there to judge.
         freedom: (parameters,) degrees of freedom of each variance; infinite where it counts as
             known.
-        by_light: design effect within lights as measured; NaN where they are too few.
-        by_pixel: the same within pixels; NaN also without any.
-        design_effect: of the covariance; 1 where both are within chance.
+        effects: design effect within each level's clusters as measured; NaN where they are too few.
+        design_effect: of the covariance; 1 where all are within chance.
     """
 
     covariance: Float[np.ndarray, "parameters parameters"]
     freedom: Float[np.ndarray, " parameters"]
-    by_light: float
-    by_pixel: float
+    effects: tuple[float, ...]
     design_effect: float
+
+    @property
+    def by_light(self) -> float:
+        """Of the first level."""
+        return self.effects[0]
+
+    @property
+    def by_pixel(self) -> float:
+        """Of the second; NaN without one."""
+        return self.effects[1] if len(self.effects) > 1 else np.nan
 
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
@@ -100,22 +109,21 @@ class _Clustering:
 def cluster_robust(
     scores: Float[np.ndarray, "parameters samples"],
     information: Float[np.ndarray, "parameters parameters"],
-    light: Int[np.ndarray, " samples"],
-    pixel: Int[np.ndarray, " samples"] | None,
-    *,
+    *levels: Int[np.ndarray, " samples"] | None,
     slopes: Float[np.ndarray, "parameters samples"] | None = None,
     prior: Float[np.ndarray, "parameters parameters"] | None = None,
 ) -> Robustness:
-    """Covariance that allows for residuals shared within lights and within pixels.
+    """Covariance that allows for residuals shared within clusters, of one kind or several.
 
-    What lights share always enters: a test with few lights overlooks errors that matter. What
-    pixels share enters where their test, whose clusters are many, sees it.
+    What clusters of the first level share (lights, say) always enters: a test with few of them
+    overlooks errors that matter. What those of another share (pixels, say) enters where its test,
+    whose clusters are many, sees it. Levels may cross, as rows and columns do, or be nested: what
+    the clusters of two levels have in common counts once.
 
     Args:
         scores: (parameters, samples), gradient of each sample's log likelihood.
         information: (parameters, parameters), as if all samples were independent.
-        light: (samples,) cluster of each sample.
-        pixel: (samples,) cluster of another kind; None where there is none.
+        levels: (samples,) cluster of each sample, by level; None is left out.
         slopes: (parameters, samples), gradient of each sample's prediction in its standard
             deviations, whose outer products sum to the information; None takes the scores', which
             do so on average.
@@ -137,8 +145,9 @@ def cluster_robust(
     if prior is not None:
         from_data -= contrasts.T @ prior @ contrasts
     total, entered = np.eye(count), []
-    effects, clustered = [], False
-    for cluster, always in ((light, True), (pixel, False)):
+    effects, clustered, inside = [], False, []
+    for level, cluster in enumerate(levels):
+        always = level == 0
         if cluster is None:
             effects.append(np.nan)
             continue
@@ -151,7 +160,19 @@ def cluster_robust(
         effects.append(found.effect)
         clustered |= beyond
         if always or beyond:
-            total = total + found.variance - (from_data if always else found.unclustered)
+            total = total + found.variance
+            if always:
+                total = total - from_data
+            for others in _subsets(inside):
+                both = _common(cluster, *others)
+                if both.max() + 1 == len(cluster):
+                    common = found.unclustered
+                else:
+                    common = _clustering(whitened, leverage, both, from_data).variance
+                total = total - (-1) ** (len(others) + 1) * common
+            if not always and not inside:
+                total = total - found.unclustered
+            inside.append(cluster)
             own = np.einsum("ki,ij,kj->k", contrasts, found.variance, contrasts)
             entered.append((own, freedom))
     values, directions = np.linalg.eigh(total)
@@ -162,7 +183,18 @@ def cluster_robust(
     with np.errstate(divide="ignore"):
         freedom = np.diagonal(covariance) ** 2 / uncertainty
     effect = max(float(np.trace(total)) / count, 1.0) if clustered else 1.0
-    return Robustness(covariance, freedom, effects[0], effects[1], effect)
+    return Robustness(covariance, freedom, tuple(effects), effect)
+
+
+def _subsets(levels: list[np.ndarray]) -> list[tuple[np.ndarray, ...]]:
+    """Of one level or more (inclusion and exclusion)."""
+    sizes = range(1, len(levels) + 1)
+    return [some for size in sizes for some in combinations(levels, size)]
+
+
+def _common(*levels: np.ndarray) -> np.ndarray:
+    """(samples,) the clusters that several levels have in common, numbered."""
+    return np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
 
 
 def _clustering(

@@ -1,6 +1,6 @@
 """Numbers as a user gives them: whole ones, widths and ends of a range, refused in one sentence."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -191,18 +191,22 @@ def require_ascending(what: str, low: Any, high: Any) -> None:
         )
 
 
-def whole_labels(labels: Any) -> Int[np.ndarray, "..."]:
+def whole_labels(labels: Any) -> dict[str, Any] | Int[np.ndarray, "..."]:
     """Labels of groups as whole numbers.
 
     Args:
-        labels: of any shape.
+        labels: of any shape, or several by the name of their level.
 
     Returns:
         Of their shape.
 
     Raises:
-        InputError: for others than whole numbers.
+        InputError: for others than whole numbers, and for no level.
     """
+    if isinstance(labels, Mapping):
+        if not labels:
+            raise InputError("Clustered: give at least one level of labels.")
+        return {str(name): whole_labels(one) for name, one in labels.items()}
     given = on_host(plain_array("labels", labels))
     if given.dtype.kind not in "iuf" or (given != np.round(given)).any():
         raise InputError(

@@ -292,10 +292,14 @@ class Clustered(eqx.Module):
 
     Attributes:
         likelihood: of each datum by itself.
-        labels: (data) whole numbers, the group of each datum (its image, say).
+        labels: (data) whole numbers, the group of each datum (its image, say); or several levels
+            of groups by name, such as {"frame": ..., "row": ..., "column": ...}, crossed or nested.
+            Errors of the first always widen the intervals, however few its groups are; those of
+            another where its residuals show them.
 
     Source:
-        Liang & Zeger, Biometrika 73, 1986.
+        Liang & Zeger, Biometrika 73, 1986; several levels: Cameron, Gelbach & Miller, J. Bus. Econ.
+        Stat. 29, 2011; few groups: Bell & McCaffrey, Survey Methodology 28, 2002.
 
     Example:
         What an image's data share counts once: the mean of 1, 2, 3, 6 is known to sqrt(14 / 3 / 4).

@@ -66,10 +66,16 @@ class Parameter(eqx.Module):
             for all or a tuple, one each; None for flat.
         shape: of the value; None for that of its start, () if there is none.
         start: where a search begins, in its unit; None leaves it to the bounds or the prior.
+        linear: whether the prediction is linear in it, as in an amplitude or a background. Under a
+            likelihood of least squares (a Gaussian of known width) or one that begins with it
+            (Student's t of known scale, `SensorNoise`), the search finds it in closed form at each
+            value of the other parameters, so that it needs neither start nor bounds and is no
+            dimension of the search. It is free, or at least 0 (`lower=0`).
 
     Raises:
-        InputError: for bounds that are not ascending or leave nothing to a prior, and for a start
-            that is not finite or outside them.
+        InputError: for bounds that are not ascending or leave nothing to a prior, for a start that
+            is not finite or outside them, and for a linear parameter on a logarithmic scale or with
+            other bounds.
 
     Example:
         >>> from fitting import Normal, Parameter
@@ -85,6 +91,7 @@ class Parameter(eqx.Module):
     prior: Any = eqx.field(static=True, kw_only=True, default=None)
     shape: tuple[int, ...] | None = eqx.field(static=True, kw_only=True, default=None)
     start: Any = eqx.field(static=True, kw_only=True, default=None, converter=_frozen)
+    linear: bool = eqx.field(static=True, kw_only=True, default=False)
 
     def __check_init__(self) -> None:
         if fault := _fault(self):
@@ -110,6 +117,11 @@ def _fault(parameter: Parameter) -> str | None:
     if start is not None and ((begin < lower) | (begin > upper) | (logarithm & (begin <= 0))).any():
         ends = f"{parameter.lower} to {parameter.upper}"
         return f"start {start} lies outside its range, {ends}{' and positive' * logarithm}"
+    least, most = np.asarray(parameter.lower, float), np.asarray(parameter.upper, float)
+    if parameter.linear and (
+        logarithm or np.isfinite(most).any() or not ((least == 0) | (least == -np.inf)).all()
+    ):
+        return "a linear parameter is free or at least 0: give no transform, no bound but lower=0"
     for prior in _objects(parameter.prior).ravel():
         if not (prior is None or isinstance(prior, Prior)):
             return f"{prior!r} is no prior: use Normal(...) or another"

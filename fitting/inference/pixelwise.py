@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .curvature import gauss_newton, prior_derivatives
@@ -24,7 +25,8 @@ from .problem import (
     prediction,
     values_at,
 )
-from .search import SAME_PLACE, negative_log_density
+from .search import SAME_PLACE, given_start, negative_log_density, starts_about
+from .separable import completed, in_closed_form
 
 TOLERANCE = 1e-10  # fall in cost that another step promises
 
@@ -59,7 +61,7 @@ class Ends(eqx.Module):
 
 @eqx.filter_jit
 def fit_side_by_side(
-    starts: Float[Array, "starts parameters"],
+    starts: tuple[Float[Array, "starts parameters"], Float[Array, "starts parameters"]],
     problem: Problem,
     data: Float[Array, "problems ..."],
     own: list[Any],
@@ -69,7 +71,7 @@ def fit_side_by_side(
     """The modes of problems that differ in their data, and in some inputs.
 
     Args:
-        starts: (starts, P) unconstrained, the same for all.
+        starts: as `unstarted` gives them, the same for all.
         problem: whose data and inputs are replaced.
         data: (problems, ...) NaN where a datum is missing.
         own: leaves of the inputs in their order, with a leading axis; None where the problem's own
@@ -91,7 +93,14 @@ def fit_side_by_side(
             (jnp.where(present, data, 0), present, jax.tree.unflatten(form, every)),
             is_leaf=lambda x: x is None,
         )
-        return _fitted(starts, here, max_steps, chance)
+        begin = starts_about(*starts, given_start(here).astype(starts[0].dtype))
+        if closed := in_closed_form(here):
+            others = np.setdiff1d(np.arange(len(here.space)), closed)
+            squares = here.likelihood.least_squares
+            likely = here.likelihood if squares else here.likelihood.surrogate
+            by_squares = eqx.tree_at(lambda p: p.likelihood, here, likely)
+            begin = jax.vmap(lambda start: completed(start[others], by_squares))(begin)
+        return _fitted(begin, here, max_steps, chance)
 
     return jax.vmap(one)(data, own)
 

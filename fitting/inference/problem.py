@@ -8,6 +8,7 @@ by name), `inputs`, a record (a scene with the unknown numbers in place), or one
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxvision.errors import InputError, nearest
 
+from .candidates import Candidate
 from .likelihoods import Likelihood, check_data, with_values
 from .on_host import on_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
@@ -68,6 +70,8 @@ class Problem(eqx.Module):
         records: by name, into which paths lead.
         inputs: what else `predict` is given.
         space: the free numbers one by one, the order of every vector.
+        candidates: terms that a fit may leave out.
+        start: from the data to natural values by name, from which a search begins; None for none.
         left_out: what `called_for` has left out of the records, or None.
 
     Raises:
@@ -98,17 +102,20 @@ class Problem(eqx.Module):
     records: dict[str, Any]
     inputs: Any
     space: ParameterSpace
+    candidates: tuple[Candidate, ...] = eqx.field(static=True)
+    start: Callable[..., Any] | None = eqx.field(static=True)
     left_out: Any = eqx.field(static=True)
 
     def __init__(
         self,
-        parameters: Mapping[str, Parameter | Tied | Any],
+        parameters: Mapping[str, Parameter | Candidate | Tied | Any],
         predict: Callable[..., Any],
         likelihood: Likelihood,
         data: Any,
         *,
         records: Mapping[str, Any] | None = None,
         inputs: Any = None,
+        start: Callable[..., Any] | None = None,
         chunk: int | None = None,
         left_out: Any = None,
     ) -> None:
@@ -116,7 +123,8 @@ class Problem(eqx.Module):
 
         Args:
             parameters: by name or by path into a record (`scene.lights[0].position`): a
-                `Parameter` to fit, a number to keep, or `Tied` to the others.
+                `Parameter` to fit, a `Candidate` to fit if the data call for it, a number to keep,
+                or `Tied` to the others.
             predict: any JAX function; its arguments are named after what they are given: `values`
                 (natural values by name), `inputs`, a record, or a parameter. Part of the compile
                 key: use one function for fits that shall share a compilation.
@@ -124,6 +132,11 @@ class Problem(eqx.Module):
             data: an array of the prediction's shape; NaN where a datum is missing.
             records: PyTrees by name, such as {"scene": scene}.
             inputs: what else `predict` needs, in arrays (times, angles, other scenes).
+            start: a JAX function to natural values by name, of some parameters or all, from which
+                the first search begins; its arguments are named as those of `predict` that are no
+                parameters, and `data` (NaN where a datum is missing). Each pixel of `fit_map` has
+                its own. A value that is NaN is none; one beyond a bound is moved inside. None
+                begins at the starts of the parameters.
             chunk: rows of data to be read at a time, so that memory is bounded by one chunk: 50,000
                 suit most. None takes all at once. The data are then an array, also a memory-mapped
                 one, or a function without arguments that yields arrays one after another, or pairs
@@ -138,10 +151,17 @@ class Problem(eqx.Module):
         if chunk is not None:
             self.stream, data, inputs, likelihood = opened(data, inputs, likelihood, chunk)
         self.inputs = as_arrays(inputs)
+        candidates = {name: c for name, c in parameters.items() if isinstance(c, Candidate)}
+        parameters = dict(parameters) | {name: c.parameter for name, c in candidates.items()}
         self.free = tuple(
             placed(name, entry, self.records)
             for name, entry in parameters.items()
             if isinstance(entry, Parameter)
+        )
+        self.candidates = tuple(
+            replace(candidates[parameter.name], parameter=parameter)
+            for parameter in self.free
+            if parameter.name in candidates
         )
         self.tied = {name: entry for name, entry in parameters.items() if isinstance(entry, Tied)}
         self.fixed = {
@@ -155,6 +175,7 @@ class Problem(eqx.Module):
         self.likelihood = likelihood
         self.predict = predict
         self.asks = argument_names(predict)
+        self.start = start
         check_names(self, parameters)
         known = finite_data(data)
         missing = np.isnan(known)
@@ -189,20 +210,46 @@ class Problem(eqx.Module):
         """
         return self._again(records=records, left_out=left_out)
 
-    def _again(self, **changes: Any) -> "Problem":
+    def without(self, name: str) -> "Problem":
+        """The same problem without a candidate, which is absent at its stated value.
+
+        Args:
+            name: of the candidate.
+
+        Returns:
+            The problem.
+
+        Raises:
+            InputError: for a name that is no candidate, and one that another candidate requires.
+        """
+        known = {candidate.name: candidate for candidate in self.candidates}
+        if name not in known:
+            raise InputError(f"without: no candidate {name!r}; {nearest(name, known)}.")
+        for other in self.candidates:
+            if name in other.requires:
+                raise InputError(
+                    f"without: {other.name} requires {name}; leave {other.name} out first."
+                )
+        one = known[name]
+        return self._again({name: np.full(_shape(one.parameter), one.absent)})
+
+    def _again(self, parameters: Mapping[str, Any] | None = None, **changes: Any) -> "Problem":
         present = True if self.present is None else on_host(self.present)
         given = {
             "data": np.where(present, on_host(self.data), np.nan),
             "records": self.records,
             "inputs": self.inputs,
+            "start": self.start,
             "left_out": self.left_out,
         }
         likelihood = self.likelihood
         if (stream := self.stream) is not None:
             given |= {"data": stream.data, "inputs": stream.inputs, "chunk": stream.size}
             likelihood = stream.likelihood
-        parameters = {p.name: p for p in self.free} | self.fixed | self.tied
-        return Problem(parameters, self.predict, likelihood, **(given | changes))
+        every: dict[str, Any] = {p.name: p for p in self.free} | self.fixed | self.tied
+        every |= {candidate.name: candidate for candidate in self.candidates}
+        every |= parameters or {}
+        return Problem(every, self.predict, likelihood, **(given | changes))
 
 
 def _shape(parameter: Parameter) -> tuple[int, ...]:
@@ -238,6 +285,8 @@ def _check_shapes(problem: Problem) -> None:
         return found
 
     eqx.filter_eval_shape(terms, jnp.zeros(len(problem.space)), problem)
+    if problem.start is not None:
+        eqx.filter_eval_shape(start_of_data, problem)
 
 
 def values_at(problem: Problem, vector: Vector) -> Values:
@@ -296,13 +345,18 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
         InputError: for a function that asks for something unknown, or that JAX cannot trace.
     """
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
+    who = "predict" if function is problem.predict else "The function"
+    return _called(function, known, who)
+
+
+def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) -> Any:
+    """With what it asks for by name, or an error that says what JAX cannot trace."""
     asked, rest = named_and_rest(function)
     for unknown in {argument.name for argument in asked} - known.keys():
         raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
     named = {a.name: known[a.name] for a in asked if a.kind is a.KEYWORD_ONLY}
     if rest:
         named |= {name: known[name] for name in known.keys() - {*GIVEN, *(a.name for a in asked)}}
-    who = "predict" if function is problem.predict else "The function"
     try:
         return function(*(known[a.name] for a in asked if a.kind is not a.KEYWORD_ONLY), **named)
     except jax.errors.TracerArrayConversionError as error:
@@ -315,6 +369,36 @@ def give(problem: Problem, function: Callable[..., Any], values: Values, inputs:
             f"{who} asks for the value of a number that is to be found (by float, math or if), "
             "which JAX cannot trace; use jax.numpy, and jax.numpy.where for a choice."
         ) from error
+
+
+def start_of_data(problem: Problem) -> Values:
+    """What the problem's `start` makes of its data.
+
+    Args:
+        problem: with such a function.
+
+    Returns:
+        Natural values by name, of some parameters or all.
+
+    Raises:
+        InputError: for a result that is no mapping or names no parameter.
+    """
+    assert problem.start is not None
+    data = problem.data
+    if problem.present is not None:
+        data = jnp.where(problem.present, data, jnp.nan)
+    known = {"inputs": problem.inputs, **problem.records, "data": data}
+    found = _called(problem.start, known, "start")
+    if not isinstance(found, Mapping):
+        raise InputError(
+            f"start gives a {type(found).__name__}: return natural values by name, such as "
+            '{"height": data.max()}.'
+        )
+    free = [parameter.name for parameter in problem.free]
+    for name in found:
+        if name not in free:
+            raise InputError(f"start names {name!r}, no free parameter; {nearest(name, free)}.")
+    return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in found.items()}
 
 
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:
@@ -418,7 +502,12 @@ def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " 
     Returns:
         In a row, 0 where a datum is missing.
     """
-    values = values_at(problem, vector)
+    return residuals_from(to_natural(problem.space, vector), problem)
+
+
+def residuals_from(natural: Vector, problem: Problem) -> Float[Array, " data"]:
+    """As `least_squares_residuals`, from natural numbers (P,)."""
+    values = values_from(problem, natural)
     likelihood = likelihood_at(problem, values)
     found = likelihood.residuals(prediction(problem, values), problem.data, np.zeros(()))
     found = jnp.asarray(found)

@@ -31,6 +31,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 
@@ -45,6 +46,7 @@ from .newton import NewtonSolution, minimise
 from .on_host import on_host
 from .parameters import (
     FLAT_QUANTILES,
+    Parameter,
     ParameterSpace,
     ends,
     log_prior,
@@ -52,7 +54,8 @@ from .parameters import (
     prior_values,
     to_unconstrained,
 )
-from .problem import Problem, Vector, least_squares_residuals, log_density
+from .problem import Problem, Vector, least_squares_residuals, log_density, start_of_data
+from .separable import KNOTS, completed, eliminated, in_closed_form, require_linear
 
 _OF_CORE = 2  # starts searched at a time: the cache holds their residuals, and both end sooner
 STEPS = 100  # of a search; a straggler ends there
@@ -122,9 +125,9 @@ def spread_starts(
 ) -> Float[np.ndarray, "starts parameters"]:
     """Starts spread evenly over bounds and priors.
 
-    The first is each parameter's own start where it has one. The others fill the box of prior
-    quantiles by a Kronecker sequence; a parameter without both bounds and prior lies about its
-    start.
+    The first is each parameter's own start where it has one, by the problem's data or else as it
+    is stated. The others fill the box of prior quantiles by a Kronecker sequence; a parameter
+    without both bounds and prior lies about its start.
 
     Args:
         problem: of P free numbers.
@@ -141,48 +144,91 @@ def spread_starts(
         The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
     """
     require_whole("starts", count, of="searches")
-    given = given_start(problem)
-    lost = [
-        p.name
-        for p, start in zip(problem.space, given, strict=True)
-        if np.isnan(start) and prior_values(p) is None
-    ]
+    begin = given_start if problem.start is None else _given_start
+    given = np.asarray(begin(problem), np.float64)
+    found = starts_about(*unstarted(problem, count, seed=seed), given, xp=np)
+    lost = [p.name for p, x in zip(problem.space, found.T, strict=True) if np.isnan(x).any()]
     if lost:
         raise InputError(
             f"Nothing says where to search for {listed(lost)}: give bounds, a prior or a start."
         )
+    return found
+
+
+def unstarted(
+    problem: Problem, count: int, *, seed: int
+) -> tuple[Float[np.ndarray, "starts parameters"], Float[np.ndarray, "starts parameters"]]:
+    """Starts spread over bounds and priors, whatever the data.
+
+    Args:
+        problem: of P free numbers.
+        count: of starts.
+        seed: shifts the sequence.
+
+    Returns:
+        (count, P) unconstrained, NaN for a parameter without both bounds and prior; and (count, P)
+        the distance from its start at which such a one lies. A number that is found in closed form
+        is 0 everywhere.
+    """
+    closed = in_closed_form(problem)
     shares = _kronecker(count, len(problem.space), seed)
     columns = []
-    for parameter, share in zip(problem.space, shares.T, strict=True):
+    for i, (parameter, share) in enumerate(zip(problem.space, shares.T, strict=True)):
         values = prior_values(parameter)
-        nothing = np.full(count, np.nan)
-        columns.append(nothing if values is None else np.interp(share, FLAT_QUANTILES, values))
-    spread = _unconstrained(problem.space, np.stack(columns, axis=-1))
-    about = given + ndtri(np.clip(shares, 0.01, 0.99))
-    spread = np.where(np.isnan(spread), about, spread)
-    spread[0] = np.where(np.isnan(given), spread[0], given)
-    return spread
+        unknown = np.full(count, 1.0 if i in closed else np.nan)
+        columns.append(unknown if values is None else np.interp(share, FLAT_QUANTILES, values))
+    table = _unconstrained(problem.space, np.stack(columns, axis=-1))
+    return table, ndtri(np.clip(shares, 0.01, 0.99))
 
 
-def given_start(problem: Problem) -> Float[np.ndarray, " parameters"]:
-    """Each parameter's own start, unconstrained; NaN where it has none.
+def starts_about(table: Any, distances: Any, given: Any, *, xp: Any = jnp) -> Any:
+    """`unstarted` with the given start in place, (starts, P); NaN where there is none."""
+    table = xp.where(xp.isnan(table), given[None] + distances, table)
+    first = xp.where(xp.isnan(given), table[0], given)
+    return xp.concatenate([first[None], table[1:]])
+
+
+def given_start(problem: Problem) -> Float[Array, " parameters"]:
+    """Each parameter's own start, unconstrained; NaN where it has none. Compiled, or traced.
 
     Args:
         problem: of P free numbers.
 
     Returns:
         (P,).
+
+    Raises:
+        InputError: for a start from the data that names no parameter or has another shape.
     """
     natural = [
-        np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ()).ravel()
+        np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ())
         for p in problem.free
     ]
-    return start_at(problem.space, np.concatenate(natural))
+    if problem.start is not None:
+        found = start_of_data(problem)
+        natural = [
+            _either(p, found[p.name], own) if p.name in found else own
+            for p, own in zip(problem.free, natural, strict=True)
+        ]
+    xp = np if problem.start is None else jnp
+    return start_at(problem.space, xp.concatenate([xp.ravel(xp.asarray(x)) for x in natural]))
+
+
+_given_start = eqx.filter_jit(given_start)
+
+
+def _either(parameter: Parameter, found: Any, own: np.ndarray) -> Array:
+    """The start from the data, the parameter's own where that is NaN."""
+    if jnp.shape(found) != own.shape:
+        raise InputError(
+            f"start: {parameter.name} has the shape {own.shape}, its start {jnp.shape(found)}."
+        )
+    return jnp.where(jnp.isfinite(found), found, own)
 
 
 def start_at(
-    space: ParameterSpace, natural: Float[np.ndarray, " parameters"]
-) -> Float[np.ndarray, " parameters"]:
+    space: ParameterSpace, natural: Float[ArrayLike, " parameters"]
+) -> Float[Array, " parameters"]:
     """A start from natural values, moved inside the bounds.
 
     Args:
@@ -192,12 +238,12 @@ def start_at(
     Returns:
         (P,), unconstrained.
     """
-    inside = []
-    for parameter, value in zip(space, natural, strict=True):
-        low, high = ends(parameter)
-        range_ = high - low if np.isfinite(high - low) else abs(value) or 1.0
-        inside.append(np.clip(value, low + EDGE * range_, high - EDGE * range_))
-    return _unconstrained(space, np.array(inside)[None])[0]
+    low, high = np.array([ends(parameter) for parameter in space]).T
+    xp = np if isinstance(natural, np.ndarray) else jnp
+    size = xp.where(natural == 0, 1.0, abs(natural))
+    range_ = xp.where(np.isfinite(high - low), np.nan_to_num(high - low), size)
+    inside = xp.clip(natural, low + EDGE * range_, high - EDGE * range_)
+    return to_unconstrained(space, jnp.asarray(inside, jnp.result_type(float)))
 
 
 def _unconstrained(space: ParameterSpace, natural: np.ndarray) -> np.ndarray:
@@ -215,7 +261,11 @@ def _kronecker(count: int, dimensions: int, seed: int) -> np.ndarray:
 
 
 def search(
-    problem: Problem, starts: Float[np.ndarray, "starts parameters"], *, solver: Any = None
+    problem: Problem,
+    starts: Float[np.ndarray, "starts parameters"],
+    *,
+    solver: Any = None,
+    as_given: bool = True,
 ) -> Optimum:
     """The mode of a problem's posterior.
 
@@ -223,6 +273,8 @@ def search(
         problem: of P free numbers.
         starts: (starts, P), unconstrained.
         solver: a least-squares solver or minimiser of optimistix; None chooses by the likelihood.
+        as_given: whether the starts are kept where only one number is searched, the others being
+            found in closed form; else a grid over it gives better ones.
 
     Returns:
         The best end, taken to the mode, and where all searches ended.
@@ -239,9 +291,9 @@ def search(
         vectors = _by_solver(begin, problem, mean, 1 / sd, solver)
         costs = _costs(vectors, problem)
     elif problem.likelihood.least_squares:
-        vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd)
+        vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd, as_given=as_given)
     else:
-        modes = _newton(_by_surrogate(begin, problem, mean, 1 / sd), problem)
+        modes = _newton(_by_surrogate(begin, problem, mean, 1 / sd, as_given), problem)
         vectors, costs = modes[0].vector, modes[0].cost
     vectors, costs = on_host(vectors, dtype=np.float64), on_host(costs, dtype=np.float64)
     costs = np.where(np.isfinite(costs), costs, np.inf)
@@ -285,14 +337,16 @@ def joined(one: Optimum, other: Optimum) -> Optimum:
     )
 
 
-def _by_surrogate(starts: Array, problem: Problem, mean: Array, weight: Array) -> Array:
+def _by_surrogate(
+    starts: Array, problem: Problem, mean: Array, weight: Array, as_given: bool
+) -> Array:
     """Where searches of the surrogate end; a start stays where it is likelier than its end, among
     outliers for instance, or where there is no surrogate."""
     surrogate = problem.likelihood.surrogate
     if surrogate is None:
         return starts
     squares = eqx.tree_at(lambda problem: problem.likelihood, problem, surrogate)
-    ends, _ = _levenberg_marquardt(starts, squares, mean, weight)
+    ends, _ = _levenberg_marquardt(starts, squares, mean, weight, as_given=as_given)
     better = _costs(ends, problem) < _costs(starts, problem)
     return jnp.where(better[:, None], ends, starts)
 
@@ -319,12 +373,16 @@ def _by_solver(starts: Array, problem: Problem, mean: Array, weight: Array, solv
     import optimistix as optx
 
     squares = isinstance(solver, optx.AbstractLeastSquaresSolver)
+    others = _nonlinear(problem)
+    if squares and others.size:
+        starts, mean, weight = starts[:, others], mean[others], weight[others]
 
     def one(start: Array) -> Array:
         if squares:
             args = (problem, mean, weight)
             how: Any = (_with_gaussian_prior, solver, start, args)
-            return optx.least_squares(*how, max_steps=MANY_STEPS, throw=False).value
+            found = optx.least_squares(*how, max_steps=MANY_STEPS, throw=False)
+            return _whole(found.value, problem)
         how = (negative_log_density, solver, start, problem)
         return optx.minimise(*how, max_steps=MANY_STEPS, throw=False).value
 
@@ -345,9 +403,18 @@ def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
 
 
 def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
+    """Residuals of the data and of a Gaussian prior of `vector`, which is all numbers or those that
+    are not found in closed form."""
     problem, mean, weight = args
-    residuals = least_squares_residuals(vector, problem)
+    if vector.size < len(problem.space):
+        residuals = eliminated(vector, problem).residuals
+    else:
+        residuals = least_squares_residuals(vector, problem)
     return jnp.concatenate([residuals, weight * (vector - mean)])
+
+
+def _whole(vector: Vector, problem: Problem) -> Vector:
+    return completed(vector, problem) if vector.size < len(problem.space) else vector
 
 
 def at_a_time(vectors: Float[Array, "searches parameters"]) -> int:
@@ -375,9 +442,52 @@ def _costs(vectors: Array, problem: Problem) -> Array:
 
 
 def _levenberg_marquardt(
-    starts: Array, problem: Problem, mean: Array, weight: Array
+    starts: Array, problem: Problem, mean: Array, weight: Array, *, as_given: bool
 ) -> tuple[Array, Array]:
-    return _searched(starts, problem, mean, weight, any(map(_shared_out, jax.tree.leaves(problem))))
+    shared_out = any(map(_shared_out, jax.tree.leaves(problem)))
+    if not in_closed_form(problem):
+        return _searched(starts, problem, mean, weight, shared_out)
+    others = _nonlinear(problem)
+    starts, mean, weight = starts[:, others], mean[others], weight[others]
+    require_linear(starts[0], problem)
+    if not others.size:
+        end = _closed(starts[0], problem)
+        return jnp.tile(end, (len(starts), 1)), jnp.zeros(len(starts))
+    if others.size == 1 and not as_given:
+        starts = _lowest_of_grid(starts, problem, mean, weight)
+    return _searched(starts, problem, mean, weight, shared_out)
+
+
+def _nonlinear(problem: Problem) -> np.ndarray:
+    """Places of the numbers that are searched."""
+    return np.setdiff1d(np.arange(len(problem.space)), in_closed_form(problem))
+
+
+_closed = eqx.filter_jit(completed)
+
+
+def _lowest_of_grid(starts: Array, problem: Problem, mean: Array, weight: Array) -> Array:
+    """(starts, 1) where the cost over the only number that is searched is lowest, of a grid over
+    its bounds or prior and the first start."""
+    parameter = problem.space[int(_nonlinear(problem)[0])]
+    values = prior_values(parameter)
+    if values is None:
+        return starts
+    shares = (np.arange(KNOTS) + 0.5) / KNOTS
+    knots = _unconstrained((parameter,), np.interp(shares, FLAT_QUANTILES, values)[:, None])
+    every = jnp.concatenate([starts[:1], jnp.asarray(knots, starts.dtype)])
+    costs = on_host(_costs_of_grid(every, problem, mean, weight))
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
+    return every[np.resize(order, len(starts))]
+
+
+@eqx.filter_jit
+def _costs_of_grid(knots: Array, problem: Problem, mean: Array, weight: Array) -> Array:
+    def one(vector: Array) -> Array:
+        residuals = _with_gaussian_prior(vector, (problem, mean, weight))
+        return residuals @ residuals / 2
+
+    return jax.lax.map(one, knots, batch_size=at_a_time(knots))
 
 
 def _shared_out(leaf: Any) -> bool:
@@ -395,7 +505,7 @@ def _searched(
         found = minimise_residuals(
             _with_gaussian_prior, start, args, max_steps=STEPS, shared_out=shared_out
         )
-        return found.vector, found.cost
+        return _whole(found.vector, problem), found.cost
 
     return jax.lax.map(one, starts, batch_size=at_a_time(starts))
 

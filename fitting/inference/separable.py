@@ -1,4 +1,11 @@
-"""Variable projection: amplitudes >= 0 in closed form, one nonlinear parameter by search.
+"""Variable projection: what is linear in closed form, what is not by search.
+
+Of a `Problem` in which the residuals r are linear in some numbers a, r(t, a) = r(t, 0) + J(t) a,
+the best a at given nonlinear numbers t, free or at least 0, is a small linear problem, and the
+search goes over t alone (`eliminated`). Its steps take the derivative of a along with t, so that
+they are those of the whole problem; a is no dimension in which to begin.
+
+`fit_separable` goes without any start:
 
 For a model that is linear but for one parameter t, which all bands b share,
 
@@ -19,10 +26,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.errors import InputError
+
 from .compiled import compiled_briefly
+from .on_host import on_host
+from .parameters import ends, prior_values, to_natural, to_unconstrained
+from .problem import Problem, residuals_from
 
 KNOTS = 48
 ZOOMS = 4  # each shrinks the interval by (KNOTS - 1) / 2
+MOST_SIGNED = 6  # amplitudes >= 0 of which every support is tried; each doubles them
+SWEEPS = 300  # by which the support of more of them is found
+UNROLLED = 8  # amplitudes up to which a factorisation is written out, which batches better
+BEND = 1e-3  # of the residuals, from which they are no line
 COLLINEAR = 1e-10  # of 1 - cos^2 between columns: below it their amplitudes cannot be separated
 
 Columns = Callable[[Float[Array, " knots"]], Float[Array, "knots observations"]]
@@ -69,12 +85,61 @@ def non_negative_amplitudes(
     count = len(moment)
     if count > 4:
         raise ValueError(f"at most four columns, got {count}: the supports grow as 2^columns.")
-    supports = sorted(itertools.product((False, True), repeat=count), key=sum)[1:]
-    found, solvable = jax.vmap(_on_support, (0, None, None))(jnp.array(supports), gram, moment)
+    supports = jnp.array(_supports((True,) * count)[1:])
+    found, solvable = jax.vmap(_on_support, (0, None, None))(supports, gram, moment)
     cost = jnp.where(solvable & jnp.all(found >= 0, axis=-1), -found @ moment, jnp.inf)
     best = jnp.argmin(cost)
     better = cost[best] < 0
     return jnp.where(better, found[best], 0), jnp.where(better, cost[best], 0)
+
+
+def _supports(signed: tuple[bool, ...]) -> list[tuple[bool, ...]]:
+    """Which columns may be other than 0, the fewest first; a free one always may."""
+    choices = [(False, True) if one else (True,) for one in signed]
+    return sorted(itertools.product(*choices), key=sum)
+
+
+def amplitudes(
+    gram: Float[Array, "columns columns"],
+    moment: Float[Array, " columns"],
+    signed: tuple[bool, ...],
+) -> Float[Array, " columns"]:
+    """The a that minimise a^T G a - 2 a^T b, free or at least 0.
+
+    Args:
+        gram: (columns, columns) G, symmetric and positive semi-definite.
+        moment: (columns,) b.
+        signed: of each column, whether a >= 0.
+
+    Returns:
+        (columns,). Of more than `MOST_SIGNED` that are at least 0, the support is that of
+        coordinate descent, exact unless columns are nearly alike.
+    """
+    if not any(signed):
+        return _solve_scaled(gram, moment)[0]
+    if sum(signed) > MOST_SIGNED:
+        support = _descended(*jax.lax.stop_gradient((gram, moment)), np.array(signed))
+        found, _ = _on_support(support, gram, moment)
+        return jnp.where(np.array(signed), jnp.maximum(found, 0), found)
+    supports = jnp.array(_supports(signed))
+    found, solvable = jax.vmap(_on_support, (0, None, None))(supports, gram, moment)
+    inside = jnp.all((found >= 0) | ~np.array(signed)[None], axis=-1)
+    fall = jnp.where(solvable & inside, found @ moment, -jnp.inf)
+    best = jnp.argmax(fall)
+    return jnp.where(jnp.isfinite(fall[best]), found[best], 0)
+
+
+def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
+    """Which columns are other than 0 after some sweeps, each amplitude in turn at its best."""
+    own = jnp.where(jnp.diagonal(gram) > 0, jnp.diagonal(gram), 1)
+
+    def step(i: Array, a: Array) -> Array:
+        at = i % len(moment)
+        best = a[at] + (moment[at] - gram[at] @ a) / own[at]
+        return a.at[at].set(jnp.where(jnp.asarray(signed)[at], jnp.maximum(best, 0), best))
+
+    found = jax.lax.fori_loop(0, SWEEPS * len(moment), step, jnp.zeros_like(moment))
+    return (found > 0) | ~signed
 
 
 def _on_support(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
@@ -90,6 +155,10 @@ def _solve_scaled(gram: Array, moment: Array) -> tuple[Array, Array]:
     present = diagonal > 0
     scale = jnp.where(present, jnp.sqrt(jnp.where(present, diagonal, 1)), 1)
     unit = gram / (scale[:, None] * scale[None])
+    if len(moment) > UNROLLED:
+        factor = jnp.linalg.cholesky(unit + COLLINEAR * jnp.eye(len(moment), dtype=gram.dtype))
+        found = jax.scipy.linalg.cho_solve((factor, True), moment / scale)
+        return found / scale, jnp.all(present) & jnp.isfinite(found).all()
     lower = [[jnp.zeros((), gram.dtype)] * len(moment) for _ in moment]
     solvable = jnp.all(present)
     for i in range(len(moment)):
@@ -193,3 +262,110 @@ def _projected(
     moment = jnp.stack([*moments, columns @ weighted], axis=-1)
     amplitudes, reduction = jax.vmap(jax.vmap(non_negative_amplitudes))(gram, moment)
     return amplitudes, jnp.sum(weighted * values) + reduction.sum(axis=-1)
+
+
+def in_closed_form(problem: Problem) -> tuple[int, ...]:
+    """Places in a problem's space of the numbers that are found in closed form.
+
+    Args:
+        problem: whose parameters may be linear.
+
+    Returns:
+        Ascending; none under a likelihood that neither is one of least squares nor has such a
+        surrogate.
+    """
+    surrogate = problem.likelihood.surrogate
+    if not (
+        problem.likelihood.least_squares or (surrogate is not None and surrogate.least_squares)
+    ):
+        return ()
+    return tuple(i for i, parameter in enumerate(problem.space) if parameter.linear)
+
+
+class Eliminated(eqx.Module):
+    """A problem at the best values of its linear numbers.
+
+    Attributes:
+        residuals: (data + K,) of the data, and of the priors of the K linear numbers.
+        natural: (K,) the best values, in their units.
+        precision: (K,) curvature of the cost by each alone.
+    """
+
+    residuals: Float[Array, " residuals"]
+    natural: Float[Array, " linear"]
+    precision: Float[Array, " linear"]
+
+
+def eliminated(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Eliminated:
+    """The best linear numbers at given nonlinear ones.
+
+    Args:
+        nonlinear: (P - K,) unconstrained.
+        problem: of least squares, with K numbers in closed form.
+
+    Returns:
+        Differentiable by `nonlinear`.
+    """
+    closed = in_closed_form(problem)
+    rest, along = jax.linearize(
+        lambda a: residuals_from(_natural(nonlinear, a, problem), problem),
+        jnp.zeros(len(closed), nonlinear.dtype),
+    )
+    columns = jax.vmap(along)(jnp.eye(len(closed), dtype=nonlinear.dtype))
+    known = [prior_values(problem.space[i]) for i in closed]
+    mean = jnp.array([0.0 if x is None else np.mean(x) for x in known], nonlinear.dtype)
+    weight = jnp.array([0.0 if x is None else 1 / np.std(x) for x in known], nonlinear.dtype)
+    gram = columns @ columns.T + jnp.diag(weight**2)
+    signed = tuple(bool(ends(problem.space[i])[0] == 0) for i in closed)
+    best = amplitudes(gram, weight**2 * mean - columns @ rest, signed)
+    missed = jnp.concatenate([rest + best @ columns, weight * (best - mean)])
+    return Eliminated(missed, best, jnp.diagonal(gram))
+
+
+def _natural(nonlinear: Array, linear: Array, problem: Problem) -> Array:
+    """(P,) in the order of the space."""
+    closed = np.array(in_closed_form(problem), int)
+    others = np.setdiff1d(np.arange(len(problem.space)), closed)
+    space = tuple(problem.space[i] for i in others)
+    whole = jnp.zeros(len(problem.space), nonlinear.dtype).at[closed].set(linear)
+    return whole.at[others].set(to_natural(space, nonlinear)) if len(others) else whole
+
+
+def completed(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[Array, " all"]:
+    """(P,) unconstrained: nonlinear numbers and the best linear ones, of which one that is at least
+    0 stands where its posterior, flat in its logarithm's exponential, has its mode,
+    a = (a_0 + sqrt(a_0^2 + 4 sd^2)) / 2."""
+    found = eliminated(nonlinear, problem)
+    signed = np.array([ends(problem.space[i])[0] == 0 for i in in_closed_form(problem)], bool)
+    variance = 1 / jnp.where(found.precision > 0, found.precision, 1)
+    inside = (found.natural + jnp.sqrt(found.natural**2 + 4 * variance)) / 2
+    linear = jnp.where(signed, inside, found.natural)
+    return to_unconstrained(problem.space, _natural(nonlinear, linear, problem))
+
+
+def require_linear(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> None:
+    """Refuses parameters that are stated to be linear and are not.
+
+    Args:
+        nonlinear: (P - K,) unconstrained, where to look.
+        problem: of least squares, with K numbers in closed form.
+
+    Raises:
+        InputError: where residuals at 0, once and twice some values are not on a line.
+    """
+    on_line, own = (on_host(x) for x in _bends(nonlinear, problem))
+    size = np.max(np.abs(on_line)) + np.finfo(on_line.dtype).tiny
+    if np.isfinite(own).all() and np.max(np.abs(own)) > BEND * size:
+        names = [problem.space[i].name for i in in_closed_form(problem)]
+        raise InputError(
+            f"predict is not linear in {', '.join(names)}: state linear=True only of numbers that "
+            "multiply or add."
+        )
+
+
+@eqx.filter_jit
+def _bends(nonlinear: Array, problem: Problem) -> tuple[Array, Array]:
+    found = eliminated(nonlinear, problem)
+    step = jnp.abs(found.natural) + jnp.sqrt(1 / jnp.where(found.precision > 0, found.precision, 1))
+    at = [residuals_from(_natural(nonlinear, k * step, problem), problem) for k in (0.0, 1.0, 2.0)]
+    return jnp.stack(at), at[2] - 2 * at[1] + at[0]

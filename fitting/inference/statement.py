@@ -213,6 +213,15 @@ def check_names(problem: "Problem", parameters: Mapping[str, Any]) -> None:
                 f"predict asks for {argument!r}: its arguments are named after what they are "
                 f"given, {', '.join(sorted(known))}."
             )
+    free = {parameter.name for parameter in problem.free}
+    terms = {candidate.name for candidate in problem.candidates}
+    for candidate in problem.candidates:
+        for name in candidate.requires:
+            if name not in terms:
+                why = "stays anyhow" if name in free else "is no candidate"
+                raise InputError(f"{candidate.name}: requires {name!r}, which {why}.")
+    if free == terms:
+        raise InputError("Nothing but candidates: give at least one Parameter that stays.")
     lacking = [part for part in PARTS if not hasattr(problem.likelihood, part)]
     if lacking:
         raise InputError(

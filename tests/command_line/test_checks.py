@@ -287,7 +287,7 @@ def test_errors_of_lights_left_out_are_flagged(monkeypatch):
 
     def naive(scores, information, *rest, **known):
         whole = np.full(len(information), np.inf)
-        return Robustness(np.linalg.inv(information), whole, np.nan, np.nan, 1.0)
+        return Robustness(np.linalg.inv(information), whole, (np.nan, np.nan), 1.0)
 
     monkeypatch.setattr("fitting.reflectance.from_images.fit.cluster_robust", naive)
     assert flagged(reflectance, reflectance.CASES["lights off by 1 %"], 60)
@@ -301,7 +301,7 @@ def test_a_factor_that_is_wrong_for_its_own_null_is_flagged(monkeypatch):
         sums = np.stack([np.bincount(light, row) for row in scores])
         inverse, m = np.linalg.inv(information), sums.shape[1]
         covariance = inverse @ (sums @ sums.T) @ inverse * m / (m - len(scores))
-        return Robustness(covariance, np.full(len(scores), np.inf), 2.0, np.nan, 2.0)
+        return Robustness(covariance, np.full(len(scores), np.inf), (2.0, np.nan), 2.0)
 
     monkeypatch.setattr("fitting.reflectance.from_images.fit.cluster_robust", old)
     assert flagged(reflectance, reflectance.CASES["4 lights off by 1 %"], 150)

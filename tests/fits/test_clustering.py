@@ -1,10 +1,15 @@
 """Cluster-robust errors against simulation and closed forms."""
 
+from itertools import combinations
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
 
+from fitting import Clustered, Gaussian, Parameter, Problem, fit
 from fitting.inference.clustering import cluster_robust
+from jaxvision.errors import InputError
 
 
 def mean_with_clusters(rng, *, lights, pixels, shared_by_light, shared_by_pixel):
@@ -185,3 +190,71 @@ def test_intervals_cover_with_few_lights_and_several_parameters(lights, paramete
         reach = scipy.stats.t.ppf(0.975, robust.freedom)
         inside.append(np.abs(found) < reach * np.sqrt(np.diagonal(robust.covariance)))
     assert 0.925 < np.mean(inside) < 0.975
+
+
+def test_levels_that_cross_are_those_of_naive_sums():
+    """Frames, rows and columns of 6 x 7 x 8 data that share errors of each, slopes all 1: the sums
+    of Cameron, Gelbach and Miller over all seven intersections, in NumPy loops, each shared sum
+    taken larger by 1 / sqrt(1 - share)."""
+    rng = np.random.default_rng(4)
+    shape = (6, 7, 8)
+    frame, row, column = (index.ravel() for index in np.indices(shape))
+    e = rng.standard_normal(shape)
+    e += 2 * sum(rng.standard_normal(part) for part in ((6, 1, 1), (1, 7, 1), (1, 1, 8)))
+    e = (e - e.mean()).ravel()
+    count = e.size
+    found = cluster_robust(
+        e[None], np.array([[float(count)]]), frame, row, column, slopes=np.ones((1, count))
+    )
+    levels = {"f": frame, "r": row, "c": column}
+    variance = 0.0
+    for size in (1, 2, 3):
+        for some in combinations(levels, size):
+            keys = list(zip(*(levels[name] for name in some), strict=True))
+            for key in set(keys):
+                own = np.array([k == key for k in keys])
+                larger = 1 if size == 3 else 1 / (1 - own.mean())
+                variance += (-1) ** (size + 1) * e[own].sum() ** 2 * larger
+    np.testing.assert_allclose(found.covariance[0, 0], variance / count**2, rtol=1e-9)
+    assert min(found.effects) > 5
+
+
+def test_a_level_within_another_adds_nothing():
+    rng = np.random.default_rng(5)
+    frame = np.repeat(np.arange(10), 24)
+    row = np.repeat(np.arange(60), 4)
+    e = rng.standard_normal(240) + rng.standard_normal(60)[row] + rng.standard_normal(10)[frame]
+    x = np.ones((1, 240))
+    alone = cluster_robust(e[None], np.array([[240.0]]), frame, slopes=x)
+    both = cluster_robust(e[None], np.array([[240.0]]), frame, row, slopes=x)
+    np.testing.assert_allclose(both.covariance, alone.covariance, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_fit_takes_levels_by_name():
+    """Intervals of the mean of frames, rows and columns that share errors, 200 fits."""
+    shape = (8, 9, 10)
+    labels = dict(zip(("frame", "row", "column"), np.indices(shape), strict=True))
+    likelihood = Clustered(Gaussian(sd=1.0), labels)
+    free = {"mean": Parameter(linear=True)}
+    mean = Problem(free, lambda mean: mean * jnp.ones(shape), likelihood, np.zeros(shape))
+    rng, held = np.random.default_rng(6), 0
+    for _ in range(200):
+        e = rng.standard_normal(shape) + rng.standard_normal((8, 1, 1))
+        e = e + rng.standard_normal((1, 9, 1)) + rng.standard_normal((1, 1, 10))
+        found = fit(mean.with_data(3 + e), starts=1)
+        low, high = found.estimates[0].interval_95
+        held += low < 3 < high
+    assert scipy.stats.binom.cdf(held, 200, 0.95) > 1e-3
+    assert "Design effects of the residuals by level: frame" in found.findings[1]
+    with pytest.raises(InputError, match="at least one level"):
+        Clustered(Gaussian(sd=1.0), {})
+    with pytest.raises(InputError, match=r"labels of shape \(3,\) do not fit"):
+        fit(
+            Problem(
+                free,
+                lambda mean: mean * jnp.ones(4),
+                Clustered(Gaussian(sd=1.0), {"a": np.arange(3)}),
+                np.zeros(4),
+            )
+        )

@@ -88,7 +88,7 @@ def test_pixels_never_wait_for_each_other_s_threads(images):
     flat = np.moveaxis(images.reshape(8, -1), -1, 0)[:3]
 
     def run(data):
-        starts = jnp.zeros((2, 2))
+        starts = jnp.zeros((2, 2)), jnp.zeros((2, 2))
         return fit_side_by_side(starts, PIXEL, data, [None], jnp.asarray(5), jnp.zeros(8))
 
     assert beside_each_other(run, jnp.asarray(flat)) == []

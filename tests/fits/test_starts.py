@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fitting import Gaussian, Normal, Parameter, Problem, StudentT, fit
+from fitting import Gaussian, Normal, Parameter, Problem, StudentT, fit, fit_map
 from fitting.inference.parameters import to_natural
 from fitting.inference.search import SAME_PLACE, spread_starts
 from jaxvision import Orthographic, Phong, PointLight, Scene, Sphere, Surface, render
@@ -107,3 +107,52 @@ def test_a_wrong_optimum_never_reads_as_success(stated):
     right, said, wrong = counted(stated())
     assert wrong == 0, f"{right} right, {said} said that they failed"
     assert right >= 50  # not by calling all of them failures
+
+
+PEAK = np.linspace(0, 100, 400)
+
+
+def narrow(height, centre, inputs):
+    return height * jnp.exp(-(((inputs - centre) / 0.5) ** 2) / 2)
+
+
+def highest(data, inputs):
+    return {"height": jnp.nanmax(data), "centre": inputs[jnp.nanargmax(data)]}
+
+
+def peak(data, **how):
+    free = {"height": Parameter(), "centre": Parameter(lower=0, upper=100)}
+    return Problem(free, narrow, Gaussian(sd=0.1), data, inputs=PEAK, **how)
+
+
+def test_a_start_from_the_data_finds_a_peak_that_one_search_misses():
+    data = np.asarray(narrow(2.0, 37.3, PEAK)) + 0.1 * np.random.default_rng(0).standard_normal(400)
+    data[100] = np.nan
+    found = fit(peak(data, start=highest), starts=1)
+    assert found.optimum.stationary
+    np.testing.assert_allclose([*found.values.values()], [2.0, 37.3], atol=0.2)
+    with pytest.raises(InputError, match="Nothing says where to search for height"):
+        fit(peak(data))
+    again = peak(data, start=highest).with_data(narrow(2.0, 80.0, PEAK))
+    assert abs(fit(again, starts=1).values["centre"] - 80) < 0.01
+
+
+def test_each_pixel_of_a_map_begins_at_the_start_of_its_data():
+    centres = np.array([12.0, 50.5, 93.0])
+    images = np.stack([narrow(2.0, c, PEAK) for c in centres], axis=-1)
+    maps = fit_map(peak(np.zeros(400), start=highest), images, starts=1)
+    np.testing.assert_allclose(maps.estimate["centre"], centres, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("start", "expected"),
+    [
+        (lambda data: data.max(), "start gives a .*: return natural values by name"),
+        (lambda data: {"hight": data.max()}, "start names 'hight', no free parameter"),
+        (lambda height: {"height": height}, "asks for 'height'"),
+        (lambda data: {"height": data[:2]}, r"height has the shape \(\), its start \(2,\)"),
+    ],
+)
+def test_a_start_that_is_none_is_refused(start, expected):
+    with pytest.raises(InputError, match=expected):
+        fit(peak(np.zeros(400), start=start))

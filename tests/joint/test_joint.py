@@ -638,7 +638,7 @@ def test_halves_that_differ_are_two_random_groups():
     """The variance of a mean by two groups is a quarter of their squared difference (Wolter)."""
     rng = np.random.default_rng(2)
     covariance = np.diag(rng.uniform(1, 2, 3)) * 1e-4
-    robust = Robustness(covariance, np.full(3, np.inf), math.nan, math.nan, 1.0)
+    robust = Robustness(covariance, np.full(3, np.inf), (math.nan, math.nan), 1.0)
     values = rng.standard_normal((2, 3))
     difference = values[0] - values[1]
     deviations = difference / (2 * np.sqrt(np.diagonal(covariance)))

@@ -187,7 +187,7 @@ def test_stated_errors_take_the_place_of_few_lights_unless_these_show_more():
     information, known = np.diag([4.0, 1.0]), np.arange(2)
     stated = StatedErrors(np.array([[4.0, 0.0]]), np.array([[0.0, 2.0]]))
     freedom = np.array([2.0, 3.0])
-    narrow = Robustness(np.diag([0.5, 0.5]), freedom, 1.0, 1.0, 1.0)
+    narrow = Robustness(np.diag([0.5, 0.5]), freedom, (1.0, 1.0), 1.0)
     found = with_stated_errors(narrow, stated, information, known)
     np.testing.assert_allclose(found.covariance, np.diag([0.25 + 1, 1 + 4]))
     assert np.isinf(found.freedom).all()

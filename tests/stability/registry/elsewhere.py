@@ -519,15 +519,16 @@ ELSEWHERE = (
     ),
     Elsewhere(
         SOLVERS,
-        "test_solvers test_search test_varpro test_fit",
+        "test_solvers test_search test_varpro test_linear_parameters test_starts test_fit",
         """
             fitting.inference.bounded: minimise_in_box
             fitting.inference.least_squares: minimise_residuals
             fitting.inference.newton: minimise
             fitting.inference.search: at_a_time given_start joined negative_log_density search
-            fitting.inference.search: spread_starts start_at
-            fitting.inference.separable: first_knots fit_amplitudes fit_separable
-            fitting.inference.separable: non_negative_amplitudes
+            fitting.inference.search: spread_starts start_at starts_about unstarted
+            fitting.inference.separable: amplitudes completed eliminated first_knots fit_amplitudes
+            fitting.inference.separable: fit_separable in_closed_form non_negative_amplitudes
+            fitting.inference.separable: require_linear
         """,
     ),
     Elsewhere(
@@ -539,7 +540,7 @@ ELSEWHERE = (
             fitting.fits.called_for: called_for
             fitting.fits.information: expected_information slope_of with_inputs
             fitting.fits.plan: in_words plan
-            fitting.fits.solve: fit
+            fitting.fits.solve: fit method_of
             fitting.fits.widening: predicted_at residuals_at widening without_shared
         """,
     ),
@@ -589,6 +590,8 @@ ELSEWHERE = (
             fitting.inference.likelihoods: check_data named_width names_within numerics
             fitting.inference.likelihoods: with_noise_scaled with_values
             fitting.inference.misfit: judge
+            fitting.inference.channels: by_channel
+            fitting.inference.candidates: numbers_of price squared_ratios weakest whole_name
             fitting.inference.natural_draws.*
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: from_scaled scaled_ends to_natural to_scaled
@@ -596,7 +599,7 @@ ELSEWHERE = (
             fitting.inference.priors: support
             fitting.inference.problem: give least_squares_residuals likelihood_at log_density
             fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
-            fitting.inference.problem: values_at values_from
+            fitting.inference.problem: residuals_from start_of_data values_at values_from
             fitting.inference.records: head is_path reach read replaced
             fitting.inference.statement: argument_names arguments as_arrays check_names finite_data
             fitting.inference.statement: named_and_rest

@@ -1,0 +1,221 @@
+"""Terms of a model that stay only if the data call for them.
+
+A term that adds k numbers stays if the squared Wald ratio of its estimate to what it is where it is
+absent, (x - x_0)^T C^-1 (x - x_0), is above k ln n, the price of k numbers by Schwarz' criterion
+(BIC) for n data, and so large by chance only once in a hundred fits to data without the term. The
+errors of the other parameters do not know of the choice, which is why chance is asked as well.
+
+Source:
+    Schwarz, Ann. Statist. 6, 1978; the squared Wald ratio stands for twice the difference in log
+    likelihood (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import chdtri, fdtri, stdtrit
+
+from jaxvision.errors import InputError
+
+from .parameters import Parameter, ParameterSpace, to_natural
+
+CHANCE = 0.01  # of a term that the data do not call for
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A term of a model that a fit leaves out unless the data call for it.
+
+    Attributes:
+        parameter: of the term, one number or an array that stays or goes as a whole.
+        absent: its value where the term is absent, in its unit; a limit, such as infinity, will do.
+        chance: probability that a term stays which is absent; 1 leaves the choice to BIC alone.
+        requires: names of candidates without which the term makes no sense, a first order beside
+            the second; they stay as long as it does.
+        side: where the value of a term that is present lies, `above` or `below` the absent one; on
+            the other side it is no evidence.
+
+    Raises:
+        InputError: for what is no parameter, and a chance that is none.
+
+    Example:
+        The bend of a line that is straight is left out.
+
+        >>> from fitting import Candidate, Gaussian, Parameter, Problem, fit
+        >>> x = np.linspace(-1.0, 1.0, 50)
+        >>> line = Problem(
+        ...     {"slope": Parameter(linear=True), "bend": Candidate(Parameter(linear=True))},
+        ...     predict=lambda slope, bend, inputs: slope * inputs + bend * inputs**2,
+        ...     likelihood=Gaussian(sd=0.1),
+        ...     data=2 * x + 0.1 * np.random.default_rng(0).standard_normal(50),
+        ...     inputs=x,
+        ... )
+        >>> found = fit(line)
+        >>> [(one.name, one.kept) for one in found.choices], float(found.values["bend"])
+        ([('bend', False)], 0.0)
+    """
+
+    parameter: Parameter
+    absent: float = 0.0
+    chance: float = CHANCE
+    requires: tuple[str, ...] | str = ()
+    side: Literal["both", "above", "below"] = "both"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parameter, Parameter):
+            raise InputError(f"Candidate: {self.parameter!r:.60} is no Parameter; give one.")
+        if not 0 < self.chance <= 1:
+            raise InputError(f"Candidate: chance = {self.chance!r}: use a number above 0, up to 1.")
+        if self.side not in ("both", "above", "below"):
+            raise InputError(f"Candidate: side = {self.side!r}: use 'both', 'above' or 'below'.")
+        if np.isnan(self.absent):
+            raise InputError("Candidate: absent is NaN; give the value of an absent term.")
+        if isinstance(self.requires, str):
+            object.__setattr__(self, "requires", (self.requires,))
+
+    @property
+    def name(self) -> str:
+        """That of its parameter."""
+        return self.parameter.name
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Whether a candidate stayed, and by what evidence.
+
+    Attributes:
+        name: of the candidate.
+        kept: whether it stayed.
+        ratio: distance of its estimate from the absent value, in standard errors.
+        needed: the ratio from which it stays.
+        absent: the value where it is absent, in its unit.
+    """
+
+    name: str
+    kept: bool
+    ratio: float
+    needed: float
+    absent: float
+
+    def __str__(self) -> str:
+        size = f"its estimate lies {self.ratio:.3g} standard errors from {self.absent:g}"
+        if self.kept:
+            return f"{self.name} stays: {size}, and {self.needed:.3g} were needed."
+        return f"{self.name} is left out: {size}, and {self.needed:.3g} are needed for it to stay."
+
+
+def squared_ratios(
+    space: ParameterSpace,
+    vector: Float[np.ndarray, " parameters"],
+    information: Float[np.ndarray, "parameters parameters"],
+    candidates: Sequence[Candidate],
+) -> Float[np.ndarray, " candidates"]:
+    """Squared Wald ratio of each candidate, 0 where the data do not tell.
+
+    A positive scale (`log`, absent at 0) or a value above a bound at which it is absent lies
+    1 / sd(u) of its errors from there, u the unconstrained value.
+
+    Args:
+        space: the P numbers.
+        vector: (P,) unconstrained best fit.
+        information: (P, P) there.
+        candidates: whose numbers are in the space.
+
+    Returns:
+        (candidates,).
+    """
+    at = jnp.asarray(vector)
+    natural, slope = jax.jvp(lambda u: to_natural(space, u), (at,), (jnp.ones_like(at),))
+    natural, slope = np.asarray(natural, np.float64), np.asarray(slope, np.float64)
+    found = []
+    for candidate in candidates:
+        own = numbers_of(candidate, space)
+        away = natural[own] - candidate.absent
+        if not np.isfinite(candidate.absent):  # relative to its errors a limit is as far as 0 is
+            away = natural[own]
+        if candidate.side != "both":
+            away = np.maximum(away, 0) if candidate.side == "above" else np.minimum(away, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.nan_to_num(away / slope[own], posinf=0, neginf=0)
+        rest, across = information[~own][:, ~own], information[~own][:, own]
+        taken = across.T @ np.linalg.lstsq(rest, across, rcond=None)[0]
+        found.append(max(float(step @ (information[own][:, own] - taken) @ step), 0.0))
+    return np.array(found)
+
+
+def price(
+    count: float,
+    chance: float = CHANCE,
+    *,
+    numbers: int = 1,
+    freedom: float = np.inf,
+    scatter: tuple[int, int] | None = None,
+) -> float:
+    """The squared Wald ratio from which a term stays.
+
+    Args:
+        count: n, of data.
+        chance: that a term stays which is absent.
+        numbers: k, of the term.
+        freedom: degrees of freedom of the errors; infinite where they are known.
+        scatter: m and q where the errors follow from the fitted scatter of m values about a model
+            of q terms: that is most likely too small by (m - q) / m, and uncertain.
+
+    Returns:
+        No unit.
+
+    Example:
+        >>> from fitting.inference.candidates import price
+        >>> round(price(1000), 2), round(price(100), 2)  # ln 1000, and 2.58^2 above ln 100
+        (6.91, 6.63)
+    """
+    larger = 1.0
+    if scatter is not None:
+        freedom = max(scatter[0] - scatter[1], 1)
+        larger = scatter[0] / freedom
+    if numbers == 1:
+        by_chance = float(stdtrit(freedom, chance / 2)) ** 2 if chance < 1 else 0.0
+    else:  # Hotelling's T^2 for errors of so many degrees of freedom is Fisher's F times k
+        by_chance = numbers * _fisher(numbers, freedom, chance)
+    return max(numbers * float(np.log(count)), by_chance * larger)
+
+
+def _fisher(numbers: int, freedom: float, chance: float) -> float:
+    if np.isinf(freedom):
+        return float(chdtri(numbers, chance)) / numbers
+    return float(fdtri(numbers, freedom, 1 - chance))
+
+
+def weakest(
+    ratios: Mapping[str, float], prices: Mapping[str, float], candidates: Sequence[Candidate]
+) -> str | None:
+    """The candidate to leave out next.
+
+    Args:
+        ratios: squared Wald ratio of each.
+        prices: of each.
+        candidates: those that are in the model.
+
+    Returns:
+        The one that pays least of its price, among those that no other requires; None where all of
+        them pay.
+    """
+    required = {name for candidate in candidates for name in candidate.requires}
+    shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}
+    least = min(shares, key=shares.__getitem__, default=None)
+    return least if least is not None and shares[least] < 1 else None
+
+
+def numbers_of(candidate: Candidate, space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
+    """Which numbers of a space are the candidate's."""
+    return np.array([candidate.name in (one.name, whole_name(one.name)) for one in space])
+
+
+def whole_name(name: str) -> str:
+    """The parameter of a number's name: "a" of "a[0,1]"."""
+    return name.rpartition("[")[0] if name.endswith("]") else name

@@ -1,0 +1,189 @@
+"""Terms that stay only if the data call for them: prices by SciPy, ratios by NumPy's regression,
+how often an absent term stays."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from fitting import (
+    Candidate,
+    Clustered,
+    Emcee,
+    Gaussian,
+    Parameter,
+    Problem,
+    check,
+    fit,
+    fit_map,
+)
+from fitting.inference.candidates import price
+from jaxvision.errors import InputError
+
+X = np.linspace(-1.0, 1.0, 80)
+NOISE = np.random.default_rng(0).standard_normal(80)
+LINEAR = Parameter(linear=True)
+
+
+def polynomial(offset, slope, bend, cubic, inputs):
+    return offset + slope * inputs + bend * inputs**2 + cubic * inputs**3
+
+
+def problem(data, *, sd=0.1, **others):
+    free = {
+        "offset": LINEAR,
+        "slope": LINEAR,
+        "bend": Candidate(LINEAR),
+        "cubic": Candidate(LINEAR),
+    }
+    return Problem(free | others, polynomial, Gaussian(sd=sd), data, inputs=X)
+
+
+def test_a_term_stays_by_its_ratio_in_numpys_regression():
+    data = 1 + X + 0.4 * X**2 + 0.1 * NOISE
+    found = fit(problem(data))
+    kept = {one.name: one.kept for one in found.choices}
+    assert kept == {"bend": True, "cubic": False}
+    assert found.values["cubic"] == 0
+    ratios = {}
+    for powers in (4, 3):  # the cubic goes first; the bend is judged without it
+        design = X[:, None] ** np.arange(powers) / 0.1
+        covariance = np.linalg.inv(design.T @ design)
+        best = covariance @ design.T @ data / 0.1
+        ratios[powers] = abs(best[-1]) / np.sqrt(covariance[-1, -1])
+    got = {one.name: one.ratio for one in found.choices}
+    np.testing.assert_allclose([got["cubic"], got["bend"]], [ratios[4], ratios[3]], rtol=1e-5)
+    np.testing.assert_allclose(found.choices[0].needed ** 2, stats.chi2.isf(0.01, 1), rtol=1e-9)
+    plain = fit(problem(data, bend=LINEAR, cubic=0.0))  # the same problem stated without a choice
+    for one, other in zip(found.estimates, plain.estimates, strict=True):
+        np.testing.assert_allclose(one.value, other.value, rtol=1e-9)
+        np.testing.assert_allclose(one.standard_error, other.standard_error, rtol=1e-9)
+    said = [one for one in found.findings if one.startswith("cubic is left out")]
+    assert len(said) == 1
+    assert "are needed for it to stay" in said[0]
+
+
+@pytest.mark.slow
+def test_a_term_stays_as_long_as_one_that_requires_it():
+    """No line, but a bend: the line has no evidence, and stays for the bend's sake."""
+    data = 1 + 0.5 * X**2 + 0.1 * NOISE
+    named = {"slope": Candidate(LINEAR), "bend": Candidate(LINEAR, requires="slope")}
+    found = fit(problem(data, cubic=0.0, **named))
+    assert {one.name: one.kept for one in found.choices} == {"slope": True, "bend": True}
+    straight = fit(problem(1 + 0.1 * NOISE, cubic=0.0, **named))
+    assert [(one.name, one.kept) for one in straight.choices] == [("bend", False), ("slope", False)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["above", "below"])
+def test_evidence_on_the_wrong_side_is_none(side):
+    data = 1 + X - 0.4 * X**2 + 0.1 * NOISE
+    found = fit(problem(data, cubic=0.0, bend=Candidate(LINEAR, side=side)))
+    assert found.choices[0].kept == (side == "below")
+
+
+def test_prices_are_those_of_the_distributions():
+    assert price(10_000) == np.log(10_000)
+    np.testing.assert_allclose(price(10), stats.chi2.isf(0.01, 1))
+    np.testing.assert_allclose(price(10, 1.0), np.log(10))
+    np.testing.assert_allclose(price(10, numbers=3), stats.chi2.isf(0.01, 3))
+    np.testing.assert_allclose(price(10, freedom=5), stats.t.isf(0.005, 5) ** 2)
+    np.testing.assert_allclose(price(10, numbers=3, freedom=5), 3 * stats.f.isf(0.01, 3, 5))
+    # Of 10 lights whose scatter about 3 terms is fitted: Fisher's F of an F-test, times 10 / 7.
+    np.testing.assert_allclose(
+        price(10, scatter=(10, 3)), stats.f.isf(0.01, 1, 7) * 10 / 7, rtol=1e-9
+    )
+
+
+@pytest.mark.slow
+def test_a_scale_that_the_data_do_not_show_is_left_out():
+    """A blur of positive width, absent at 0, and a limit: an exponent whose lobe is no lobe."""
+
+    def peak(height, width, inputs):
+        return height * jnp.exp(-(inputs**2) / (2 * (0.3**2 + width**2)))
+
+    width = Candidate(Parameter(transform="log", lower=1e-3, upper=1))
+    for true, kept in ((0.0, False), (0.3, True)):
+        data = peak(1.0, true, X) + 0.05 * NOISE
+        found = fit(
+            Problem({"height": LINEAR, "width": width}, peak, Gaussian(0.05), data, inputs=X)
+        )
+        assert found.choices[0].kept == kept
+
+
+@pytest.mark.slow
+def test_a_term_of_groups_is_judged_by_their_errors():
+    """A covariate that is constant within 8 groups, which share errors: it stays by independent
+    errors, and goes by those of the groups."""
+    groups = np.repeat(np.arange(8), 10)
+    rng = np.random.default_rng(8)
+    covariate = rng.standard_normal(8)[groups]
+    data = 1 + 0.1 * NOISE + (0.3 * rng.standard_normal(8))[groups]
+    free = {"mean": LINEAR, "effect": Candidate(LINEAR)}
+    kept = []
+    for likelihood in (Gaussian(sd=0.1), Clustered(Gaussian(sd=0.1), groups)):
+        stated = Problem(free, lambda mean, effect: mean + effect * covariate, likelihood, data)
+        kept.append(fit(stated).choices[0].kept)
+    assert kept == [True, False]
+
+
+@pytest.mark.slow
+def test_a_term_that_is_absent_stays_once_in_a_hundred_fits():
+    rng = np.random.default_rng(4)
+    whole, stays = problem(X), 0
+    for _ in range(300):
+        found = fit(whole.with_data(1 + X + 0.1 * rng.standard_normal(80)), starts=1)
+        stays += any(one.kept for one in found.choices)
+    assert stats.binom.cdf(stays - 1, 300, 0.02) < 0.999  # of two terms
+
+
+@pytest.mark.slow
+def test_an_array_stays_or_goes_as_a_whole():
+    patterns = np.random.default_rng(1).standard_normal((3, 80))
+    free = {"offset": LINEAR, "c": Candidate(Parameter(shape=(3,), linear=True))}
+    for size in (0.0, 0.1):
+        data = 1 + size * patterns.sum(axis=0) + 0.1 * NOISE
+        stated = Problem(free, lambda offset, c: offset + c @ patterns, Gaussian(0.1), data)
+        found = fit(stated)
+        assert found.choices[0].kept == (size > 0)
+        assert found.values["c"].shape == (3,)
+        np.testing.assert_allclose(found.choices[0].needed ** 2, 3 * np.log(80))
+
+
+@pytest.mark.slow
+def test_a_chain_goes_on_with_the_terms_that_were_chosen():
+    data = 1 + X + 0.4 * X**2 + 0.1 * NOISE
+    begun = fit(problem(data), starts=2, posterior=Emcee(8, steps=100))
+    further = fit(problem(data), starts=2, posterior=Emcee(8, steps=200), after=begun)
+    assert further.choices == begun.choices
+    assert further.posterior.steps == 200
+
+
+@pytest.mark.slow
+def test_a_check_counts_the_fits_in_which_a_term_stays():
+    truth = {"offset": 1.0, "slope": 1.0, "bend": 0.0, "cubic": 0.0}
+    found = check(problem(X), simulations=5, truth=truth)
+    assert np.isfinite(found.places[:, :2]).all()
+    assert np.isnan(found.places[:, 3]).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"),
+    [
+        (lambda: Candidate(3.0), "3.0 is no Parameter"),
+        (lambda: Candidate(LINEAR, chance=0.0), "chance = 0.0: use a number above 0"),
+        (lambda: Candidate(LINEAR, absent=np.nan), "absent is NaN"),
+        (lambda: Candidate(LINEAR, side="left"), "side = 'left': use"),
+        (lambda: problem(X, bend=Candidate(LINEAR, requires="slope")), "'slope', which stays any"),
+        (lambda: problem(X, bend=Candidate(LINEAR, requires="slop")), "'slop', which is no cand"),
+        (lambda: problem(X).without("slope"), "no candidate 'slope'"),
+        (lambda: fit_map(problem(X), X[:, None]), "fit_map has no candidates"),
+        (
+            lambda: Problem({"a": Candidate(LINEAR)}, lambda a: a * X, Gaussian(1.0), X),
+            "Nothing but candidates",
+        ),
+    ],
+)
+def test_what_cannot_be_chosen_is_refused(make, expected):
+    with pytest.raises(InputError, match=expected):
+        make()
