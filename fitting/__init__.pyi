@@ -76,7 +76,7 @@ from .inference.problem import (
     Problem as Problem,
     Tied as Tied,
 )
-from .inference.statement import (
+from .inference.problem import (
     InputError as InputError,
 )
 from .sensor_likelihoods import (

@@ -57,7 +57,7 @@ _OF_RIGS = (
         (1600, 3200),
         order=-0.5,
         random=True,
-        sets=("*.Emcee.steps", "*.Emcee.walkers"),
+        sets=("*Options.steps", "*Options.walkers", "*.Emcee.steps", "*.Emcee.walkers"),
     ),
     Knob(
         "NUTS draws",

@@ -13,7 +13,7 @@ measurement", 5.1). What a misfit adds to the covariance is the model's share.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,13 +26,11 @@ from ..inference.candidates import whole_name
 from ..inference.formatting import format_with_error
 from ..inference.likelihoods import Clustered
 from ..inference.on_host import on_host
+from ..inference.posterior import Posterior
 from ..inference.problem import Problem
-from .information import Target, expected_information, slope_of
-from .plan import in_words
+from ..inference.search import Optimum
+from .information import Target, expected_information, in_words, slope_of
 from .widening import predicted_at
-
-if TYPE_CHECKING:
-    from .result import Fit
 
 REST = "other noise"
 MODEL = "model"
@@ -116,17 +114,25 @@ class Budget:
 
 
 def budget(
-    fit: "Fit",
+    problem: Problem,
+    optimum: Optimum,
+    posterior: Posterior,
     target: Target,
     *,
+    count: int,
+    widened: float,
     noise: Noise | None = None,
     nuisances: Mapping[str, Sequence[str]] | None = None,
 ) -> Budget:
     """Divides the variance of a quantity by its sources.
 
     Args:
-        fit: of the data.
+        problem: that was fitted.
+        optimum: its mode.
+        posterior: of all parameters.
         target: a free number by its name, or a JAX function to one number.
+        count: of the data.
+        widened: factor by which a misfit has widened the noise.
         noise: variance of a datum by source, in the square of the data's unit: a number, an array
             of the data's shape, or a function of the prediction; what they leave of the
             likelihood's variance is "other noise". None takes those of the sensor of `SensorNoise`
@@ -140,23 +146,24 @@ def budget(
     Raises:
         InputError: for sources that exceed the noise of the likelihood, and unknown names.
     """
-    problem, vector = fit.problem, fit.optimum.vector
+    vector = optimum.vector
     value, slope = slope_of(problem, target, vector)
     named = _shares_of_data(problem, vector, noise)
     parts = expected_information(
-        problem, vector, np.stack(list(named.values())), seed=fit.posterior.seed
+        problem, vector, np.stack(list(named.values())), seed=posterior.seed
     )
-    parts = parts * (fit.misfit.count / _present(problem).sum())  # of data in chunks, a sample
-    prior = fit.optimum.prior_information
-    stated = np.linalg.inv(parts.sum(axis=0) / fit.noise**2 + prior)
+    parts = parts * (count / _present(problem).sum())  # of data in chunks, a sample
+    prior = optimum.prior_information
+    stated = np.linalg.inv(parts.sum(axis=0) / widened**2 + prior)
     along = stated @ slope
     terms = {
-        name: float(along @ part @ along) / fit.noise**4
+        name: float(along @ part @ along) / widened**4
         for name, part in zip(named, parts, strict=True)
     }
-    model = sum(terms.values()) * (fit.noise**2 - 1)
+    model = sum(terms.values()) * (widened**2 - 1)
     terms |= _of_priors(problem, prior, along, nuisances or {})
-    model += _of_groups(fit, slope, stated)
+    if isinstance(problem.likelihood, Clustered):  # what errors that groups share add
+        model += float(slope @ (posterior.covariance - stated) @ slope)
     if model:
         terms[MODEL] = model
     total = sum(terms.values())
@@ -231,10 +238,3 @@ def _of_priors(
         name = own or f"prior of {number.name}"
         terms[name] = terms.get(name, 0.0) + float(term)
     return terms
-
-
-def _of_groups(fit: "Fit", slope: np.ndarray, stated: np.ndarray) -> float:
-    """What errors that groups share add to the variance."""
-    if not isinstance(fit.problem.likelihood, Clustered):
-        return 0.0
-    return float(slope @ (fit.posterior.covariance - stated) @ slope)

@@ -6,7 +6,7 @@ exact where a likelihood is one of least squares, F = J^T J; else the mean over 
 likelihood itself.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -17,8 +17,11 @@ from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError, nearest
 
+from ..inference.design import Plan, ranked
+from ..inference.given import require_whole
 from ..inference.likelihoods import Clustered
 from ..inference.on_host import on_host
+from ..inference.posterior import Posterior
 from ..inference.problem import (
     Problem,
     Vector,
@@ -29,6 +32,7 @@ from ..inference.problem import (
     prediction,
     values_at,
 )
+from ..inference.search import Optimum
 
 SCORES = 20_000  # squared, which the mean is taken of: 1 % of an element of F
 MOST_DRAWS = 2_000
@@ -172,3 +176,61 @@ def _gradient(
         return found.reshape(())
 
     return jax.value_and_grad(of)(vector)
+
+
+def plan(
+    problem: Problem,
+    optimum: Optimum,
+    posterior: Posterior,
+    candidates: Mapping[str, Any],
+    target: Target,
+    *,
+    widened: float,
+    repeats: int = 1,
+) -> Plan:
+    """Ranks candidate measurements.
+
+    Args:
+        problem: that was fitted.
+        optimum: its mode.
+        posterior: of all parameters.
+        candidates: inputs of each by name, as `predict` takes them.
+        target: what is to be known better: a free number by its name, or a JAX function to one.
+        widened: factor by which a misfit has widened the noise.
+        repeats: how often each would be measured.
+
+    Returns:
+        The plan.
+
+    Raises:
+        InputError: for no candidates, inputs that predict cannot use, and a target that is none.
+    """
+    if not candidates:
+        raise InputError("plan: give at least one candidate.")
+    require_whole("repeats", repeats)
+    vector = optimum.vector
+    value, slope = slope_of(problem, target, vector)
+    added = {}
+    for name, inputs in candidates.items():
+        new = with_inputs(problem, inputs)
+        every = np.ones((1, int(np.prod(new.data.shape))))
+        found = expected_information(new, vector, every, seed=posterior.seed)[0]
+        if not np.isfinite(found).all():
+            raise InputError(
+                f"plan: predict or its slope is not finite for candidate {name!r}; check its "
+                "inputs for NaN."
+            )
+        added[name] = found * repeats / widened**2
+    return ranked(in_words(target), value, slope, posterior.covariance, added)
+
+
+def in_words(target: Target) -> str:
+    """The name of a target.
+
+    Args:
+        target: a name or a function.
+
+    Returns:
+        The name.
+    """
+    return target if isinstance(target, str) else getattr(target, "__name__", "target")

@@ -1,9 +1,10 @@
-"""`Fit`: what a fit gives its user."""
+"""`Fit`: what a fit gives its user, and its report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.effects.certificate import Certificate, summary
 from jaxvision.errors import InputError, nearest
 from jaxvision.in_notebooks import record_html
 
@@ -23,11 +25,14 @@ from ..inference.on_host import on_host
 from ..inference.posterior import Posterior, estimates
 from ..inference.problem import Problem, records_at, values_from
 from ..inference.search import Optimum
+from ..report.section import Picture, Section, Table
 from .bands import Bands, bands, pushed, simulated, thinned_draws
 from .budget import Budget, Noise, budget
-from .information import Target
-from .plan import plan
+from .information import Target, plan
 from .words import agreeing, prior_share
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -212,7 +217,8 @@ class Fit:
             >>> fit(line).plan(places, target="slope").best
             'at 3'
         """
-        return plan(self, candidates, target, repeats=repeats)
+        fitted = self.problem, self.optimum, self.posterior
+        return plan(*fitted, candidates, target, widened=self.noise, repeats=repeats)
 
     def budget(
         self,
@@ -238,7 +244,13 @@ class Fit:
         Raises:
             InputError: for sources that exceed the noise of the likelihood, and unknown names.
         """
-        return budget(self, target, noise=noise, nuisances=nuisances)
+        return budget(
+            *(self.problem, self.optimum, self.posterior, target),
+            count=self.misfit.count,
+            widened=self.noise,
+            noise=noise,
+            nuisances=nuisances,
+        )
 
     def to_arviz(self) -> Any:
         """The draws for ArviZ, its DataTree (InferenceData before ArviZ 1.0): array parameters keep
@@ -276,7 +288,6 @@ class Fit:
             Paths of the files.
         """
         from ..report.page import write_report
-        from .section import section
 
         return write_report(
             Path(folder),
@@ -342,3 +353,90 @@ class Fit:
 
 
 HEADS = ("parameter", "value ± s.e.", "unit", "68 %", "95 %", "s.d. before")
+
+
+def section(fit: Fit, title: str) -> Section:
+    """A fit as its reader sees it.
+
+    Args:
+        fit: of any problem.
+        title: heading.
+
+    Returns:
+        Estimates, findings, the prior beside the posterior, and the residuals.
+    """
+    before, share = prior_share(fit.problem.space, fit.posterior)
+    rows = tuple(
+        (parameter.name, None if np.isinf(width) else float(width), float(part))
+        for parameter, width, part in zip(fit.problem.space, before, share, strict=True)
+    )
+    table = Table(
+        "Before and after the data",
+        ("parameter", "s.d. before", "after / before"),
+        rows,
+        "A ratio near 1: only the prior or the bounds are seen.",
+    )
+    terms = Table(
+        "Candidate terms",
+        ("term", "stays", "standard errors from absent", "needed"),
+        tuple((one.name, str(one.kept), one.ratio, one.needed) for one in fit.choices),
+        "A term stays if it pays for its numbers by BIC and is no chance.",
+    )
+    left_out = fit.problem.left_out
+    gone = () if left_out is None else (left_out_table(left_out),)
+    state = ("The fit did not converge.",) if fit.failures else ()
+    picture = Picture(
+        "residuals",
+        "Residuals",
+        "In standard deviations; a model that describes its data leaves even noise.",
+        partial(residual_figure, fit.residuals),
+    )
+    return Section(
+        kind="fit",
+        title=title,
+        estimates=fit.estimates,
+        findings=(*state, *fit.failures, f"{fit.summary()}.", *fit.findings),
+        pictures=(picture,),
+        tables=(table, *(terms,) * bool(fit.choices), *gone),
+        posteriors={"": fit.posterior},
+        arrays={p.name: p.shape for p in fit.problem.free if p.shape},
+    )
+
+
+def left_out_table(certificate: Certificate) -> Table:
+    """What `called_for` left out, with its bounds.
+
+    Args:
+        certificate: of the problem.
+
+    Returns:
+        A row for each effect, bounds in the certificate's unit.
+    """
+    rows = tuple((e.name, e.bound, e.place, e.rank, e.why) for e in certificate.dropped)
+    heads = ("effect", f"bound [{certificate.unit}]", "moves by [pixels]", "rank", "why")
+    return Table("Left out", heads, rows, summary(certificate))
+
+
+def residual_figure(residuals: np.ndarray) -> "Figure":
+    """Standardised residuals: a picture of the first channel, or points in order.
+
+    Args:
+        residuals: of any shape, in standard deviations.
+
+    Returns:
+        The figure.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axis = figure.subplots()
+    if residuals.ndim >= 2 and min(residuals.shape[:2]) > 2:
+        picture = residuals.reshape(*residuals.shape[:2], -1)[..., 0]
+        shown = axis.imshow(picture, cmap="RdBu_r", vmin=-4, vmax=4)
+        figure.colorbar(shown, ax=axis, label="standard deviations")
+    else:
+        axis.plot(residuals.ravel(), ".", ms=4)
+        axis.axhline(0, color="black", lw=0.5)
+        axis.set_xlabel("datum")
+        axis.set_ylabel("standard deviations")
+    return figure

@@ -28,8 +28,15 @@ from ..inference.on_host import on_host
 from ..inference.parameters import log_prior, scalars
 from ..inference.posterior import Laplace, Posterior, sample
 from ..inference.problem import Problem, Vector, log_density, log_likelihood, values_at
-from ..inference.search import Optimum, joined, search, spread_starts, start_at
-from ..inference.search_read import derivatives, search_read
+from ..inference.search import (
+    Optimum,
+    derivatives,
+    joined,
+    search,
+    search_read,
+    spread_starts,
+    start_at,
+)
 from ..inference.streams import Advance
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
@@ -128,7 +135,7 @@ def fit(
     require_kind("fit: problem", problem, Problem)
     if start is not None and not isinstance(start, Mapping):
         raise InputError(f"start: give natural values by name, got {start!r:.60}.")
-    method = method_of(posterior, sampling)
+    method = method_of(posterior, sampling=sampling)
     if problem.stream is not None and not isinstance(method, Laplace):
         raise InputError(
             f"posterior = {type(method).__name__}() reads all data at every step of a chain, which "
@@ -259,7 +266,8 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
     for candidate, ratio in zip(problem.candidates, ratios, strict=True):
         own = numbers_of(candidate, problem.space)
         needed = price(
-            *(count, candidate.chance),
+            count,
+            chance=candidate.chance,
             numbers=int(own.sum()),
             freedom=float(np.min(freedom[own])),
             scatter=scatter,
@@ -352,7 +360,7 @@ def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum
     raise InputError(" ".join((*judged.sentences, *hint)))
 
 
-def method_of(posterior: Method | str | None, sampling: Emcee | Nuts | None = None) -> Method:
+def method_of(posterior: Method | str | None, *, sampling: Emcee | Nuts | None = None) -> Method:
     """The method of a posterior, by an object or by its deprecated name, for the function that a
     user calls; what cannot be run is refused before the search."""
     method: Any = Laplace() if posterior is None else posterior

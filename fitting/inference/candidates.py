@@ -94,6 +94,11 @@ class Choice:
         ratio: distance of its estimate from the absent value, in standard errors.
         needed: the ratio from which it stays.
         absent: the value where it is absent, in its unit.
+
+    Example:
+        >>> from fitting import Choice
+        >>> print(Choice("bend", kept=False, ratio=0.7, needed=2.58, absent=0.0))
+        bend is left out: its estimate lies 0.7 standard errors from 0, and 2.58 are needed.
     """
 
     name: str
@@ -106,7 +111,7 @@ class Choice:
         size = f"its estimate lies {self.ratio:.3g} standard errors from {self.absent:g}"
         if self.kept:
             return f"{self.name} stays: {size}, and {self.needed:.3g} were needed."
-        return f"{self.name} is left out: {size}, and {self.needed:.3g} are needed for it to stay."
+        return f"{self.name} is left out: {size}, and {self.needed:.3g} are needed."
 
 
 def squared_ratios(
@@ -150,8 +155,8 @@ def squared_ratios(
 
 def price(
     count: float,
-    chance: float = CHANCE,
     *,
+    chance: float = CHANCE,
     numbers: int = 1,
     freedom: float = np.inf,
     scatter: tuple[int, int] | None = None,

@@ -15,10 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .curvature import with_prior
 from .on_host import on_host
 from .problem import Problem, Vector, least_squares_residuals, log_density
-from .search import Optimum
+from .search import Optimum, with_prior
 
 REACH = 0.5  # posterior standard deviations to either side
 UNSEEN = 0.1  # share of a derivative that a gradient may miss before it is said

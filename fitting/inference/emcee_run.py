@@ -98,7 +98,15 @@ class Emcee:
 
 
 class SamplingOptions(Emcee):
-    """Deprecated: `Emcee`, of the same fields.
+    """Deprecated: `Emcee`, whose fields it has.
+
+    Attributes:
+        walkers: how many at least.
+        steps: ceiling.
+        block: steps between two checkpoints.
+        checkpoint: folder of the blocks, or None.
+        progress: called with (steps done, ceiling).
+        gives_up: whether to stop early where a chain would take far longer.
 
     Example:
         >>> from fitting import Emcee

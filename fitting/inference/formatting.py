@@ -2,16 +2,26 @@
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from .estimates import Estimate
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DIGITS = 2  # significant digits of an uncertainty
 ACRONYMS = {"dsnu": "DSNU", "prnu": "PRNU", "snr": "SNR", "db": "dB"}
+
+
+class Uncertain(Protocol):
+    """An `Estimate`, as far as it is printed."""
+
+    @property
+    def value(self) -> float | None: ...
+    @property
+    def standard_error(self) -> float | None: ...
+    @property
+    def interval_68(self) -> tuple[float, float] | None: ...
+    @property
+    def interval_95(self) -> tuple[float, float] | None: ...
 
 
 def decimals_for(uncertainty: float) -> int | None:
@@ -127,7 +137,7 @@ def format_within(value: float, width: float) -> str:
     return format_number(value, decimals_for(width))
 
 
-def format_value(estimate: "Estimate") -> str:
+def format_value(estimate: Uncertain) -> str:
     """`value ± standard error` without the unit, or a dash where it is not determined.
 
     Args:
@@ -143,7 +153,7 @@ def format_value(estimate: "Estimate") -> str:
     return format_with_error(estimate.value, estimate.standard_error)
 
 
-def format_interval(estimate: "Estimate", level: int) -> str:
+def format_interval(estimate: Uncertain, level: int) -> str:
     """The 68 or 95 % interval as `[low, high]`.
 
     Args:

@@ -25,14 +25,12 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxvision.errors import InputError, install
 
-from .blocks import Block, Progress, begun, length, next_length, stacked, store
+from .blocks import Block, Progress, begun, fingerprint, length, next_length, stacked, store
 from .convergence import effective_draws, split_r_hat
-from .fingerprint import fingerprint
 from .given import require_progress, require_whole
-from .natural_draws import natural_draws
 from .on_host import on_host
 from .parameters import ParameterSpace, to_natural
-from .posterior import LogDensity, Posterior
+from .posterior import LogDensity, Posterior, natural_draws
 
 WARM_UP = 300  # steps that adapt the step size; draws follow
 FIRST_STEP = 0.5  # in standard deviations
@@ -81,7 +79,15 @@ class Nuts:
 
 
 class NutsOptions(Nuts):
-    """Deprecated: `Nuts`, of the same fields.
+    """Deprecated: `Nuts`, whose fields it has.
+
+    Attributes:
+        draws: of each chain.
+        chains: how many.
+        acceptance: mean acceptance that the warm-up aims at.
+        block: draws between two checkpoints.
+        checkpoint: folder of the blocks, or None.
+        progress: called with (steps done, steps in all).
 
     Example:
         >>> from fitting import Nuts

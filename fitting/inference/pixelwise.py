@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .curvature import gauss_newton, prior_derivatives
 from .diagnostics import UNDETERMINED
 from .newton import minimise
 from .parameters import to_natural
@@ -25,7 +24,14 @@ from .problem import (
     prediction,
     values_at,
 )
-from .search import SAME_PLACE, given_start, negative_log_density, starts_about
+from .search import (
+    SAME_PLACE,
+    gauss_newton,
+    given_start,
+    negative_log_density,
+    prior_derivatives,
+    starts_about,
+)
 from .separable import completed, in_closed_form
 
 TOLERANCE = 1e-10  # fall in cost that another step promises

@@ -19,13 +19,11 @@ from scipy.special import ndtr, stdtrit
 
 from jaxvision.errors import InputError
 
-from .blocks import Block
+from .blocks import Block, fingerprint
 from .diagnostics import identifiability
 from .emcee_run import Emcee, enough_walkers, run_ensemble
 from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
-from .fingerprint import fingerprint
 from .in_blocks import at_a_time
-from .natural_draws import natural_draws
 from .on_host import on_host
 from .parameters import ParameterSpace, names, to_natural
 
@@ -354,3 +352,28 @@ def _evaluate(log_density: LogDensity, vectors: Array, args: Any) -> Array:
         lambda vector: log_density(vector, args), vectors, batch_size=at_a_time(BATCH)
     )
     return jnp.where(jnp.isnan(values), -jnp.inf, values)
+
+
+ROWS = 4096  # vectors that go across at a time
+
+
+def natural_draws(
+    space: ParameterSpace, vectors: Float[np.ndarray, "... parameters"]
+) -> Float[np.ndarray, "... parameters"]:
+    """As `to_natural`, which is compiled for every shape: an ensemble ends after any number of
+    steps, and a second fit compiles nothing.
+
+    Args:
+        space: the P parameters.
+        vectors: (..., P) unconstrained.
+
+    Returns:
+        (..., P).
+    """
+    rows = vectors.reshape(-1, len(space))
+    filled = np.pad(rows, ((0, -len(rows) % ROWS), (0, 0)), mode="edge")
+    parts = [
+        np.asarray(to_natural(space, jnp.asarray(filled[i : i + ROWS])))
+        for i in range(0, len(filled), ROWS)
+    ]
+    return np.concatenate(parts)[: len(rows)].reshape(vectors.shape)

@@ -34,6 +34,8 @@ knots panels subdivisions degree refine cutoff
 # or of data, repeats that are simulated, what several fits share, or what a certificate bounds.
 OTHER = words("""
 *.Posterior.* *.Chain.* *.Bands.draws *.*Solution.steps *.Grouping.count *.Grid.count *.Cells.count
+*.budget.posterior *.budget.count *.plan.posterior *.method_of.posterior *.price.count *.unstarted.*
+*.beyond_chance.count *.SharedFit.posterior *.starts_about.* *.SamplingOptions.* *.NutsOptions.*
 *.Misfit.count *.Stream.count *.Ends.count *.fit_side_by_side.starts
 *.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
 *.places_in.posterior *.corner_figure.* *.trace_figure.* *.check.posterior *.prior_share.posterior

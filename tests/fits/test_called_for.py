@@ -10,7 +10,7 @@ from traced import primitives
 
 import jaxvision as jv
 from fitting import InputError, Parameter, Problem, SensorNoise, Tied, called_for, fit
-from fitting.fits.section import section
+from fitting.fits.result import section
 from fitting.inference.problem import log_likelihood
 from jaxvision.optics import sensor_irradiance
 

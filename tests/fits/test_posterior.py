@@ -215,7 +215,7 @@ def test_a_density_has_one_fingerprint_in_every_process(capsys):
     """Its formula and its constants count; addresses and the order of sets do not."""
     program = (
         "import jax, jax.numpy as jnp, numpy as np\n"
-        "from fitting.inference.fingerprint import fingerprint\n"
+        "from fitting.inference.blocks import fingerprint\n"
         "for factor in (2.0, 3.0, np.array([2.0]), np.array([3.0])):\n"
         "    density = lambda v, a: -jnp.sum(jax.nn.relu(v @ v) * factor)\n"
         "    print(fingerprint(density, jnp.zeros(2), np.eye(2), None, 3, package='emcee'))"

@@ -103,7 +103,7 @@ def test_a_sampler_that_cannot_be_run_is_refused(posterior, sampling, expected):
 )
 def test_names_of_posteriors_still_work_and_say_the_new_form(posterior, sampling, new):
     with pytest.warns(DeprecationWarning, match=re.escape(f"write posterior={new}.")):
-        method = method_of(posterior, sampling)
+        method = method_of(posterior, sampling=sampling)
     assert type(method).__name__ == new.partition("(")[0]
     assert sampling is None or method is sampling
 

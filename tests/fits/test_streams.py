@@ -9,8 +9,7 @@ import pytest
 
 from fitting import Censored, Clustered, Emcee, Gaussian, Parameter, Problem, fit
 from fitting.inference.misfit import judge, judge_sums, sums
-from fitting.inference.search import search, spread_starts
-from fitting.inference.search_read import derivatives, search_read
+from fitting.inference.search import derivatives, search, search_read, spread_starts
 from fitting.inference.streams import chunks
 from jaxvision.errors import InputError
 

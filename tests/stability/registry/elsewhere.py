@@ -235,7 +235,7 @@ ELSEWHERE = (
             fitting.checks.section.*
             fitting.fits.words.*
             fitting.demo.section.*
-            fitting.fits.section.*
+            fitting.fits.result: left_out_table residual_figure section
         """,
     ),
     Elsewhere(
@@ -509,7 +509,7 @@ ELSEWHERE = (
             fitting.inference.convergence: autocorrelation_times effective_draws split_r_hat
             fitting.inference.convergence: without_bias
             fitting.inference.emcee_run: enough_walkers for_group run_ensemble
-            fitting.inference.fingerprint: fingerprint
+            fitting.inference.blocks: fingerprint
             fitting.inference.importance: gaussian_miss laplace_where_it_holds
             fitting.inference.nuts: nuts require_blackjax
             fitting.inference.on_host: on_host require_here
@@ -539,7 +539,7 @@ ELSEWHERE = (
             fitting.fits.budget: budget
             fitting.fits.called_for: called_for
             fitting.fits.information: expected_information slope_of with_inputs
-            fitting.fits.plan: in_words plan
+            fitting.fits.information: in_words plan
             fitting.fits.solve: fit method_of
             fitting.fits.widening: predicted_at residuals_at widening without_shared
         """,
@@ -559,8 +559,8 @@ ELSEWHERE = (
             fitting.fits.widening: residual_sums
             fitting.inference.misfit: judge_sums sums
             fitting.inference.newton: minimise_read twice
-            fitting.inference.curvature: prior_derivatives squares with_prior
-            fitting.inference.search_read: derivatives search_read
+            fitting.inference.search: prior_derivatives squares with_prior
+            fitting.inference.search: derivatives search_read
             fitting.inference.streams: chunks opened
         """,
     ),
@@ -571,7 +571,7 @@ ELSEWHERE = (
             fitting.fits.map: found_in_words
             fitting.fits.pixels: fit_map
             fitting.inference.pixelwise: fit_side_by_side
-            fitting.inference.curvature: gauss_newton
+            fitting.inference.search: gauss_newton
         """,
     ),
     Elsewhere(
@@ -592,7 +592,7 @@ ELSEWHERE = (
             fitting.inference.misfit: judge
             fitting.inference.channels: by_channel
             fitting.inference.candidates: numbers_of price squared_ratios weakest whole_name
-            fitting.inference.natural_draws.*
+            fitting.inference.posterior: natural_draws
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: from_scaled scaled_ends to_natural to_scaled
             fitting.inference.parameters: to_unconstrained
@@ -601,9 +601,9 @@ ELSEWHERE = (
             fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
             fitting.inference.problem: residuals_from start_of_data values_at values_from
             fitting.inference.records: head is_path reach read replaced
-            fitting.inference.statement: argument_names arguments as_arrays check_names finite_data
-            fitting.inference.statement: named_and_rest
-            fitting.inference.statement: placed placed_like
+            fitting.inference.problem: argument_names arguments as_arrays check_names finite_data
+            fitting.inference.problem: named_and_rest
+            fitting.inference.problem: placed placed_like
             fitting.inference.tails: log_student student_log_density
         """,
     ),
