@@ -69,16 +69,7 @@ class Bands:
 def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
     """Draws spread over all chains.
 
-    Args:
-        posterior: of P parameters.
-        draws: how many, at most.
-
-    Returns:
-        (draws, P) in the parameters' units.
-
-    Raises:
-        InputError: unless `draws` is a whole number above 0.
-    """
+    Returns (draws, P) in the parameters' units."""
     require_whole("draws", draws)
     every = posterior.samples
     return every[np.linspace(0, len(every) - 1, min(draws, len(every))).astype(int)]
@@ -88,17 +79,7 @@ def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
 def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
     """Draws pushed through a function.
 
-    Args:
-        problem: whose parameters, records and inputs the function may ask for.
-        function: to one array.
-        natural: (draws, P).
-
-    Returns:
-        (draws, ...) in the unit of what it returns.
-
-    Raises:
-        InputError: for a function that returns no array.
-    """
+    Returns (draws, ...) in the unit of what it returns."""
 
     def one(natural: Array) -> Array:
         found = give(problem, function, values_from(problem, natural), problem.inputs)
@@ -117,16 +98,7 @@ def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Ar
 def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array) -> Array:
     """Data as they might be, one set a draw.
 
-    Args:
-        problem: with its model and likelihood.
-        keys: (draws,).
-        natural: (draws, P).
-        inputs: of the model.
-        noise: factor on the width of the noise.
-
-    Returns:
-        (draws, ...) in the unit of the data.
-    """
+    Returns (draws, ...) in the unit of the data."""
 
     def one(key_and_natural: tuple[Array, Array]) -> Array:
         key, natural = key_and_natural
@@ -142,12 +114,7 @@ def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise:
 def bands(draws: np.ndarray) -> Bands:
     """Mean and intervals of draws.
 
-    Args:
-        draws: (draws, ...).
-
-    Returns:
-        In their unit.
-    """
+    Returns in their unit."""
     low68, high68, low95, high95 = np.quantile(draws, LEVELS, axis=0)
     return Bands(
         np.asarray(draws.mean(0)),

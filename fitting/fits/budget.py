@@ -126,25 +126,10 @@ def budget(
 ) -> Budget:
     """Divides the variance of a quantity by its sources.
 
-    Args:
-        problem: that was fitted.
-        optimum: its mode.
-        posterior: of all parameters.
-        target: a free number by its name, or a JAX function to one number.
-        count: of the data.
-        widened: factor by which a misfit has widened the noise.
-        noise: variance of a datum by source, in the square of the data's unit: a number, an array
-            of the data's shape, or a function of the prediction; what they leave of the
-            likelihood's variance is "other noise". None takes those of the sensor of `SensorNoise`
-            (photons, read noise, rounding), or all as one.
-        nuisances: names of parameters whose priors count as one source, by its name; every other
-            parameter with a prior is a source of its own.
-
-    Returns:
-        The budget, whose shares sum to 1.
-
-    Raises:
-        InputError: for sources that exceed the noise of the likelihood, and unknown names.
+    `noise`: variance of a datum by source, in the square of the data's unit: a number, an array of
+    the data's shape, or a function of the prediction; what they leave of the likelihood's variance
+    is "other noise". None takes those of the sensor of `SensorNoise` (photons, read noise,
+    rounding), or all as one.
     """
     vector = optimum.vector
     value, slope = slope_of(problem, target, vector)

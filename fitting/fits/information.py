@@ -48,17 +48,7 @@ def expected_information(
     *,
     seed: int = 0,
 ) -> Float[np.ndarray, "parts parameters parameters"]:
-    """Fisher's information of data that are yet to come, each datum weighted.
-
-    Args:
-        problem: whose data do not matter, but for those that are missing.
-        vector: (P,) unconstrained, taken for the truth.
-        weights: (parts, data) of each datum in each part.
-        seed: of the data drawn where the information is no closed form.
-
-    Returns:
-        (parts, P, P) on the unconstrained scale.
-    """
+    """Fisher's information of data that are yet to come, each datum weighted."""
     size = max(int(np.prod(problem.data.shape)), 1)
     draws = int(np.clip(np.ceil(SCORES / size), 8, MOST_DRAWS))
     exact = problem.likelihood.least_squares
@@ -87,18 +77,7 @@ def _information(vector: Vector, problem: Problem, weights: Array, keys: Array) 
 
 
 def with_inputs(problem: Problem, inputs: Any) -> Problem:
-    """The same problem for data at other inputs, none of them missing.
-
-    Args:
-        problem: whose model and likelihood stay.
-        inputs: in place of its own.
-
-    Returns:
-        The problem, its data 0.
-
-    Raises:
-        InputError: for inputs that predict cannot use, or a likelihood that is none of other data.
-    """
+    """The same problem for data at other inputs, none of them missing."""
     if isinstance(problem.likelihood, Clustered):
         raise InputError(
             "Clustered: what a new group shares with none is not known; plan with the likelihood "
@@ -126,18 +105,7 @@ def slope_of(
 ) -> tuple[float, Float[np.ndarray, " parameters"]]:
     """A quantity and its gradient.
 
-    Args:
-        problem: whose parameters decide it.
-        target: a free number by its name, or by the last part of its path where that is one; or a
-            JAX function to one number, its arguments named as those of `predict`.
-        vector: (P,) unconstrained.
-
-    Returns:
-        Its value, in its unit, and (P,) its slopes by the unconstrained values.
-
-    Raises:
-        InputError: for a target that names no free number, or is more than one.
-    """
+    Returns its value, in its unit, and (P,) its slopes by the unconstrained values."""
     at = jnp.asarray(vector, problem.data.dtype)
     if isinstance(target, str):
         place = _place(problem, target)
@@ -188,23 +156,7 @@ def plan(
     widened: float,
     repeats: int = 1,
 ) -> Plan:
-    """Ranks candidate measurements.
-
-    Args:
-        problem: that was fitted.
-        optimum: its mode.
-        posterior: of all parameters.
-        candidates: inputs of each by name, as `predict` takes them.
-        target: what is to be known better: a free number by its name, or a JAX function to one.
-        widened: factor by which a misfit has widened the noise.
-        repeats: how often each would be measured.
-
-    Returns:
-        The plan.
-
-    Raises:
-        InputError: for no candidates, inputs that predict cannot use, and a target that is none.
-    """
+    """Ranks candidate measurements."""
     if not candidates:
         raise InputError("plan: give at least one candidate.")
     require_whole("repeats", repeats)
@@ -225,12 +177,5 @@ def plan(
 
 
 def in_words(target: Target) -> str:
-    """The name of a target.
-
-    Args:
-        target: a name or a function.
-
-    Returns:
-        The name.
-    """
+    """The name of a target."""
     return target if isinstance(target, str) else getattr(target, "__name__", "target")

@@ -203,15 +203,7 @@ class FitMap:
 
 
 def found_in_words(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:
-    """How many pixels failed, and why.
-
-    Args:
-        state: of each, as `STATES` names them.
-        by_label: whether pixels share fits, so that chance does not count them one by one.
-
-    Returns:
-        Sentences, one for each reason that occurs.
-    """
+    """How many pixels failed, and why."""
     counts = np.bincount(state.ravel(), minlength=len(STATES))
     tested = int(counts[: STATES.index("stopped")].sum())
     found = []

@@ -356,15 +356,7 @@ HEADS = ("parameter", "value ± s.e.", "unit", "68 %", "95 %", "s.d. before")
 
 
 def section(fit: Fit, title: str) -> Section:
-    """A fit as its reader sees it.
-
-    Args:
-        fit: of any problem.
-        title: heading.
-
-    Returns:
-        Estimates, findings, the prior beside the posterior, and the residuals.
-    """
+    """A fit as its reader sees it."""
     before, share = prior_share(fit.problem.space, fit.posterior)
     rows = tuple(
         (parameter.name, None if np.isinf(width) else float(width), float(part))
@@ -406,26 +398,14 @@ def section(fit: Fit, title: str) -> Section:
 def left_out_table(certificate: Certificate) -> Table:
     """What `called_for` left out, with its bounds.
 
-    Args:
-        certificate: of the problem.
-
-    Returns:
-        A row for each effect, bounds in the certificate's unit.
-    """
+    Returns a row for each effect, bounds in the certificate's unit."""
     rows = tuple((e.name, e.bound, e.place, e.rank, e.why) for e in certificate.dropped)
     heads = ("effect", f"bound [{certificate.unit}]", "moves by [pixels]", "rank", "why")
     return Table("Left out", heads, rows, summary(certificate))
 
 
 def residual_figure(residuals: np.ndarray) -> "Figure":
-    """Standardised residuals: a picture of the first channel, or points in order.
-
-    Args:
-        residuals: of any shape, in standard deviations.
-
-    Returns:
-        The figure.
-    """
+    """Standardised residuals: a picture of the first channel, or points in order."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 4), layout="constrained")

@@ -73,18 +73,7 @@ def widening(
     Groups explain a misfit where they share errors and what is left within them, once an offset and
     a gain of each are taken away, is noise as stated; with `inflate`, whatever is left.
 
-    Args:
-        problem: that was fitted.
-        optimum: its best fit.
-        covariance: (P, P) of the likelihood as it is stated.
-        residuals: standardised, NaN where a datum is missing.
-        checks: of the residuals.
-        inflate: whether to take a misfit for more noise.
-        seed: of the residuals.
-
-    Returns:
-        The covariance and what it stands for.
-    """
+    `residuals`: standardised, NaN where a datum is missing."""
     if isinstance(problem.likelihood, Clustered):
         labels = problem.likelihood.labels
         every = labels if isinstance(labels, dict) else {"": labels}
@@ -179,14 +168,7 @@ def without_shared(
 ) -> Float[np.ndarray, "..."]:
     """Residuals less the best multiple of two shapes in each group, by least squares.
 
-    Args:
-        residuals: NaN where a datum is missing.
-        labels: (data) in a row, whole numbers from 0.
-        shapes: of the residuals' shape, what an error shared by a group may look like.
-
-    Returns:
-        Of the residuals' shape.
-    """
+    `residuals`: NaN where a datum is missing."""
     there = np.isfinite(residuals).ravel()
     r = np.where(there, residuals.ravel(), 0)
     first, second = (np.where(there, shape.ravel(), 0) for shape in shapes)
@@ -218,15 +200,7 @@ def _predictions(vector: Vector, problem: Problem) -> Array:
 
 @eqx.filter_jit
 def predicted_at(vector: Vector, problem: Problem) -> tuple[Array, Any]:
-    """Prediction and likelihood at a point.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: to predict for.
-
-    Returns:
-        Of the data's shape; and the likelihood with its values in place.
-    """
+    """Prediction and likelihood at a point."""
     values = values_at(problem, vector)
     return prediction(problem, values), likelihood_at(problem, values)
 
@@ -236,14 +210,8 @@ def residuals_at(
 ) -> Float[np.ndarray, "..."]:
     """Standardised residuals.
 
-    Args:
-        problem: whose data they are of.
-        vector: (P,) unconstrained.
-        seed: of the places of data that cover an interval.
-        shift: of the prediction, in its unit.
-
-    Returns:
-        Of the data's shape, NaN where a datum is missing.
+    `shift`: of the prediction, in its unit. Returns of the data's shape, NaN where a datum is
+    missing.
     """
     chance = np.random.default_rng(seed).uniform(size=problem.data.shape)
     return _residuals(problem, vector, chance, shift)
@@ -252,17 +220,7 @@ def residuals_at(
 def residual_sums(
     problem: Problem, vector: Array, advance: Advance, *, seed: int
 ) -> Float[np.ndarray, " sums"]:
-    """What judges a fit, of the residuals of data that are read in chunks.
-
-    Args:
-        problem: whose data they are of.
-        vector: (P,) unconstrained.
-        advance: is told how far the reading is.
-        seed: of the places of data that cover an interval.
-
-    Returns:
-        As `misfit.sums` gives them.
-    """
+    """What judges a fit, of the residuals of data that are read in chunks."""
     rng = np.random.default_rng(seed)
     before, totals = None, np.zeros(2 + 4 * problem.data.ndim)
     for part in chunks(problem, advance=advance):

@@ -32,17 +32,7 @@ AT_END = 1.25
 def verdict(
     optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
 ) -> list[str]:
-    """Why the end of a search is no fit; empty if it is one.
-
-    Args:
-        optimum: the end.
-        checks: of its residuals.
-        explained: whether a misfit is allowed for.
-        wide_noise: whether the width of the noise was fitted.
-
-    Returns:
-        Sentences.
-    """
+    """Why the end of a search is no fit; empty if it is one."""
     failures = []
     if optimum.saddle:
         failures.append(
@@ -95,10 +85,6 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
     was fitted, so that residuals do not tell a wrong optimum. The share of those that end alone
     estimates the chance that one more search finds an optimum that none has seen.
 
-    Args:
-        optimum: where they ended.
-        wide_noise: whether the width of the noise was fitted.
-
     Source:
         Good, "The population frequencies of species and the estimation of population parameters",
         Biometrika 40, 1953.
@@ -110,15 +96,7 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
 
 
 def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
-    """Another place that fits as well, where the searches found one.
-
-    Args:
-        optimum: where they ended.
-        posterior: of the best of them, which says what is far.
-
-    Returns:
-        Sentences.
-    """
+    """Another place that fits as well, where the searches found one."""
     ends = np.asarray(to_natural(posterior.space, jnp.asarray(optimum.ends)), np.float64)
     spread = np.cov(posterior.samples.T).reshape(len(posterior.space), -1)
     size = np.sqrt(np.diagonal(spread))
@@ -137,28 +115,12 @@ def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
 
 
 def about_chains(posterior: Posterior) -> list[str]:
-    """Why draws of a posterior are not to be trusted; empty if they are.
-
-    Args:
-        posterior: drawn by a sampler, or Laplace's.
-
-    Returns:
-        Sentences.
-    """
+    """Why draws of a posterior are not to be trusted; empty if they are."""
     return [] if is_trusted(posterior) else [convergence_in_words(posterior)]
 
 
 def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) -> tuple[str, ...]:
-    """What the data cannot tell, what only the prior tells, and how far the intervals hold.
-
-    Args:
-        problem: that was fitted.
-        optimum: its best fit.
-        posterior: of all parameters.
-
-    Returns:
-        Sentences.
-    """
+    """What the data cannot tell, what only the prior tells, and how far the intervals hold."""
     found = []
     if len(optimum.costs) == 1:
         found.append("One search was made: no other start looked for a deeper optimum.")
@@ -199,13 +161,7 @@ def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) ->
 def prior_share(space: ParameterSpace, posterior: Posterior) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviations before the data, in each parameter's unit, and posterior over prior.
 
-    Args:
-        space: the P parameters.
-        posterior: of them.
-
-    Returns:
-        (P,) infinite without a prior, and (P,) 0 there.
-    """
+    Returns (P,) infinite without a prior, and (P,) 0 there."""
     known = [prior_values(parameter) for parameter in space]
     before = np.array([np.inf if x is None else np.std(x) for x in known])
     return before, np.std(posterior.samples, axis=0) / before

@@ -30,17 +30,7 @@ def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) 
     """The blocks from which a run goes on: those in memory or those in a folder, whichever are
     more. The folder gets what it lacks.
 
-    Args:
-        folder: of the checkpoint; None for memory alone.
-        before: blocks of an earlier run, none for a new one.
-        fingerprint: of this run.
-
-    Returns:
-        The blocks, a new list.
-
-    Raises:
-        InputError: for blocks of another run, a damaged one, and one that is missing.
-    """
+    `folder`: of the checkpoint; None for memory alone."""
     stored = [] if folder is None else _stored(Path(folder))
     other = "the chain of another run (other data, density, seed, settings or package versions)"
     if not _all_of(stored, fingerprint):
@@ -57,11 +47,7 @@ def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) 
 def store(folder: Path | str | None, index: int, block: Block) -> None:
     """Writes one block, whole or not at all.
 
-    Args:
-        folder: of the checkpoint; None writes nothing.
-        index: of the block in its chain.
-        block: to write.
-    """
+    `folder`: of the checkpoint; None writes nothing."""
     if folder is None:
         return
     file = _place(folder, index)
@@ -125,19 +111,7 @@ def fingerprint(
     """Hash of a density with its data, of where a sampler starts, and of how it runs.
 
     The density counts by its name and by what it computes: the text of its jaxpr and the constants
-    it closes over, so that the same name with another formula is another run.
-
-    Args:
-        log_density: function of (vector, args).
-        mode: (P,) unconstrained.
-        covariance: (P, P).
-        args: data of `log_density`.
-        *settings: parameters, seed, walkers: what decides the draws besides.
-        package: the sampler's, whose version counts beside JAX's, NumPy's and SciPy's.
-
-    Returns:
-        64 hexadecimal digits, the same in every process.
-    """
+    it closes over, so that the same name with another formula is another run."""
     closed = eqx.filter_make_jaxpr(log_density)(mode, args)[0]
     name = getattr(log_density, "__module__", ""), getattr(log_density, "__qualname__", "")
     packages = [f"{known} {version(known)}" for known in (package, *PACKAGES)]

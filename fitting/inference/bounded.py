@@ -47,22 +47,7 @@ def minimise_in_box(
 ) -> BoxSolution:
     """Minimises objective(vector, args) over lower <= vector <= upper.
 
-    Nothing is raised for a fit that does not converge; read `converged`.
-
-    Args:
-        objective: module-level function (it is part of the compile key).
-        start: (parameters,), moved into the box where it lies outside.
-        lower: (parameters,), finite.
-        upper: (parameters,), finite.
-        args: all data of the objective.
-        scale: what the objective is divided by, about the number of observations for a negative log
-            likelihood.
-        max_steps: most iterations.
-        tolerance: on the norm of the scaled projected gradient.
-
-    Returns:
-        The end of the search.
-    """
+    Nothing is raised for a fit that does not converge; read `converged`."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="JAXopt is no longer maintained")
         from jaxopt import LBFGSB

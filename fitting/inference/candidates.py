@@ -123,17 +123,7 @@ def squared_ratios(
     """Squared Wald ratio of each candidate, 0 where the data do not tell.
 
     A positive scale (`log`, absent at 0) or a value above a bound at which it is absent lies
-    1 / sd(u) of its errors from there, u the unconstrained value.
-
-    Args:
-        space: the P numbers.
-        vector: (P,) unconstrained best fit.
-        information: (P, P) there.
-        candidates: whose numbers are in the space.
-
-    Returns:
-        (candidates,).
-    """
+    1 / sd(u) of its errors from there, u the unconstrained value."""
     at = jnp.asarray(vector)
     natural, slope = jax.jvp(lambda u: to_natural(space, u), (at,), (jnp.ones_like(at),))
     natural, slope = np.asarray(natural, np.float64), np.asarray(slope, np.float64)
@@ -163,16 +153,7 @@ def price(
 ) -> float:
     """The squared Wald ratio from which a term stays.
 
-    Args:
-        count: n, of data.
-        chance: that a term stays which is absent.
-        numbers: k, of the term.
-        freedom: degrees of freedom of the errors; infinite where they are known.
-        scatter: m and q where the errors follow from the fitted scatter of m values about a model
-            of q terms: that is most likely too small by (m - q) / m, and uncertain.
-
-    Returns:
-        No unit.
+    Returns no unit.
 
     Example:
         >>> from fitting.inference.candidates import price
@@ -201,14 +182,8 @@ def weakest(
 ) -> str | None:
     """The candidate to leave out next.
 
-    Args:
-        ratios: squared Wald ratio of each.
-        prices: of each.
-        candidates: those that are in the model.
-
-    Returns:
-        The one that pays least of its price, among those that no other requires; None where all of
-        them pay.
+    Returns the one that pays least of its price, among those that no other requires; None where all
+    of them pay.
     """
     required = {name for candidate in candidates for name in candidate.requires}
     shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}

@@ -74,15 +74,7 @@ def like_gaussian(
     covariance: Float[np.ndarray, "parameters parameters"],
     freedom: Float[np.ndarray, " parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """The covariance of the Gaussian whose 95 % intervals are those of Student's t.
-
-    Args:
-        covariance: (parameters, parameters).
-        freedom: (parameters,) degrees of freedom of its variances.
-
-    Returns:
-        (parameters, parameters).
-    """
+    """The covariance of the Gaussian whose 95 % intervals are those of Student's t."""
     wider = stdtrit(freedom, LEVEL) / ndtri(LEVEL)
     return covariance * np.outer(wider, wider)
 
@@ -266,15 +258,7 @@ def curvature_stretch(
     """C with C^T information C = covariance^-1, the identity where they already agree.
 
     A move that the information calls one deviation then is one by the covariance: log density(mode
-    + C (vector - mode)) has the covariance as its inverse curvature.
-
-    Args:
-        information: (parameters, parameters), positive definite.
-        covariance: (parameters, parameters), positive definite.
-
-    Returns:
-        C, (parameters, parameters).
-    """
+    + C (vector - mode)) has the covariance as its inverse curvature."""
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.linalg.solve(own.T, wanted.T)

@@ -17,14 +17,7 @@ R = TypeVar("R")
 def compiled_briefly(function: Callable[P, R]) -> Callable[P, R]:
     """As `equinox.filter_jit`, but XLA does not optimise the program.
 
-    A program that is part of another, or of a derivative, is compiled as that one is.
-
-    Args:
-        function: of arrays and of static values.
-
-    Returns:
-        The compiled function.
-    """
+    A program that is part of another, or of a derivative, is compiled as that one is."""
     part = eqx.filter_jit(function)
     whole = cast(Any, eqx.filter_jit)(function, compiler_options=briefly())
 

@@ -24,11 +24,7 @@ def autocorrelation_times(
     The same numbers as `emcee.autocorr.integrated_time`; averaging the walkers' spectra before they
     are turned back takes a seventh of its time.
 
-    Args:
-        chain: (steps, walkers, P).
-
-    Returns:
-        (P,) in steps, at least 1; infinite where some walker never moved.
+    Returns (P,) in steps, at least 1; infinite where some walker never moved.
 
     Source:
         Sokal, "Monte Carlo Methods in Statistical Mechanics", 1997; Goodman & Weare, CAMCoS 5,
@@ -56,25 +52,13 @@ def without_bias(time: float, length: int) -> float:
     over a window of `WINDOW` estimates to either side therefore misses tau / N of each of its
     2 `WINDOW` estimates: estimate = tau / (1 + 2 `WINDOW` tau / N).
 
-    Args:
-        time: as `autocorrelation_times` estimates it, in steps.
-        length: N of the chain, in steps.
-
-    Returns:
-        tau in steps; infinite for a chain too short to tell.
-    """
+    Returns tau in steps; infinite for a chain too short to tell."""
     told = 1 - 2 * WINDOW * time / length
     return time / told if told > 0 else math.inf
 
 
 def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
     """How much wider all chains together are than each half of one: 1 where they agree.
-
-    Args:
-        draws: (chains, draws) of one parameter.
-
-    Returns:
-        The larger R-hat of the ranks of the draws and of their distances from the median.
 
     Source:
         Vehtari et al., Bayesian Analysis 16, 2021, eqs. 1-4 and 14.
@@ -86,12 +70,6 @@ def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
 
 def effective_draws(draws: Float[np.ndarray, "chains draws"]) -> float:
     """Effective sample size of the bulk, from rank-normalised draws.
-
-    Args:
-        draws: (chains, draws) of one parameter.
-
-    Returns:
-        The effective sample size of the ranks, by Geyer's initial monotone sequence.
 
     Source:
         Vehtari et al., Bayesian Analysis 16, 2021, eqs. 7-13; Geyer, Statistical Science 7, 1992.

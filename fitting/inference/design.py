@@ -105,16 +105,7 @@ def ranked(
 ) -> Plan:
     """Ranks measurements by what they add.
 
-    Args:
-        target: in words.
-        value: of the target, in its unit.
-        slope: (P,) of the target by the unconstrained values.
-        covariance: (P, P) of them.
-        added: (P, P) Fisher's information of each candidate, by name.
-
-    Returns:
-        The plan.
-    """
+    `value`: of the target, in its unit."""
     root = np.linalg.cholesky(covariance)
     along = root.T @ slope
     now = float(along @ along)

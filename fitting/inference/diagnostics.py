@@ -47,15 +47,8 @@ def identifiability(
 ) -> Identifiability:
     """Judges an information matrix.
 
-    Args:
-        space: the P parameters.
-        information: (P, P) on the unconstrained scale.
-        rounding: scaled eigenvalue up to which a direction counts as open.
-        vector: (P,) unconstrained best fit; None where only the errors of logarithms say whether
-            they matter.
-
-    Returns:
-        Variance inflation, and sentences.
+    `vector`: (P,) unconstrained best fit; None where only the errors of logarithms say whether they
+    matter.
 
     Source:
         Belsley, Kuh & Welsch, "Regression Diagnostics", 1980.

@@ -28,17 +28,7 @@ _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
 
 
 def seen_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
-    """The optimum, judged and corrected by differences where its gradient misses something.
-
-    Args:
-        problem: that was searched; likelihoods that are no sums of squares, and data in chunks, are
-            not looked at.
-        optimum: the best end.
-
-    Returns:
-        The optimum as it is; or the lowest place that differences find from there, with their
-        curvature, and in `unseen` the parameters whose gradient misses something.
-    """
+    """The optimum, judged and corrected by differences where its gradient misses something."""
     squares = problem.likelihood.least_squares and problem.stream is None
     if not squares or not np.isfinite(optimum.information).all():
         return optimum

@@ -127,13 +127,7 @@ class SamplingOptions(Emcee):
 def for_group(options: Emcee | None, group: str) -> Emcee | None:
     """The same options with a checkpoint folder of its own for one group (a colour channel).
 
-    Args:
-        options: of all groups; None stays None.
-        group: its name, made fit for a folder.
-
-    Returns:
-        The options of the group.
-    """
+    `options`: of all groups; None stays None."""
     if options is None or options.checkpoint is None:
         return options
     name = group.replace(" ", "_").replace("/", "_")
@@ -141,15 +135,7 @@ def for_group(options: Emcee | None, group: str) -> Emcee | None:
 
 
 def enough_walkers(options: Emcee, dimension: int) -> int:
-    """Walkers of an ensemble.
-
-    Args:
-        options: what was asked for.
-        dimension: P.
-
-    Returns:
-        That, or 2 P + 2 where it is more: each half must span all directions.
-    """
+    """Walkers of an ensemble."""
     return max(options.walkers, 2 * dimension + 2)
 
 
@@ -187,25 +173,7 @@ def run_ensemble(
     fingerprint: str,
     before: Sequence[Block] = (),
 ) -> Chain:
-    """Runs, or resumes, an ensemble until its chain is long enough or the ceiling is reached.
-
-    Args:
-        log_density: (walkers / 2, parameters) to (walkers / 2,), -inf where impossible.
-        mode: (parameters,) about which the walkers start.
-        covariance: (parameters, parameters) of the Gaussian from which they start.
-        names: of the parameters.
-        options: walkers, ceiling, block, checkpoint and progress.
-        seed: of every draw.
-        fingerprint: of everything that decides the chain; stored with each block.
-        before: blocks of a shorter run of the same chain.
-
-    Returns:
-        The settled part of the chain, and what it lacks.
-
-    Raises:
-        InputError: for a checkpoint or blocks of another run; `Unbounded` where the walkers go on
-            without end.
-    """
+    """Runs, or resumes, an ensemble until its chain is long enough or the ceiling is reached."""
     import emcee
 
     walkers = enough_walkers(options, mode.size)

@@ -90,17 +90,7 @@ def quantile_estimate(
 ) -> Estimate:
     """Estimate with given intervals; without a value where these have no end.
 
-    Args:
-        what: the quantity.
-        value: in its unit.
-        standard_error: in its unit.
-        quantiles: (5,) the value's `QUANTILES`, of which the middle one is not used.
-        method: of the estimate.
-        group: it belongs to.
-
-    Returns:
-        The estimate.
-    """
+    `value`: in its unit. `standard_error`: in its unit."""
     if not np.all(np.isfinite(np.asarray([value, standard_error, *quantiles], float))):
         why = "the data leave it open over more than the range of numbers"
         return not_determined(what, why, method=method, group=group)
@@ -123,18 +113,7 @@ def gaussian_estimate(
 ) -> Estimate:
     """Estimate with Gaussian intervals, or those of Student's t.
 
-    Args:
-        what: the quantity.
-        value: in its unit.
-        standard_error: of the value, in its unit.
-        method: of the estimate.
-        group: it belongs to.
-        log_scale: intervals are symmetric in the logarithm (for positive quantities) instead of
-            about the value.
-        freedom: degrees of freedom of the standard error; infinite where it is known.
-
-    Returns:
-        The estimate.
+    `value`: in its unit. `standard_error`: of the value, in its unit.
 
     Example:
         >>> from fitting.inference.estimates import gaussian_estimate
@@ -159,31 +138,13 @@ def sampled_estimate(
 ) -> Estimate:
     """Median, standard deviation and equal-tailed quantile intervals of draws.
 
-    Args:
-        what: the quantity.
-        draws: (draws,) in its unit.
-        method: of the estimate.
-        group: it belongs to.
-
-    Returns:
-        The estimate.
-    """
+    `draws`: (draws,) in its unit."""
     ends = np.quantile(draws, QUANTILES)
     return quantile_estimate(what, ends[2], np.std(draws), ends, method=method, group=group)
 
 
 def not_determined(what: Named, reason: str, *, method: str = "", group: str = "") -> Estimate:
-    """The estimate of something that the input cannot give.
-
-    Args:
-        what: the quantity.
-        reason: why, as a clause or a sentence.
-        method: of the estimate.
-        group: it belongs to.
-
-    Returns:
-        The estimate, without a value.
-    """
+    """The estimate of something that the input cannot give."""
     why = reason.rstrip(".")
     return Estimate(what.name, what.symbol, what.unit, None, method=method, group=group, reason=why)
 

@@ -27,11 +27,8 @@ class Uncertain(Protocol):
 def decimals_for(uncertainty: float) -> int | None:
     """Decimal places that keep two significant digits of an uncertainty.
 
-    Args:
-        uncertainty: in any unit.
-
-    Returns:
-        The places, negative for tens and more; None where it is zero or not finite.
+    `uncertainty`: in any unit. Returns the places, negative for tens and more; None where it is
+    zero or not finite.
     """
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return None
@@ -51,39 +48,19 @@ def format_name(name: str) -> str:
 
 
 def format_p(p_value: float) -> str:
-    """A p-value as `p = 0.03`; one too small for a number, as `p < 1e-300`.
-
-    Args:
-        p_value: 0 to 1.
-
-    Returns:
-        The text.
-    """
+    """A p-value as `p = 0.03`; one too small for a number, as `p < 1e-300`."""
     return f"p = {p_value:.2g}" if p_value > 1e-300 or math.isnan(p_value) else "p < 1e-300"
 
 
 def format_percent(share: float, *, decimals: int = 0) -> str:
-    """A share in per cent: 0.125 as "12.5 %" with one decimal.
-
-    Args:
-        share: of one.
-        decimals: places.
-
-    Returns:
-        The number and its sign.
-    """
+    """A share in per cent: 0.125 as "12.5 %" with one decimal."""
     return f"{100 * share:.{decimals}f} %"
 
 
 def format_spread(values: np.ndarray) -> tuple[str, str]:
     """The median, and the interval that holds the middle 90 %.
 
-    Args:
-        values: finite, in any unit.
-
-    Returns:
-        Both texts.
-    """
+    `values`: finite, in any unit."""
     low, middle, high = np.percentile(values, (5, 50, 95))
     return f"{middle:.4g}", f"[{low:.4g}, {high:.4g}]"
 
@@ -91,13 +68,8 @@ def format_spread(values: np.ndarray) -> tuple[str, str]:
 def format_number(value: float, decimals: int | None, *, beside: float | None = None) -> str:
     """A number rounded to given decimal places.
 
-    Args:
-        value: to print.
-        decimals: places; negative for tens, hundreds ...; None for six digits.
-        beside: the number whose notation, with an exponent or without, it shares; None for its own.
-
-    Returns:
-        The text.
+    `decimals`: places; negative for tens, hundreds ...; None for six digits. `beside`: the number
+    whose notation, with an exponent or without, it shares; None for its own.
     """
     if decimals is None or not math.isfinite(value):
         return f"{value:.6g}"
@@ -111,14 +83,7 @@ def format_number(value: float, decimals: int | None, *, beside: float | None = 
 def format_with_error(value: float, error: float, *, signed: bool = False) -> str:
     """`value ± error`, both to two digits of the error.
 
-    Args:
-        value: to print.
-        error: its standard error, in the same unit.
-        signed: whether a value above 0 has a plus.
-
-    Returns:
-        The text.
-    """
+    `error`: its standard error, in the same unit."""
     places = decimals_for(error)
     sign = "+" if signed and value > 0 else ""
     return f"{sign}{format_number(value, places)} ± {format_number(error, places, beside=value)}"
@@ -127,13 +92,7 @@ def format_with_error(value: float, error: float, *, signed: bool = False) -> st
 def format_within(value: float, width: float) -> str:
     """A number that is known to a width, to two digits of it.
 
-    Args:
-        value: to print.
-        width: of the range that holds it, in the same unit.
-
-    Returns:
-        The text.
-    """
+    `width`: of the range that holds it, in the same unit."""
     return format_number(value, decimals_for(width))
 
 

@@ -19,14 +19,7 @@ LARGEST_SEED = 2**32 - 1  # that all generators take
 
 
 def is_concrete(tree: Any) -> bool:
-    """Whether all numbers of a tree are known, outside of any transformation.
-
-    Args:
-        tree: a PyTree.
-
-    Returns:
-        False while JAX traces it.
-    """
+    """Whether all numbers of a tree are known, outside of any transformation."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
@@ -35,16 +28,7 @@ def require_whole(
 ) -> None:
     """Refuses what is no whole number.
 
-    Args:
-        what: is judged, in words.
-        value: to judge.
-        least: smallest that will do.
-        most: largest; None for no such end.
-        of: what it counts, in words.
-
-    Raises:
-        InputError: for another type, a flag, and a number beyond the ends.
-    """
+    `most`: largest; None for no such end."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if whole and value >= least and (most is None or value <= most):
         return
@@ -54,17 +38,7 @@ def require_whole(
 
 
 def require_kind(what: str, value: Any, kind: type, *, source: str = "") -> None:
-    """Refuses what is not of the kind that a function takes.
-
-    Args:
-        what: is judged: the function and its argument.
-        value: to judge.
-        kind: that it must be.
-        source: where one comes from, in words.
-
-    Raises:
-        InputError: names both kinds.
-    """
+    """Refuses what is not of the kind that a function takes."""
     if not isinstance(value, kind):
         named = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
         hint = f"; {source} gives one" if source else ""
@@ -73,39 +47,18 @@ def require_kind(what: str, value: Any, kind: type, *, source: str = "") -> None
 
 
 def require_progress(value: Any) -> None:
-    """Refuses what cannot be told how far a chain is.
-
-    Args:
-        value: to judge.
-
-    Raises:
-        InputError: unless it is None or can be called.
-    """
+    """Refuses what cannot be told how far a chain is."""
     if not (value is None or callable(value)):
         raise InputError(f"progress = {value!r}: give a function of (steps done, steps in all).")
 
 
 def require_seed(value: Any) -> None:
-    """Refuses what no generator of random numbers begins from.
-
-    Args:
-        value: to judge.
-
-    Raises:
-        InputError: unless it is a whole number from 0 to 2^32 - 1.
-    """
+    """Refuses what no generator of random numbers begins from."""
     require_whole("seed", value, least=0, most=LARGEST_SEED)
 
 
 def number_or_name(what: str) -> Callable[[Any], Any]:
-    """What makes arrays of the numbers of a likelihood and leaves names as they are.
-
-    Args:
-        what: is converted, in words.
-
-    Returns:
-        From a number, an array or the name of a parameter to an array or the name.
-    """
+    """What makes arrays of the numbers of a likelihood and leaves names as they are."""
 
     def convert(value: Any) -> Any:
         if isinstance(value, str) and value:
@@ -128,26 +81,13 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
 def end_or_name(what: str) -> Callable[[Any], Any]:
     """As `number_or_name`, of an end that may be absent.
 
-    Args:
-        what: is converted, in words.
-
-    Returns:
-        The same of None, which stays.
-    """
+    Returns the same of None, which stays."""
     convert = number_or_name(what)
     return lambda value: None if value is None else convert(value)
 
 
 def require_positive(what: str, value: Any) -> None:
-    """Refuses a width that is not positive; the name of a parameter, or a traced value, passes.
-
-    Args:
-        what: is judged, in words.
-        value: number, array, or the name of a parameter.
-
-    Raises:
-        InputError: where it is 0 or less, or not finite.
-    """
+    """Refuses a width that is not positive; the name of a parameter, or a traced value, passes."""
     if isinstance(value, str) or not is_concrete(value):
         return
     values = on_host(value)
@@ -159,14 +99,7 @@ def require_positive(what: str, value: Any) -> None:
 def require_ascending(what: str, low: Any, high: Any) -> None:
     """Refuses ends between which there is nothing; names of parameters and traced values pass.
 
-    Args:
-        what: has the ends, in words.
-        low: number or array; None for no such end.
-        high: likewise.
-
-    Raises:
-        InputError: where `low` is not below `high`, or an end is NaN.
-    """
+    `low`: number or array; None for no such end."""
     ends = {"low": low, "high": high}
     known = {
         name: on_host(end)
@@ -192,17 +125,7 @@ def require_ascending(what: str, low: Any, high: Any) -> None:
 
 
 def whole_labels(labels: Any) -> dict[str, Any] | Int[np.ndarray, "..."]:
-    """Labels of groups as whole numbers.
-
-    Args:
-        labels: of any shape, or several by the name of their level.
-
-    Returns:
-        Of their shape.
-
-    Raises:
-        InputError: for others than whole numbers, and for no level.
-    """
+    """Labels of groups as whole numbers."""
     if isinstance(labels, Mapping):
         if not labels:
             raise InputError("Clustered: give at least one level of labels.")

@@ -33,15 +33,7 @@ def summed(
 ) -> Terms:
     """The sum of terms over blocks of samples.
 
-    Args:
-        terms: what a block adds, any PyTree of arrays, of the block and of which of its samples
-            count.
-        samples: record of (samples,) arrays and of numbers.
-        block: most samples of one; None: as many as the device serves well.
-
-    Returns:
-        The sum.
-    """
+    `block`: most samples of one; None: as many as the device serves well."""
     blocks, shared, counts = _cut(samples, block)
 
     def of(part: tuple[Any, Counts]) -> Terms:
@@ -60,14 +52,7 @@ def summed(
 def mapped(values: Callable[[Any], Terms], samples: Any, *, block: int | None = None) -> Terms:
     """Values of every sample, computed in blocks.
 
-    Args:
-        values: (..., samples) arrays of a block, any PyTree of them.
-        samples: record of (samples,) arrays and of numbers.
-        block: most samples of one; None: as many as the device serves well.
-
-    Returns:
-        (..., samples) arrays of all.
-    """
+    `block`: most samples of one; None: as many as the device serves well."""
     blocks, shared, _ = _cut(samples, block)
     count = _count(samples)
     found = jax.lax.map(lambda own: values(eqx.combine(own, shared)), blocks)

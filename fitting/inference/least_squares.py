@@ -55,20 +55,7 @@ def minimise_residuals(
 
     Nothing is raised for a fit that does not converge; read `converged`.
 
-    Args:
-        residuals: module-level function (it is part of the compile key), in standard deviations.
-        start: (parameters,).
-        args: all data of the residuals.
-        max_steps: most iterations.
-        rtol: relative tolerance on the moves of vector and cost, at least 8 units of rounding.
-        atol: absolute tolerance on the same, likewise.
-        shared_out: whether the observations lie on several devices. Steps are then those of the
-            normal equations, sums that each device takes of its own; a QR decomposition would be
-            made of the whole Jacobian by every device. They have half of the digits.
-
-    Returns:
-        The end of the search.
-    """
+    `rtol`: relative tolerance on the moves of vector and cost, at least 8 units of rounding."""
     import lineax as lx  # here, for most fits need none of it
     import optimistix as optx
 

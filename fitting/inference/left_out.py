@@ -42,27 +42,12 @@ class LeftOut:
 def distance(
     squares: Float[np.ndarray, "..."], *, parts: float | Float[np.ndarray, "..."] = 1.0
 ) -> float:
-    """How far errors of independent parts of the data move their law.
-
-    Args:
-        squares: (...) |h|^2 of each part.
-        parts: how many there are of each.
-
-    Returns:
-        Standard deviations of the noise of all data.
-    """
+    """How far errors of independent parts of the data move their law."""
     return float(np.sqrt(np.sum(parts * (np.sqrt(1 + squares) - 1) ** 2)))
 
 
 def negligible(errors: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
-    """Those that may be left out together.
-
-    Args:
-        errors: each with its bound.
-
-    Returns:
-        The smallest, in order, all together within `TOLERANCE`.
-    """
+    """Those that may be left out together."""
     found = sorted(errors, key=lambda own: own.bound)
     total = np.cumsum([own.bound for own in found])
     return tuple(own for own, moved in zip(found, total, strict=True) if moved <= TOLERANCE)

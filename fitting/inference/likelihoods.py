@@ -59,14 +59,7 @@ class Likelihood(Protocol):
 
 
 def numerics(*known: Any) -> tuple[Any, Any]:
-    """What to compute residuals by: NumPy, which compiles nothing, or JAX where it traces.
-
-    Args:
-        known: what they are computed from.
-
-    Returns:
-        `numpy` and `scipy.special`, or their counterparts of JAX.
-    """
+    """What to compute residuals by: NumPy, which compiles nothing, or JAX where it traces."""
     return (np, scipy.special) if is_concrete(known) else (jnp, jax.scipy.special)
 
 
@@ -356,13 +349,7 @@ class Clustered(eqx.Module):
 def check_data(likelihood: Any, data: Numbers) -> None:
     """Refuses data that a likelihood knows to be wrong.
 
-    Args:
-        likelihood: any.
-        data: to judge, 0 or NaN where missing.
-
-    Raises:
-        InputError: if it has reasons to.
-    """
+    `data`: to judge, 0 or NaN where missing."""
     if hasattr(likelihood, "check_data"):
         likelihood.check_data(data)
 
@@ -370,13 +357,8 @@ def check_data(likelihood: Any, data: Numbers) -> None:
 def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
     """A likelihood whose noise is larger than stated.
 
-    Args:
-        likelihood: any.
-        factor: on the width of the noise.
-
-    Returns:
-        The likelihood; None for one whose width does not stand in a field `sd` or `scale` (that of
-        a sensor follows from its light).
+    Returns the likelihood; None for one whose width does not stand in a field `sd` or `scale` (that
+    of a sensor follows from its light).
     """
     if isinstance(likelihood, Clustered):
         inside = with_noise_scaled(likelihood.likelihood, factor)
@@ -390,12 +372,7 @@ def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
 def named_width(likelihood: Any) -> str | None:
     """The parameter that is the width of the noise.
 
-    Args:
-        likelihood: any.
-
-    Returns:
-        Its name; None where the width is known, or follows from something else.
-    """
+    Returns its name; None where the width is known, or follows from something else."""
     if isinstance(likelihood, Clustered):
         return named_width(likelihood.likelihood)
     width = getattr(likelihood, "sd", getattr(likelihood, "scale", None))
@@ -405,13 +382,7 @@ def named_width(likelihood: Any) -> str | None:
 def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
     """A likelihood with values in place of their names.
 
-    Args:
-        likelihood: whose fields may hold names.
-        value_of: a name to its value: a number in the unit of the data, or a record.
-
-    Returns:
-        The likelihood of these values.
-    """
+    `value_of`: a name to its value: a number in the unit of the data, or a record."""
     return jax.tree.map(lambda leaf: value_of(leaf) if isinstance(leaf, str) else leaf, likelihood)
 
 

@@ -49,14 +49,7 @@ def sums(
 ) -> Float[np.ndarray, " sums"]:
     """What both tests need of residuals; sums of parts of the data add up to those of all.
 
-    Args:
-        residuals: standardised, of any shape; NaN where a datum is missing.
-        before: (...) of the row before the first, where there is one.
-
-    Returns:
-        How many there are and the sum of their squares; then, of each axis, the sums of the
-        products of neighbours, of both squares, and how many pairs there are.
-    """
+    `residuals`: standardised, of any shape; NaN where a datum is missing."""
     present = ~np.isnan(residuals)
     found = [float(present.sum()), float(np.sum(residuals[present] ** 2))]
     for axis in range(residuals.ndim):
@@ -73,26 +66,12 @@ def sums(
 def judge(residuals: Float[np.ndarray, "..."], parameters: float) -> Misfit:
     """Both tests.
 
-    Args:
-        residuals: standardised, of any shape; NaN where a datum is missing.
-        parameters: how many the data determine.
-
-    Returns:
-        The verdict.
-    """
+    `residuals`: standardised, of any shape; NaN where a datum is missing."""
     return judge_sums(sums(residuals), parameters)
 
 
 def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
-    """Both tests, from the sums of all data.
-
-    Args:
-        totals: as `sums` gives them.
-        parameters: how many the data determine.
-
-    Returns:
-        The verdict.
-    """
+    """Both tests, from the sums of all data."""
     count, chi_square = int(totals[0]), float(totals[1])
     dof = float(count - parameters)
     faults, remarks = [], []

@@ -25,15 +25,7 @@ def regions(
 ) -> Int[np.ndarray, " clusters"]:
     """The region of each cluster.
 
-    Args:
-        scores: (parameters, samples), gradient of each sample's log likelihood.
-        cluster: (samples,) of each.
-        places: (clusters, axes) where clusters lie, in units that compare.
-
-    Returns:
-        (clusters,) labels: one for each cluster where neighbours do not err alike, or clusters are
-        fewer than 16.
-    """
+    `places`: (clusters, axes) where clusters lie, in units that compare."""
     count = len(places)
     sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
     present = np.flatnonzero(np.bincount(cluster, minlength=count))

@@ -82,20 +82,8 @@ def minimise(
     Where the objective is not finite is out of bounds: such a step is refused. Nothing is raised
     for a fit that does not converge; read `converged`.
 
-    Args:
-        objective: module-level function (it is part of the compile key), twice differentiable.
-        start: (parameters,), unconstrained.
-        args: all data of the objective.
-        derivatives: cost, gradient (parameters,) and curvature (parameters, parameters) of the
-            objective at (vector, args); None differentiates it twice.
-        max_steps: most evaluations; one gives the derivatives at the start, of the same compiled
-            program.
-        tolerance: on the promised fall in cost.
-        long: whether the data are so many that the program is compiled with optimisation even
-            where the others are not.
-
-    Returns:
-        The end of the search.
+    `derivatives`: cost, gradient (parameters,) and curvature (parameters, parameters) of the
+    objective at (vector, args); None differentiates it twice.
     """
     most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
     search = _minimise_thoroughly if long else _minimise
@@ -134,18 +122,7 @@ def minimise_read(
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
     """As `minimise`, for an objective that no single program computes: whose data are read anew at
-    every step.
-
-    Args:
-        derivatives: cost, gradient (parameters,) and curvature (parameters, parameters) at a
-            vector.
-        start: (parameters,), unconstrained.
-        max_steps: most evaluations.
-        tolerance: on the promised fall in cost.
-
-    Returns:
-        The end of the search.
-    """
+    every step."""
     most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
     state = _begun(start)
     while bool(_goes_on(state, most, enough)):
@@ -216,16 +193,7 @@ def twice(
     objective: Objective, vector: Float[Array, " parameters"], args: Any
 ) -> tuple[Array, Array, Array]:
     """Cost, gradient and Hessian, one column at a time: for large data half the time of all at
-    once, whose intermediate arrays leave the cache.
-
-    Args:
-        objective: of (vector, args), twice differentiable.
-        vector: (parameters,).
-        args: all data of the objective.
-
-    Returns:
-        (), (parameters,) and (parameters, parameters).
-    """
+    once, whose intermediate arrays leave the cache."""
     slope = jax.value_and_grad(objective)
 
     def column(along: Array) -> tuple[tuple[Array, Array], Array]:

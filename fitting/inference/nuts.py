@@ -132,23 +132,8 @@ def nuts(
     with their checkpoint, and more draws they go on, and end bit-identical to chains that were
     never interrupted.
 
-    Args:
-        log_density: module-level function of (vector, args), differentiable; NaN counts as
-            impossible.
-        space: the P parameters.
-        mode: (P,) unconstrained.
-        covariance: (P, P) on the unconstrained scale.
-        args: data of `log_density`.
-        options: of the chains; None for the defaults.
-        seed: of every draw.
-        after: a shorter posterior of the same density, data, start and seed, to go on from.
-
-    Returns:
-        The posterior, warm-up removed.
-
-    Raises:
-        InputError: without blackjax, for a mode that is impossible, and for a checkpoint, or a
-            posterior to go on from, of another run.
+    `log_density`: module-level function of (vector, args), differentiable; NaN counts as
+    impossible. `options`: of the chains; None for the defaults.
     """
     _ = require_blackjax()
     options = options or Nuts()
@@ -178,14 +163,7 @@ def nuts(
 
 
 def require_blackjax() -> ModuleType:
-    """The package of the sampler.
-
-    Returns:
-        blackjax.
-
-    Raises:
-        InputError: when it is not installed.
-    """
+    """The package of the sampler."""
     try:
         import blackjax
     except ImportError as error:

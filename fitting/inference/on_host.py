@@ -16,13 +16,7 @@ from jaxvision.errors import InputError
 def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
     """All values, gathered from the processes where one alone does not hold them; all must call.
 
-    Args:
-        values: array of JAX or what NumPy makes one of.
-        dtype: of the result; None for its own.
-
-    Returns:
-        Of the same shape.
-    """
+    `dtype`: of the result; None for its own."""
     if _apart(values):
         from jax.experimental.multihost_utils import process_allgather
 
@@ -31,15 +25,7 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
 
 
 def require_here(name: str, values: Any) -> None:
-    """Refuses arrays whose parts lie in several processes, for what is read in parts.
-
-    Args:
-        name: of the argument.
-        values: PyTree.
-
-    Raises:
-        InputError: for such an array in it.
-    """
+    """Refuses arrays whose parts lie in several processes, for what is read in parts."""
     if any(_apart(leaf) for leaf in jax.tree.leaves(values)):
         raise InputError(
             f"{name}: an array lies on several hosts, and what is read in parts must lie on one; "

@@ -151,18 +151,7 @@ def names(space: ParameterSpace) -> tuple[str, ...]:
 
 
 def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
-    """The numbers of which an array parameter consists, in row-major order.
-
-    Args:
-        parameter: of any shape.
-        shape: of its value.
-
-    Returns:
-        One parameter each; `position` of three becomes `position[0]` and so on.
-
-    Raises:
-        InputError: for bounds, priors or a start of another shape.
-    """
+    """The numbers of which an array parameter consists, in row-major order."""
     short = parameter.symbol or parameter.name.rpartition(".")[2]
     start = np.nan if parameter.start is None else np.asarray(parameter.start)
     each = parameter.lower, parameter.upper, _objects(parameter.prior), start
@@ -194,12 +183,7 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
 def ends(parameter: Parameter) -> tuple[float, float]:
     """Bounds of a scalar parameter, those of its prior included.
 
-    Args:
-        parameter: a scalar.
-
-    Returns:
-        Lower and upper bound in its unit, infinite where there is none.
-    """
+    Returns lower and upper bound in its unit, infinite where there is none."""
     lower, upper = float(np.asarray(parameter.lower)), float(np.asarray(parameter.upper))
     if parameter.prior is not None:
         low, high = support(parameter.prior)
@@ -210,12 +194,7 @@ def ends(parameter: Parameter) -> tuple[float, float]:
 def scaled_ends(parameter: Parameter) -> tuple[float, float]:
     """Bounds of a scalar parameter on the scale on which it is at home.
 
-    Args:
-        parameter: a scalar.
-
-    Returns:
-        a and b, infinite where there is none.
-    """
+    Returns a and b, infinite where there is none."""
     lower, upper = ends(parameter)
     if parameter.transform == "identity":
         return lower, upper
@@ -267,13 +246,6 @@ def _log_slope(u: Array, a: float, b: float) -> Array | None:
 def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
     """Unconstrained values to values in the parameters' own units.
 
-    Args:
-        space: the P parameters.
-        unconstrained: (..., P).
-
-    Returns:
-        (..., P).
-
     Example:
         >>> from fitting.inference.parameters import Parameter, to_natural
         >>> space = (Parameter("gain", symbol="K", unit="DN/e-", transform="log"),)
@@ -289,15 +261,7 @@ def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
 
 @partial(jax.jit, static_argnums=0)
 def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
-    """Inverse of `to_natural`.
-
-    Args:
-        space: the P parameters.
-        natural: (..., P), inside the bounds; a `log` value must be positive.
-
-    Returns:
-        (..., P).
-    """
+    """Inverse of `to_natural`."""
 
     def columns(parameter: Parameter, x: Array) -> Array:
         v = x if parameter.transform == "identity" else jnp.log(x)
@@ -310,13 +274,8 @@ def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
 def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Float[Array, "..."]]:
     """Unconstrained values on the scale on which each number is at home, inside its bounds.
 
-    Args:
-        space: the P parameters.
-        unconstrained: (..., P).
-
-    Returns:
-        (..., P) natural values or their logarithms; and (...) the logarithm of how much smaller a
-        volume is there.
+    Returns (..., P) natural values or their logarithms; and (...) the logarithm of how much smaller
+    a volume is there.
     """
     slopes = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
@@ -333,13 +292,7 @@ def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Flo
 def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
     """Inverse of `to_scaled`.
 
-    Args:
-        space: the P parameters.
-        scaled: (..., P).
-
-    Returns:
-        (..., P) unconstrained; NaN outside of the bounds.
-    """
+    Returns (..., P) unconstrained; NaN outside of the bounds."""
 
     def columns(parameter: Parameter, v: Array) -> Array:
         return _out_of_bounds(v, *scaled_ends(parameter))
@@ -348,15 +301,7 @@ def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
 
 
 def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "..."]:
-    """Log prior density of the unconstrained values, up to a constant.
-
-    Args:
-        space: the P parameters; those that are flat in u add nothing and are not traced.
-        unconstrained: (..., P).
-
-    Returns:
-        (...).
-    """
+    """Log prior density of the unconstrained values, up to a constant."""
     total = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
         u = unconstrained[..., np.array(index)]
@@ -375,12 +320,7 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
 def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation of each unconstrained value before any data.
 
-    Args:
-        space: the P parameters.
-
-    Returns:
-        (P,) means and (P,) standard deviations, infinite where nothing is known.
-    """
+    Returns (P,) means and (P,) standard deviations, infinite where nothing is known."""
     known = [prior_values(parameter) for parameter in space]
     nothing = np.full(len(FLAT_QUANTILES), np.nan)
     table = np.stack([nothing if x is None else x for x in known], axis=-1)
@@ -392,12 +332,7 @@ def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
 def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None:
     """Evenly spaced quantiles of a scalar parameter's prior within its bounds.
 
-    Args:
-        parameter: a scalar.
-
-    Returns:
-        (quantiles,) ascending, in its unit; None where neither prior nor bounds limit it.
-    """
+    Returns (quantiles,) ascending, in its unit; None where neither prior nor bounds limit it."""
     if (prior := parameter.prior) is not None:
         low, high = (_share_below(prior, end) for end in ends(parameter))
         return np.asarray(prior.quantile(low + (high - low) * FLAT_QUANTILES))

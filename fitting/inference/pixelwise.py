@@ -76,17 +76,8 @@ def fit_side_by_side(
 ) -> Ends:
     """The modes of problems that differ in their data, and in some inputs.
 
-    Args:
-        starts: as `unstarted` gives them, the same for all.
-        problem: whose data and inputs are replaced.
-        data: (problems, ...) NaN where a datum is missing.
-        own: leaves of the inputs in their order, with a leading axis; None where the problem's own
-            holds for all.
-        max_steps: of each search.
-        chance: (...) on 0 .. 1, the place of a datum that covers an interval.
-
-    Returns:
-        Where the searches ended.
+    `data`: (problems, ...) NaN where a datum is missing. `own`: leaves of the inputs in their
+    order, with a leading axis; None where the problem's own holds for all.
     """
     leaves, form = jax.tree.flatten(problem.inputs)
 

@@ -124,21 +124,8 @@ def laplace_or_emcee(
 ) -> Posterior:
     """Draws from a posterior by Laplace's approximation, or by emcee.
 
-    Args:
-        log_density: module-level function of (vector, args).
-        space: the P parameters.
-        mode: (P,) unconstrained.
-        covariance: (P, P) on the unconstrained scale.
-        args: data of `log_density`.
-        sampling: how to run emcee; None for Laplace.
-        seed: of every draw.
-        freedom: (P,) degrees of freedom of the variances, for Laplace; None where they are known.
-
-    Returns:
-        The posterior.
-
-    Raises:
-        InputError: as `laplace` and `sample` do.
+    `sampling`: how to run emcee; None for Laplace. `freedom`: (P,) degrees of freedom of the
+    variances, for Laplace; None where they are known.
     """
     if sampling is None:
         return laplace(
@@ -164,23 +151,9 @@ def laplace(
     With degrees of freedom, every parameter's draws follow Student's t, their dependence the
     Gaussian's.
 
-    Args:
-        log_density: module-level function of (vector, args).
-        space: the P parameters.
-        mode: (P,) unconstrained.
-        args: data of `log_density`.
-        covariance: (P, P) to use (a sandwich, say); None for the inverse of the negative Hessian
-            of `log_density` at the mode.
-        freedom: (P,) degrees of freedom of the variances; None where they are known.
-        inflation: factor on the covariance.
-        seed: of the draws.
-        draws: how many.
-
-    Returns:
-        The posterior, one chain.
-
-    Raises:
-        InputError: when the data leave a direction open.
+    `covariance`: (P, P) to use (a sandwich, say); None for the inverse of the negative Hessian of
+    `log_density` at the mode. `freedom`: (P,) degrees of freedom of the variances; None where they
+    are known.
     """
     if covariance is None:
         information = on_host(_information(log_density, mode, args), dtype=np.float64)
@@ -231,22 +204,8 @@ def sample(
     says how many steps it lacks. With `after`, or with its checkpoint, and a higher ceiling it goes
     on, and ends bit-identical to a run that was never interrupted.
 
-    Args:
-        log_density: module-level function of (vector, args); NaN counts as impossible.
-        space: the P parameters.
-        mode: (P,) unconstrained.
-        covariance: (P, P) on the unconstrained scale.
-        args: data of `log_density`.
-        options: of the ensemble; None for the defaults.
-        seed: of every draw.
-        after: a shorter posterior of the same density, data, start and seed, to go on from.
-
-    Returns:
-        The posterior, one chain a walker, burn-in removed.
-
-    Raises:
-        InputError: for a checkpoint, or a posterior to go on from, of another run; `Unbounded`
-            where the data bound a parameter on one side only.
+    `log_density`: module-level function of (vector, args); NaN counts as impossible. `options`: of
+    the ensemble; None for the defaults.
     """
     options = options or Emcee()
 
@@ -290,15 +249,7 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     """Value, standard error and 68 / 95 % intervals of each parameter in its own unit.
 
     Laplace: the mode and the Gaussian's or Student's quantiles carried through the transform.
-    Samplers: median, standard deviation and quantiles of the draws.
-
-    Args:
-        posterior: of P parameters.
-        group: of the estimates.
-
-    Returns:
-        P estimates.
-    """
+    Samplers: median, standard deviation and quantiles of the draws."""
     if posterior.sampled:
         return tuple(
             sampled_estimate(parameter, draws, method=posterior.method, group=group)
@@ -335,14 +286,7 @@ def evaluate_density(
 ) -> Float[np.ndarray, " draws"]:
     """A log density at many vectors, some at a time.
 
-    Args:
-        log_density: module-level function of (vector, args).
-        vectors: (draws, P) unconstrained.
-        args: data of `log_density`.
-
-    Returns:
-        (draws,); minus infinity where it is NaN.
-    """
+    Returns (draws,); minus infinity where it is NaN."""
     return on_host(_evaluate(log_density, vectors, args), dtype=float)
 
 
@@ -361,15 +305,7 @@ def natural_draws(
     space: ParameterSpace, vectors: Float[np.ndarray, "... parameters"]
 ) -> Float[np.ndarray, "... parameters"]:
     """As `to_natural`, which is compiled for every shape: an ensemble ends after any number of
-    steps, and a second fit compiles nothing.
-
-    Args:
-        space: the P parameters.
-        vectors: (..., P) unconstrained.
-
-    Returns:
-        (..., P).
-    """
+    steps, and a second fit compiles nothing."""
     rows = vectors.reshape(-1, len(space))
     filled = np.pad(rows, ((0, -len(rows) % ROWS), (0, 0)), mode="edge")
     parts = [

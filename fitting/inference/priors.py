@@ -206,11 +206,6 @@ class Gamma:
 def support(prior: Prior) -> tuple[float, float]:
     """The ends between which a prior has any probability.
 
-    Args:
-        prior: of one number.
-
-    Returns:
-        Lower and upper end in the unit of the number; infinite where there is none.
-    """
+    Returns lower and upper end in the unit of the number; infinite where there is none."""
     lower, upper = (float(prior.quantile(np.array(p))) for p in (0.0, 1.0))
     return lower, upper

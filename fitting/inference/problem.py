@@ -113,29 +113,17 @@ class Problem(eqx.Module):
     ) -> None:
         """States the problem.
 
-        Args:
-            parameters: by name or by path into a record (`scene.lights[0].position`): a
-                `Parameter` to fit, a `Candidate` to fit if the data call for it, a number to keep,
-                or `Tied` to the others.
-            predict: any JAX function; its arguments are named after what they are given: `values`
-                (natural values by name), `inputs`, a record, or a parameter. Part of the compile
-                key: use one function for fits that shall share a compilation.
-            likelihood: how data scatter about the prediction.
-            data: an array of the prediction's shape; NaN where a datum is missing.
-            records: PyTrees by name, such as {"scene": scene}.
-            inputs: what else `predict` needs, in arrays (times, angles, other scenes).
-            start: a JAX function to natural values by name, of some parameters or all, from which
-                the first search begins; its arguments are named as those of `predict` that are no
-                parameters, and `data` (NaN where a datum is missing). Each pixel of `fit_map` has
-                its own. A value that is NaN is none; one beyond a bound is moved inside. None
-                begins at the starts of the parameters.
-            chunk: rows of data to be read at a time, so that memory is bounded by one chunk: 50,000
-                suit most. None takes all at once. The data are then an array, also a memory-mapped
-                one, or a function without arguments that yields arrays one after another, or pairs
-                (data, inputs), the same at every call. Arrays among the inputs and numbers of the
-                likelihood that have as many rows are cut with the data, others are given whole;
-                `predict` must predict each row from its own inputs.
-            left_out: what the records no longer hold, as `called_for` says it.
+        `data`: an array of the prediction's shape; NaN where a datum is missing. `start`: a JAX
+        function to natural values by name, of some parameters or all, from which the first search
+        begins; its arguments are named as those of `predict` that are no parameters, and `data`
+        (NaN where a datum is missing). Each pixel of `fit_map` has its own. A value that is NaN is
+        none; one beyond a bound is moved inside. None begins at the starts of the parameters.
+        `chunk`: rows of data to be read at a time, so that memory is bounded by one chunk: 50,000
+        suit most. None takes all at once. The data are then an array, also a memory-mapped one, or
+        a function without arguments that yields arrays one after another, or pairs (data, inputs),
+        the same at every call. Arrays among the inputs and numbers of the likelihood that have as
+        many rows are cut with the data, others are given whole; `predict` must predict each row
+        from its own inputs.
         """
         self.left_out = left_out
         self.records = dict(records or {})
@@ -284,26 +272,14 @@ def _check_shapes(problem: Problem) -> None:
 def values_at(problem: Problem, vector: Vector) -> Values:
     """Natural values of every parameter, fixed and tied numbers among them.
 
-    Args:
-        problem: of P free numbers.
-        vector: (P,) unconstrained.
-
-    Returns:
-        By name, each of its own shape and in its own unit.
-    """
+    Returns by name, each of its own shape and in its own unit."""
     return values_from(problem, to_natural(problem.space, vector))
 
 
 def values_from(problem: Problem, natural: Vector) -> Values:
     """As `values_at`, from natural numbers.
 
-    Args:
-        problem: of P free numbers.
-        natural: (P,) in their own units.
-
-    Returns:
-        By name.
-    """
+    `natural`: (P,) in their own units."""
     values, begin = {}, 0
     for parameter in problem.free:
         size = int(np.prod(_shape(parameter)))
@@ -322,20 +298,7 @@ def values_from(problem: Problem, natural: Vector) -> Values:
 
 
 def give(problem: Problem, function: Callable[..., Any], values: Values, inputs: Any) -> Any:
-    """Calls a function with what the names of its arguments ask for.
-
-    Args:
-        problem: whose records, inputs and parameters there are.
-        function: `predict`, or one that derives something.
-        values: natural values by name.
-        inputs: what an argument `inputs` is given.
-
-    Returns:
-        Its result.
-
-    Raises:
-        InputError: for a function that asks for something unknown, or that JAX cannot trace.
-    """
+    """Calls a function with what the names of its arguments ask for."""
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
     who = "predict" if function is problem.predict else "The function"
     return _called(function, known, who)
@@ -364,17 +327,7 @@ def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) ->
 
 
 def start_of_data(problem: Problem) -> Values:
-    """What the problem's `start` makes of its data.
-
-    Args:
-        problem: with such a function.
-
-    Returns:
-        Natural values by name, of some parameters or all.
-
-    Raises:
-        InputError: for a result that is no mapping or names no parameter.
-    """
+    """What the problem's `start` makes of its data."""
     assert problem.start is not None
     data = problem.data
     if problem.present is not None:
@@ -396,27 +349,14 @@ def start_of_data(problem: Problem) -> Values:
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:
     """What the likelihood compares with the data.
 
-    Args:
-        problem: to predict for.
-        values: natural values by name.
-        inputs: in place of the problem's own.
-
-    Returns:
-        Of the data's shape, in its unit.
-    """
+    Returns of the data's shape, in its unit."""
     return give(problem, problem.predict, values, problem.inputs if inputs is None else inputs)
 
 
 def records_at(problem: Problem, values: Values) -> dict[str, Any]:
     """The records with the values in place.
 
-    Args:
-        problem: whose records they are.
-        values: natural values by name, each in its own unit.
-
-    Returns:
-        By name.
-    """
+    `values`: natural values by name, each in its own unit."""
     return replaced(
         problem.records, {name: value for name, value in values.items() if is_path(name)}
     )
@@ -425,13 +365,7 @@ def records_at(problem: Problem, values: Values) -> dict[str, Any]:
 def likelihood_at(problem: Problem, values: Values) -> Likelihood:
     """The likelihood with the values of the parameters and records that it names.
 
-    Args:
-        problem: whose likelihood it is.
-        values: natural values by name, each in its own unit.
-
-    Returns:
-        The likelihood.
-    """
+    `values`: natural values by name, each in its own unit."""
 
     def value_of(name: str) -> Any:
         return values[name] if name in values else reach(records_at(problem, values), name)
@@ -440,15 +374,7 @@ def likelihood_at(problem: Problem, values: Values) -> Likelihood:
 
 
 def log_likelihood_terms(vector: Vector, problem: Problem) -> Float[Array, "..."]:
-    """ln p of every datum, 0 where it is missing.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: to judge.
-
-    Returns:
-        Of the data's shape.
-    """
+    """ln p of every datum, 0 where it is missing."""
     values = values_at(problem, vector)
     return _terms(problem, values, prediction(problem, values))
 
@@ -459,41 +385,17 @@ def _terms(problem: Problem, values: Values, seen: Array) -> Array:
 
 
 def log_likelihood(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    """ln p(data | values).
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: to judge.
-
-    Returns:
-        ().
-    """
+    """ln p(data | values)."""
     return jnp.sum(log_likelihood_terms(vector, problem))
 
 
 def log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    """Log posterior density of the unconstrained vector, up to a constant.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: to judge.
-
-    Returns:
-        ().
-    """
+    """Log posterior density of the unconstrained vector, up to a constant."""
     return log_likelihood(vector, problem) + log_prior(problem.space, vector)
 
 
 def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " data"]:
-    """Standardised residuals of a likelihood that is a sum of squares.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: whose likelihood is one of least squares.
-
-    Returns:
-        In a row, 0 where a datum is missing.
-    """
+    """Standardised residuals of a likelihood that is a sum of squares."""
     return residuals_from(to_natural(problem.space, vector), problem)
 
 
@@ -513,32 +415,13 @@ PARTS = ("least_squares", "surrogate", "log_density", "residuals", "draw")  # of
 
 
 def as_arrays(tree: Any) -> Any:
-    """Floating-point leaves as arrays: data, which are no part of a compile key.
-
-    Args:
-        tree: any PyTree.
-
-    Returns:
-        The same tree.
-    """
+    """Floating-point leaves as arrays: data, which are no part of a compile key."""
     plain = jax.tree.map(lambda x: plain_array("inputs", x), tree)
     return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, plain)
 
 
 def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
-    """A parameter with its name, and the shape and start of what it replaces.
-
-    Args:
-        name: a word, or a path into a record.
-        parameter: as its user states it.
-        records: by name.
-
-    Returns:
-        The parameter.
-
-    Raises:
-        InputError: for a path that leads nowhere, and a shape that is not the record's.
-    """
+    """A parameter with its name, and the shape and start of what it replaces."""
     known = None
     if is_path(name):
         known = np.asarray(read(records, name))
@@ -570,17 +453,7 @@ def _within(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
 
 
 def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
-    """Arguments of a function by name.
-
-    Args:
-        function: a user's own.
-
-    Returns:
-        In their order.
-
-    Raises:
-        InputError: for what is no function.
-    """
+    """Arguments of a function by name."""
     if not callable(function):
         raise InputError(
             f"{function!r} is no function; give one whose arguments are named after what they are "
@@ -592,17 +465,7 @@ def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
 def named_and_rest(
     function: Callable[..., Any],
 ) -> tuple[tuple[inspect.Parameter, ...], bool]:
-    """Arguments of a function that derives something.
-
-    Args:
-        function: a user's own.
-
-    Returns:
-        Those with a name of their own, and whether it takes all others by name (`**`) as well.
-
-    Raises:
-        InputError: for one that takes any number by their place, and for what is no function.
-    """
+    """Arguments of a function that derives something."""
     found = arguments(function).values()
     for argument in found:
         if argument.kind is argument.VAR_POSITIONAL:
@@ -615,17 +478,7 @@ def named_and_rest(
 
 
 def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
-    """What a function asks for.
-
-    Args:
-        predict: whose arguments are named after what they are given.
-
-    Returns:
-        Their names.
-
-    Raises:
-        InputError: for one that takes any number of them, and for what is no function.
-    """
+    """What a function asks for."""
     found = arguments(predict)
     for name, argument in found.items():
         if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
@@ -634,15 +487,7 @@ def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def placed_like(given: Any, values: np.ndarray) -> Array:
-    """An array on the devices of another, so that data shared out among several stay so.
-
-    Args:
-        given: data as the user gave them.
-        values: of their shape.
-
-    Returns:
-        `values`, on the devices of `given` if that is an array of JAX.
-    """
+    """An array on the devices of another, so that data shared out among several stay so."""
     if not isinstance(given, jax.Array):
         return jnp.asarray(values)
     # Not `device_put`, which compares the values of all processes.
@@ -652,15 +497,7 @@ def placed_like(given: Any, values: np.ndarray) -> Array:
 def finite_data(data: Any) -> np.ndarray:
     """Data as an array.
 
-    Args:
-        data: of any shape; NaN where a datum is missing.
-
-    Returns:
-        The array, floating.
-
-    Raises:
-        InputError: for an infinite one.
-    """
+    `data`: of any shape; NaN where a datum is missing."""
     data = on_host(plain_array("data", data), dtype=jnp.result_type(float))
     if np.isinf(data).any():
         raise InputError(
@@ -670,15 +507,7 @@ def finite_data(data: Any) -> np.ndarray:
 
 
 def check_names(problem: "Problem", parameters: Mapping[str, Any]) -> None:
-    """Refuses names that clash, and arguments and likelihoods that name nothing.
-
-    Args:
-        problem: its parameters, records and likelihood in place.
-        parameters: as its user states them, by name.
-
-    Raises:
-        InputError: with the nearest known name.
-    """
+    """Refuses names that clash, and arguments and likelihoods that name nothing."""
     if not problem.free:
         raise InputError("Nothing to fit: give at least one Parameter.")
     for name in (*problem.fixed, *problem.tied):

@@ -68,16 +68,7 @@ def _offers(value: Any) -> str:
 def read(records: Mapping[str, Any], path: str) -> Array:
     """The number or array that a path leads to.
 
-    Args:
-        records: by name.
-        path: such as "scene.lights[0].position".
-
-    Returns:
-        The value, of any shape, in its own unit.
-
-    Raises:
-        InputError: for a path that leads to no floating-point number; it lists what is there.
-    """
+    Returns the value, of any shape, in its own unit."""
     value = reach(records, path)
     if not _is_number(value):
         raise InputError(f"{path} is no number; there is {_offers(value)}.")
@@ -85,18 +76,7 @@ def read(records: Mapping[str, Any], path: str) -> Array:
 
 
 def reach(records: Mapping[str, Any], path: str) -> Any:
-    """What a path leads to, a number or a record.
-
-    Args:
-        records: by name.
-        path: such as "camera.sensor".
-
-    Returns:
-        What is there.
-
-    Raises:
-        InputError: for a path that leads nowhere; it lists what is there.
-    """
+    """What a path leads to, a number or a record."""
     if head(path) not in records:
         raise InputError(
             f"{path}: there is no record {head(path)!r}; {nearest(head(path), records)}."
@@ -116,18 +96,7 @@ def reach(records: Mapping[str, Any], path: str) -> Any:
 
 
 def replaced(records: Mapping[str, Any], values: Mapping[str, Array]) -> dict[str, Any]:
-    """The records with other numbers at some paths.
-
-    Args:
-        records: by name.
-        values: by path, each of the shape of what it replaces, or one number for all of it.
-
-    Returns:
-        New records.
-
-    Raises:
-        InputError: for a value of another shape.
-    """
+    """The records with other numbers at some paths."""
     new = dict(records)
     for path, value in values.items():
         name = head(path)

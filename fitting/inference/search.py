@@ -142,17 +142,6 @@ def spread_starts(
     is stated. The others fill the box of prior quantiles by a Kronecker sequence; a parameter
     without both bounds and prior lies about its start.
 
-    Args:
-        problem: of P free numbers.
-        count: of starts.
-        seed: shifts the sequence.
-
-    Returns:
-        (count, P), unconstrained.
-
-    Raises:
-        InputError: when nothing says where to search for a parameter, and for no starts.
-
     Source:
         The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
     """
@@ -173,15 +162,9 @@ def unstarted(
 ) -> tuple[Float[np.ndarray, "starts parameters"], Float[np.ndarray, "starts parameters"]]:
     """Starts spread over bounds and priors, whatever the data.
 
-    Args:
-        problem: of P free numbers.
-        count: of starts.
-        seed: shifts the sequence.
-
-    Returns:
-        (count, P) unconstrained, NaN for a parameter without both bounds and prior; and (count, P)
-        the distance from its start at which such a one lies. A number that is found in closed form
-        is 0 everywhere.
+    Returns (count, P) unconstrained, NaN for a parameter without both bounds and prior; and (count,
+    P) the distance from its start at which such a one lies. A number that is found in closed form
+    is 0 everywhere.
     """
     closed = in_closed_form(problem)
     shares = _kronecker(count, len(problem.space), seed)
@@ -202,17 +185,7 @@ def starts_about(table: Any, distances: Any, given: Any, *, xp: Any = jnp) -> An
 
 
 def given_start(problem: Problem) -> Float[Array, " parameters"]:
-    """Each parameter's own start, unconstrained; NaN where it has none. Compiled, or traced.
-
-    Args:
-        problem: of P free numbers.
-
-    Returns:
-        (P,).
-
-    Raises:
-        InputError: for a start from the data that names no parameter or has another shape.
-    """
+    """Each parameter's own start, unconstrained; NaN where it has none. Compiled, or traced."""
     natural = [
         np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ())
         for p in problem.free
@@ -244,13 +217,7 @@ def start_at(
 ) -> Float[Array, " parameters"]:
     """A start from natural values, moved inside the bounds.
 
-    Args:
-        space: the P parameters.
-        natural: (P,) in their own units; NaN stays NaN.
-
-    Returns:
-        (P,), unconstrained.
-    """
+    `natural`: (P,) in their own units; NaN stays NaN."""
     low, high = np.array([ends(parameter) for parameter in space]).T
     xp = np if isinstance(natural, np.ndarray) else jnp
     size = xp.where(natural == 0, 1.0, abs(natural))
@@ -282,20 +249,7 @@ def search(
 ) -> Optimum:
     """The mode of a problem's posterior.
 
-    Args:
-        problem: of P free numbers.
-        starts: (starts, P), unconstrained.
-        solver: a least-squares solver or minimiser of optimistix; None chooses by the likelihood.
-        as_given: whether the starts are kept where only one number is searched, the others being
-            found in closed form; else a grid over it gives better ones.
-
-    Returns:
-        The best end, taken to the mode, and where all searches ended.
-
-    Raises:
-        InputError: when the prediction is finite at none of the starts, and for a solver that does
-            not suit the likelihood.
-    """
+    `solver`: a least-squares solver or minimiser of optimistix; None chooses by the likelihood."""
     begin = jnp.asarray(starts, jnp.result_type(float))
     mean, sd = (jnp.asarray(part, begin.dtype) for part in prior_gaussian(problem.space))
     modes = None
@@ -333,15 +287,7 @@ def search(
 
 
 def joined(one: Optimum, other: Optimum) -> Optimum:
-    """The better of two optima of a problem, with the ends of the searches of both.
-
-    Args:
-        one: of some starts.
-        other: of others.
-
-    Returns:
-        The optimum.
-    """
+    """The better of two optima of a problem, with the ends of the searches of both."""
     costs = np.concatenate([one.cost + one.costs, other.cost + other.costs])
     return replace(
         one if one.cost <= other.cost else other,
@@ -403,15 +349,7 @@ def _by_solver(starts: Array, problem: Problem, mean: Array, weight: Array, solv
 
 
 def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    """The cost that Newton's method lowers.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: to fit.
-
-    Returns:
-        ().
-    """
+    """The cost that Newton's method lowers."""
     return -log_density(vector, problem)
 
 
@@ -432,14 +370,7 @@ def _whole(vector: Vector, problem: Problem) -> Vector:
 
 def at_a_time(vectors: Float[Array, "searches parameters"]) -> int:
     """How many are searched at once. On a processor it is few: their residuals stay in its cache,
-    and none waits for more than one other to end. An accelerator takes all.
-
-    Args:
-        vectors: where the searches are.
-
-    Returns:
-        From 1 to all.
-    """
+    and none waits for more than one other to end. An accelerator takes all."""
     return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
 
 
@@ -559,28 +490,12 @@ def _prior_information(vector: Vector, problem: Problem) -> Array:
 
 
 def gauss_newton(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
-    """Cost, gradient and curvature of a sum of squares and its prior, as `with_prior` says.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: whose likelihood is one of least squares.
-
-    Returns:
-        (), (P,) and (P, P).
-    """
+    """Cost, gradient and curvature of a sum of squares and its prior, as `with_prior` says."""
     return with_prior(vector, problem, squares(vector, problem))
 
 
 def squares(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
-    """Half the sum of squared residuals, its gradient J^T r, and J^T J.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: whose likelihood is one of least squares.
-
-    Returns:
-        (), (P,) and (P, P).
-    """
+    """Half the sum of squared residuals, its gradient J^T r, and J^T J."""
     residuals, along = jax.linearize(lambda v: least_squares_residuals(v, problem), vector)
     jacobian = jax.vmap(along)(jnp.eye(vector.size, dtype=vector.dtype))
     return residuals @ residuals / 2, jacobian @ residuals, jacobian @ jacobian.T
@@ -592,16 +507,7 @@ def with_prior(
     """Cost, gradient and curvature of a sum of squares, with the prior's exact derivatives.
 
     The curvature leaves out that of the prediction in the natural values, as J^T J does, but not
-    that of the transforms: at a bound that binds the latter is most of it.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: whose likelihood is one of least squares.
-        of_data: as `squares` gives them, of all data.
-
-    Returns:
-        (), (P,) and (P, P).
-    """
+    that of the transforms: at a bound that binds the latter is most of it."""
     cost, steepness, gram = of_data
     unlikely, slope, bend = prior_derivatives(vector, problem)
     bent = jnp.diag(steepness * _relative_bend(problem, vector))
@@ -609,15 +515,7 @@ def with_prior(
 
 
 def prior_derivatives(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
-    """The prior's part of the cost, its gradient and curvature.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: of P free numbers.
-
-    Returns:
-        (), (P,) and (P, P).
-    """
+    """The prior's part of the cost, its gradient and curvature."""
 
     def prior(vector: Array) -> Array:
         return -log_prior(problem.space, vector)
@@ -644,20 +542,7 @@ Derivatives = tuple[Array, Array, Array]
 
 
 def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum:
-    """The mode of the posterior of all data.
-
-    Args:
-        problem: whose data are read in chunks.
-        sampled: where searches of its sample ended.
-        advance: is told how far each reading is.
-
-    Returns:
-        The mode, and the searches' ends with their cost by all data, 0 for those at one place with
-        the best.
-
-    Raises:
-        InputError: when the prediction is finite at none of the ends.
-    """
+    """The mode of the posterior of all data."""
     assert problem.stream is not None
     dtype, count = problem.data.dtype, problem.stream.count
     ends = jnp.asarray(sampled.ends, dtype)
@@ -696,17 +581,7 @@ def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum
 def derivatives(
     vector: Vector, problem: Problem, advance: Advance, *, exact: bool = False
 ) -> Derivatives:
-    """Cost, gradient and curvature over all data.
-
-    Args:
-        vector: (P,) unconstrained.
-        problem: whose data are read in chunks, or which has but one.
-        advance: is told how far the reading is.
-        exact: the Hessian itself, also where the likelihood is one of least squares.
-
-    Returns:
-        (), (P,) and (P, P).
-    """
+    """Cost, gradient and curvature over all data."""
     by_squares = problem.likelihood.least_squares and not exact
     of_chunk = _squares if by_squares else _of_data
     totals: Any = None

@@ -66,16 +66,6 @@ def non_negative_amplitudes(
     The optimum solves the unconstrained problem on its own support, so with few columns every
     support is tried: branch-free, hence cheap under `vmap`. A column of zeros gets 0.
 
-    Args:
-        gram: (columns, columns) G, symmetric and positive semi-definite.
-        moment: (columns,) b.
-
-    Returns:
-        a, (columns,), and the minimum.
-
-    Raises:
-        ValueError: for more than four columns.
-
     Example:
         >>> from fitting.inference.separable import non_negative_amplitudes
         >>> amplitudes, _ = non_negative_amplitudes(jnp.eye(2), jnp.array([3.0, -1.0]))
@@ -104,17 +94,7 @@ def amplitudes(
     moment: Float[Array, " columns"],
     signed: tuple[bool, ...],
 ) -> Float[Array, " columns"]:
-    """The a that minimise a^T G a - 2 a^T b, free or at least 0.
-
-    Args:
-        gram: (columns, columns) G, symmetric and positive semi-definite.
-        moment: (columns,) b.
-        signed: of each column, whether a >= 0.
-
-    Returns:
-        (columns,). Of more than `MOST_SIGNED` that are at least 0, the support is that of
-        coordinate descent, exact unless columns are nearly alike.
-    """
+    """The a that minimise a^T G a - 2 a^T b, free or at least 0."""
     if not any(signed):
         return _solve_scaled(gram, moment)[0]
     if sum(signed) > MOST_SIGNED:
@@ -185,22 +165,7 @@ def fit_separable(
     upper: float,
     coarse: Float[Array, "knots observations"] | None = None,
 ) -> SeparableFit:
-    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t.
-
-    Args:
-        columns: g at many t in one call: (knots,) to (knots, observations). The grid must show the
-            deepest valley, so t should be a coordinate (a logarithm, say) in which valleys are
-            alike.
-        fixed: (fixed, observations), at most three columns.
-        values: (observations, bands) y.
-        weights: (observations, bands), inverse variances; 0 leaves an observation out.
-        lower: lower end of the interval of t.
-        upper: upper end; at either end the search stops there.
-        coarse: `columns` of the first grid, `first_knots(lower, upper)`, where fits share it.
-
-    Returns:
-        The best fit, t to about 1e-7 of the interval.
-    """
+    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t."""
     knots = first_knots(lower, upper)
     table = columns(jnp.asarray(knots, values.dtype)) if coarse is None else coarse
     amplitudes, cost = _projected(table, fixed, values, weights)
@@ -224,16 +189,7 @@ def fit_amplitudes(
     values: Float[Array, "observations bands"],
     weights: Float[Array, "observations bands"],
 ) -> SeparableFit:
-    """`fit_separable` without a searched column: its amplitudes are 0, its t is NaN.
-
-    Args:
-        fixed: (fixed, observations).
-        values: (observations, bands).
-        weights: (observations, bands), inverse variances.
-
-    Returns:
-        The best fit.
-    """
+    """`fit_separable` without a searched column: its amplitudes are 0, its t is NaN."""
     nothing = jnp.zeros((1, fixed.shape[1]), values.dtype)
     amplitudes, cost = _projected(nothing, fixed, values, weights)
     return SeparableFit(amplitudes[0], float("nan"), float(cost[0]))
@@ -265,15 +221,7 @@ def _projected(
 
 
 def in_closed_form(problem: Problem) -> tuple[int, ...]:
-    """Places in a problem's space of the numbers that are found in closed form.
-
-    Args:
-        problem: whose parameters may be linear.
-
-    Returns:
-        Ascending; none under a likelihood that neither is one of least squares nor has such a
-        surrogate.
-    """
+    """Places in a problem's space of the numbers that are found in closed form."""
     surrogate = problem.likelihood.surrogate
     if not (
         problem.likelihood.least_squares or (surrogate is not None and surrogate.least_squares)
@@ -297,15 +245,7 @@ class Eliminated(eqx.Module):
 
 
 def eliminated(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Eliminated:
-    """The best linear numbers at given nonlinear ones.
-
-    Args:
-        nonlinear: (P - K,) unconstrained.
-        problem: of least squares, with K numbers in closed form.
-
-    Returns:
-        Differentiable by `nonlinear`.
-    """
+    """The best linear numbers at given nonlinear ones."""
     closed = in_closed_form(problem)
     rest, along = jax.linearize(
         lambda a: residuals_from(_natural(nonlinear, a, problem), problem),
@@ -344,15 +284,7 @@ def completed(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[
 
 
 def require_linear(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> None:
-    """Refuses parameters that are stated to be linear and are not.
-
-    Args:
-        nonlinear: (P - K,) unconstrained, where to look.
-        problem: of least squares, with K numbers in closed form.
-
-    Raises:
-        InputError: where residuals at 0, once and twice some values are not on a line.
-    """
+    """Refuses parameters that are stated to be linear and are not."""
     on_line, own = (on_host(x) for x in _bends(nonlinear, problem))
     size = np.max(np.abs(on_line)) + np.finfo(on_line.dtype).tiny
     if np.isfinite(own).all() and np.max(np.abs(own)) > BEND * size:

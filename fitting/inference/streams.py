@@ -75,19 +75,8 @@ def opened(
 ) -> tuple[Stream, np.ndarray, Any, Any]:
     """Reads all data once: counts, checks and samples them.
 
-    Args:
-        data: (rows, ...) array, or a function without arguments that yields arrays, or pairs of
-            such an array and its inputs.
-        inputs: PyTree; leaves with as long a first axis as an array of data are cut with it.
-        likelihood: its numbers likewise.
-        size: rows of a chunk.
-
-    Returns:
-        The stream, and a sample: `size` rows of data in their order, NaN in rows that are missing,
-        their inputs and their likelihood.
-
-    Raises:
-        InputError: for data that are no such thing, that are infinite or none, and for groups.
+    Returns the stream, and a sample: `size` rows of data in their order, NaN in rows that are
+    missing, their inputs and their likelihood.
     """
     if isinstance(likelihood, Clustered):
         raise InputError(
@@ -128,18 +117,7 @@ def opened(
 
 
 def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
-    """The problem with one chunk of its data after another, all of one shape.
-
-    Args:
-        problem: a `Problem`; one without a stream is its own only chunk.
-        advance: is told how far the reading is.
-
-    Yields:
-        Problems.
-
-    Raises:
-        InputError: when the data are not as many as at first.
-    """
+    """The problem with one chunk of its data after another, all of one shape."""
     stream = problem.stream
     if stream is None:
         yield problem

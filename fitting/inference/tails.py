@@ -35,12 +35,7 @@ def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
 
     JAX's own slope is 30 % of that at -1e4 in float32, and 1 at -1e10 in float64.
 
-    Args:
-        z: (...) standard deviations.
-
-    Returns:
-        (...) no unit.
-    """
+    Returns (...) no unit."""
     return _log_ndtr(z)
 
 
@@ -73,14 +68,7 @@ def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def ndtri_exp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The z with log Phi(z) = `log_p`.
-
-    Args:
-        log_p: (...) of a probability, at most 1/2 for all digits.
-
-    Returns:
-        (...) standard deviations; -inf for a probability of 0.
-    """
+    """The z with log Phi(z) = `log_p`."""
     rare = log_p < _RARE
     square = -2 * jnp.where(rare & jnp.isfinite(log_p), log_p, _RARE)
     z = -jnp.sqrt(square - jnp.log(2 * np.pi * square))
@@ -105,13 +93,7 @@ def log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array
     would cost it its digits, from the density: by Gauss-Laguerre quadrature on the length on which
     the tail falls, and from there to the median by Gauss-Legendre quadrature.
 
-    Args:
-        z: (...) scales.
-        dof: (...) degrees of freedom, above 0; taken as known by derivatives.
-
-    Returns:
-        (...) no unit.
-    """
+    Returns (...) no unit."""
     return _log_student(z, dof)
 
 
@@ -160,13 +142,7 @@ def _over(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
 def student_log_density(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
     """ln of Student's density at z scales, of scale 1.
 
-    Args:
-        z: (...) scales.
-        dof: (...) degrees of freedom, above 0.
-
-    Returns:
-        (...) no unit.
-    """
+    Returns (...) no unit."""
     norm = _half_step(dof / 2) - jnp.log(dof) / 2 - HALF_LOG_PI
     return norm - (dof + 1) / 2 * _log1p_square(z / jnp.sqrt(dof))
 
