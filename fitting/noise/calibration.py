@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from jaxvision import as_dtype
+from jaxvision.errors import InputError
 
 from ..inference.compiled import compiled_briefly
 from ..inference.emcee_run import Emcee
@@ -53,6 +54,24 @@ BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 _evaluated = compiled_briefly(evaluate)
 
 
+@dataclass(frozen=True)
+class Likelihood:
+    """What maximum likelihood tells of a camera.
+
+    Attributes:
+        linear: the fit of a linear camera.
+        chosen: of the model that the camera calls for; `linear` where that does.
+        posterior: of the chosen model.
+        standard_of_chosen: K, DN/e-, that the standard's regression gives for the chosen model's
+            own curves.
+    """
+
+    linear: LikelihoodFit
+    chosen: LikelihoodFit
+    posterior: Posterior
+    standard_of_chosen: float
+
+
 @dataclass(frozen=True, repr=False)
 class NoiseCalibration(ShownInNotebooks):
     """A calibrated camera, which findings, figures and report read.
@@ -62,12 +81,9 @@ class NoiseCalibration(ShownInNotebooks):
         within: which levels enter what, by the standard.
         usable: indices of the bright levels below saturation.
         standard: the sheet by the standard's regressions.
-        linear: the likelihood fit of a linear camera.
-        chosen: of the model that the camera calls for; `linear` where that does.
-        posterior: of the chosen model.
+        likelihood: what maximum likelihood tells; None where it has no maximum.
+        no_likelihood: why it tells nothing, in a sentence; empty where it does.
         sheet: figures of the chosen model.
-        standard_of_chosen: K, DN/e-, that the standard's regression gives for the chosen model's
-            own curves.
         patterns: DSNU and PRNU by the standard and by the fit to all levels; None where only
             temporal sums are known.
         left_out: what the likelihood does without, as no fit can tell.
@@ -80,15 +96,40 @@ class NoiseCalibration(ShownInNotebooks):
     within: Ranges
     usable: Int[np.ndarray, " usable"]
     standard: Evaluation
-    linear: LikelihoodFit
-    chosen: LikelihoodFit
-    posterior: Posterior
+    likelihood: Likelihood | None
+    no_likelihood: str
     sheet: tuple[Estimate, ...]
-    standard_of_chosen: float
     patterns: tuple[PatternVariance, PatternVariance] | None
     left_out: tuple[LeftOut, ...]
     flicker: dict[str, Found]
     periodic: tuple[Periodic, ...] = ()
+
+    def _of_likelihood(self) -> Likelihood:
+        if self.likelihood is None:
+            raise InputError(self.no_likelihood)
+        return self.likelihood
+
+    @property
+    def linear(self) -> LikelihoodFit:
+        """The likelihood fit of a linear camera; `InputError` where it has no maximum."""
+        return self._of_likelihood().linear
+
+    @property
+    def chosen(self) -> LikelihoodFit:
+        """The fit of the model that the camera calls for; `InputError` likewise."""
+        return self._of_likelihood().chosen
+
+    @property
+    def posterior(self) -> Posterior:
+        """Of the chosen model; `InputError` likewise."""
+        return self._of_likelihood().posterior
+
+    @property
+    def gain(self) -> float:
+        """K, DN/e-, as the table shows it: the likelihood's, or the standard's without that."""
+        told = self.shown.get("system_gain")
+        of_standard = float(self.standard.values["system_gain"])
+        return of_standard if told is None or told.value is None else told.value
 
     @property
     def unequal(self) -> float:
@@ -98,6 +139,8 @@ class NoiseCalibration(ShownInNotebooks):
     @property
     def shown(self) -> dict[str, Estimate]:
         """The likelihood's figures and parameters by name, as tables show them."""
+        if self.likelihood is None:
+            return {}
         by_name = {found.name: found for found in estimates(self.posterior)}
         return by_name | {found.name: found for found in self.sheet}
 
@@ -108,6 +151,8 @@ class NoiseCalibration(ShownInNotebooks):
         photons are not known."""
         if not self.measurement.photons_known:
             return None
+        if self.likelihood is None:
+            return float(self.standard.values["quantum_efficiency"]) / 100
         values = dict(zip(names(self.posterior.space), self.posterior.mode, strict=True))
         at_mode = float(values["responsivity"] / values["system_gain"])
         shown = (self.shown["quantum_efficiency"].value or 0.0) / 100
@@ -126,10 +171,7 @@ def calibrate(
         seed: of every draw.
 
     Returns:
-        The calibration.
-
-    Raises:
-        InputError: where a fit has no maximum.
+        The calibration; without a likelihood where that has no maximum.
     """
     require_kind("noise.calibrate: measurement", measurement, PhotonTransfer, source="from_frames")
     measurement = as_dtype(measurement, np.float64)  # of a caller in float32
@@ -143,29 +185,31 @@ def calibrate(
     window, gone = needed_window(measurement, usable)
     offsets = None if window is None else offset_data(measurement, usable)
     data = noise_data(measurement, usable, window=window, offsets=offsets)
-    linear, chosen = choose_model(measurement, within, data, standard.values)
-    posterior = _posterior(chosen, sampling, seed)
+    likelihood, why, sheet = None, "", ()
+    try:
+        linear, chosen = choose_model(measurement, within, data, standard.values)
+        posterior = _posterior(chosen, sampling, seed)
+        of_chosen = _standard_gain_of(chosen, within, usable)
+        likelihood = Likelihood(linear, chosen, posterior, of_chosen)
+        sheet = _with_limits(_likelihood_estimates(chosen, posterior, within, usable), chosen)
+    except InputError as error:
+        why = str(error)
     periodic = periodic_structure(measurement, usable)
     unequal = unequal_gains_of(periodic)
     patterns = None
     if measurement.bright.spatial_variance is not None:
-        fit_to_all = _behind_rounding(fitted_pattern(measurement, usable), posterior)
+        fit_to_all = fitted_pattern(measurement, usable)
+        if likelihood is not None:
+            fit_to_all = _behind_rounding(fit_to_all, likelihood.posterior)
         patterns = standard_pattern(measurement, within), fit_to_all
     return NoiseCalibration(
         measurement=measurement,
         within=within,
         usable=usable,
         standard=standard,
-        linear=linear,
-        chosen=chosen,
-        posterior=posterior,
-        sheet=tuple(
-            widened(one, unequal)
-            for one in _with_limits(
-                _likelihood_estimates(chosen, posterior, within, usable), chosen
-            )
-        ),
-        standard_of_chosen=_standard_gain_of(chosen, within, usable),
+        likelihood=likelihood,
+        no_likelihood=why,
+        sheet=tuple(widened(one, unequal) for one in sheet),
         patterns=patterns,
         left_out=gone,
         flicker=flicker,

@@ -96,9 +96,11 @@ def photon_transfer_figure(calibration: NoiseCalibration) -> Figure:
         label="clipped, below the axis" if (beyond & below).any() else None,
         ms=6,
     )
-    _, moments, unlit = _model_curve(calibration)
-    curve_x, curve_y = moments.mean - unlit.mean, moments.variance - unlit.variance
-    upper.loglog(curve_x, curve_y, color=ORANGE, lw=1.5, label="fitted camera")
+    curve_x = curve_y = np.zeros(0)
+    if calibration.likelihood is not None:
+        _, moments, unlit = _model_curve(calibration)
+        curve_x, curve_y = moments.mean - unlit.mean, moments.variance - unlit.variance
+        upper.loglog(curve_x, curve_y, color=ORANGE, lw=1.5, label="fitted camera")
     ends = np.array([signal[used & drawable].min(), signal.max()])
     upper.loglog(
         ends, gain * ends, color="k", lw=0.8, ls="--", label=f"EMVA 1288: K = {gain:.4g} DN/e⁻"
@@ -133,8 +135,9 @@ def responsivity_figure(calibration: NoiseCalibration) -> Figure:
     within = np.asarray(calibration.within.linearity)
     figure, upper, lower = _two_panels()
     upper.plot(light, signal, ".", color=BLUE, ms=6, label="levels")
-    x, moments, unlit = _model_curve(calibration, spacing="even")
-    upper.plot(x, moments.mean - unlit.mean, color=ORANGE, lw=1.5, label="fitted camera")
+    if calibration.likelihood is not None:
+        x, moments, unlit = _model_curve(calibration, spacing="even")
+        upper.plot(x, moments.mean - unlit.mean, color=ORANGE, lw=1.5, label="fitted camera")
     _mark_saturation(calibration, (upper,), light)
     upper.set_ylabel("mean signal above dark [DN]")
     upper.legend(fontsize=9)
@@ -162,9 +165,11 @@ def signal_to_noise_figure(calibration: NoiseCalibration) -> Figure:
     if calibration.within.saturation is not None:
         shown &= light <= float(calibration.within.saturation)
     axis.loglog(light[shown], signal[shown] / noise[shown], ".", color=BLUE, ms=6, label="levels")
-    x, moments, unlit = _model_curve(calibration, faintest=_faintest(calibration))
-    ratio = (moments.mean - unlit.mean) / np.sqrt(moments.variance)
-    axis.loglog(x, ratio, color=ORANGE, lw=1.5, label="fitted camera")
+    x = light[shown]
+    if calibration.likelihood is not None:
+        x, moments, unlit = _model_curve(calibration, faintest=_faintest(calibration))
+        ratio = (moments.mean - unlit.mean) / np.sqrt(moments.variance)
+        axis.loglog(x, ratio, color=ORANGE, lw=1.5, label="fitted camera")
     if measurement.photons_known:
         axis.loglog(x, np.sqrt(x), color=GREY, lw=0.8, label="ideal sensor")
     values = calibration.standard.values

@@ -17,7 +17,7 @@ from .levels import PhotonTransfer
 from .misfit import MISFIT
 from .neighbours import are_known
 from .parts import Part, deviation_quantiles
-from .pattern import unequal_gains, unequal_offsets
+from .pattern import pattern_variance, unequal_gains, unequal_offsets
 from .periodic import periodic_in_words
 from .printed_times import printed_times_in_words
 from .raw_frames import BLOCK, is_compressed, processing_in_words
@@ -27,6 +27,9 @@ LEAST_EFFICIENCY = 1e-4  # of any sensor, for light that it is made for
 FAR = 3.0  # standard errors between two figures that should agree
 ASTRAY = 0.5  # relative deviation of a gain from which it is none
 FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset
+SURE = 6.0  # standard errors by which darks are smoothly uneven
+GROWS = 3.0  # times as uneven as at the shortest exposure, rms
+MATTERS = 0.1  # of the noise of a pixel
 SAID = 2.0  # standard errors below which an offset of the light is not told
 
 
@@ -41,11 +44,11 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *_efficiency(calibration),
         *_periodic(calibration),
         *_converter(calibration),
-        *_linearity(calibration),
-        *_random_effects(calibration),
+        *_of_likelihood(calibration),
         *_standard_scatter(calibration),
         *_near_black(calibration),
         *_saturation(calibration),
+        *_glow(calibration),
         *_dark_current(calibration),
         *_linearity_errors(calibration),
         *_shared(calibration),
@@ -78,10 +81,13 @@ def is_no_sensor(calibration: NoiseCalibration) -> bool:
         calibration: of a camera.
 
     Returns:
-        True where more electrons are counted than photons arrive, or frames were not raw.
+        True where more electrons are counted than photons arrive, frames were not raw, or no
+        likelihood has a maximum.
     """
-    return is_impossible(calibration) or bool(
-        processing_in_words(calibration.measurement, calibration.usable)
+    return (
+        calibration.likelihood is None
+        or is_impossible(calibration)
+        or bool(processing_in_words(calibration.measurement, calibration.usable))
     )
 
 
@@ -99,7 +105,7 @@ def _periodic(calibration: NoiseCalibration) -> list[str]:
     """What was found, without the blocks of a compression."""
     blocks = is_compressed(calibration.measurement, calibration.usable)
     found = [one for one in calibration.periodic if not (blocks and one.period == BLOCK)]
-    return periodic_in_words(tuple(found), _shown(calibration, "system_gain")[0])
+    return periodic_in_words(tuple(found), calibration.gain)
 
 
 def _efficiency(calibration: NoiseCalibration) -> list[str]:
@@ -127,7 +133,7 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
     told = converter_in_words(converter, measurement.full_scale)
     read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
     if converter.imbalance and read is not None and read.value and read.standard_error:
-        gain = _shown(calibration, "system_gain")[0]
+        gain = calibration.gain
         more = converter.rounding - replace(converter, imbalance=0.0).rounding
         moved = more / (2 * gain**2 * read.value)
         if moved > read.standard_error / 2:
@@ -137,6 +143,16 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
                 f"which lowers read noise by {moved:.2g} e⁻."
             )
     return told
+
+
+def _of_likelihood(calibration: NoiseCalibration) -> list[str]:
+    if calibration.likelihood is None:
+        why = calibration.no_likelihood.rstrip(".")
+        return [
+            f"Maximum likelihood gives no figures: {why[:1].lower()}{why[1:]}. The standard's "
+            "regressions need no maximum; their figures stand, with errors by their scatter."
+        ]
+    return [*_linearity(calibration), *_random_effects(calibration)]
 
 
 def _linear_model(calibration: NoiseCalibration) -> str:
@@ -215,6 +231,7 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
 
 
 def _compression(calibration: NoiseCalibration) -> list[str]:
+    assert calibration.likelihood is not None
     chosen, standard = calibration.chosen, calibration.standard
     drop = float(gain_drop(chosen.values, chosen.data))
     one_term = "compression_2" not in chosen.values
@@ -230,7 +247,7 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
         f"K = {format_with_error(gain, error)} DN/e⁻ holds at zero signal, the "
         f"standard's {float(standard.values['system_gain']):.5f} is a mean slope up to 70 % of "
         "saturation, weighted towards its upper end; put through the standard's own "
-        f"regression, the fitted curves give {calibration.standard_of_chosen:.5f}.",
+        f"regression, the fitted curves give {calibration.likelihood.standard_of_chosen:.5f}.",
     ]
 
 
@@ -329,7 +346,7 @@ def _standard_scatter(calibration: NoiseCalibration) -> list[str]:
 
 def _near_black(calibration: NoiseCalibration) -> list[str]:
     told = []
-    window = calibration.chosen.data.window
+    window = None if calibration.likelihood is None else calibration.chosen.data.window
     if window is not None:
         count = len(np.unique(window.levels))
         told.append(
@@ -360,6 +377,32 @@ def _saturation(calibration: NoiseCalibration) -> list[str]:
         f"Saturation is the level of largest variance, {format_within(level, width)} {unit}; the "
         f"true point lies between its neighbours, {format_within(width, width)} {unit} apart, "
         "which is most of the error of every capacity."
+    ]
+
+
+def _glow(calibration: NoiseCalibration) -> list[str]:
+    """Darks that are smoothly uneven, the more so the longer they are exposed."""
+    dark = calibration.measurement.dark
+    if dark.local_pattern is None or dark.spatial_variance is None:
+        return []
+    exposure = np.asarray(dark.exposure)
+    short, long = int(np.argmin(exposure)), int(np.argmax(exposure))
+    pattern, by_noise = pattern_variance(dark)
+    smooth = pattern - np.asarray(dark.local_pattern)
+    of_pixels = 8 / float(dark.pixels) * np.asarray(dark.local_pattern) ** 2
+    error = np.sqrt(2 * by_noise + of_pixels)
+    beneath = max(smooth[short], 0.0) + error[short]
+    noise = float(np.sqrt(np.median(np.asarray(dark.variance))))
+    uneven = np.sqrt(np.maximum(smooth, 0.0))
+    if smooth[long] < max(SURE * error[long], GROWS**2 * beneath, (MATTERS * noise) ** 2):
+        return []
+    rise = float(dark.mean[long] - dark.mean[short])
+    return [
+        f"Without light the frames are smoothly uneven, by {uneven[long]:.3g} DN rms at "
+        f"{exposure[long]:.3g} s and {uneven[short]:.2g} DN at {exposure[short]:.3g} s, where "
+        f"their mean is {rise:.3g} DN lower: light leaks in, the read-out glows, or the sensor is "
+        "warmer at one side. It counts as dark current and DSNU, which are then not the pixels' "
+        "own; cover the camera, or calibrate a region (camera.region) that is even."
     ]
 
 
@@ -395,7 +438,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
     if dark.shared is None:
         return []
     variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
-    scale, unit = _shown(calibration, "system_gain")[0], "e⁻"
+    scale, unit = calibration.gain, "e⁻"
     told = []
     for axis, name in enumerate(("rows", "columns")):
         found = temporal_lines(dark.shared, variance, frames, axis)
@@ -415,7 +458,7 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
             told.append(
                 f"The {name} of the darks are unequal by "
                 f"{format_with_error(stays.deviation / scale, error / scale)} {unit} rms, the same "
-                "in every frame: banding, part of DSNU."
+                f"in every frame: {'' if _glow(calibration) else 'banding, '}part of DSNU."
             )
     return told
 
@@ -468,6 +511,8 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
 
 
 def _solver(calibration: NoiseCalibration) -> list[str]:
+    if calibration.likelihood is None:
+        return []
     chosen = calibration.chosen
     solution = chosen.solution
     judged = identifiability(

@@ -26,6 +26,7 @@ from .parts import Part, sampling_variance
 from .shared import NOTHING, Found, fixed_lines, one_pattern
 
 HALF = 0.5  # of the saturation signal: where the standard measures PRNU
+MOSTLY = 2.0  # times the bound by temporal noise alone, beyond which other errors make it
 SEEN = 2.0  # standard errors above zero from which a pattern variance is a finding
 
 
@@ -35,14 +36,17 @@ class Spread:
 
     Attributes:
         variance: DN^2 of offsets; of gains relative, no unit.
-        noise: its standard error by temporal noise.
+        noise: its standard error without that of the die.
         parts: of pixels, and of rows and columns where their means are known; 0 where rows or
             columns are not believed to differ.
+        temporal: the part of `noise` that temporal noise makes, which more frames lower; None where
+            it makes all.
     """
 
     variance: float
     noise: float
     parts: tuple[Part, ...]
+    temporal: float | None = None
 
     @property
     def error(self) -> float:
@@ -51,8 +55,21 @@ class Spread:
 
     @property
     def seen(self) -> bool:
-        """Whether temporal noise does not hide it."""
+        """Whether its errors do not hide it."""
         return self.variance > SEEN * self.noise
+
+    @property
+    def bound(self) -> float:
+        """What the variance is below where it is hidden."""
+        return self._below(self.noise)
+
+    @property
+    def hidden_by_noise(self) -> bool:
+        """Whether it is temporal noise that hides it, so that more frames help."""
+        return self.temporal is None or self.bound < MOSTLY * self._below(self.temporal)
+
+    def _below(self, noise: float) -> float:
+        return max(self.variance, 0.0) + SEEN * noise
 
 
 @dataclass(frozen=True)
@@ -235,8 +252,11 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
     gains = _all_unequal_gains(measurement, linear)
     response = _of_population(bright, of_die, 0.0, gains)
     chance = 4 * signal[level] ** 2 * _chance_covariance(offsets, response, float(bright.pixels))
-    noise = float(np.sqrt(by_noise[level] + dark_by_noise[own] + chance) / signal[level] ** 2)
-    return PatternVariance(offsets, replace(response, noise=noise), level=level)
+    temporal = by_noise[level] + dark_by_noise[own]
+    noise, temporal = (
+        float(np.sqrt(x) / signal[level] ** 2) for x in (temporal + chance, temporal)
+    )
+    return PatternVariance(offsets, replace(response, noise=noise, temporal=temporal), level=level)
 
 
 def fitted_pattern(
@@ -263,6 +283,9 @@ def fitted_pattern(
     design = np.stack([np.ones_like(signal), signal**2], axis=1)
     degrees = max(len(observed) - 2, 1)
 
+    by_temporal = np.linalg.inv(design.T @ (design / by_noise[:, None]))
+    by_temporal = np.sqrt(np.diagonal(by_temporal))
+
     def fit(chance: float) -> tuple[Spread, Spread, float]:
         """Offsets, gains and chi-square, given the variance of their chance covariance."""
         weights = np.linalg.inv(np.diag(by_noise) + 4 * chance * np.outer(signal, signal))
@@ -272,8 +295,10 @@ def fitted_pattern(
         chi_square = float(left @ weights @ left)
         noise = np.sqrt(np.diagonal(covariance) * max(chi_square / degrees, 1))
         offsets, gains = (
-            _of_population(levels, float(one), float(error), lines)
-            for levels, one, error, lines in zip((dark, bright), found, noise, unequal, strict=True)
+            replace(_of_population(levels, float(one), float(error), lines), temporal=float(own))
+            for levels, one, error, own, lines in zip(
+                (dark, bright), found, noise, by_temporal, unequal, strict=True
+            )
         )
         return offsets, gains, chi_square
 

@@ -16,8 +16,9 @@ from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate,
 from .emva1288 import is_floored, least_dark_variance
 from .figures import noise_pictures
 from .findings import findings, is_no_sensor
+from .misfit import MISFIT
 from .parts import deviation_quantiles
-from .pattern import SEEN
+from .pattern import PatternVariance, Spread
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
 
@@ -43,7 +44,15 @@ def section(calibration: NoiseCalibration) -> Section:
     Returns:
         Estimates by both methods, findings, tables and pictures.
     """
-    chosen = calibration.chosen
+    likelihood = calibration.likelihood
+    of_fit = {}
+    if likelihood is not None:
+        chosen = likelihood.chosen
+        of_fit = {
+            "parameters": ", ".join(names(chosen.space)),
+            "exact moments of clipping and rounding": chosen.data.window is not None,
+            "covariance inflated by": chosen.inflation,
+        }
     return Section(
         kind=KIND,
         title=TITLE,
@@ -51,11 +60,11 @@ def section(calibration: NoiseCalibration) -> Section:
         findings=findings(calibration),
         pictures=noise_pictures(calibration),
         tables=(
-            _models_table(calibration),
-            *_area_changes_table(calibration),
+            *(() if likelihood is None else (_models_table(calibration),)),
+            *(() if likelihood is None else _area_changes_table(calibration)),
             *left_out_tables([("", calibration.left_out)]),
         ),
-        posteriors={"": calibration.posterior},
+        posteriors={} if likelihood is None else {"": likelihood.posterior},
         records={}
         if is_no_sensor(calibration)
         else {"sensor": partial(write_fitted_sensor, calibration)},
@@ -66,9 +75,7 @@ def section(calibration: NoiseCalibration) -> Section:
             "bright levels of the standard's gain": int(calibration.within.sensitivity.sum()),
             "dark levels": calibration.measurement.dark.mean.size,
             "pixels": int(calibration.measurement.bright.pixels),
-            "parameters": ", ".join(names(chosen.space)),
-            "exact moments of clipping and rounding": chosen.data.window is not None,
-            "covariance inflated by": chosen.inflation,
+            **of_fit,
         },
     )
 
@@ -174,6 +181,8 @@ def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
 
 
 def _why_missing(calibration: NoiseCalibration, name: str) -> str:
+    if calibration.likelihood is None and name in calibration.standard.values:
+        return "maximum likelihood has no maximum here, as the findings say"
     if name in NEED_PHOTONS and not calibration.measurement.photons_known:
         return "the light was not measured; give photons or irradiance for every flat"
     if name in NEED_SATURATION:
@@ -193,15 +202,15 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
         return (not_determined(quantity, reason),)
     gain = float(calibration.standard.values["system_gain"])
     gain_error = float(calibration.standard.errors["system_gain"]) / gain
-    by_fit = {estimate.name: estimate for estimate in calibration.sheet}["system_gain"]
+    fitted = calibration.shown.get("system_gain")
     found = []
     for pattern, method, k, relative in (
         (calibration.patterns[0], STANDARD, gain, gain_error),
         (
             calibration.patterns[1],
             LIKELIHOOD,
-            by_fit.value or gain,
-            (by_fit.standard_error or 0.0) / (by_fit.value or gain),
+            calibration.gain,
+            gain_error if fitted is None else (fitted.standard_error or 0.0) / calibration.gain,
         ),
     ):
         if name == "dsnu":
@@ -209,8 +218,8 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
         else:
             spread, scale, relative = pattern.response, 100.0, 0.0
         if not spread.seen:
-            bound = scale * np.sqrt(max(spread.variance, 0) + SEEN * spread.noise)
-            reason = f"hidden under temporal noise, below {bound:.3g} {unit}; take more frames"
+            why = _why_hidden(pattern, spread)
+            reason = why.format(f"below {scale * np.sqrt(spread.bound):.3g} {unit}")
             found.append(not_determined(quantity, reason, method=method))
             continue
         value = float(np.sqrt(spread.variance))
@@ -220,6 +229,19 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
         )
         found.append(quantile_estimate(quantity, scale * value, error, ends, method=method))
     return tuple(found)
+
+
+def _why_hidden(pattern: PatternVariance, spread: Spread) -> str:
+    """Why a pattern is not seen, with room for its bound."""
+    if spread.hidden_by_noise:
+        return "hidden under temporal noise, {}; take more frames"
+    if pattern.p_value is not None and pattern.p_value < MISFIT:
+        return (
+            "unevenness does not grow with the signal as offsets and gains of pixels do "
+            f"(chi-square per degree of freedom {pattern.chi_square_per_dof:.3g}), which no number "
+            "of frames changes"
+        )
+    return "{}: what offsets and gains of the pixels have in common by chance hides it"
 
 
 def _models_table(calibration: NoiseCalibration) -> Table:

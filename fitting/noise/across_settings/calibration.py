@@ -140,6 +140,7 @@ def calibrate_one(
     if isinstance(one.frames, Levels):
         return None
     try:
-        return calibrate(one.frames, sampling=sampling, seed=seed)
+        found = calibrate(one.frames, sampling=sampling, seed=seed)
     except InputError as error:
         return error
+    return found if found.likelihood is not None else InputError(found.no_likelihood)
