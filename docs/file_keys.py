@@ -2,31 +2,50 @@
 
 import inspect
 import re
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from dataclasses import MISSING
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from site_text import write
 
 from fitting.rig import Camera as RigCamera
 from fitting.rig import Dark, Exposure, Flat, Geometry, Light, SphereGeometry
-from jaxvision.scene_files import (
-    camera_schema,
-    light_schema,
-    material_schema,
-    spectrum_schema,
-    surface_schema,
-)
-from jaxvision.scene_files.schema import RenderEntry, SceneEntry
+from jaxvision._types import members_of
+from jaxvision.record_files import Key, keys_of
+from jaxvision.scene import AmbientLight
+from jaxvision.scene_files import tables as scene_tables
+from jaxvision.scene_files.bands import Tabulated
+from jaxvision.scene_files.schema import Grid, RenderEntry, SceneEntry
+
+
+def kinds_of(word, tables, beside=None):
+    """The tables of one place: what says which it is, what makes its record, and its keys."""
+    more = {} if beside is None else keys_of(beside)
+    return [
+        (f'{word} = "{name}"', make, {word: Key(str, MISSING, f'"{name}".')} | more | keys)
+        for name, (make, keys) in tables.items()
+    ]
+
+
+def plain(makers):
+    return {name: (make, keys_of(make)) for name, make in makers.items()}
+
+
+def registered(tables):
+    return {name: (table.make, scene_tables.keys_of_kind(table)) for name, table in tables.items()}
+
 
 SCENE = {  # the tables of a scene file, in the order of the page
-    "[camera]": camera_schema.Camera,
-    "[[surface]]": surface_schema.Surface,
-    "[material.NAME]": material_schema.Material,
-    "[[light]]": light_schema.Light,
-    "[ambient]": light_schema.AmbientEntry,
+    "[camera]": kinds_of("kind", plain(scene_tables.VIEWS), scene_tables.beside_camera),
+    "[[surface]]": kinds_of("shape", plain(scene_tables.SHAPES), scene_tables.beside_shape),
+    "[material.NAME]": kinds_of("family", registered(scene_tables.material_tables())),
+    "[[light]]": kinds_of(
+        "kind", registered(scene_tables.light_tables()), scene_tables.beside_light
+    ),
+    "[ambient]": [("", AmbientLight, keys_of(AmbientLight))],
     "[render]": RenderEntry,
-    "Spectra": spectrum_schema.Spectrum,
-    "Wavelengths": spectrum_schema.Wavelengths,
+    "Spectra": [("", Tabulated, keys_of(Tabulated))],
+    "Wavelengths": Grid,
 }
 RIG = {
     "[camera]": RigCamera,
@@ -37,6 +56,7 @@ RIG = {
     "[geometry]": Geometry,
     "geometry.sphere": SphereGeometry,
 }
+SHAPE = re.compile(r"^(?:\([^)]*\) (?:or )?)+(?!pixels)")  # of arrays, before their unit
 SAID = re.compile(r"^(\w+): (.*?)(?=\n\w+: |\Z)", re.DOTALL | re.MULTILINE)
 
 
@@ -50,8 +70,8 @@ def tables(parts):
     text = []
     for heading, hint in parts.items():
         text += [f"## {heading}" if heading.isalpha() else f"## `{heading}`", ""]
-        for model in models_of(hint):
-            text += table_of(model)
+        for heading, about, keys in hint if isinstance(hint, list) else map(read, models_of(hint)):
+            text += table_of(heading, about, keys)
     return "\n".join(text)
 
 
@@ -62,27 +82,34 @@ def models_of(hint) -> list[type[BaseModel]]:
     return [model for part in get_args(hint) for model in models_of(part)]
 
 
-def table_of(model):
-    about = (inspect.getdoc(model) or "").partition("\n\n")[0]
+def read(model: type[BaseModel]):
+    """A declared model as the tables of records are: its keys, of which all kinds have one."""
     said = described(model)
-    kind = [
-        f'### `{name} = "{words_of(field.annotation)[0]}"`\n'
+    keys = {
+        name: Key(
+            field.annotation,
+            MISSING if field.is_required() else field.default,
+            said.get(name, ""),
+        )
         for name, field in model.model_fields.items()
-        if name in ("kind", "shape", "family")
-    ]
+        if name != "folder"
+    }
+    return "", model, keys
+
+
+def table_of(heading, make, keys):
+    about = (inspect.getdoc(make) or "").partition("\n\n")[0]
     lines = [
-        *kind,
+        *([f"### `{heading}`\n"] if heading else []),
         " ".join(about.split()),
         "",
         "| key | meaning | default |",
         "| --- | --- | --- |",
     ]
-    for name, field in model.model_fields.items():
-        if name == "folder":
-            continue
-        default = "required" if field.is_required() else shown(field.default)
-        words = words_of(field.annotation)
-        meaning = " ".join(said.get(name, "").split()).replace("|", "\\|")
+    for name, key in keys.items():
+        default = "required" if key.default is MISSING else shown(key.default)
+        words = words_of(key.hint)
+        meaning = SHAPE.sub("", " ".join(key.about.split())).replace("|", "\\|")
         if words and not all(word in meaning for word in words):
             meaning += f" One of {', '.join(map(repr, words))}.".replace("'", '"')
         lines.append(f"| `{name}` | {meaning} | {default} |")
@@ -114,11 +141,10 @@ def shown(default: Any) -> str:
 
 def words_of(hint) -> tuple[str, ...]:
     """The words that a key takes."""
-    if get_origin(hint) is Literal:
-        return get_args(hint)
-    if get_origin(hint) in (Annotated, Union) or "UnionType" in str(type(hint)):
-        return tuple(word for part in get_args(hint) for word in words_of(part))
-    return ()
+    if get_origin(hint) is Annotated:
+        return words_of(get_args(hint)[0])
+    literals = [one for one in members_of(hint) if get_origin(one) is Literal]
+    return tuple(word for one in literals for word in get_args(one))
 
 
 assert {"camera", "surface", "material", "light", "ambient", "render"} <= set(

@@ -288,6 +288,7 @@ from .scene import (
     RollingShutter as RollingShutter,
     Scene as Scene,
     Sensor as Sensor,
+    SensorEffect as SensorEffect,
     Sphere as Sphere,
     Surface as Surface,
     TelegraphNoise as TelegraphNoise,

@@ -44,7 +44,7 @@ class Shown(eqx.Module):
 
 def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, str]]:
     """(depth, field, numbers, unit and meaning) of what is there, records inside it below."""
-    about = _meanings(type(record))
+    about = meanings(type(record))
     for field in fields(record):
         value, meaning = getattr(record, field.name), about.get(field.name, "")
         if value is None or not field.repr:
@@ -63,16 +63,16 @@ def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, s
             yield depth, field.name, f"and {len(members) - SHORT} more", ""
 
 
-def _meanings(kind: type) -> dict[str, str]:
-    """What the docstring of a record says of each field."""
-    _, _, listed = (inspect.getdoc(kind) or "").partition("\nAttributes:\n")
-    entries = re.findall(r"^    (\w+): (.+(?:\n {5,}.+)*)", listed, re.MULTILINE)
+def meanings(kind: object) -> dict[str, str]:
+    """What the docstring of a record says of each field, and of a function of each argument."""
+    listed = re.split(r"^(?:Attributes|Args):\n", inspect.getdoc(kind) or "", flags=re.MULTILINE)
+    entries = re.findall(r"^    (\w+): (.+(?:\n {5,}.+)*)", "".join(listed[1:]), re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
 def _units(kind: type) -> dict[str, str]:
     """The unit of each field that has one, with a space before it: what follows its shape."""
-    found = {name: UNIT.match(meaning) for name, meaning in _meanings(kind).items()}
+    found = {name: UNIT.match(meaning) for name, meaning in meanings(kind).items()}
     return {name: f" {match[1]}" for name, match in found.items() if match}
 
 

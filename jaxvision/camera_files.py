@@ -31,7 +31,7 @@ from ._shipped import existing_file, shipped_files
 from ._types import require_metres
 from .colour_data import camera_sensitivities, wavelength_grid
 from .errors import InputError
-from .record_files import check_keys, record_of, table_of, with_draws, write_record
+from .record_files import Reading, check_keys, record_of, table_of, with_draws, write_record
 from .scene import Camera, Sensor
 
 _TABLES = ("view", "sensor", "development")
@@ -81,14 +81,15 @@ def read_camera(
 
     file = existing_file(source, "camera")
     content, place = read_toml(file, "camera"), str(file)
-    check_keys(place, "", content, (*_TABLES, "bands", "about"))
+    reading = Reading(place, "camera")
+    check_keys(reading, "", content, (*_TABLES, "bands", "about"))
     for name in _TABLES[:2]:
         if not isinstance(content.get(name), Mapping):
             raise InputError(f"{place}: the table [{name}] is missing; add it.")
     if wavelengths is not None:
         require_metres("read_camera: wavelength", np.asarray(wavelengths, float))
     elif "bands" in content:
-        wavelengths = _wavelengths(place, content["bands"])
+        wavelengths = _wavelengths(reading, content["bands"])
     colours = content["sensor"].get("colour_filter")
     if "bands" in content and not (isinstance(colours, Mapping) and "sensitivities" in colours):
         warnings.warn(
@@ -98,7 +99,7 @@ def read_camera(
     tables = {name: content[name] for name in _TABLES if name in content}
     tables["view"] = {"position": [0, 0, 0], "rotation": np.eye(3)} | dict(content["view"])
     tables["sensor"] = _with_sensitivities(place, content["sensor"], wavelengths)
-    camera = record_of(place, "", Camera, tables)
+    camera = record_of(reading, "", Camera, tables)
     return camera if draws is None else with_draws(file, camera, draws)
 
 
@@ -156,12 +157,12 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
     from .toml_files import read_toml
 
     file = Path(source)
-    content, place = read_toml(file, "sensor"), str(file)
-    check_keys(place, "", content, ("sensor", "about"))
+    content, reading = read_toml(file, "sensor"), Reading(str(file), "sensor")
+    check_keys(reading, "", content, ("sensor", "about"))
     if not isinstance(content.get("sensor"), Mapping):
-        raise InputError(f"{place}: the table [sensor] is missing; add it.")
+        raise InputError(f"{file}: the table [sensor] is missing; add it.")
     table = {name: value for name, value in content["sensor"].items() if name != "kind"}
-    sensor = record_of(place, "sensor", Sensor, table)
+    sensor = record_of(reading, "sensor", Sensor, table)
     return sensor if draws is None else with_draws(file, sensor, draws)
 
 
@@ -191,16 +192,18 @@ def write_sensor(
     write_record(file, "sensor", content, sensor, draws)
 
 
-def _wavelengths(place: str, table: Any) -> Float[Array, " bands"]:
+def _wavelengths(reading: Reading, table: Any) -> Float[Array, " bands"]:
     if not isinstance(table, Mapping):
-        raise InputError(f"{place}: bands must be a table of first, last and step.")
-    check_keys(place, "bands", table, _BANDS)
+        raise InputError(f"{reading.place}: bands must be a table of first, last and step.")
+    check_keys(reading, "bands", table, _BANDS)
     if any(not isinstance(table.get(name), int | float) for name in _BANDS):
-        raise InputError(f"{place}: bands needs the numbers first, last and step in m; give them.")
+        raise InputError(
+            f"{reading.place}: bands needs the numbers first, last and step in m; give them."
+        )
     try:
         return wavelength_grid(**{name: float(table[name]) for name in _BANDS})
     except InputError as error:
-        raise InputError(f"{place}: bands: {error}") from error
+        raise InputError(f"{reading.place}: bands: {error}") from error
 
 
 def _with_sensitivities(

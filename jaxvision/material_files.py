@@ -7,15 +7,14 @@ exponent = 25.0
 """
 
 import os
-from inspect import ismodule
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from . import brdf
+from .brdf import families
 from .errors import InputError, nearest
-from .record_files import record_of, table_of, with_draws, write_record
+from .record_files import Reading, record_of, table_of, with_draws, write_record
 from .scene import Material
 
 
@@ -46,10 +45,10 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
     path = Path(file)
     table = read_toml(path, "material")
     name = str(table.pop("kind", ""))
-    kinds = _kinds()
+    kinds = {kind.__name__: kind for kind in families()}
     if name not in kinds:
         raise InputError(f"{path}: kind = {name!r} is no material; {nearest(name, kinds)}.")
-    material = record_of(str(path), "", kinds[name], table)
+    material = record_of(Reading(str(path), "material"), "", kinds[name], table)
     for place, number in jax.tree.leaves_with_path(material):
         if not np.isfinite(number).all():
             where = jax.tree_util.keystr(place, simple=True, separator=".")
@@ -79,15 +78,3 @@ def write_material(
         (1,)
     """
     write_record(file, "material", table_of(material), material, draws)
-
-
-def _kinds() -> dict[str, type[Material]]:
-    """The records of all families by their names."""
-    families = (getattr(brdf, name) for name in dir(brdf))
-    return {
-        kind.__name__: kind
-        for family in families
-        if ismodule(family)
-        for kind in vars(family).values()
-        if isinstance(kind, type) and issubclass(kind, Material) and kind is not Material
-    }

@@ -162,14 +162,6 @@ def _first_mistake(
             return f"{where} lists {context['actual_length']}; give at {end}"
         case "value_error":
             return f"{where}: {reason}"
-        case "union_tag_not_found":
-            key = context["discriminator"].strip("'")
-            return f"{where}: {key} is missing; add it"
-        case "union_tag_invalid":
-            known = [word.strip(" '") for word in context["expected_tags"].split(",")]
-            hint = nearest(context["tag"], known)
-            key = context["discriminator"].strip("'")
-            return f"{where}: {key} = {_short(context['tag'])} is unknown; {hint}"
         case "literal_error":
             known = context["expected"].replace(" or ", ", ").split(", ")
             hint = nearest(str(mistake["input"]), [word.strip("'") for word in known])
@@ -187,9 +179,8 @@ def _short(value: Any) -> str:
 
 
 def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) -> str:
-    """`surface "left wall".corner`: the path through the content. It omits the parts of a location
-    that only name a member of a union.
-    """
+    """`surface "left wall".corner`: the path through the content, without what only names a member
+    of a union."""
     place, node = "", content
     for part in loc:
         if isinstance(node, list) and isinstance(part, int) and part < len(node):
@@ -213,13 +204,11 @@ def _as_called(place: str, called: Mapping[str, str]) -> str:
 
 
 def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:
-    """The keys of the table at that location; its parts are keys, numbers of an array, and words
-    that choose one model of a union."""
+    """The keys of the table at that location; its parts are keys and numbers of an array."""
     models = [schema]
     for part in loc:
         within = [m.model_fields[part].annotation for m in models if part in m.model_fields]
-        chosen = [m for m in models if _is_chosen(m, part)]
-        models = [m for kind in within for m in _models(kind)] if within else chosen or models
+        models = [m for kind in within for m in _models(kind)] if within else models
     return {key for model in models for key in model.model_fields}
 
 
@@ -228,7 +217,3 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]
-
-
-def _is_chosen(model: type[BaseModel], word: int | str) -> bool:
-    return any(word in get_args(field.annotation) for field in model.model_fields.values())

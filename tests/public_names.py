@@ -43,8 +43,6 @@ EAGER = {
     "jaxvision.scene_checks",
     "jaxvision.scene_files",
     "jaxvision.scene_files.bands",
-    "jaxvision.scene_files.materials",
-    "jaxvision.scene_files.records",
     "jaxvision.scene_files.mitsuba",
     "jaxvision.scene_files.mitsuba.document",
     "jaxvision.scene_files.mitsuba.transforms",
@@ -58,11 +56,7 @@ EAGER = {
     "jaxvision.scene_files.gltf.materials",
     "jaxvision.scene_files.gltf.nodes",
     "jaxvision.scene_files.schema",
-    "jaxvision.scene_files.camera_schema",
-    "jaxvision.scene_files.light_schema",
-    "jaxvision.scene_files.surface_schema",
-    "jaxvision.scene_files.material_schema",
-    "jaxvision.scene_files.spectrum_schema",
+    "jaxvision.scene_files.tables",
     "jaxvision.scene_files.folder",
     "jaxvision.geometry.checks",
     "jaxvision.colour_data",
@@ -118,8 +112,13 @@ STATIC = {
 STATIC |= {"jaxvision.geometry._size.reach_of", "jaxvision.geometry._bounds.ball_around"}
 STATIC |= {"jaxvision.brdf._specular.one_way"}
 STATIC |= {f"jaxvision.brdf._registry.{name}" for name in ("is_body", "is_delta")}
-STATIC |= {f"jaxvision.{room}._registry.register" for room in ("brdf", "lights")}
-STATIC |= {"jaxvision.brdf._registry.register_delta"}
+STATIC |= {f"jaxvision.{room}._registry.register" for room in ("brdf", "lights", "sensor")}
+STATIC |= {
+    f"jaxvision.brdf._registry.{name}"
+    for name in ("register_delta", "families", "lambertian", "suprema")
+}
+STATIC |= {f"jaxvision.lights._registry.{name}" for name in ("kinds", "kind_of")}
+STATIC |= {"jaxvision.sensor._registry.stage_of"}
 STATIC |= {"jaxvision.lights._registry.register_extended"}
 STATIC |= {"jaxvision.geometry._places.has_area", "jaxvision.lights._registry.can_be_seen"}
 STATIC |= {"jaxvision._quadrature.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}

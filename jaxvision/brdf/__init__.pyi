@@ -16,12 +16,15 @@ from . import (
 )
 from ._registry import (
     absorption as absorption,
+    families as families,
     is_body as is_body,
     is_delta as is_delta,
+    lambertian as lambertian,
     register as register,
     register_delta as register_delta,
     seen_in_mirror as seen_in_mirror,
     specular as specular,
+    suprema as suprema,
 )
 from ._specular import (
     Carries as Carries,

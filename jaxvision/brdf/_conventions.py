@@ -10,12 +10,14 @@ normal equal k_s. Local frame, normal = +z.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._bands import by_band
+from .._bounds import Reflection
 from .._types import Colour, Scalar
 from .._vector import Direction, Vec, as_vec
 from ._lobe import choose, diffuse_share, divisor, mixed_pdf, where_seen
@@ -45,8 +47,11 @@ class Lobe(NamedTuple):
     normalisation: Callable[[Any], Scalar] | None = None
 
 
-def register_lobe(record: type, lobe: Lobe, convention: Convention) -> None:
-    """Enters a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe."""
+def register_lobe(
+    record: type, lobe: Lobe, convention: Convention, bound: Callable[..., Reflection]
+) -> None:
+    """Enters a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe;
+    `bound(ends, convention)` gives its suprema."""
 
     def scaled(material: Any, value: Scalar) -> Scalar:
         if convention != "normalised" or lobe.normalisation is None:
@@ -90,7 +95,15 @@ def register_lobe(record: type, lobe: Lobe, convention: Convention) -> None:
         size = plain if convention == "shading" else scaled(material, with_cosine)
         return jnp.pi * material.diffuse + material.specular * size
 
-    register(record, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
+    register(
+        record,
+        evaluate=evaluate,
+        sample=sample,
+        pdf=pdf,
+        albedo=albedo,
+        shading=shading,
+        bound=partial(bound, convention=convention),
+    )
 
 
 def _two_terms(material: Any, wi: Vec, wo: Vec, body: Scalar, lobe: Scalar) -> Colour:

@@ -12,8 +12,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from .._bounds import Ends, Reflection, numbers
 from .._numerics import divide, normalize, smallest_divisor
 from .._types import Colour, Scalar
 from .._vector import Direction, Vec, as_vec
@@ -121,3 +123,12 @@ def albedo(material: Any, wo: Direction) -> Colour:
 
     from_lobe, from_cosine = jnp.mean(jax.vmap(jax.vmap(weight))(directions), axis=1)
     return (1 - COSINE_PART) * from_lobe + COSINE_PART * from_cosine
+
+
+def table_bound(x: Ends[Any]) -> Reflection:
+    """The largest entry: what is linear between nodes stays below it, unless it is extrapolated."""
+    values = np.maximum(*(np.abs(numbers(end.values)) for end in x))
+    body = values.reshape(-1, values.shape[-1]).max(0)
+    if getattr(x.low, "outside", "clamp") == "extrapolate":
+        return Reflection(body + np.inf, why="a table that is extrapolated has no largest value")
+    return Reflection(body, plain=np.inf)

@@ -3,21 +3,29 @@
 A family works in the local frame: normal = +z, `wi` toward the light, `wo` toward the viewer.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Reflection
+from .._kinds import Table, table_for
 from .._types import Colour, Scalar
 from .._vector import Direction, Vec, Vector, as_vec
 from ..hemisphere import cosine_direction, cosine_pdf, product_nodes
+from ..scene import Material
 from ._lobe import where_above
 from ._specular import Specular, one_way
 
 POLAR, AZIMUTHS = 32, 64  # nodes of the default albedo
+
+
+Bound = Callable[[Ends[Any]], Reflection]
 
 
 class Family(NamedTuple):
@@ -25,7 +33,8 @@ class Family(NamedTuple):
 
     `specular(material, w)`: where a ray that came from `w` goes on, of a family of delta functions,
     else None. `absorption(material)`: (bands,) m^-1 or None, of the body behind the surface; None
-    for a family that bounds no body.
+    for a family that bounds no body. `bound`: the suprema, or None where they are not known.
+    `table`: that of scene files, or None.
     """
 
     evaluate: Callable[[Any, Vector, Vector], Colour]
@@ -33,11 +42,25 @@ class Family(NamedTuple):
     pdf: Callable[[Any, Vector, Vector], Scalar]
     albedo: Callable[[Any, Vector], Colour]
     shading: Callable[[Any, Vector, Vector], Colour]
+    bound: Bound | None
+    table: Table | None
     specular: Callable[[Any, Vec], Specular] | None = None
     absorption: Callable[[Any], Colour | None] | None = None
 
 
 _FAMILIES: dict[type, Family] = {}
+
+
+def families() -> Mapping[type, Family]:
+    """All that is registered, the families of the library among them.
+
+    Returns:
+        What each record has registered.
+    """
+    room = import_module(__package__ or "")
+    for name in dir(room):
+        getattr(room, name)
+    return _FAMILIES
 
 
 def register(
@@ -48,6 +71,9 @@ def register(
     pdf: Callable[[Any, Vector, Vector], Scalar] | None = None,
     albedo: Callable[[Any, Vector], Colour] | None = None,
     shading: Callable[[Any, Vector, Vector], Colour] | None = None,
+    bound: Bound | None = None,
+    word: str | None = None,
+    from_file: Callable[..., Any] | None = None,
 ) -> None:
     """Makes a record of material known to everything that reflects light.
 
@@ -63,6 +89,13 @@ def register(
             32 x 64 directions, good for broad lobes.
         shading: `shading(material, wi, wo)`, (bands,) sr^-1; without it the BRDF times the cosine
             of incidence.
+        bound: `bound(ends) -> effects.Reflection`, the suprema of the shading, of the material at
+            both ends of what a fit may change; without it `effects` keeps all that depends on it.
+        word: its `family` in scene files; by default the name of the record in snake case, and ""
+            for a material that no scene file holds.
+        from_file: what makes the record of a file's keys, where these are not its fields: their
+            names and defaults are those of its parameters, their meaning that of its docstring, and
+            `**fields` takes all other fields of the record.
 
     Raises:
         ValueError: for one of `sample` and `pdf` without the other.
@@ -83,6 +116,8 @@ def register(
         pdf_cosine if pdf is None else pdf,
         integrated if albedo is None else albedo,
         shaded if shading is None else shading,
+        bound,
+        table_for(record, word, from_file),
     )
 
 
@@ -91,6 +126,9 @@ def register_delta(
     *,
     specular: Callable[[Any, Vec], Specular],
     absorption: Callable[[Any], Colour | None] | None = None,
+    bound: Bound | None = None,
+    word: str | None = None,
+    from_file: Callable[..., Any] | None = None,
 ) -> None:
     """Makes a record of mirror-like or clear material known to everything that reflects light.
 
@@ -104,6 +142,7 @@ def register_delta(
             an opaque back reflects 0.
         absorption: `absorption(material)`, (bands,) m^-1 of the body behind the surface, or None
             where that is clear; not given for a material that bounds no body.
+        bound, word, from_file: as in `register`.
     """
 
     def evaluate(material: Any, wi: Direction, wo: Direction) -> Colour:
@@ -121,8 +160,17 @@ def register_delta(
         viewer = as_vec(wo)
         return where_above(viewer.z, specular(material, viewer).reflectance)
 
+    table = table_for(record, word, from_file)
     _FAMILIES[record] = Family(
-        evaluate, sample, pdf, albedo, evaluate, specular=specular, absorption=absorption
+        evaluate,
+        sample,
+        pdf,
+        albedo,
+        evaluate,
+        bound,
+        table,
+        specular=specular,
+        absorption=absorption,
     )
 
 
@@ -134,6 +182,23 @@ def family(material: Any) -> Family:
             f"{kind.__name__} is no known material: call jaxvision.brdf.register for it first."
         )
     return _FAMILIES[kind]
+
+
+def suprema(material: Ends[Any]) -> Reflection:
+    """The suprema of a material's shading.
+
+    Args:
+        material: at both ends of what a fit may change.
+
+    Returns:
+        What its family gives, sr^-1; inf for a family that brings no bound.
+    """
+    own = _FAMILIES.get(type(material.low))
+    bound = None if own is None else own.bound
+    if bound is None:
+        kind = type(material.low).__name__
+        return Reflection(np.array([np.inf]), plain=np.inf, why=f"no bound of {kind} is known")
+    return bound(material)
 
 
 def is_delta(material: Any) -> bool:
@@ -166,6 +231,20 @@ def is_body(material: Any) -> bool:
         True False
     """
     return family(material).absorption is not None
+
+
+def lambertian(material: Any) -> Material:
+    """The Lambertian surface of a material's k_d and k_a.
+
+    Args:
+        material: with `diffuse` and `ambient`.
+
+    Returns:
+        The material without what it is beside.
+    """
+    from .lambert import Lambert
+
+    return Lambert(material.diffuse, ambient=getattr(material, "ambient", None))
 
 
 def absorption(material: Any) -> Colour | None:

@@ -21,11 +21,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Angles, Ends, Reflection, least, peak, power_of
+from .._bounds import Lobe as LargestLobe
+from .._bounds import most as largest
 from .._numerics import arctan2, dot, log1p, or_one, smallest_divisor
 from .._types import Scalar, Scalars
 from .._vector import Direction, Vec, as_vec
 from ..hemisphere import direction_at
-from ._conventions import Lobe, register_lobe
+from ..scene import Material
+from ._conventions import Convention, Lobe, register_lobe
 from ._lobe import PowerLobe, circles, log_cosine
 from .phong import phong_lobe
 
@@ -189,6 +193,25 @@ _LOBE = Lobe(
     sizes=_sizes,
     normalisation=lambda m: normalisation(m.exponent),
 )
-register_lobe(Blinn, _LOBE, "shading")
-register_lobe(BlinnBRDF, _LOBE, "brdf")
-register_lobe(NormalisedBlinn, _LOBE, "normalised")
+
+
+def _bound(x: Ends[Material], convention: Convention) -> Reflection:
+    """k_s (n.h)^n; dwi = 4 wo.h dh, so that its integral is at most 8 pi / (n + 1)."""
+    n, top = least(x, "exponent"), largest(x, "exponent")
+    scale = 1.0
+    if convention == "normalised":
+        scale = (top + 2) * (top + 4) / (8 * np.pi * (n + 2 ** (-n / 2)))
+    cosine = convention != "shading"
+
+    def most(a: Angles) -> np.ndarray:
+        return scale * power_of(a.cos_half, n) * (a.cos_i if cosine else 1)
+
+    size = scale * min(2 * np.pi, 8 * np.pi / (n + 1))
+    return Reflection(
+        peak(x, "diffuse"), LargestLobe(peak(x, "specular"), most, size, None, True, not cosine)
+    )
+
+
+register_lobe(Blinn, _LOBE, "shading", _bound)
+register_lobe(BlinnBRDF, _LOBE, "brdf", _bound)
+register_lobe(NormalisedBlinn, _LOBE, "normalised", _bound)

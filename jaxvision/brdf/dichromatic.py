@@ -15,15 +15,17 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Reflection, peak
 from .._numerics import or_one
 from .._types import AMOUNT, Colour, Scalar, as_float, check_fields, print_by_name
 from .._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._lobe import ColourOrNeutral, diffuse_share
-from ._registry import family, is_delta, register
+from ._registry import family, is_delta, register, suprema
 
 Body = Float[Array, " body"]
 Interface = Float[Array, " interface"]
@@ -118,4 +120,33 @@ def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
     return part * body + (1 - part) * family(material.interface).pdf(material.interface, wi, wo)
 
 
-register(Dichromatic, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
+def _bound(x: Ends[Dichromatic]) -> Reflection:
+    """The sum of its parts, each times its spectrum; the interface's own body counts as body."""
+    body, interface = (suprema(x.of(name)) for name in ("body", "interface"))
+    c_b, c_i = peak(x, "body_spectrum"), peak(x, "interface_spectrum")
+    diffuse = c_b * body.body + c_i * interface.body
+    parts = [(own.lobe, c) for own, c in ((body, c_b), (interface, c_i)) if own.lobe is not None]
+    grazing = max(body.grazing, interface.grazing)
+    why = body.why or interface.why
+    if not parts:
+        return Reflection(diffuse, plain=np.inf, why=why, grazing=grazing, angular=True)
+    first, colour = parts[0]
+    if len(parts) == 2:
+        return Reflection(
+            diffuse + np.inf, plain=np.inf, why="two lobes in one material", angular=True
+        )
+    spectrum = colour * first.spectrum
+    lobe = first._replace(spectrum=spectrum)
+    return Reflection(diffuse, lobe, np.inf, why=why, grazing=grazing, angular=True)
+
+
+register(
+    Dichromatic,
+    evaluate=evaluate,
+    sample=sample,
+    pdf=pdf,
+    albedo=albedo,
+    shading=shading,
+    bound=_bound,
+    word="",
+)

@@ -6,11 +6,16 @@ as 1. Indices of refraction are relative to the side the light comes from; above
 grazing angles too; at an angle of 90 degrees every interface reflects all.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .._arguments import in_range, takes_numbers
+from .._bounds import Ends, numbers
 from .._numerics import divide, or_one, polynomial, safe_sqrt, smallest_divisor
 from .._shown import Shown
 from .._types import AMOUNT, DIVISOR, Colour, Range, Scalar, as_float, check_fields
@@ -245,3 +250,60 @@ def _schlick_jvp(primals, tangents):
     fourth = jnp.square(jnp.square(1 - c))
     slope = polynomial((1.0, -5.0, 10.0, -10.0, 5.0, 0.0), c)
     return _schlick(c, f0), slope * d_f0 - 5 * fourth * (1 - f0) * d_c
+
+
+# ---------------------------------------------------------------- bounds
+
+MONOTONE = 3.7  # index up to which a dielectric's reflectance rises with the angle
+
+
+def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
+    """The largest reflectance of any band where the cosine is at least a given one; and whether all
+    bands share it."""
+    low, high = x
+    match low, high:
+        case Dielectric(), Dielectric():
+            eta = np.stack([numbers(low.eta), numbers(high.eta)])
+            neutral = low.eta.shape == (1,)
+            if np.all(eta == 1):
+                return lambda c: 0 * c, True
+            if np.all((eta >= 1) & (eta <= MONOTONE)):
+                ends = float(eta.min()), float(eta.max())
+                return lambda c: _largest_dielectric(c, *ends), neutral
+            return lambda c: 0 * c + 1, neutral
+        case Schlick(), Schlick():
+            f0 = max(float(numbers(end.f0).max()) for end in (low, high))
+            return lambda c: np.maximum(f0, f0 + (1 - f0) * (1 - c) ** 5), low.f0.shape == (1,)
+        case Conductor(), Conductor():
+            return lambda c: 0 * c + 1, low.eta.shape == low.k.shape == (1,)
+    return lambda c: 0 * c + 1, True
+
+
+def _least_reflectance(x: Ends[Interface | None]) -> float:
+    """The least reflectance of any band at any angle; 0 where it is not known."""
+    low, high = x
+    match low, high:
+        case Dielectric(), Dielectric():
+            eta = min(float(numbers(end.eta).min()) for end in (low, high))
+            return ((eta - 1) / (eta + 1)) ** 2 if eta >= 1 else 0.0
+        case Schlick(), Schlick():
+            return max(min(float(numbers(end.f0).min()) for end in (low, high)), 0.0)
+    return 0.0
+
+
+def _largest_dielectric(c: Any, least: float, most: float) -> Any:
+    """No less than Fresnel's reflectance of unpolarised light, of indices between two, >= 1; equal
+    to it where they are one. That of s grows with the index; that of p is largest at an end, or
+    where eta^2 is twice the squared sine."""
+
+    def amplitudes(eta: Any) -> tuple[Any, Any]:
+        g = np.sqrt(eta**2 - 1 + c * c)
+        return (c - g) / (c + g), (eta**2 * c - g) / (eta**2 * c + g)
+
+    s, p = amplitudes(most)
+    most_p = p * p
+    if least < most:
+        inner = np.clip(np.sqrt(np.maximum(2 * (1 - np.square(c)), 1)), least, most)
+        for eta in (least, inner):
+            most_p = np.maximum(most_p, amplitudes(eta)[1] ** 2)
+    return (s * s + most_p) / 2

@@ -18,12 +18,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Angles, Ends, Reflection, least, peak
+from .._bounds import Lobe as LargestLobe
+from .._bounds import most as largest
 from .._numerics import dot, log1p, polynomial, safe_sqrt, smallest_divisor
 from .._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
 from .._vector import Direction, Vec, Vector
 from ..geometry import mirror_direction
 from ..scene import Material
-from ._conventions import Lobe, register_lobe
+from ._conventions import Convention, Lobe, register_lobe
 from ._lobe import ColourOrNeutral, about, divisor, lobe_integrals, mirrored, where_above
 
 
@@ -253,5 +256,22 @@ _LOBE = Lobe(
     integrals=lambda m, cos_o: gaussian_integrals(cos_o, m.concentration),
     sizes=_sizes,
 )
-register_lobe(GaussianLobe, _LOBE, "shading")
-register_lobe(GaussianLobeBRDF, _LOBE, "brdf")
+
+
+def _bound(x: Ends[Material], convention: Convention) -> Reflection:
+    """k_s exp(-(c theta_s)^2); its integral is at most pi / c^2."""
+    c = min(abs(least(x, "concentration")), abs(largest(x, "concentration")))
+    top = max(abs(least(x, "concentration")), abs(largest(x, "concentration")))
+    cosine = convention != "shading"
+
+    def most(a: Angles) -> np.ndarray:
+        return np.exp(-((c * a.off_mirror) ** 2)) * (a.cos_i if cosine else 1)
+
+    size = min(2 * np.pi, np.pi / c**2 if c > 0 else np.inf)
+    slope = top * np.sqrt(2 / np.e) + cosine
+    lobe = LargestLobe(peak(x, "specular"), most, size, slope, True, not cosine)
+    return Reflection(peak(x, "diffuse"), lobe)
+
+
+register_lobe(GaussianLobe, _LOBE, "shading", _bound)
+register_lobe(GaussianLobeBRDF, _LOBE, "brdf", _bound)

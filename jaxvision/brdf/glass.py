@@ -9,12 +9,16 @@ with eta the index behind the surface over that before it; where no theta_t exis
 internal reflection). Local frame; the body is below the normal, +z.
 """
 
+from typing import Annotated, Any
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Reflection, least, most
 from .._numerics import or_one, safe_sqrt
-from .._types import AMOUNT, Colour, Scalar, as_float, as_optional_float, check_fields
+from .._types import AMOUNT, POSITIVE, Colour, Scalar, as_float, as_optional_float, check_fields
 from .._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._lobe import mirrored
@@ -82,4 +86,25 @@ def specular(material: Glass, w: Vec) -> Specular:
     return Specular(mirrored(w), reflectance, refracted_direction(w, eta), 1 - reflectance, eta)
 
 
-register_delta(Glass, specular=specular, absorption=lambda material: material.absorption)
+def _bound(x: Ends[Glass]) -> Reflection:
+    """In `render` glass is black; in a ray tree it passes at most all of what arrives."""
+    indices = least(x, "index"), most(x, "index")
+    return Reflection(np.zeros(1), mirror=np.ones(1), indices=indices)
+
+
+def _from_file(*, index: Annotated[float, POSITIVE] = 1.5, **fields: Any) -> Glass:
+    """Smooth glass.
+
+    Args:
+        index: refractive index.
+    """
+    return Glass(index, **fields)
+
+
+register_delta(
+    Glass,
+    specular=specular,
+    absorption=lambda material: material.absorption,
+    bound=_bound,
+    from_file=_from_file,
+)

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._kinds import Measured
 from .._numerics import dot, normalize, or_one, safe_sqrt
 from .._shown import Shown
 from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
@@ -29,7 +30,7 @@ from ..scene import Material
 from ._half_vector import azimuth, elevation, elevation_to_unit, spherical
 from ._interpolation import in_bin, in_bins, multilinear
 from ._lobe import where_seen
-from ._lobe_sampler import LobeSampler, albedo, pdf, sample
+from ._lobe_sampler import LobeSampler, albedo, pdf, sample, table_bound
 from ._registry import register
 
 
@@ -143,4 +144,24 @@ def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Col
     return where_seen(wi, wo, multilinear(material.values, *places))
 
 
-register(HalfDifferenceTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+def _from_file(*, file: Measured) -> Material:
+    """A measured BRDF.
+
+    Args:
+        file: `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL).
+    """
+    from .measured import tabulate_sampler
+
+    return tabulate_sampler(file) if isinstance(file, HalfDifferenceTable) else file
+
+
+register(
+    HalfDifferenceTable,
+    evaluate=evaluate,
+    sample=sample,
+    pdf=pdf,
+    albedo=albedo,
+    bound=table_bound,
+    word="measured",
+    from_file=_from_file,
+)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._arguments import takes_numbers
+from .._bounds import Reflection, peak
 from .._numerics import dot
 from .._types import AMOUNT, Colour, as_float, as_optional_float, check_fields
 from .._vector import Direction
@@ -71,4 +72,9 @@ def albedo(material: Lambert, wo: Direction) -> Colour:
     return jnp.pi * material.diffuse
 
 
-register(Lambert, evaluate=evaluate, albedo=albedo)
+register(
+    Lambert,
+    evaluate=evaluate,
+    albedo=albedo,
+    bound=lambda x: Reflection(peak(x, "diffuse")),
+)

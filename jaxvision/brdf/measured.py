@@ -27,7 +27,7 @@ from ..scene import Material
 from ._half_vector import azimuth, elevation, spherical
 from ._interpolation import Place, among, around_circle, multilinear
 from ._lobe import where_seen
-from ._lobe_sampler import LobeSampler, albedo, pdf, sample, tabulated_lobe
+from ._lobe_sampler import LobeSampler, albedo, pdf, sample, table_bound, tabulated_lobe
 from ._registry import family, register
 
 Outside = Literal["clamp", "extrapolate", "zero"]
@@ -195,8 +195,16 @@ def evaluate(material: AngleTable, wi: Direction, wo: Direction) -> Colour:
     return where_seen(wi, wo, value)
 
 
-register(IsotropicTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
-register(AnisotropicTable, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+for _record in (IsotropicTable, AnisotropicTable):
+    register(
+        _record,
+        evaluate=evaluate,
+        sample=sample,
+        pdf=pdf,
+        albedo=albedo,
+        bound=table_bound,
+        word="",
+    )
 
 Table = TypeVar("Table", bound=Material)
 

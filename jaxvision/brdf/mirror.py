@@ -5,7 +5,9 @@ Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i) with s 
 """
 
 import equinox as eqx
+import numpy as np
 
+from .._bounds import Ends, Reflection, peak
 from .._types import AMOUNT, Colour, as_float, check_fields
 from .._vector import Vec
 from ..scene import Material
@@ -40,4 +42,17 @@ def specular(material: Mirror, w: Vec) -> Specular:
     return Specular(mirrored(w), where_above(w.z, material.reflectance))
 
 
-register_delta(Mirror, specular=specular)
+def _bound(x: Ends[Mirror]) -> Reflection:
+    return Reflection(np.zeros(1), mirror=peak(x, "reflectance"))
+
+
+def _from_file(*, reflectance: Colour | float = 1.0) -> Mirror:
+    """A smooth mirror.
+
+    Args:
+        reflectance: (bands,) no unit.
+    """
+    return Mirror(reflectance)
+
+
+register_delta(Mirror, specular=specular, bound=_bound, from_file=_from_file)

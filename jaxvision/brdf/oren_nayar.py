@@ -12,16 +12,18 @@ frame, normal = +z. Source: Oren & Nayar, "Generalization of Lambert's Reflectan
 1994.
 """
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Reflection, least, most, peak
 from .._numerics import arctan2, safe_sqrt, smallest_divisor
 from .._types import (
     AMOUNT,
+    NOT_NEGATIVE,
     Colour,
     Range,
     Scalar,
@@ -105,4 +107,39 @@ def _full(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
     return jnp.maximum(material.diffuse * (direct + rho * bounced), 0)
 
 
-register(OrenNayar, evaluate=evaluate)
+def _bound(x: Ends[OrenNayar]) -> Reflection:
+    """k_d (A + B sin tan): times cos(theta_i) at most k_d (A cos(theta_i) + B), for cos sin tan is
+    at most 1, not cos. Lambert's differs by at most max((1 - A) cos, B) k_d. In full (equations 27
+    to 30) the second and the third term exclude each other in cos(phi), and the light between
+    facets adds at most .34 rho v / (v + .13). The body is never less than the k_d of the Lambertian
+    that may take its place.
+    """
+    v_low, v = least(x, "sigma") ** 2, most(x, "sigma") ** 2
+    a_most, a_least = (1 - 0.5 * s / (s + 0.33) for s in (v_low, v))
+    b = 0.45 * v / (v + 0.09)
+    k_d = peak(x, "diffuse")
+    if x.low.form == "qualitative":
+        whole, plain = np.maximum(a_most + b, 1), k_d * max(1 - a_least - b, 0)
+    else:
+        facets = 0.34 * np.pi * k_d * v / (v + 0.13)
+        whole = np.maximum(a_most + b + facets, 1)
+        plain = k_d * np.maximum(1 - a_least, facets)
+    return Reflection(
+        k_d * whole,
+        plain=plain,
+        grazing=float(np.max(b / whole)),
+        rough=("sigma", "Oren-Nayar to Lambert"),
+        angular=x.low.form == "full",
+    )
+
+
+def _from_file(*, sigma: Annotated[float, NOT_NEGATIVE], **fields: Any) -> OrenNayar:
+    """A rough diffuse surface.
+
+    Args:
+        sigma: degrees, standard deviation of the slopes of the facets.
+    """
+    return OrenNayar(sigma=np.radians(sigma), **fields)
+
+
+register(OrenNayar, evaluate=evaluate, bound=_bound, from_file=_from_file)

@@ -22,11 +22,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Angles, Ends, Reflection, least, peak, power_of
+from .._bounds import Lobe as LargestLobe
+from .._bounds import most as largest
 from .._numerics import dot, log1p, log_cos_between, log_of_zero
 from .._types import Colour, Scalar, Scalars, check_range
 from .._vector import Direction, Vec, Vector, as_vec
 from ..geometry import mirror_direction
-from ._conventions import Lobe, register_lobe
+from ..scene import Material
+from ._conventions import Convention, Lobe, register_lobe
 from ._lobe import PowerLobe, about, lobe_integrals, log_cosine, mirrored, where_above
 
 
@@ -218,6 +222,33 @@ _LOBE = Lobe(
     sizes=lambda m: (2 * jnp.pi / (m.exponent + 1), 2 * jnp.pi / (m.exponent + 2)),
     normalisation=lambda m: (m.exponent + 2) / (2 * jnp.pi),
 )
-register_lobe(Phong, _LOBE, "shading")
-register_lobe(PhongBRDF, _LOBE, "brdf")
-register_lobe(NormalisedPhong, _LOBE, "normalised")
+
+
+def _power_slope(n: float) -> float:
+    """max |d cos^n / d angle| = sqrt(n) (1 - 1/n)^((n-1)/2) = n cos^(n-1) sin at its largest; 1 at
+    n = 1. Below, it is steeper than any slope at a right angle, and 0 a step."""
+    if n < 1:
+        return np.inf
+    return float(np.sqrt(n) * (1 - 1 / n) ** ((n - 1) / 2)) if n > 1 else 1.0
+
+
+def _bound(x: Ends[Material], convention: Convention) -> Reflection:
+    """k_s [cos theta_s]^n; the least exponent is the broadest."""
+    n, top = least(x, "exponent"), largest(x, "exponent")
+    scale = (top + 2) / (2 * np.pi) if convention == "normalised" else 1.0
+    cosine = convention != "shading"
+
+    def most(a: Angles) -> np.ndarray:
+        cos_mirror = np.where(a.off_mirror < np.pi / 2, np.cos(a.off_mirror), 0)
+        return scale * power_of(cos_mirror, n) * (a.cos_i if cosine else 1)
+
+    # of the power, which is least between n = 1 and 2, and of the cosine
+    slope = scale * (max(_power_slope(n), _power_slope(top)) + cosine)
+    size = scale * 2 * np.pi / (n + 1)
+    lobe = LargestLobe(peak(x, "specular"), most, size, slope, True, not cosine)
+    return Reflection(peak(x, "diffuse"), lobe)
+
+
+register_lobe(Phong, _LOBE, "shading", _bound)
+register_lobe(PhongBRDF, _LOBE, "brdf", _bound)
+register_lobe(NormalisedPhong, _LOBE, "normalised", _bound)

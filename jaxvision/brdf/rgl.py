@@ -21,9 +21,11 @@ Units: radiance ratios in sr^-1, angles in radians.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Reflection
 from .._numerics import divide, dot, normalize, or_one, smallest_divisor
 from .._types import Colour, Scalar, as_float, as_optional_float, check_fields, check_shape
 from .._vector import Direction, Vec, as_vec
@@ -239,4 +241,20 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     return where_above(wo.z, jnp.mean(rows, axis=(0, 1)))
 
 
-register(RGL, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo, shading=shading)
+def _bound(x: Ends[RGL]) -> Reflection:
+    """None is known."""
+    bands = x.low.values.shape[-1]
+    why = "no bound of an adaptive table is known"
+    return Reflection(np.full(bands, np.inf), plain=np.inf, why=why)
+
+
+register(
+    RGL,
+    evaluate=evaluate,
+    sample=sample,
+    pdf=pdf,
+    albedo=albedo,
+    shading=shading,
+    bound=_bound,
+    word="",
+)

@@ -12,7 +12,8 @@ pi k_d = 0.9, k_s = 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1
 (1967); Cook & Torrance, ACM TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
 """
 
-from typing import get_args
+from dataclasses import replace
+from typing import Annotated, Any, get_args
 
 import equinox as eqx
 import jax
@@ -21,6 +22,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Angles, Ends, Reflection, numbers, peak
+from .._bounds import Lobe as LargestLobe
+from .._bounds import most as largest
 from .._numerics import (
     arctan2,
     divide,
@@ -35,6 +39,7 @@ from .._numerics import (
 from .._quadrature import gauss_legendre
 from .._types import (
     AMOUNT,
+    POSITIVE,
     Colour,
     Scalar,
     as_float,
@@ -57,8 +62,17 @@ from ._lobe import (
     where_seen,
 )
 from ._registry import register
-from .fresnel import Interface, fresnel
+from .fresnel import (
+    Conductor,
+    Dielectric,
+    Interface,
+    Schlick,
+    _largest_reflectance,
+    _least_reflectance,
+    fresnel,
+)
 from .microfacet import (
+    LEAST_ROUGHNESS,
     Alpha,
     Distribution,
     Shadowing,
@@ -287,4 +301,94 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     return jnp.pi * material.diffuse + material.specular * where_above(viewer.z, lobe)
 
 
-register(TorranceSparrow, evaluate=evaluate, sample=sample, pdf=pdf, albedo=albedo)
+def _bound(x: Ends[TorranceSparrow]) -> Reflection:
+    """k_s F D V cos, each factor at its largest over the angles of a cell.
+
+    D = (1 + t)^2 / (pi ax ay (1 + t / a^2)^2) for GGX, exp(-t / a^2) in place of the quotient for
+    Beckmann, t = tan^2 of the half vector's angle. Smith: V cos_i <= 1 / (4 (c_o + H_o)), with
+    c_o + H_o = (c_o + sqrt(c_o^2 + a^2 s_o^2)) / 2 for GGX and at least max(c_o, a s_o / (2 sqrt
+    pi)) for Beckmann. V-cavity: V cos_i <= 1 / (4 max(c_o, d^2 / (c_i + c_o))). The integral is at
+    most 1, for facets only lose light.
+    """
+    wide = max(largest(x, "roughness"), LEAST_ROUGHNESS)
+    small = np.min([np.broadcast_to(numbers(end.roughness), (2,)) for end in x], axis=0)
+    narrow = np.maximum(small, LEAST_ROUGHNESS)
+    top, tight = 1 / (np.pi * narrow[0] * narrow[1]), narrow.min()
+
+    def facets(cos_half: np.ndarray) -> np.ndarray:
+        least = 1 / np.maximum(cos_half, 1e-150) ** 2  # 1 + t
+        if x.low.distribution == "ggx":
+
+            def shape(s: np.ndarray | float) -> np.ndarray | float:
+                return (s / (1 + (s - 1) / wide**2)) ** 2
+
+            return top * np.maximum(shape(least), wide**4 if wide > 1 else 0)
+        s = np.maximum(least, 2 * wide**2)
+        return top * np.minimum(s, 1e150) ** 2 * np.exp(-np.minimum((s - 1) / wide**2, 700))
+
+    def seen(a: Angles) -> np.ndarray:
+        if x.low.shadowing == "v-cavity":
+            both = np.maximum(a.cos_i + a.cos_o_most, 1e-150)
+            below = np.maximum(a.cos_o, a.cos_between**2 / both)
+        elif x.low.distribution == "ggx":
+            root = np.sqrt(a.cos_o**2 + tight**2 * (1 - a.cos_o**2))
+            below = np.minimum((a.cos_o + root) / 2, 1)
+        else:
+            k = tight / (2 * np.sqrt(np.pi))
+            below = np.maximum(a.cos_o, k / np.sqrt(1 + k * k))
+        return 0.25 / np.maximum(below, 1e-150)
+
+    reflectance, neutral = _largest_reflectance(x.of("interface"))
+
+    def most(a: Angles) -> np.ndarray:
+        return reflectance(a.cos_between) * facets(a.cos_half) * seen(a)
+
+    lobe = LargestLobe(peak(x, "specular"), most, float(reflectance(0.0)), None, neutral, False)
+    neglected = None
+    if x.low.interface is not None:
+        full = _bound(Ends(*(replace(end, interface=None) for end in x))).lobe
+        assert full is not None
+        neglected = _least_reflectance(x.of("interface")), full
+    return Reflection(peak(x, "diffuse"), lobe, facets=neglected)
+
+
+def _from_file(
+    *,
+    specular: Colour | float = 1.0,
+    roughness: Annotated[float, POSITIVE] | Annotated[Alpha, POSITIVE],
+    eta: Colour | None = None,
+    k: Colour | None = None,
+    f0: Colour | None = None,
+    interface: None = None,
+    **fields: Any,
+) -> TorranceSparrow:
+    """A surface of microfacets, which reflect everything unless `eta` or `f0` is given.
+
+    Args:
+        specular: factor on the specular part, no unit.
+        roughness: alpha, or one for each of two axes, no unit.
+        eta: refractive index of a dielectric or, with `k`, of a metal.
+        k: extinction coefficient of a metal, no unit.
+        f0: reflectance along the normal (Schlick), no unit.
+    """
+    if f0 is not None and eta is not None:
+        raise ValueError("give either eta (with k for a metal) or f0.")
+    if k is not None and eta is None:
+        raise ValueError("k belongs to a metal; give its eta too.")
+    made: Interface | None = interface
+    if f0 is not None:
+        made = Schlick(f0)
+    elif eta is not None:
+        made = Dielectric(eta) if k is None else Conductor(eta, k)
+    return TorranceSparrow(specular=specular, roughness=roughness, interface=made, **fields)
+
+
+register(
+    TorranceSparrow,
+    evaluate=evaluate,
+    sample=sample,
+    pdf=pdf,
+    albedo=albedo,
+    bound=_bound,
+    from_file=_from_file,
+)

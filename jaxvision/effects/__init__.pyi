@@ -9,5 +9,8 @@ from .certificate import (
     parse as parse,
 )
 from .development import lipschitz as lipschitz
+from .illumination import Source as Source
 from .pruning import inspect as inspect, prune as prune
+from .reflection import Lobe as Lobe, Reflection as Reflection
 from .size import equations as equations
+from .stages import Ends as Ends

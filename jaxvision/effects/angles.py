@@ -4,32 +4,10 @@ For c cells and s places of light, at all points of a cell and all normals of it
 rad, lengths in m.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
-from .bodies import unit
+from .._bounds import Angles, angle, unit
 from .cells import Cells, Eye
-
-
-class Angles(NamedTuple):
-    """What a lobe asks of a cell and a place of light, each (c, s) unless said otherwise.
-
-    Attributes:
-        off_mirror: rad, the least angle between the mirrored light and the viewer.
-        cos_half: the largest cosine between the normal and the half vector.
-        cos_between: the least cosine between the viewer and the half vector, d.
-        cos_i: the largest cosine of incidence.
-        cos_o: (c, 1), the least cosine of the viewer, and
-        cos_o_most: (c, 1), the largest.
-    """
-
-    off_mirror: np.ndarray
-    cos_half: np.ndarray
-    cos_between: np.ndarray
-    cos_i: np.ndarray
-    cos_o: np.ndarray
-    cos_o_most: np.ndarray
 
 
 def half_width(radius: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -37,12 +15,6 @@ def half_width(radius: np.ndarray, distance: np.ndarray) -> np.ndarray:
     inside = radius >= distance
     ratio = np.where(inside, 1, radius / np.where(distance > 0, distance, 1))
     return np.where(inside, np.pi, np.arcsin(np.minimum(ratio, 1)))
-
-
-def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """rad between unit vectors."""
-    chord = np.linalg.norm(a - b, axis=-1)
-    return 2 * np.arcsin(np.minimum(chord / 2, 1))
 
 
 def cosine(angles: np.ndarray) -> np.ndarray:

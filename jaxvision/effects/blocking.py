@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
+from .._bounds import Ends, once
 from ..scene import Box, Sphere, Surface, TriangleMesh
 from ..scene.shapes import Shape
 from .bodies import (
@@ -34,7 +35,6 @@ from .bodies import (
 )
 from .cells import plane_between
 from .illumination import Source
-from .stages import Ends, once
 
 _ROUNDINGS = 4.0  # of a coordinate, by which what touches a plane may miss it
 _SAFELY = 32.0  # roundings in float64 of what must be apart

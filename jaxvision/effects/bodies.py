@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._bounds import SIGNS, Ends, box_about, numbers, once, unit
 from ..scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
 from ..scene.shapes import Shape
-from .stages import Ends, once
 
 _SIDES = 16  # of the polygon about a disc, 2 % wider
-_SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
 _AXES = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 DIRECTIONS = _AXES / np.linalg.norm(_AXES, axis=1, keepdims=True)  # (26, 3)
 
@@ -39,20 +38,6 @@ class Bodies(NamedTuple):
     radii: np.ndarray
 
 
-def numbers(x: object) -> np.ndarray:
-    """The numbers of a field in float64."""
-    return np.asarray(x, np.float64)
-
-
-def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The corners, (8 n, 3), of the boxes from `low` to `high`, (n, 3) each, in m; the points
-    themselves where the two are equal."""
-    if np.array_equal(low, high):
-        return np.atleast_2d(low)
-    middle, half = (low + high) / 2, np.abs(high - low) / 2
-    return (np.atleast_2d(middle)[:, None] + _SIGNS * np.atleast_2d(half)[:, None]).reshape(-1, 3)
-
-
 def _quad_corners(shape: Quad) -> np.ndarray:
     corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
     return corner + np.stack([0 * u, u, v, u + v])
@@ -70,15 +55,15 @@ def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
 
 def _box_corners(shape: Box) -> np.ndarray:
     axes = np.eye(3) if shape.rotation is None else numbers(shape.rotation)
-    return numbers(shape.centre) + (_SIGNS * numbers(shape.half_extents)) @ axes
+    return numbers(shape.centre) + (SIGNS * numbers(shape.half_extents)) @ axes
 
 
 def _mesh_corners(shape: TriangleMesh) -> np.ndarray:
     vertices = numbers(shape.vertices)
-    if len(vertices) <= len(_SIGNS):
+    if len(vertices) <= len(SIGNS):
         return vertices
     low, high = vertices.min(0), vertices.max(0)
-    return (low + high) / 2 + _SIGNS * (high - low) / 2
+    return (low + high) / 2 + SIGNS * (high - low) / 2
 
 
 _POINTS = {Quad: _quad_corners, Disc: disc_polygon, Box: _box_corners, TriangleMesh: _mesh_corners}
@@ -88,7 +73,7 @@ def corners(shape: Shape) -> np.ndarray | None:
     """Points whose hull holds a shape: (n, 3) m; of a sphere the corners of the box about it; None
     for an unbounded plane."""
     if isinstance(shape, Sphere):
-        return numbers(shape.centre) + _SIGNS * numbers(shape.radius)
+        return numbers(shape.centre) + SIGNS * numbers(shape.radius)
     return _POINTS[type(shape)](shape) if type(shape) in _POINTS else None
 
 
@@ -166,12 +151,6 @@ def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
         case Plane():
             return numbers(shape.point), unit(numbers(shape.normal))
     return None
-
-
-def unit(v: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) of length 1, 0 where they have none; no unit."""
-    length = np.linalg.norm(v, axis=-1, keepdims=True)
-    return v / np.where(length > 0, length, 1)
 
 
 def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:

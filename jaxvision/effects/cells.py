@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._bounds import Ends, once
 from ..optics.views import focus_vergence, sensor_vergence
 from ..scene import (
     Box,
@@ -30,7 +31,6 @@ from ..scene import (
 from ..scene.shapes import Shape
 from .bodies import Bodies, body_of, faces_of, heights, numbers, plane_of, unit
 from .boxes import corners
-from .stages import Ends, once
 
 _BUDGET = 6000  # cells of a scene
 _FINEST, _COARSEST = 12, 2  # cells along one side of a flat surface

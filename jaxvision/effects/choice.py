@@ -11,16 +11,14 @@ from itertools import groupby
 import jax
 import numpy as np
 
-from ..brdf.glass import Glass
-from ..lights import DirectionalLight, PointLight, SmallLight
 from ..scene import Camera, Scene, TriangleMesh, View
 from .boxes import keeps
 from .certificate import IRRADIANCE, RADIANCE, Certificate, Effect, Pruned, Tolerance
+from .illumination import has_size
 from .pixel import ASSUMED
+from .reflection import fills
 from .spectra import folded, with_bands
 from .stages import Draft, Gone, Row
-
-_OF_NO_SIZE = PointLight, DirectionalLight, SmallLight
 
 
 @dataclass(frozen=True)
@@ -232,12 +230,12 @@ class Choice:
 
 def _assumed_of(scene: Scene) -> Iterator[str]:
     """What bounds of a scene rest on, a sentence each."""
-    if not all(isinstance(light, _OF_NO_SIZE) for light in scene.lights):
+    if any(has_size(light) for light in scene.lights):
         yield (
             "bounds are of the exact integrals over lamps and skies; a rule with too few nodes for "
             "a narrow lobe or a near lamp may show more than these."
         )
-    of_glass = (s.shape for s in scene.surfaces if isinstance(s.material, Glass))
+    of_glass = (s.shape for s in scene.surfaces if fills(s.material))
     if any(isinstance(shape, TriangleMesh) for shape in of_glass):
         yield "closed meshes of glass do not cut through themselves."
 

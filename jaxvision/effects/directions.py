@@ -9,7 +9,6 @@ glass shows through each part of a lens is another thing: there is no bound. W m
 
 import numpy as np
 
-from ..lights import EnvironmentMap, RectangleLight
 from ..scene import TriangleMesh
 from ..scene.shapes import Shape
 from .angles import cos_seen
@@ -17,8 +16,6 @@ from .bounces import Onward
 from .illumination import times
 from .reflection import Reflection
 from .sums import Sums, lobe_sent, pictured
-
-_EVEN = EnvironmentMap, RectangleLight  # what sends the same radiance to all sides
 
 
 def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
@@ -57,7 +54,7 @@ def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
         uneven = uneven + times(facing, times(grazing[:, None], of_body))
         total = total + np.where(bent, lobe + body, turned + np.minimum(2 * uneven, body))
     total = np.where(sums.k_mirror.max(1)[of_cell, None] > 0, np.inf, total)
-    lamps = [not isinstance(light.low, _EVEN) for light in sums.lights]
+    lamps = [not source.even for source in sums.sources]
     return np.maximum(pictured(sums, total), sums.shown[lamps].max(0, initial=0))
 
 

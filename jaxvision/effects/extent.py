@@ -16,18 +16,16 @@ ends at a horizon which can cross the lamp. Lengths in m.
 
 import numpy as np
 
-from ..lights.rectangle import RectangleLight
-from ..lights.small import SmallLight
-from .bodies import numbers
+from .._bounds import Ends, Source
+from ..scene import Light
 from .cells import Cells
-from .illumination import Source, source_of, times
-from .stages import Ends
+from .illumination import source_of, times
 from .sums import Sums, geometry_of, lobe_sent, sent
 
 _NEAREST = 0.9  # of half the diagonal over the distance
 
 
-def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, str]:
+def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
     """What it changes at most on each cell, the small light, and the reason.
 
     Args:
@@ -38,16 +36,16 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
         (c, bands) W m^-2 sr^-1; the light of (bands,) W sr^-1, or None where the lamp must stay;
         a few words.
     """
-    ends, nothing = sums.lights[k], np.zeros((len(sums.seen), sums.spectrum.shape[1]))
-    if not isinstance(ends.low, RectangleLight):
+    nothing = np.zeros((len(sums.seen), sums.spectrum.shape[1]))
+    own = sums.sources[k]
+    if not own.even:
         return nothing, None, "a light field is not even"
-    if ends.low is not ends.high:
+    if own.small is None:
         return nothing, None, "a fit may change the lamp"
     if sums.visible[k]:
         return nothing, None, "the lamp may be seen"
-    small = small_light(ends.low)
+    u, v, small = own.small
     place = source_of(Ends(small, small))
-    u, v = numbers(ends.low.edge_u), numbers(ends.low.edge_v)
     half = float(max(np.linalg.norm(u + v), np.linalg.norm(u - v))) / 2
     m2 = (u @ u + v @ v) / 12
     d = _distance(place, sums.cells)
@@ -75,16 +73,6 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, SmallLight | None, st
     mirrors = sums.mirrored[k] & (sums.k_mirror.max(1)[of_cell] > 0)
     changed = np.where(mirrors[:, None], np.inf, changed)
     return changed, small, "a rectangle as a place at its middle"
-
-
-def small_light(light: RectangleLight) -> SmallLight:
-    """The light of the same flux at the rectangle's middle, of intensity A L, W sr^-1."""
-    across = np.cross(numbers(light.edge_u), numbers(light.edge_v))
-    area = np.linalg.norm(across)
-    middle = numbers(light.corner) + (numbers(light.edge_u) + numbers(light.edge_v)) / 2
-    dtype = light.radiance.dtype
-    fields = middle, across / area, numbers(light.radiance) * area
-    return SmallLight(*(x.astype(dtype) for x in fields))
 
 
 def _distance(place: Source, cells: Cells) -> np.ndarray:

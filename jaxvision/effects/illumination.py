@@ -7,174 +7,30 @@ arrives with the receiver's cosine, and no more than 2 pi L without. Without spe
 of the light's own `spectrum`. Lengths in m.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..lights.directional import DirectionalLight
-from ..lights.environment import EnvironmentMap
-from ..lights.light_field import LightFieldLight
-from ..lights.point import PointLight
-from ..lights.rectangle import RectangleLight
-from ..lights.small import SmallLight
+from .._bounds import Angles, Ends, Lobe, angle, numbers, unit
+from .._bounds import Source as Source
+from ..lights import kinds
 from ..scene import Light
-from .angles import Angles, angle, cosine, half_width, lobe_angles
-from .bodies import box_about, numbers, unit
+from .angles import cosine, half_width, lobe_angles
 from .cells import Cells, Eye
-from .reflection import Lobe
-from .stages import Ends
-
-_PIECES = 5  # along each side of a rectangle
 
 
-class Source(NamedTuple):
-    """One light as what a bound needs to know of it.
-
-    Attributes:
-        spectrum: (bands,) intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1, the
-            largest.
-        places: (s, 3) m, or unit directions of a light that is infinitely far away.
-        size: (s,) m, the radius of each; rad for directions.
-        weight: (s,) m^2 of area, 1 for a light of intensity or irradiance.
-        normal: (3,) unit, of a light that shines to one side; None: to all.
-        body: points, (p, 3) m, and radii, (p,) m, that hold the light; None: infinitely far away.
-        kind: "place", "area", "direction" or "sky".
-        share: of 2 pi times `spectrum`, what a sky sends at most, no unit.
-        why: "" or why there is no bound.
-    """
-
-    spectrum: np.ndarray
-    places: np.ndarray
-    size: np.ndarray
-    weight: np.ndarray
-    normal: np.ndarray | None
-    body: tuple[np.ndarray, np.ndarray] | None
-    kind: str
-    share: float = 1.0
-    why: str = ""
-
-    @property
-    def extended(self) -> bool:
-        """Whether it has a radiance, and a ray may meet it."""
-        return self.kind in ("area", "sky")
-
-
-def _peak(light: Ends[Any], name: str) -> np.ndarray:
-    both = np.maximum(*(np.abs(numbers(getattr(end, name))) for end in light))
-    return both.reshape(-1, both.shape[-1]).max(0)
-
-
-def _at_one_place(light: Ends[Any]) -> Source:
-    points = box_about(numbers(light.low.position), numbers(light.high.position))
-    middle = points.mean(0)
-    size = np.linalg.norm(points - middle, axis=1).max()
-    normal = None
-    if isinstance(light.low, SmallLight) and np.array_equal(light.low.normal, light.high.normal):
-        normal = unit(numbers(light.low.normal))
-    body = points, np.zeros(len(points))
-    own = np.array([1.0])
-    return Source(_peak(light, "intensity"), middle[None], own * size, own, normal, body, "place")
-
-
-def _from_far(light: Ends[DirectionalLight]) -> Source:
-    low, high = numbers(light.low.direction), numbers(light.high.direction)
-    points = unit(box_about(low, high))
-    middle = unit(points.mean(0))
-    width = angle(points, middle).max() if len(points) > 1 else 0.0
-    own = np.array([1.0])
-    if width >= np.pi / 2 or (len(points) > 1 and np.all(low * high <= 0)):
-        width = np.pi
-    return Source(
-        _peak(light, "irradiance"), middle[None], own * width, own, None, None, "direction"
-    )
-
-
-def _of_window(light: Ends[Any], windows: Ends[Any]) -> Source:
-    low, high = windows
-    corner, u, v = (numbers(getattr(low, name)) for name in ("corner", "edge_u", "edge_v"))
-    fixed = all(
-        np.array_equal(getattr(low, name), getattr(high, name))
-        for name in ("corner", "edge_u", "edge_v")
-    )
-    spectrum = _peak(light, "radiance")
-    if fixed:
-        across = np.cross(u, v)
-        area = np.linalg.norm(across)
-        t = (np.arange(_PIECES) + 0.5) / _PIECES
-        s, t = (x.ravel()[:, None] for x in np.meshgrid(t, t))
-        places, count = corner + s * u + t * v, _PIECES**2
-        size = max(np.linalg.norm(u + v), np.linalg.norm(u - v)) / (2 * _PIECES)
-        points = corner + np.stack([0 * u, u, v, u + v])
-        body = points, np.zeros(4)
-        each = np.full(count, 1.0)
-        return Source(
-            spectrum, places, each * size, each * area / count, unit(across), body, "area"
-        )
-    ends = [
-        numbers(end.corner)
-        + np.stack(
-            [
-                0 * u,
-                *(numbers(e) for e in (end.edge_u, end.edge_v)),
-                numbers(end.edge_u) + numbers(end.edge_v),
-            ]
-        )
-        for end in windows
-    ]
-    points = box_about(np.minimum(*ends), np.maximum(*ends))
-    middle = points.mean(0)
-    size = np.linalg.norm(points - middle, axis=1).max()
-    area = max(
-        np.linalg.norm(a) * np.linalg.norm(b)
-        for a in box_about(numbers(low.edge_u), numbers(high.edge_u))
-        for b in box_about(numbers(low.edge_v), numbers(high.edge_v))
-    )
-    own, body = np.array([1.0]), (points, np.zeros(len(points)))
-    return Source(spectrum, middle[None], own * size, own * area, None, body, "area")
-
-
-def _rectangle(light: Ends[RectangleLight]) -> Source:
-    return _of_window(light, light)
-
-
-def _light_field(light: Ends[LightFieldLight]) -> Source:
-    return _of_window(light, light.of("aperture"))
-
-
-def _sky(light: Ends[EnvironmentMap]) -> Source:
-    """The sum over the pixels of the largest radiance beside each, and all of the largest."""
-    radiance = np.maximum(*(np.abs(numbers(end.radiance)) for end in light))
-    peak = radiance.reshape(-1, radiance.shape[-1]).max(0)
-    rows, columns, _ = radiance.shape
-    wide = np.concatenate([radiance[:1], radiance, radiance[-1:]])
-    near = np.maximum.reduce([wide[k : k + rows] for k in range(3)])
-    near = np.maximum.reduce([np.roll(near, k, axis=1) for k in (-1, 0, 1)])
-    edges = np.cos(np.pi * np.arange(rows + 1) / rows)
-    solid = (edges[:-1] - edges[1:])[:, None, None] * (2 * np.pi / columns)
-    sent = (near * solid).sum((0, 1))
-    if rows < 3:  # the poles are means of whole rows
-        sent = 4 * np.pi * peak
-    share = np.max(sent / np.where(peak > 0, 2 * np.pi * peak, np.inf))
-    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
-    return Source(peak, *none, None, None, "sky", share=float(min(share, 1.0)))
-
-
-SOURCES: dict[type[Light], Callable[[Any], Source]] = {
-    PointLight: _at_one_place,
-    SmallLight: _at_one_place,
-    DirectionalLight: _from_far,
-    RectangleLight: _rectangle,
-    LightFieldLight: _light_field,
-    EnvironmentMap: _sky,
-}
+def has_size(light: Light) -> bool:
+    """Whether a light may reach a point from many directions, as one that was never registered."""
+    own = kinds().get(type(light))
+    return own is None or hasattr(own, "seen")
 
 
 def source_of(light: Ends[Any]) -> Source:
-    """A light between its two ends; inf for a kind of one's own."""
-    own = SOURCES.get(type(light.low))
-    if own is not None:
-        return own(light)
+    """A light between its two ends; inf for a kind that brings no bound."""
+    own = kinds().get(type(light.low))
+    if own is not None and own.bound is not None:
+        return own.bound(light)
     kind, bands = (
         type(light.low).__name__,
         [numbers(getattr(light.low, name)).shape[-1] for name in light.low.spectra],

@@ -20,7 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..lights import EnvironmentMap, LightFieldLight, RectangleLight
 from ..optics import chief_slope, focus_vergence, sensor_vergence
 from ..scene import (
     Orthographic,
@@ -35,6 +34,7 @@ from .bodies import corners as corners_of
 from .boxes import refuse_tracers
 from .cells import lens_radius
 from .certificate import IRRADIANCE, Effect
+from .illumination import has_size, source_of
 from .optics import stretch
 from .pixel import INF, clean
 from .stages import Draft, Ends, Row
@@ -148,9 +148,10 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
     ]
     if turned:
         for light in scene.lights:
-            if isinstance(light, RectangleLight):
-                bodies.append((light, light))
-            elif isinstance(light, EnvironmentMap | LightFieldLight):
+            source = source_of(Ends(light, light)) if has_size(light) else None
+            if source is not None and source.small is not None and source.body is not None:
+                bodies.append((source.body[0], source.body[0]))
+            elif source is not None:
                 return INF, "a sky or a light field turns about a moving camera"
     farthest = 0.0
     for rest, moment in bodies:
@@ -212,9 +213,8 @@ def _points(shape: Any) -> np.ndarray | None:
     """Corners (n, 3) m that move with a shape; None for an endless one."""
     if isinstance(shape, TriangleMesh):
         return np.asarray(shape.vertices, float)
-    if isinstance(shape, RectangleLight):
-        corner, u, v = (np.asarray(x, float) for x in (shape.corner, shape.edge_u, shape.edge_v))
-        return corner + np.stack([0 * u, u, v, u + v])
+    if isinstance(shape, np.ndarray):
+        return shape
     return corners_of(shape)
 
 

@@ -36,6 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..scene import GaussianShotNoise, Sensor
+from ..sensor import stage_of
 from .boxes import corners
 from .certificate import Rank
 from .electrons import dark_rate, exposure, freed, kernel_slopes, read_out_variances
@@ -195,7 +196,7 @@ class Pixel:
     def surely_counted(self) -> float:
         """Least variance of the brightest charge; 0 if a full well may cut it or charges repel each
         other, both of which reduce it."""
-        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0
+        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.own
         return self.light + self.dark if sure else 0.0
 
     @property
@@ -208,7 +209,7 @@ class Pixel:
     def counted_dark(self) -> float:
         """Least variance of any charge: of dark electrons that are counted, less what charge
         transfer leaves behind. A well that cuts a charge lowers its rms by the excess at most."""
-        if not self.counted or self.sensor.high["brighter_fatter"] is not None:
+        if not self.counted or self.own or self.sensor.high["brighter_fatter"] is not None:
             return 0.0
         return max(math.sqrt(min(self._darks) * self.read_share) - self.spilt.rms, 0.0) ** 2
 
@@ -237,7 +238,24 @@ class Pixel:
         """DN per electron of charge that arrives: K sqrt((1 + c^2)(1 + q^2)); with the
         brighter-fatter effect e^(3 c) more, e^(2 c) for variances over rms that are smaller by up
         to e^-c."""
-        return self.behind_conversion * self.pushing**3
+        return self.behind_own * self.pushing**3
+
+    @cached_property
+    def behind_own(self) -> float:
+        """The same of charge that effects from outside act on, with what they multiply it by."""
+        return self.behind_conversion * math.prod(own_bound(e, self.rms)[1] for e in self.own)
+
+    @cached_property
+    def own(self) -> tuple[Ends[Any], ...]:
+        """Effects from outside."""
+        both = (self.sensor.low["own"] or (), self.sensor.high["own"] or ())
+        return tuple(Ends(low, high) for low, high in zip(*both, strict=True))
+
+    @cached_property
+    def rms(self) -> float:
+        """Root mean square of the electrons of the brightest pixel."""
+        noise = self.bright if self.counted else 0.0
+        return math.hypot(self.bright, math.sqrt(noise), self.high("prnu") * self.light)
 
     @cached_property
     def behind_conversion(self) -> float:
@@ -346,6 +364,15 @@ class Pixel:
         return float(self.sensor.low["full_well"]) / 4, 0.0
 
 
+def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
+    """By how many electrons rms an effect from outside moves a pixel, and by how much it multiplies
+    a change of charge, at most; inf for one without a bound."""
+    bound = stage_of(effect.low).bound
+    if bound is None or not math.isfinite(electrons):
+        return INF, 1.0 if bound is not None else INF
+    return bound(effect, electrons)
+
+
 def pixel_of(
     sensor: Ends[Sensor], irradiance: np.ndarray, shape: tuple[int, int], gone: Gone
 ) -> Pixel:
@@ -360,6 +387,8 @@ def pixel_of(
 
     def left(of: Sensor) -> Mapping[str, Any]:
         fields = vars(of).items()
-        return {name: None if f"sensor.{name}" in gone else value for name, value in fields}
+        kept = {name: None if f"sensor.{name}" in gone else value for name, value in fields}
+        own = enumerate(kept["own"] or ())
+        return kept | {"own": tuple(e for i, e in own if f"sensor.own[{i}]" not in gone)}
 
     return Pixel(Ends(left(sensor.low), left(sensor.high)), irradiance, shape)

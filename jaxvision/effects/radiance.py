@@ -11,10 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..brdf.glass import Glass
-from ..brdf.lambert import Lambert
-from ..brdf.oren_nayar import OrenNayar
-from ..brdf.torrance_sparrow import TorranceSparrow
+from ..brdf import lambertian
 from ..scene import AmbientLight, Material, Scene, TriangleMesh, View
 from .bodies import body_of, heights, is_closed, numbers, stacked
 from .bounces import EMITTED, Onward
@@ -23,7 +20,7 @@ from .certificate import RADIANCE, Effect
 from .directions import over_lens
 from .extent import extent_change
 from .illumination import times
-from .reflection import Lobe, fresnel_least, reflection_of
+from .reflection import Lobe, absorbs
 from .stages import Arriving, Draft, Drop, Ends, Row
 from .sums import (
     Sums,
@@ -220,14 +217,14 @@ def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
     name, material = f"surfaces[{i}]", surface.low.material
     if reflection.lobe is not None:
         yield lobe(sums, onward, i)
-    if isinstance(material, TorranceSparrow) and material.interface is not None:
+    if reflection.facets is not None:
         yield interface(sums, onward, i)
-    if np.any(reflection.plain) or isinstance(material, OrenNayar):
+    if np.any(reflection.plain) or reflection.rough is not None:
         yield roughness(sums, onward, i)
     if reflection.mirror is not None:
         why = "a mirror or glass shows the rest of the scene: no bound is known"
         yield _row(f"{name}.material", np.full(sums.k_body.shape[1], np.inf), None, why)
-    if isinstance(material, Glass) and material.absorption is not None:
+    if absorbs(material):
         yield absorption(sums, onward, i)
     if surface.low.emission is not None:
         yield emission(sums, onward, i)
@@ -262,8 +259,7 @@ def _of_cells(
 def _as_lambert(i: int) -> Drop:
     def drop(draft: Draft) -> Draft:
         own = draft.surfaces[i]
-        material: Any = own.material
-        plain = Lambert(material.diffuse, ambient=material.ambient)
+        plain = lambertian(own.material)
         return replace(draft, surfaces=_without(draft.surfaces, i, replace(own, material=plain)))
 
     return drop
@@ -303,10 +299,10 @@ def _is_plain_without_lobe(material: Material) -> bool:
 
 def interface(sums: Sums, onward: Onward, i: int) -> Row:
     """Fresnel's reflectance of facets: at most what the lobe would gain if they reflected all."""
-    material = sums.surfaces[i].of("material")
-    least = fresnel_least(material.of("interface"))
+    facets = sums.reflections[i].facets
+    assert facets is not None
     full: list[Lobe | None] = [None] * len(sums.surfaces)
-    full[i] = reflection_of(Ends(*(replace(end, interface=None) for end in material))).lobe
+    least, full[i] = facets
     own = sums if onward.depth is None else sums._replace(eye=anywhere(sums.eye))
     others = times(_size(full[i]) * sums.k_lobe[i], onward.arriving.max(0))
 
@@ -321,7 +317,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def roughness(sums: Sums, onward: Onward, i: int) -> Row:
-    """Oren-Nayar's facets, or all in which a measured body differs from a Lambertian."""
+    """All in which a rough or a measured body differs from a Lambertian."""
     reflection, material = sums.reflections[i], sums.surfaces[i].low.material
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
@@ -333,11 +329,12 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
 
     others = times(np.pi * (plain + 2 * grazing), onward.of_body(i))
     amount = _of_cells(sums, onward, i, _all_lights(sums, i, of_light, others))
-    if np.isinf(plain).any():
+    name = f"surfaces[{i}].material"
+    if np.isinf(plain).any() or not hasattr(material, "diffuse"):
         why = reflection.why or f"{type(material).__name__} has no Lambertian part"
-        return _row(f"surfaces[{i}].material", amount + np.inf, None, why)
-    why = "Oren-Nayar to Lambert"
-    name = f"surfaces[{i}].material.sigma"
+        return _row(name, amount + np.inf, None, why)
+    field, why = reflection.rough or ("", f"{type(material).__name__} to Lambert")
+    name = f"{name}.{field}" if field else name
     return _row(name, amount, _as_lambert(i), why, saves=_SAVES["lobe"])
 
 

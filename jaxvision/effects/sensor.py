@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..scene import Sensor, ShotNoise
+from ..scene import Sensor, SensorEffect, ShotNoise
 from ..sensor import QUANTISATION_VARIANCE, mean_photoelectrons
 from . import sensor_charge, sensor_light, sensor_reading
 from .boxes import refuse_tracers
 from .certificate import DN, Effect
 from .electrons import share_of_light
-from .pixel import Bound, Pixel, clean, pixel_of
+from .pixel import Bound, Pixel, clean, own_bound, pixel_of
 from .stages import Draft, Ends, Gone, Response, Row
 
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
@@ -29,7 +29,7 @@ BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     **sensor_reading.BOUNDS,
 }
 # Fields whose row another stage gives.
-ELSEWHERE = {"shutter": "motion"}
+ELSEWHERE = {"shutter": "motion", "own": "each of its own, below"}
 # Fields that say what the numbers mean, which nothing can leave out.
 SCALES = {"photon_conversion", "colour_filter", "exposure_time", "gain"}
 
@@ -89,6 +89,8 @@ def sensor_stage(
         for name, kinds, bound, kind in sensor_charge.COUNTING
         if isinstance(sensor.high.shot_noise, kinds)
     ]
+
+    rows += [_own(i, ends, pixel) for i, ends in enumerate(pixel(frozenset()).own)]
 
     def response(change: np.ndarray, gone: Gone = frozenset()) -> float:
         return _response(pixel(gone), np.asarray(change, float))
@@ -158,6 +160,26 @@ def _row(
         _SAVES.get(name, 0.02),
         needs=needs,
     )
+
+
+def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
+    """The row of an effect from outside, by the bound that it brings."""
+    name, kind = f"sensor.own[{i}]", type(ends.low).__name__
+
+    def after(gone: Gone) -> float:
+        left = pixel(gone - {name})
+        return clean(left.behind_own * own_bound(ends, left.rms)[0])
+
+    def drop(draft: Draft) -> Draft:
+        kept = tuple(own for own in draft.camera.sensor.own or () if own is not ends.low)
+        left = replace(draft.camera.sensor, own=kept)
+        return replace(draft, camera=replace(draft.camera, sensor=left))
+
+    dn = after(frozenset())
+    why = kind if math.isfinite(dn) else f"no bound of {kind} is known"
+    rank = "exact" if dn == 0 else "bound"
+    effect = Effect(name, True, why, dn, unit=DN, rank=rank)
+    return Row(effect, np.asarray(dn), drop if math.isfinite(dn) else None, after)
 
 
 def _faster(

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array
 
-from ..brdf.dichromatic import Dichromatic
-from ..brdf.oren_nayar import OrenNayar
 from ..scene import Camera, Scene
 from .cells import part_of
 from .certificate import RADIANCE, Effect
@@ -69,10 +67,8 @@ def _why_not(sums: Sums, direct: bool) -> str:
         return "light that bounces takes the colour of every surface that it meets"
     if not sums.lights:
         return "no lamp shades them, so that joining fewer would cost what it saves"
-    for i, (surface, own) in enumerate(zip(sums.surfaces, sums.reflections, strict=True)):
-        material = surface.low.material
-        angular = isinstance(material, Dichromatic) or np.isinf(own.plain).any()
-        angular |= isinstance(material, OrenNayar) and material.form == "full"
+    for i, own in enumerate(sums.reflections):
+        angular = own.angular or np.isinf(own.plain).any()
         if angular or (own.lobe is not None and not own.lobe.neutral):
             return f"the angles of surfaces[{i}] differ between bands"
     for k, source in enumerate(sums.sources):

@@ -19,52 +19,18 @@ Bounds must hold on every picture between the full and the pruned one, so they u
 ignore all that only takes light away (shadows, rims, wells).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import wraps
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-from jax.tree_util import register_dataclass
 
+from .._bounds import Ends as Ends
 from ..scene import AmbientLight, Camera, Light, Surface
 from .certificate import Effect
 
-T = TypeVar("T")
-
 # A small picture runs at once however it is compiled, and compiles in half the time so.
 QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_passes": "True"}
-
-
-@register_dataclass
-@dataclass(frozen=True, eq=False)
-class Ends(Generic[T]):
-    """A record at the two ends of what a fit may change; one record twice where nothing is free."""
-
-    low: T
-    high: T
-
-    def __iter__(self) -> Iterator[T]:
-        return iter((self.low, self.high))
-
-    def of(self, name: str) -> "Ends[Any]":
-        """A field of both, the same object whenever it is asked for."""
-        key = f"of {name}"
-        if key not in self.__dict__:
-            self.__dict__[key] = Ends(getattr(self.low, name), getattr(self.high, name))
-        return self.__dict__[key]
-
-
-def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
-    """A function of ends that is worked out once for each, and kept with it."""
-
-    @wraps(function)
-    def asked(ends: Ends[Any]) -> T:
-        if function.__name__ not in ends.__dict__:
-            ends.__dict__[function.__name__] = function(ends)
-        return ends.__dict__[function.__name__]
-
-    return asked
 
 
 @dataclass(frozen=True)

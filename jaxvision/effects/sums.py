@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..brdf.glass import Glass
 from ..rendering.direct import can_shade
 from ..scene import Light, Scene, Surface
 from .angles import cos_seen, lobe_angles
@@ -21,7 +20,7 @@ from .blocking import may_block
 from .bodies import body_of, gap, is_closed, numbers, stacked, taken
 from .cells import Cells, Eye, anywhere, bodies_of, cells_of, in_view
 from .illumination import Arrived, Source, arriving, of_lobes, source_of, times
-from .reflection import Lobe, Reflection, reflection_of
+from .reflection import Lobe, Reflection, fills, reflection_of
 from .stages import Ends
 from .umbra import covered, hidden, in_umbra, shaded
 
@@ -114,7 +113,7 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     cells = cells_of(surfaces, about=eye.place)
     facing = cos_seen(cells, eye)[1] > 0
     if bounces:  # from within, too
-        glass = [isinstance(surface.low.material, Glass) for surface in surfaces]
+        glass = [fills(surface.low.material) for surface in surfaces]
         facing |= np.array(glass, bool)[cells.surface]
     seen = facing & in_view(eye, bodies_of(cells))
     if not bounces:
@@ -131,9 +130,9 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
         (i, own.lobe.spectrum) for i, own in enumerate(reflections) if own.lobe is not None
     )
     k_mirror = table.filled(
-        (i, own.mirror * _growth(surfaces[i], eye))
+        (i, own.mirror * _growth(surfaces[i], own, eye))
         for i, own in enumerate(reflections)
-        if own.mirror is not None and (bounces or not isinstance(surfaces[i].low.material, Glass))
+        if own.mirror is not None and (bounces or not fills(surfaces[i].low.material))
     )
     spectrum = _Table(len(sources), bands).filled(
         (k, own.spectrum) for k, own in enumerate(sources)
@@ -179,16 +178,14 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
     )
 
 
-def _growth(surface: Ends[Surface], eye: Eye) -> float:
+def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
     """By how much radiance may grow at a mirror or an interface of glass, no unit. Radiance over
     the square of the index is kept, so that what enters a body of an index above 1 and leaves it
     again has gained nothing; within one where the eye may be, or that of a lower index, it has, and
     so it has wherever a surface bounds no body and is met from behind only."""
-    material, body = surface.of("material"), body_of(surface.of("shape"))
-    if not isinstance(material.low, Glass):
+    if own.indices is None:
         return 1.0
-    least, most = (float(numbers(end.index)) for end in material)
-    least, most = min(least, most), max(least, most)
+    (least, most), body = own.indices, body_of(surface.of("shape"))
     viewer = eye.place[None], np.array([eye.size])
     if least < 1 or body is None or eye.parallel or not is_closed(surface.of("shape")):
         return max(most, 1 / least) ** 2

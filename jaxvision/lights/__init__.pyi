@@ -15,6 +15,8 @@ from ._registry import (
     Incident as Incident,
     Seen as Seen,
     can_be_seen as can_be_seen,
+    kind_of as kind_of,
+    kinds as kinds,
     register as register,
     register_extended as register_extended,
 )

@@ -4,11 +4,14 @@ A light at one place (a point, a direction) registers `incident`. An extended on
 looks along a ray, and maps of the unit square onto its directions.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._bounds import Ends, Source
+from .._kinds import Table, table_for
 from .._shown import Shown
 from .._types import Colour, Scalar
 from .._vector import Direction, Vec
@@ -67,11 +70,16 @@ class Emitted(Shown):
     normal: Vec
 
 
+Bound = Callable[[Ends[Any]], Source]
+
+
 class Discrete(NamedTuple):
     """What a light at one place has registered; `register` describes the functions."""
 
     incident: Callable[..., Incident]
     emitted: Callable[..., Emitted] | None
+    bound: Bound | None
+    table: Table | None
 
 
 class Extended(NamedTuple):
@@ -83,9 +91,23 @@ class Extended(NamedTuple):
     node: Callable[..., Incident]
     nodes: Callable[[int], tuple[np.ndarray, np.ndarray]]
     emitted: Callable[..., Emitted] | None
+    bound: Bound | None
+    table: Table | None
 
 
 _KINDS: dict[type, Discrete | Extended] = {}
+
+
+def kinds() -> Mapping[type, Discrete | Extended]:
+    """All that is registered, the lights of the library among them.
+
+    Returns:
+        What each record has registered.
+    """
+    room = import_module(__package__ or "")
+    for name in dir(room):
+        getattr(room, name)
+    return _KINDS
 
 
 def register(
@@ -93,6 +115,9 @@ def register(
     *,
     incident: Callable[..., Incident],
     emitted: Callable[..., Emitted] | None = None,
+    bound: Bound | None = None,
+    word: str | None = None,
+    from_file: Callable[..., Any] | None = None,
 ) -> None:
     """Makes a light that reaches a point from one direction known to every integrator.
 
@@ -104,8 +129,15 @@ def register(
             emits. Without it rays leave a light at a finite distance in all directions alike,
             with the flux that `incident` implies, and a light that is infinitely far away sends
             parallel rays through the whole scene.
+        bound: `bound(ends) -> effects.Source`, the most that the light sends, of the light at both
+            ends of what a fit may change; without it `effects` keeps all that depends on it.
+        word: its `kind` in scene files; by default the name of the class in snake case, without
+            "Light", and "" for a light that no scene file holds.
+        from_file: what makes the light of a file's keys, where these are not its fields: their
+            names and defaults are those of its parameters, their meaning that of its docstring, and
+            `**fields` takes all other fields of the light.
     """
-    _KINDS[light] = Discrete(incident, emitted)
+    _KINDS[light] = Discrete(incident, emitted, bound, table_for(light, word, from_file))
 
 
 def register_extended(
@@ -117,6 +149,9 @@ def register_extended(
     node: Callable[..., Incident] | None = None,
     nodes: Callable[[int], tuple[np.ndarray, np.ndarray]] = square_nodes,
     emitted: Callable[..., Emitted] | None = None,
+    bound: Bound | None = None,
+    word: str | None = None,
+    from_file: Callable[..., Any] | None = None,
 ) -> None:
     """Makes a light that reaches a point from many directions known to every integrator.
 
@@ -130,13 +165,25 @@ def register_extended(
         node: as `sample`, smooth in `u`, for quadrature; without it `sample` serves.
         nodes: the static nodes, (n, 2), and weights, (n,), of an order of quadrature.
         emitted: as in `register`. Without it a light at a finite distance cannot be traced from.
+        bound, word, from_file: as in `register`.
     """
     smooth = sample if node is None else node
-    _KINDS[light] = Extended(seen, sample, pdf, smooth, nodes, emitted)
+    table = table_for(light, word, from_file)
+    _KINDS[light] = Extended(seen, sample, pdf, smooth, nodes, emitted, bound, table)
 
 
 def kind_of(light: Light) -> Discrete | Extended:
-    """What a light has registered; `ValueError` for an unknown light."""
+    """What a light has registered.
+
+    Args:
+        light: any registered light.
+
+    Returns:
+        Its functions.
+
+    Raises:
+        ValueError: for an unknown light.
+    """
     kind = _KINDS.get(type(light))
     if kind is None:
         known = ", ".join(sorted(known.__name__ for known in _KINDS))

@@ -1,9 +1,11 @@
 """A source at infinity in one direction, such as the sun taken as a point."""
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Source, angle, box_about, numbers, peak, unit
 from .._numerics import normalize
 from .._types import AMOUNT, Colour, as_float, check_direction, check_fields
 from .._vector import Vector
@@ -49,4 +51,17 @@ def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
     return Incident(normalize(light.direction), light.irradiance)
 
 
-register(DirectionalLight, incident=from_directional_light)
+def _bound(light: Ends[DirectionalLight]) -> Source:
+    """A cone of directions."""
+    low, high = numbers(light.low.direction), numbers(light.high.direction)
+    points = unit(box_about(low, high))
+    middle = unit(points.mean(0))
+    width = angle(points, middle).max() if len(points) > 1 else 0.0
+    own = np.array([1.0])
+    if width >= np.pi / 2 or (len(points) > 1 and np.all(low * high <= 0)):
+        width = np.pi
+    irradiance = peak(light, "irradiance")
+    return Source(irradiance, middle[None], own * width, own, None, None, "direction")
+
+
+register(DirectionalLight, incident=from_directional_light, bound=_bound)

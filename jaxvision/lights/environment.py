@@ -7,14 +7,18 @@ bilinear, around the seam and across the poles. Directions are unit vectors in t
 ray or point; the caller vmaps.
 """
 
+from typing import Annotated, Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Source, numbers
+from .._kinds import Picture
 from .._numerics import arctan2, divide, safe_sqrt
-from .._types import AMOUNT, Colour, Scalar, as_float, check_fields, check_shape
+from .._types import AMOUNT, NOT_NEGATIVE, Colour, Scalar, as_float, check_fields, check_shape
 from .._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light
@@ -209,6 +213,56 @@ def _to_world(environment: EnvironmentMap, direction: Vec, point: Vector) -> Vec
     return as_array(world) if isinstance(point, Array) else world
 
 
+def _bound(light: Ends[EnvironmentMap]) -> Source:
+    """The sum over the pixels of the largest radiance beside each, and all of the largest."""
+    radiance = np.maximum(*(np.abs(numbers(end.radiance)) for end in light))
+    peak = radiance.reshape(-1, radiance.shape[-1]).max(0)
+    rows, columns, _ = radiance.shape
+    wide = np.concatenate([radiance[:1], radiance, radiance[-1:]])
+    near = np.maximum.reduce([wide[k : k + rows] for k in range(3)])
+    near = np.maximum.reduce([np.roll(near, k, axis=1) for k in (-1, 0, 1)])
+    edges = np.cos(np.pi * np.arange(rows + 1) / rows)
+    solid = (edges[:-1] - edges[1:])[:, None, None] * (2 * np.pi / columns)
+    sent = (near * solid).sum((0, 1))
+    if rows < 3:  # the poles are means of whole rows
+        sent = 4 * np.pi * peak
+    share = np.max(sent / np.where(peak > 0, 2 * np.pi * peak, np.inf))
+    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    return Source(peak, *none, None, None, "sky", share=float(min(share, 1.0)), even=True)
+
+
+def _from_file(
+    *,
+    file: Picture | None = None,
+    radiance: Colour | None = None,
+    scale: Annotated[float, NOT_NEGATIVE] = 1.0,
+    up: Float[Array, "3"] = (0.0, 0.0, 1.0),  # type: ignore[assignment]
+    toward: Float[Array, "3"] = (1.0, 0.0, 0.0),  # type: ignore[assignment]
+) -> EnvironmentMap:
+    """Distant light from all directions: a picture or a constant.
+
+    Args:
+        file: a latitude-longitude EXR or HDR with as many bands as the scene.
+        radiance: (bands,) W m^-2 sr^-1, the same from all directions, instead of a file.
+        scale: factor on the radiance, no unit.
+        up: direction of the top of the picture.
+        toward: direction of its middle column.
+    """
+    from .environment_tables import environment_map
+
+    if (file is None) == (radiance is None):
+        raise ValueError("give either file or radiance.")
+    picture: Any = file
+    if radiance is not None:
+        picture = np.broadcast_to(np.asarray(radiance), (4, 8, np.size(radiance)))
+    left = np.cross(up, toward)
+    if np.linalg.norm(left) <= 1e-9:
+        raise ValueError("up and toward lie on one line; give another toward.")
+    axes = np.stack([np.cross(left, up), left, np.asarray(up)])
+    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    return environment_map(float(scale) * picture, rotation=axes)
+
+
 register_extended(
     EnvironmentMap,
     seen=_seen,
@@ -216,4 +270,7 @@ register_extended(
     pdf=environment_pdf,
     node=environment_node,
     nodes=_nodes,
+    bound=_bound,
+    word="environment",
+    from_file=_from_file,
 )

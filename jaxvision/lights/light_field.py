@@ -23,7 +23,7 @@ from ..hemisphere import cross
 from ..scene import Light
 from ._nodes import square_nodes
 from ._registry import Emitted, Incident, Seen, register_extended
-from .window import Window, crossing, hit_window, window_pdf, window_sample
+from .window import Window, _window_bound, crossing, hit_window, window_pdf, window_sample
 
 
 class LightFieldLight(Light):
@@ -252,4 +252,6 @@ register_extended(
     sample=light_field_sample,
     pdf=light_field_pdf,
     emitted=_emitted,
+    bound=lambda light: _window_bound(light, light.of("aperture")),
+    word="",
 )

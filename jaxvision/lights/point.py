@@ -1,12 +1,16 @@
 """A point: the same intensity in every direction, falling with the square of the distance."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._bands import by_band
+from .._bounds import Ends, Source, box_about, numbers, peak
 from .._numerics import dot, or_one, smallest_divisor
 from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
 from .._vector import Vector, as_vec
@@ -72,4 +76,13 @@ def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
     return emitted_from_point(as_vec(light.position), direction, 4 * jnp.pi * light.intensity)
 
 
-register(PointLight, incident=from_point_light, emitted=_emitted)
+def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
+    """A lamp at one place that shines to all sides, or to the side of a normal."""
+    points = box_about(numbers(light.low.position), numbers(light.high.position))
+    middle = points.mean(0)
+    size = np.linalg.norm(points - middle, axis=1).max()
+    body, own = (points, np.zeros(len(points))), np.array([1.0])
+    return Source(peak(light, "intensity"), middle[None], own * size, own, normal, body, "place")
+
+
+register(PointLight, incident=from_point_light, emitted=_emitted, bound=_place_bound)

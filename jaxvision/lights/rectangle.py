@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Source, numbers
 from .._numerics import dot, reciprocal
 from .._types import AMOUNT, Colour, Scalar, as_float, check_direction, check_fields, is_known
 from .._vector import Direction, Vec, Vector, as_array, as_vec
@@ -17,7 +18,8 @@ from ..geometry import Ray
 from ..scene import Light, Quad
 from ._emission import emitted_from_surface
 from ._registry import Emitted, Incident, Seen, register_extended
-from .window import Window, hit_window, window_pdf, window_sample
+from .small import SmallLight
+from .window import Window, _window_bound, hit_window, window_pdf, window_sample
 
 
 class RectangleLight(Light):
@@ -117,10 +119,29 @@ def _emitted(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
     return emitted_from_surface(quad, light.radiance, u)
 
 
+def _small_light(light: RectangleLight) -> SmallLight:
+    """The light of the same flux at the rectangle's middle, of intensity A L, W sr^-1."""
+    u, v = numbers(light.edge_u), numbers(light.edge_v)
+    across = np.cross(u, v)
+    area = np.linalg.norm(across)
+    fields = numbers(light.corner) + (u + v) / 2, across / area, numbers(light.radiance) * area
+    return SmallLight(*(x.astype(light.radiance.dtype) for x in fields))
+
+
+def _bound(light: Ends[RectangleLight]) -> Source:
+    """A window, which a small light at its middle may stand for where it stays."""
+    source = _window_bound(light, light)._replace(even=True)
+    u, v = numbers(light.low.edge_u), numbers(light.low.edge_v)
+    if light.low is not light.high or not np.any(np.cross(u, v)):
+        return source
+    return source._replace(small=(u, v, _small_light(light.low)))
+
+
 register_extended(
     RectangleLight,
     seen=rectangle_seen,
     sample=rectangle_sample,
     pdf=rectangle_pdf,
     emitted=_emitted,
+    bound=_bound,
 )

@@ -6,10 +6,12 @@ of area A and radiance L far away is a `SmallLight` of intensity A L.
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
 from .._bands import by_band
+from .._bounds import Ends, Source, numbers, unit
 from .._numerics import dot, normalize
 from .._types import AMOUNT, Colour, as_float, check_fields
 from .._vector import Vector, as_vec
@@ -17,7 +19,7 @@ from ..hemisphere import cosine_direction, local_frame, to_world
 from ..scene import Light
 from ._emission import emitted_from_point
 from ._registry import Emitted, Incident, register
-from .point import _toward
+from .point import _place_bound, _toward
 
 
 class SmallLight(Light):
@@ -75,4 +77,10 @@ def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
     return emitted_from_point(as_vec(light.position), direction, jnp.pi * light.intensity)
 
 
-register(SmallLight, incident=from_small_light, emitted=_emitted)
+def _bound(light: Ends[SmallLight]) -> Source:
+    """A lamp at one place; its normal counts where it stays."""
+    fixed = np.array_equal(light.low.normal, light.high.normal)
+    return _place_bound(light, normal=unit(numbers(light.low.normal)) if fixed else None)
+
+
+register(SmallLight, incident=from_small_light, emitted=_emitted, bound=_bound)

@@ -4,11 +4,15 @@ onto its directions that stays even when the point is near.
 Lengths in metres. For ONE point or ray; the caller vmaps.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._arguments import takes_numbers
+from .._bounds import Ends, Source, box_about, numbers, peak, unit
 from .._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
 from .._shown import Shown
 from .._types import Scalar, as_float, check_fields
@@ -191,3 +195,52 @@ def window_pdf(window: Window, point: Vector, wi: Direction) -> Scalar:
     projected = norm(cross(window.edge_u, window.edge_v)) * jnp.where(hit, at.facing, 1)
     distance = jnp.where(hit, at.distance, 0)
     return divide(per_place * distance * distance, projected, where=hit)
+
+
+_PIECES = 5  # along each side of a window
+
+
+def _window_bound(light: Ends[Any], windows: Ends[Any]) -> Source:
+    """A lamp that sends at most the largest radiance through a window, cut into pieces where that
+    stays."""
+    low, high = windows
+    corner, u, v = (numbers(getattr(low, name)) for name in ("corner", "edge_u", "edge_v"))
+    fixed = all(
+        np.array_equal(getattr(low, name), getattr(high, name))
+        for name in ("corner", "edge_u", "edge_v")
+    )
+    spectrum = peak(light, "radiance")
+    if fixed:
+        across = np.cross(u, v)
+        area = np.linalg.norm(across)
+        t = (np.arange(_PIECES) + 0.5) / _PIECES
+        s, t = (x.ravel()[:, None] for x in np.meshgrid(t, t))
+        places, count = corner + s * u + t * v, _PIECES**2
+        size = max(np.linalg.norm(u + v), np.linalg.norm(u - v)) / (2 * _PIECES)
+        points = corner + np.stack([0 * u, u, v, u + v])
+        body = points, np.zeros(4)
+        each = np.full(count, 1.0)
+        return Source(
+            spectrum, places, each * size, each * area / count, unit(across), body, "area"
+        )
+    ends = [
+        numbers(end.corner)
+        + np.stack(
+            [
+                0 * u,
+                *(numbers(e) for e in (end.edge_u, end.edge_v)),
+                numbers(end.edge_u) + numbers(end.edge_v),
+            ]
+        )
+        for end in windows
+    ]
+    points = box_about(np.minimum(*ends), np.maximum(*ends))
+    middle = points.mean(0)
+    size = np.linalg.norm(points - middle, axis=1).max()
+    area = max(
+        np.linalg.norm(a) * np.linalg.norm(b)
+        for a in box_about(numbers(low.edge_u), numbers(high.edge_u))
+        for b in box_about(numbers(low.edge_v), numbers(high.edge_v))
+    )
+    own, body = np.array([1.0]), (points, np.zeros(len(points)))
+    return Source(spectrum, middle[None], own * size, own * area, None, body, "area")

@@ -54,6 +54,7 @@ from .sensors import (
     PixelAperture as PixelAperture,
     RollingShutter as RollingShutter,
     Sensor as Sensor,
+    SensorEffect as SensorEffect,
 )
 from .shapes import (
     Box as Box,

@@ -25,6 +25,7 @@ from .._types import (
     as_tile,
     check_count,
     check_fields,
+    check_kind,
     check_range,
     check_tile,
     is_known,
@@ -209,6 +210,21 @@ class RollingShutter(Shown):
         check_fields(self, line_time=NOT_NEGATIVE)
 
 
+class SensorEffect(Shown):
+    """Base of effects on charge from outside; `jaxvision.sensor.register` enters them.
+
+    Example:
+        >>> class Leak(jv.SensorEffect):
+        ...     share: float
+        >>> isinstance(Leak(0.01), jv.SensorEffect)
+        True
+    """
+
+
+def _as_effects(effects: Any) -> Any:
+    return None if effects is None else tuple(effects) or None
+
+
 def _number_or_record(x: Any) -> Any:
     return x if isinstance(x, eqx.Module) else as_optional_float(x)
 
@@ -243,6 +259,7 @@ class Sensor(Shown):
         blooming: () share of an overfull well's excess that its anti-blooming gate does not drain
             and that spills along the column, in [0, 1], no unit; needs a `full_well`.
         charge_transfer: that of a CCD.
+        own: effects of one's own, in their order, which act on the charge that is there.
         conversion_prnu: () relative rms of the pixels' conversion gains, in [0, 0.5], no unit: of
             the amplifier (source follower) in each pixel of a CMOS sensor. Unlike `prnu` it acts on
             counted electrons.
@@ -292,6 +309,9 @@ class Sensor(Shown):
     full_well: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     blooming: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     charge_transfer: ChargeTransfer | None = eqx.field(default=None, kw_only=True)
+    own: tuple[SensorEffect, ...] | None = eqx.field(
+        converter=_as_effects, default=None, kw_only=True
+    )
     conversion_prnu: Scalar | None = eqx.field(
         converter=as_optional_float, default=None, kw_only=True
     )
@@ -323,6 +343,8 @@ class Sensor(Shown):
             check_range("Sensor.bits", self.bits, 1, jnp.finfo(self.bits.dtype).nmant + 1)
             if is_known(self.bits) and not float(self.bits).is_integer():
                 raise ValueError(f"Sensor.bits must be a whole number, got {self.bits}.")
+        for i, effect in enumerate(self.own or ()):
+            check_kind(f"Sensor.own[{i}]", effect, SensorEffect)
         if self.blooming is not None and self.full_well is None:
             raise ValueError("Sensor.full_well must be given with blooming, got None.")
 

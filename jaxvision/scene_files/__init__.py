@@ -1,8 +1,9 @@
 """Scene files: TOML with lights, surfaces, materials and a camera, read as records; and scenes of
 Mitsuba and of glTF, of which `mitsuba` and `gltf` say what is read.
 
-`schema` documents the format. Eager; every mistake is an `InputError` of one sentence that names
-the file and the object. The scenes that ship with the library are read by their names.
+`tables` and `schema` say what a file may hold. Eager; every mistake is an `InputError` of one
+sentence that names the file and the object. The scenes that ship with the library are read by
+their names.
 """
 
 import hashlib
@@ -20,19 +21,18 @@ import numpy as np
 
 from .._shipped import existing_file, shipped_files
 from .._types import as_dtype
-from ..brdf.lambert import Lambert
 from ..errors import InputError, nearest
 from ..geometry import problems
 from ..gltf_files import SUFFIXES as GLTF
 from ..in_notebooks import record_html
+from ..record_files import record_of
 from ..scene import AmbientLight, Material, Scene, Surface, View
 from ..scene_checks import lost_numbers, scene_problems
 from ..toml_files import checked, read_toml
-from .bands import Bands, bands_of, in_bands
+from .bands import bands_of
 from .folder import Folder
-from .materials import material_of
-from .records import light_of, shape_of, view_of
 from .schema import RenderEntry, SceneEntry, without_effect
+from .tables import light_of, material_of, reading_of, surface_of, view_of
 
 _LOG = logging.getLogger("jaxvision.scene_files")
 
@@ -121,26 +121,32 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     folder = Folder(file)
     with _named(file, ""):
         bands = bands_of(entry.bands, entry.wavelengths)
-    materials = {}
+    lit, painted = (
+        reading_of(str(file), bands, folder, quantity) for quantity in ("light", "reflectance")
+    )
+    black = {"family": "lambert", "albedo": 0.0}
+    materials: dict[str | None, Material] = {None: material_of(painted, "", black)}
     for name, made_of in entry.material.items():
-        with _named(file, f"material {name!r}"):
-            materials[name] = material_of(made_of, bands, folder)
+        with _named(file, f"material.{name}"):
+            materials[name] = material_of(painted, f"material.{name}", made_of)
     names = _names("surface", entry.surface)
     surfaces = []
     for name, surface in zip(names, entry.surface, strict=True):
         with _named(file, name):
-            surfaces.append(_surface(surface, materials, bands, folder, entry.render.dtype))
+            shape, more = surface_of(lit, name, surface, folder, entry.render.dtype)
+            if (made_of := more.pop("material")) not in materials:
+                hint = nearest(made_of, entry.material)
+                raise InputError(f"material {made_of!r} is not in the file; {hint}.")
+            surfaces.append(Surface(shape, materials[made_of], **more))
     lights, light_names = [], _names("light", entry.light)
     for name, light in zip(light_names, entry.light, strict=True):
         with _named(file, name):
-            lights.append(light_of(light, bands, folder))
+            lights.append(light_of(lit, name, light))
     with _named(file, "camera"):
-        view = view_of(entry.camera)
+        view = view_of(lit, "camera", entry.camera)
     ambient = None
     if entry.ambient is not None:
-        with _named(file, "ambient"):
-            radiance = in_bands(entry.ambient.radiance, bands, folder, quantity="light")
-            ambient = AmbientLight(radiance)
+        ambient = record_of(lit, "ambient", AmbientLight, entry.ambient)
     with _named(file, ""):
         occluders = None if entry.render.shadows else ()
         scene = Scene(surfaces, lights, ambient, occluders=occluders)
@@ -184,28 +190,10 @@ def _digest(*records: object) -> str:
     return whole.hexdigest()
 
 
-def _surface(
-    entry, materials: dict[str, Material], bands: Bands, folder: Folder, dtype: str
-) -> Surface:
-    """A surface of the given material; black without one."""
-    emission = None
-    if entry.emission is not None:
-        emission = in_bands(entry.emission, bands, folder, quantity="light")
-    if entry.material is None:
-        material = Lambert(np.zeros(bands.count))
-    elif entry.material in materials:
-        material = materials[entry.material]
-    else:
-        hint = nearest(entry.material, materials)
-        raise InputError(f"material {entry.material!r} is not in the file; {hint}.")
-    shape = shape_of(entry, folder, dtype)
-    return Surface(shape, material, emission, two_sided=entry.two_sided)
-
-
 def _names(kind: str, entries) -> tuple[str, ...]:
     """What messages call each entry: its own name, or its place in the file."""
     return tuple(
-        f"{kind}[{i}]" if entry.name is None else f'{kind} "{entry.name}"'
+        f'{kind} "{entry["name"]}"' if isinstance(entry.get("name"), str) else f"{kind}[{i}]"
         for i, entry in enumerate(entries, 1)
     )
 
@@ -247,6 +235,7 @@ def _named(file: Path, name: str) -> Iterator[None]:
         with warnings.catch_warnings(record=True) as caught:
             yield
     except ValueError as error:  # an InputError is one
-        raise InputError(where + str(error).removeprefix(f"{file}: ")) from error
+        placed = str(error).startswith(f"{file}: ")
+        raise InputError(str(error) if placed else where + str(error)) from error
     for warning in caught:
         warnings.warn(f"{where}{warning.message}", warning.category, stacklevel=4)

@@ -7,15 +7,19 @@ xyz(lambda) over that of y(lambda), so that a flat spectrum of 1 has Y = 1. Colo
 gamut are clipped at 0.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .. import colour_data
+from .._types import NOT_NEGATIVE, POSITIVE
 from ..colour_spaces import xyz_to_rgb
 from ..errors import InputError, nearest
+from ..record_files import Reading, record_of, value_of
 from ..spectra import (
     LUMINOUS_EFFICACY,
     blackbody,
@@ -24,9 +28,60 @@ from ..spectra import (
     spectrum_to_xyz,
 )
 from .folder import Folder
-from .spectrum_schema import Grid, Spectrum, Tabulated, Wavelengths
+from .schema import Grid
 
 Quantity = Literal["reflectance", "light"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tabulated:
+    """A spectrum by its wavelengths or by name, reduced to the bands of the scene.
+
+    One of `pairs`, `file`, `illuminant`, `patch` and `blackbody` is given.
+
+    Attributes:
+        pairs: [wavelength in nm, value], wavelengths ascending, as many as there are.
+        file: a CSV with a header line and wavelengths in nm in its first column.
+        column: header of the column with the values; by default the second column.
+        illuminant: relative power by colour-science's name ("D65", "A", "FL2").
+        patch: reflectance of a patch of `chart`.
+        chart: name of the chart.
+        blackbody: temperature in K, for W m^-2 sr^-1 per m.
+        scale: factor on the spectrum, no unit.
+    """
+
+    pairs: Annotated[Float[Array, "pairs 2"], NOT_NEGATIVE] | None = None
+    file: str | None = None
+    column: str | None = None
+    illuminant: str | None = None
+    patch: str | None = None
+    chart: str = "ColorChecker N Ohta"
+    blackbody: Annotated[float, POSITIVE] | None = None
+    scale: Annotated[float, NOT_NEGATIVE] = 1.0
+
+    def __post_init__(self) -> None:
+        sources = (self.pairs, self.file, self.illuminant, self.patch, self.blackbody)
+        if sum(source is not None for source in sources) != 1:
+            raise InputError("give one of pairs, file, illuminant, patch and blackbody.")
+        if self.pairs is not None:
+            known = np.asarray(self.pairs)[:, 0]
+            if len(known) < 2 or not known[0] > 0:
+                raise InputError("pairs must be at least 2, of wavelengths above 0.")
+            if (np.diff(known) <= 0).any():
+                raise InputError("the wavelengths of pairs must ascend.")
+        if self.column is not None and self.file is None:
+            raise InputError("column is that of a file; give the file.")
+
+
+# A number for all bands alike, one for each band, or a table.
+Spectrum = np.ndarray | Tabulated
+
+
+def spectrum_of(reading: Reading, where: str, value: Any) -> Spectrum:
+    """A spectrum as a file states it; `InputError` for what is none."""
+    if isinstance(value, Mapping):
+        return record_of(reading, where, Tabulated, value)
+    return value_of(reading, where, Annotated[Float[Array, "..."], NOT_NEGATIVE], value)
 
 
 @dataclass(frozen=True)
@@ -42,7 +97,7 @@ class Bands:
     wavelengths: np.ndarray | None = None
 
 
-def bands_of(count: int | None, wavelengths: Wavelengths | None) -> Bands:
+def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) -> Bands:
     """The bands that a scene file asks for.
 
     Args:
@@ -85,7 +140,7 @@ def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quan
     if isinstance(spectrum, Tabulated):
         return _tabulated(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))
-    if len(values) not in (1, bands.count):
+    if values.shape not in ((1,), (bands.count,)):
         raise InputError(
             f"a spectrum has {len(values)} numbers where the scene has {bands.count} bands; give "
             f"one number for all or {bands.count}."
@@ -114,7 +169,7 @@ def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndar
 def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity) -> np.ndarray:
     if spectrum.pairs is not None or spectrum.file is not None:
         if spectrum.pairs is not None:
-            nanometres, values = np.asarray(spectrum.pairs).T
+            nanometres, values = np.asarray(spectrum.pairs, float).T
             known = nanometres * 1e-9
         else:
             assert spectrum.file is not None

@@ -1,24 +1,20 @@
-"""The format of a scene file; the models below are its documentation.
+"""A scene file as a whole, and `[render]`.
 
 A scene file is TOML. Lengths are metres, angles degrees, radiance W m^-2 sr^-1; paths are relative
 to the file. Most scenes need `[camera]`, `[[surface]]` and `[material.NAME]`; `[[light]]`,
-`[ambient]`, `[render]` and `wavelengths` are optional. The meaning of a number is that of the field
-of the same name in the record made from the table (`Pinhole`, `Quad`, `Lambert`, ...). Each
-kind of table has a module beside this one.
+`[ambient]`, `[render]` and `wavelengths` are optional. `tables` reads each kind of table: the
+meaning of a number is that of the field of the same name in the record made from it (`Pinhole`,
+`Quad`, `Lambert`, ...).
 """
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
+from ..colour_data import MOST_BANDS
 from ..errors import InputError
-from ..toml_files import Count, Entry, checked
-from .camera_schema import Camera
-from .light_schema import AmbientEntry, Light
-from .material_schema import Material
-from .spectrum_schema import Wavelengths
-from .surface_schema import Surface
+from ..toml_files import Count, Entry, Positive, checked
 
 # Samples and depth unless the file or the command gives them: enough for a first picture.
 _USUAL = {
@@ -101,7 +97,7 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
     """
     integrator = entry.render.integrator
     given = content.get("render", {})
-    used = {surface.material for surface in entry.surface}
+    used = {surface.get("material") for surface in entry.surface}
     return [
         *(
             f"render.{name} has no effect with the integrator {integrator!r}"
@@ -139,6 +135,43 @@ def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
     return checked("render", {**kept, **given}, RenderEntry, "scene")
 
 
+class Grid(Entry):
+    """Evenly spaced wavelengths.
+
+    Attributes:
+        first: nm.
+        last: nm, included.
+        step: nm.
+    """
+
+    first: Positive
+    last: Positive
+    step: Positive
+
+    @model_validator(mode="after")
+    def _divides(self) -> "Grid":
+        steps = (self.last - self.first) / self.step
+        if steps < 1 or abs(steps - round(steps)) > 1e-6:
+            raise ValueError("last must lie a whole number of steps above first")
+        if steps >= MOST_BANDS:
+            raise ValueError(f"{steps + 1:.3g} wavelengths are more than {MOST_BANDS:,}")
+        return self
+
+
+def _wavelengths_kind(value: Any) -> str:
+    return "grid" if isinstance(value, Mapping | Grid) else "list"
+
+
+Wavelengths = Annotated[
+    Annotated[tuple[Positive, ...], Tag("list"), Field(min_length=2)]
+    | Annotated[Grid, Tag("grid")],
+    Discriminator(_wavelengths_kind),
+]
+
+
+Table = dict[str, Any]
+
+
 class SceneEntry(Entry):
     """A whole file.
 
@@ -153,11 +186,11 @@ class SceneEntry(Entry):
         wavelengths: nm, a list or a grid.
     """
 
-    camera: Camera
-    surface: Annotated[tuple[Surface, ...], Field(min_length=1)]
-    material: dict[str, Material] = Field(default_factory=dict)
-    light: tuple[Light, ...] = ()
-    ambient: AmbientEntry | None = None
+    camera: Table
+    surface: Annotated[tuple[Table, ...], Field(min_length=1)]
+    material: dict[str, Table] = Field(default_factory=dict)
+    light: tuple[Table, ...] = ()
+    ambient: Table | None = None
     render: RenderEntry = Field(default_factory=lambda: RenderEntry.model_validate({}))
     bands: Count | None = None
     wavelengths: Wavelengths | None = None

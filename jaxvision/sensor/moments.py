@@ -29,6 +29,7 @@ from ._clipped_gaussian import (
     tail_square,
     tail_variance,
 )
+from ._registry import moments_after
 from .adc import amplified, largest_number
 from .brighter_fatter import flat_variance, gathered, smoothed_pattern
 from .ccd import counted_variance, transferred, transferred_variance
@@ -137,6 +138,9 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
         variance = variance + hot.fraction * (2 - hot.fraction) * excess**2
     if sensor.charge_transfer is not None:
         variance = transferred_variance(variance, sensor.charge_transfer)
+    if sensor.own is not None:
+        names = ", ".join(type(effect).__name__ for effect in sensor.own)
+        raise ValueError(f"pattern_variance knows no {names}; draw frames by raw_image.")
     mean = _read(sensor, _charge(sensor, irradiance)).mean
     if sensor.conversion_prnu is not None:
         variance = variance + sensor.conversion_prnu**2 * (variance + mean**2)
@@ -351,6 +355,8 @@ def _read(sensor: Sensor, charge: Moments) -> Moments:
         if sensor.shot_noise is not None:
             variance = counted_variance(jnp.maximum(mean, 0), variance, sensor.charge_transfer)
         mean = transferred(mean, sensor.charge_transfer)
+    if sensor.own is not None:
+        mean, variance = moments_after(sensor.own, Moments(mean, variance))
     if sensor.conversion_prnu is not None:
         variance = variance * (1 + sensor.conversion_prnu**2)
     return Moments(mean, variance + read_out_variance(sensor, dtype=mean.dtype))

@@ -30,7 +30,7 @@ OTHER = words("""
 *.gauss_legendre.* *.read_mesh.dtype *.scipy_operator.dtype *.fixed_pattern.* *.read_out.*
 *.aperture_corners.dtype *.light_nodes.dtype *.pruned_for.tolerance *.capture.tolerance *.moments.*
 *.shot_noise.count.shot_noise *.compositing.flatten.layers *.tasks.workers.count
-*.register_extended.nodes *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
+*.register_extended.nodes *.register.moments *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
 *.missing_light.depth *.convolution.summed.method
 """)
 

@@ -19,7 +19,7 @@ from turns import in_turns
 
 import jaxvision as jv
 from jaxvision import effects
-from jaxvision.effects.extent import small_light
+from jaxvision.lights.rectangle import _small_light as small_light
 
 pytestmark = pytest.mark.benchmark
 

@@ -11,7 +11,7 @@ from scipy import stats
 
 import jaxvision as jv
 from jaxvision import effects
-from jaxvision.effects.reflection import _dielectric
+from jaxvision.brdf.fresnel import _largest_dielectric as _dielectric
 
 OCTAHEDRON = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
 FACES = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]

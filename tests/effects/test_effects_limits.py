@@ -10,7 +10,7 @@ import pytest
 import jaxvision as jv
 from jaxvision import effects
 from jaxvision.effects import seconds
-from jaxvision.effects.extent import small_light
+from jaxvision.lights.rectangle import _small_light as small_light
 from jaxvision.rendering import render
 
 GREY = jv.Lambert([0.25])

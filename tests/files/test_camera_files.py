@@ -131,7 +131,7 @@ def test_tables_become_records(tmp_path):
 
 MISTAKES = {
     "key": ("gain = 0.5", "gian = 0.5", r"sensor\.gian is not a key .* nearest is 'gain'"),
-    "table": ("[view]", "[veiw]", r"veiw is not a key here; the nearest is 'view'"),
+    "table": ("[view]", "[veiw]", r"veiw is not a key of a camera file; the nearest is 'view'"),
     "kind": ('"Pinhole"', '"Pinhol"', r"view\.kind = 'Pinhol' is unknown; .* 'Pinhole'"),
     "no kind": ('kind = "Pinhole"', "", r"view\.kind is missing; use one of Orthographic, Pinhole"),
     "missing": ("focal_length = 8e-3", "", r"view\.focal_length is missing; add it"),

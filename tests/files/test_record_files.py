@@ -70,7 +70,7 @@ def test_a_sensor_comes_back_bit_equal_and_is_told_its_table(tmp_path):
     write_sensor(sensor, file, about="of a camera")
     assert eqx.tree_equal(read_sensor(file), sensor)
     file.write_text("gain = 0.5")
-    with pytest.raises(InputError, match="gain is not a key here"):
+    with pytest.raises(InputError, match="gain is not a key of a sensor file"):
         read_sensor(file)
     with pytest.raises(InputError, match="ends in"):
         write_sensor(sensor, tmp_path / "sensor.txt")

@@ -332,11 +332,13 @@ def test_a_number_with_a_unit_is_told_as_such(tmp_path, line, words):
 
 
 def test_places_in_a_list_are_counted_alike(tmp_path):
-    """light[1] is the first; so is direction[1], and the third number is missing."""
+    """light[1] is the first; its direction has two numbers of three."""
     text = '[camera]\nkind = "orthographic"\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\nwidth = 1\n'
     text += 'resolution = [2, 2]\n[[surface]]\nshape = "sphere"\ncentre = [0, 0, 0]\nradius = 1\n'
     text += "emission = [1]\n"
     text += '[[light]]\nkind = "directional"\ndirection = [0, 1]\nirradiance = [1]\n'
     (tmp_path / "scene.toml").write_text(text)
-    with pytest.raises(InputError, match=r"light\[1\]\.direction\[3\] is missing"):
+    with pytest.raises(
+        InputError, match=r"light\[1\]\.direction must have shape \(3,\), got \(2,\)"
+    ):
         jv.scene_files.read_scene(tmp_path / "scene.toml")

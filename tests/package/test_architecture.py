@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 # A room may import only from lower floors; rooms on one floor never import each other. A module or
 # folder of `jaxvision` that is not named here is an error.
 FLOORS = [
-    {"_primitives", "lazy_names"},
+    {"_primitives", "lazy_names", "_bounds", "_kinds"},
     {"errors", "in_notebooks", "memory", "programs", "progress", "side_by_side"},
     {"plain_arrays"},
     {"_types", "_shown", "_staging"},
@@ -192,6 +192,39 @@ def test_light_goes_one_way(room):
     assert room in floor, f"give jaxvision/{room} its floor in {__name__}"
     wrong = {other for other in neighbours("jaxvision")[room] if floor[other] >= floor[room]}
     assert not wrong, f"jaxvision/{room} must not import {sorted(wrong)}"
+
+
+def _kinds() -> tuple[set[str], set[str]]:
+    """The modules that register a light or a material, and the records that they define."""
+    modules, records = set(), set()
+    for file in [
+        *(ROOT / "jaxvision/lights").glob("*.py"),
+        *(ROOT / "jaxvision/brdf").glob("*.py"),
+    ]:
+        text = file.read_text()
+        if re.search(r"^ *register\w*\(", text, re.MULTILINE) and not file.name.startswith("_"):
+            modules.add(".".join(file.relative_to(ROOT).with_suffix("").parts))
+            records |= {
+                node.name for node in ast.parse(text).body if isinstance(node, ast.ClassDef)
+            }
+    return modules, records
+
+
+@pytest.mark.parametrize(
+    "room",
+    ["effects", "scene_files", "record_files", "toml_files", "camera_files", "material_files"],
+)
+def test_what_serves_every_kind_imports_none(room):
+    """Effects and file readers ask the registries: a kind brings its bound and its keys itself."""
+    modules, records = _kinds()
+    assert {"jaxvision.lights.point", "jaxvision.brdf.phong", "jaxvision.brdf.measured"} <= modules
+    taken = {
+        name
+        for file in files_of_rooms("jaxvision")[room]
+        for name in imports(file)
+        if name in modules or (name.startswith("jaxvision.") and name.rpartition(".")[2] in records)
+    }
+    assert not taken, f"jaxvision/{room} must ask the registry instead of {sorted(taken)}"
 
 
 def test_scene_holds_records_only():

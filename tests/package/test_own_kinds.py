@@ -1,10 +1,7 @@
 """Kinds from outside the package: two lights, a BRDF and a half-silvered mirror, each entered once
 and then followed by every integrator. Against NumPy, and closed forms of the same scenes."""
 
-import ast
 from functools import partial
-from pathlib import Path
-from typing import get_args
 
 import equinox as eqx
 import jax
@@ -33,7 +30,6 @@ from jaxvision import (
 )
 from jaxvision.geometry import intersect, point_on, surface_area
 from jaxvision.scene import Disc
-from jaxvision.scene_files import light_schema, records
 from jaxvision.transport import ray_tree_radiance
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_along
 
@@ -320,21 +316,3 @@ def test_an_extended_light_without_rays_is_refused_by_light_tracing_alone():
     with pytest.raises(ValueError, match=r"needs NoRays to be registered with `emitted`.*leave it"):
         light_traced(KEY, scene, VIEW, paths=4)
     assert (np.asarray(render(scene, VIEW)) > 0).all()
-
-
-def test_each_light_of_scene_files_has_a_record():
-    """What CONTRIBUTING names beside the keyword: `light_of` says which kind lacks one."""
-    union = get_args(light_schema.Light)[0]
-    tree = ast.parse(Path(records.__file__).read_text())
-    (makes,) = (f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == "light_of")
-    made = {
-        case.pattern.cls.attr
-        for node in ast.walk(makes)
-        if isinstance(node, ast.Match)
-        for case in node.cases
-        if isinstance(case.pattern, ast.MatchClass) and isinstance(case.pattern.cls, ast.Attribute)
-    }
-    missing = {kind.__name__ for kind in get_args(union)} - made
-    assert not missing, f"light_of of scene_files/records.py makes no record of {missing}"
-    with pytest.raises(AssertionError, match="Expected code to be unreachable"):
-        records.light_of(jnp.zeros(1), None, None)

@@ -366,11 +366,12 @@ ELSEWHERE = (
     ),
     Elsewhere(
         CHOICES,
-        "test_own_kinds test_lights",
+        "test_own_kinds test_own_kinds_in_one_file test_lights",
         """
-            brdf._registry: is_body is_delta register register_delta
+            brdf._registry: is_body is_delta register register_delta families lambertian suprema
             brdf._specular: one_way
-            lights._registry: can_be_seen register register_extended
+            lights._registry: can_be_seen register register_extended kinds kind_of
+            sensor._registry: register stage_of
             lights._samples: lights_by_rule rule_for rule_of_each rules_of split_by_rule
         """,
     ),

@@ -1,0 +1,218 @@
+"""What a kind says of its largest effects: the light that a lamp sends at most, the suprema of a
+material's shading, and the records and angles that these are asked with.
+
+A bound is NumPy float64, outside of `jit`. It is asked of a record at both ends of what a fit may
+change, and takes from each field the end at which it is largest.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import wraps
+from itertools import product
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from jax.tree_util import register_dataclass
+
+T = TypeVar("T")
+
+SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
+
+
+@register_dataclass
+@dataclass(frozen=True, eq=False)
+class Ends(Generic[T]):
+    """A record at the two ends of what a fit may change; one record twice where nothing is free.
+
+    Attributes:
+        low: the record with each number at its low end.
+        high: likewise at its high end.
+    """
+
+    low: T
+    high: T
+
+    def __iter__(self) -> Iterator[T]:
+        return iter((self.low, self.high))
+
+    def of(self, name: str) -> "Ends[Any]":
+        """A field of both, the same object whenever it is asked for."""
+        key = f"of {name}"
+        if key not in self.__dict__:
+            self.__dict__[key] = Ends(getattr(self.low, name), getattr(self.high, name))
+        return self.__dict__[key]
+
+
+def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
+    """A function of ends that is worked out once for each, and kept with it."""
+
+    @wraps(function)
+    def asked(ends: Ends[Any]) -> T:
+        if function.__name__ not in ends.__dict__:
+            ends.__dict__[function.__name__] = function(ends)
+        return ends.__dict__[function.__name__]
+
+    return asked
+
+
+def numbers(x: object) -> np.ndarray:
+    """The numbers of a field in float64."""
+    return np.asarray(x, np.float64)
+
+
+def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The corners, (8 n, 3), of the boxes from `low` to `high`, (n, 3) each, in m; the points
+    themselves where the two are equal."""
+    if np.array_equal(low, high):
+        return np.atleast_2d(low)
+    middle, half = (low + high) / 2, np.abs(high - low) / 2
+    return (np.atleast_2d(middle)[:, None] + SIGNS * np.atleast_2d(half)[:, None]).reshape(-1, 3)
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of length 1, 0 where they have none; no unit."""
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return v / np.where(length > 0, length, 1)
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """rad between unit vectors."""
+    chord = np.linalg.norm(a - b, axis=-1)
+    return 2 * np.arcsin(np.minimum(chord / 2, 1))
+
+
+class Angles(NamedTuple):
+    """What a lobe asks of a cell and a place of light, each (c, s) unless said otherwise.
+
+    Attributes:
+        off_mirror: rad, the least angle between the mirrored light and the viewer.
+        cos_half: the largest cosine between the normal and the half vector.
+        cos_between: the least cosine between the viewer and the half vector, d.
+        cos_i: the largest cosine of incidence.
+        cos_o: (c, 1), the least cosine of the viewer, and
+        cos_o_most: (c, 1), the largest.
+    """
+
+    off_mirror: np.ndarray
+    cos_half: np.ndarray
+    cos_between: np.ndarray
+    cos_i: np.ndarray
+    cos_o: np.ndarray
+    cos_o_most: np.ndarray
+
+
+class Lobe(NamedTuple):
+    """A lobe beside a body.
+
+    Attributes:
+        spectrum: (bands,) or (1,), k_s.
+        most: from angles to the largest f_r cos / k_s, (c, s) in sr^-1.
+        size: sr / sr, the largest integral of f_r cos / k_s over all light.
+        slope: sr^-1 rad^-1, the largest change of f_r cos / k_s with the direction of light above
+            the horizon; None where none is known.
+        neutral: whether its shape is the same for all bands.
+        step: whether it ends at the horizon at once, not as a cosine does.
+    """
+
+    spectrum: np.ndarray
+    most: Callable[[Angles], np.ndarray]
+    size: float
+    slope: float | None
+    neutral: bool
+    step: bool
+
+    @property
+    def gain(self) -> float:
+        """2 pi times the largest f_r cos of any angles, over `size`: by what factor the lobe's
+        share of a small solid angle may exceed that angle over 2 pi. No unit."""
+        one = np.ones((1, 1))
+        peak = self.most(Angles(0 * one, one, 0 * one, one, 0 * one, one))
+        return 2 * np.pi * float(peak.max()) / self.size if self.size > 0 else np.inf
+
+
+def power_of(cosines: np.ndarray, n: float) -> np.ndarray:
+    """cos+^n, which is 1 for n = 0 at any angle."""
+    return np.where(cosines > 0, np.maximum(cosines, 1e-300) ** n, 0 if n > 0 else 1)
+
+
+class Reflection(NamedTuple):
+    """The suprema of one material.
+
+    Attributes:
+        body: (bands,) sr^-1, sup of the diffuse part's f_r.
+        lobe: or None.
+        plain: (bands,) sr^-1: the most by which the body, but for its share `grazing`, differs from
+            a Lambertian of the same k_d; 0 for one.
+        mirror: (bands,) or (1,), reflectance of a mirror, or None.
+        why: "" or why there is no bound; then `body` is inf.
+        grazing: share of `body` that bounds f_r cos(theta_i), not f_r: it does not fall toward the
+            horizon.
+        rough: the field without which the body is a Lambertian's, and what leaving it out is
+            called; or None.
+        facets: of a lobe with an interface the least reflectance of any band at any angle, and the
+            lobe of facets that reflect all; or None.
+        indices: the least and the largest refractive index of a body that light goes through, or
+            None.
+        angular: whether the angles of the body differ between bands.
+    """
+
+    body: np.ndarray
+    lobe: Lobe | None = None
+    plain: np.ndarray | float = 0.0
+    mirror: np.ndarray | None = None
+    why: str = ""
+    grazing: float = 0.0
+    rough: tuple[str, str] | None = None
+    facets: tuple[float, Lobe] | None = None
+    indices: tuple[float, float] | None = None
+    angular: bool = False
+
+
+def peak(x: Any, name: str) -> np.ndarray:
+    """The largest size of a spectrum at the two ends."""
+    return np.maximum(*(np.abs(numbers(getattr(end, name))) for end in x))
+
+
+def least(x: Any, name: str) -> float:
+    return min(float(numbers(getattr(end, name)).min()) for end in x)
+
+
+def most(x: Any, name: str) -> float:
+    return max(float(numbers(getattr(end, name)).max()) for end in x)
+
+
+class Source(NamedTuple):
+    """One light as what a bound needs to know of it.
+
+    Attributes:
+        spectrum: (bands,) intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1, the
+            largest.
+        places: (s, 3) m, or unit directions of a light that is infinitely far away.
+        size: (s,) m, the radius of each; rad for directions.
+        weight: (s,) m^2 of area, 1 for a light of intensity or irradiance.
+        normal: (3,) unit, of a light that shines to one side; None: to all.
+        body: points, (p, 3) m, and radii, (p,) m, that hold the light; None: infinitely far away.
+        kind: "place", "area", "direction" or "sky".
+        even: whether it sends the same radiance to all sides.
+        small: of a flat lamp both edges, (3,) m each, and the light without a size that may take
+            its place, of the same flux at its middle.
+        share: of 2 pi times `spectrum`, what a sky sends at most, no unit.
+        why: "" or why there is no bound.
+    """
+
+    spectrum: np.ndarray
+    places: np.ndarray
+    size: np.ndarray
+    weight: np.ndarray
+    normal: np.ndarray | None
+    body: tuple[np.ndarray, np.ndarray] | None
+    kind: str
+    share: float = 1.0
+    why: str = ""
+    even: bool = False
+    small: tuple[np.ndarray, np.ndarray, Any] | None = None
+
+    @property
+    def extended(self) -> bool:
+        """Whether it has a radiance, and a ray may meet it."""
+        return self.kind in ("area", "sky")

@@ -1,0 +1,40 @@
+"""What a kind of light or material says of its table in a scene file."""
+
+import re
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+# What a key may name a file of, beside numbers and spectra: (h, w, bands) W m^-2 sr^-1, and the
+# record of a measured BRDF in the bands of the scene.
+Picture = Annotated[Any, "picture"]
+Measured = Annotated[Any, "measured"]
+
+
+class Table(NamedTuple):
+    """A table of a scene file.
+
+    Attributes:
+        word: its `kind` or `family`.
+        record: the class of what it becomes.
+        make: the record, or what makes it of the values of its keys.
+    """
+
+    word: str
+    record: type
+    make: Callable[..., Any]
+
+
+def table_for(record: type, word: str | None, from_file: Callable[..., Any] | None) -> Table | None:
+    """The table of a kind; None for the word "", of a kind that no file holds.
+
+    Args:
+        record: the class of the kind.
+        word: its word in files; None: the name of the class in snake case, without "Light".
+        from_file: what makes the record of other keys than its fields. Its arguments by name are
+            the keys, its docstring says what they mean, and as `**fields` it takes all other
+            fields; an argument of type None takes a field away.
+    """
+    if word is None:
+        name = record.__name__.removesuffix("Light") or record.__name__
+        word = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+    return Table(word, record, from_file or record) if word else None
