@@ -362,11 +362,13 @@ def is_known(x: Any) -> bool:
     return not isinstance(x, Tracer)
 
 
-def require_metres(name: str, wavelengths: np.ndarray) -> None:
-    """`ValueError` for wavelengths that were meant in another unit."""
-    longest = np.max(wavelengths, initial=0)
-    if longest > LONGEST_WAVE:
-        raise ValueError(f"{name} is in metres, got {longest:.6g}; 550 nm are 550e-9.")
+def require_metres(
+    name: str, wavelengths: np.ndarray | np.floating, *, longest: float = LONGEST_WAVE
+) -> None:
+    """`ValueError` for wavelengths above `longest`, m, which were meant in another unit."""
+    largest = np.max(wavelengths, initial=0)
+    if largest > longest:
+        raise ValueError(f"{name} is in metres, got {largest:.6g}; 550 nm are 550e-9.")
 
 
 def check_range(

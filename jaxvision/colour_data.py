@@ -24,6 +24,7 @@ from .spectra import daylight
 # Correlated colour temperatures in K of the tabulated phases of daylight: nominal on the older
 # temperature scale with c_2 = 1.4380e-2 m K (CIE 15:2018, section 4.1.2).
 _DAYLIGHT = {f"D{t // 100}": t * 1.4388 / 1.4380 for t in (5000, 5500, 6000, 6500, 7500)}
+BY_FORMULA = ("A", "E", *_DAYLIGHT)  # illuminants that are known beyond their tables
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 # What colour-science holds under the same names; a test compares them.
@@ -136,6 +137,7 @@ def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, "
     import colour
 
     table = _entry(colour.SDS_ILLUMINANTS, name, "illuminant")
+    name = table.name  # in upper case, whatever was asked for
     wanted, power = _nanometres(wavelengths), _sampled(table, wavelengths)
     beyond = (wanted < table.shape.start) | (wanted > table.shape.end)
     if name == "E" or not beyond.any():
@@ -378,6 +380,9 @@ def luma_weights(standard: str) -> tuple[float, float, float]:
 def _entry(table: Mapping[str, Any], name: str, kind: str) -> Any:
     if isinstance(name, str) and name in table:
         return table[name]
+    alike = [known for known in table if str(known).lower() == str(name).lower()]
+    if alike:
+        return table[alike[0]]
     raise InputError(f"No {kind} {name!r}; {nearest(str(name), map(str, table))}.")
 
 

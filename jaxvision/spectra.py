@@ -18,13 +18,23 @@ from ._arguments import in_range, takes_numbers, warn_caller
 from ._exponential import decay
 from ._numerics import difference_of_products, or_one
 from ._powers import exact
-from ._types import AMOUNT, Scalar, Spectrum, check_choice, is_known, print_by_name, require_metres
+from ._types import (
+    AMOUNT,
+    LONGEST_WAVE,
+    Scalar,
+    Spectrum,
+    check_choice,
+    is_known,
+    print_by_name,
+    require_metres,
+)
 
 Wavelengths = Float[Array, " bands"]
 Responses = Float[Array, "bands channels"]
 print_by_name(globals(), "Wavelengths", "Responses")
 
 LUMINOUS_EFFICACY = 683.0  # lm W^-1, CIE's K_m for sums over the tabulated observer
+_LONGEST_RADIO = 100.0  # m; what is longer was meant in nm
 _PLANCK = Fraction("6.62607015e-34")  # J s, exact in the SI of 2019, like all of these
 _TWO_H_C_SQUARED = 2 * _PLANCK * 299792458**2  # W m^2
 _H_C_OVER_K = _PLANCK * 299792458 / Fraction("1.380649e-23")  # m K
@@ -102,6 +112,17 @@ def interpolate_spectrum(
     return jnp.sum(jnp.broadcast_to(weights, neighbours.shape) * neighbours, axis=-2)
 
 
+def _check_visible(name: str, wavelengths: Wavelengths) -> None:
+    """`ValueError` for known wavelengths of which no observer sees any."""
+    if is_known(wavelengths):
+        shortest, longest = np.min(np.asarray(wavelengths)), np.max(np.asarray(wavelengths))
+        if shortest > 1e-6 or longest < 1e-7:
+            raise ValueError(
+                f"{name}, in metres, are {shortest:.6g} to {longest:.6g}, and an observer sees "
+                "360e-9 to 830e-9."
+            )
+
+
 def _check_ascending(name: str, wavelengths: Wavelengths) -> None:
     """`ValueError` for known wavelengths that do not ascend."""
     if is_known(wavelengths) and (np.diff(np.asarray(wavelengths)) <= 0).any():
@@ -122,10 +143,13 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
         (bands,) m.
 
     Raises:
-        ValueError: fewer than two wavelengths, or known ones that do not ascend.
+        ValueError: fewer than two wavelengths, or known ones that do not ascend or were meant in
+            another unit.
     """
     if wavelengths.shape[0] < 2:
         raise ValueError(f"wavelengths must hold at least two values, got {wavelengths.shape[0]}.")
+    if is_known(wavelengths):  # numbers 1, 2, 3 give bands of one unit
+        require_metres("a grid", np.median(np.asarray(wavelengths)), longest=_LONGEST_RADIO)
     _check_ascending("band_widths: wavelengths", wavelengths)
     step = jnp.diff(wavelengths)
     padded = jnp.concatenate([step[:1], step, step[-1:]])
@@ -142,7 +166,12 @@ def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Ar
 
     Returns:
         (...) in the unit of the spectrum times m.
+
+    Raises:
+        ValueError: wavelengths that do not ascend, or were meant in another unit.
     """
+    if is_known(wavelengths):  # most of them: a grid of heat may end at a metre
+        require_metres("integrate_spectrum: wavelengths", np.median(np.asarray(wavelengths)))
     return spectrum @ band_widths(wavelengths)
 
 
@@ -181,6 +210,7 @@ def spectrum_to_xyz(
     Source:
         CIE 15:2018, section 7.1.
     """
+    _check_visible("spectrum_to_xyz: wavelengths", wavelengths)
     return LUMINOUS_EFFICACY * spectrum_to_camera(spectrum, wavelengths, observer)
 
 
@@ -202,6 +232,7 @@ def reflectance_to_xyz(
     Source:
         CIE 15:2018, section 7.1.
     """
+    _check_visible("reflectance_to_xyz: wavelengths", wavelengths)
     weights = observer * (illuminant * band_widths(wavelengths))[:, None]
     return reflectance @ (weights / jnp.sum(weights[:, 1]))
 
@@ -252,7 +283,8 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         (bands,) W m^-2 sr^-1 per m, with the constants of the SI of 2019.
 
     Raises:
-        ValueError: for wavelengths that were meant in another unit, and a temperature below 0.
+        ValueError: for wavelengths above 100 m, which were meant in another unit, and a temperature
+            below 0. From 1e-2 to 100 m a warning says that they are radio waves.
 
     Example:
         >>> wavelengths = jnp.linspace(50e-9, 100e-6, 100_000)
@@ -263,7 +295,14 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         5.67
     """
     if is_known(wavelengths):
-        require_metres("blackbody: wavelengths", np.asarray(wavelengths))
+        longest = np.max(np.asarray(wavelengths), initial=0)
+        if LONGEST_WAVE < longest <= _LONGEST_RADIO:
+            warn_caller(
+                f"blackbody: wavelengths is in metres, got {longest:.6g}, a radio wave; "
+                f"{longest:.6g} um are {longest:.6g}e-6."
+            )
+        else:
+            require_metres("blackbody: wavelengths", longest)
     dtype = jnp.result_type(wavelengths, temperature)
     wide = jnp.float32 if dtype.itemsize == 2 else dtype  # half of it does not hold the constants
     cold, kelvin = temperature <= 0, or_one(temperature).astype(wide)

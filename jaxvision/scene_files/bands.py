@@ -1,14 +1,20 @@
 """Spectra of a scene file, reduced to the bands in which the scene is rendered.
 
-With wavelengths, a band is the value at its wavelength, interpolated linearly; beyond its table a
-reflectance keeps its end value and a light is 0. Without wavelengths, three bands are linear sRGB:
-for a reflectance its colour under D65, 1 for perfect white; for light the integral of S(lambda)
+A table is linear between its wavelengths; beyond them a reflectance keeps its end value and a light
+is 0. With wavelengths, a band of a reflectance is the value at its wavelength. So is a band of
+light, unless the table has further wavelengths within the band, which reaches half-way to its
+neighbours: then it is the mean over the part of the band that the table covers, so that no line of
+a lamp is lost between the bands. Without wavelengths, three bands are linear sRGB: for a
+reflectance its colour under D65, 1 for perfect white; for light the integral of S(lambda)
 xyz(lambda) over that of y(lambda), so that a flat spectrum of 1 has Y = 1. Colours outside the sRGB
-gamut are clipped at 0.
+gamut are clipped at 0; those of a reflectance of at most 1 are clipped at 1 too, and a warning says
+so.
 """
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
@@ -29,8 +35,12 @@ from ..spectra import (
 )
 from .folder import Folder
 from .schema import Grid
+from .spectrum_tables import read_table
 
 Quantity = Literal["reflectance", "light"]
+
+_SHORTEST = 10  # nm, where light ends; what is shorter was meant in um or m
+_ROUNDING = 1e-3  # white is up to 1.0002 in linear sRGB, whose matrix is rounded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +51,12 @@ class Tabulated:
 
     Attributes:
         pairs: [wavelength in nm, value], wavelengths ascending, as many as there are.
-        file: a CSV with a header line and wavelengths in nm in its first column.
-        column: header of the column with the values; by default the second column.
-        illuminant: relative power by colour-science's name ("D65", "A", "FL2").
+        file: a CSV with a line of heads. The column of the wavelengths is the one named so, or the
+            first; they are in nm unless its head says um, m, angstrom or, of a reflectance, cm^-1.
+        column: head of the values; by default the only column besides wavelengths, indices and
+            uncertainties, or the only one whose head names the quantity; a reflectance may be in %.
+        illuminant: relative power by colour-science's name ("D65", "A", "FL2"), in any case of
+            letters.
         patch: reflectance of a patch of `chart`.
         chart: name of the chart.
         blackbody: temperature in K, for W m^-2 sr^-1 per m.
@@ -108,7 +121,7 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
         The bands, wavelengths in m.
 
     Raises:
-        InputError: the wavelengths do not ascend.
+        InputError: the wavelengths do not ascend, or were meant in another unit.
     """
     if wavelengths is None:
         return Bands(3 if count is None else count)
@@ -119,6 +132,8 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
         values = np.asarray(wavelengths)
         if (np.diff(values) <= 0).any():
             raise InputError("wavelengths must ascend; sort them.")
+    if values[-1] < _SHORTEST:
+        raise InputError(f"wavelengths are in nm, got {values[-1]:.6g}; 0.55 um are 550.")
     return Bands(len(values), values * 1e-9)
 
 
@@ -152,34 +167,115 @@ def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndar
     """Matrix from a spectrum at given wavelengths to the bands of the scene, before clipping.
 
     Args:
-        known: (known,) m.
+        known: (known,) m, ascending.
         bands: the bands of the scene.
         quantity: "reflectance" or "light".
 
     Returns:
         (known, bands), no unit.
+
+    Raises:
+        InputError: no wavelength of the scene lies within those that are known.
     """
-    ends = None if quantity == "reflectance" else 0.0  # None: the value at the end
-    wanted = _samples(bands)
-    each = np.eye(len(known))
-    sampled = np.stack([np.interp(wanted, known, one, left=ends, right=ends) for one in each])
-    return sampled if bands.wavelengths is not None else sampled @ colours_of(wanted, quantity)
+    nm, wanted = known * 1e9, _samples(bands) * 1e9
+    half = np.diff(wanted) / 2
+    edges = np.r_[wanted[0] - half[0], wanted[:-1] + half, wanted[-1] + half[-1]]
+    if nm[-1] < edges[0] or nm[0] > edges[-1]:
+        raise InputError(
+            f"a spectrum from {nm[0]:.6g} to {nm[-1]:.6g} nm covers none of the wavelengths "
+            f"{wanted[0]:.6g} to {wanted[-1]:.6g} nm of the scene; give its wavelengths in nm, or "
+            "their unit in the head of a CSV, as in wavelength_um."
+        )
+    covered = nm[[0, -1]] if quantity == "light" else np.array([-np.inf, np.inf])
+    if bands.wavelengths is None:
+        return _integrals(nm, wanted, colours_of(wanted * 1e-9, quantity), covered)
+    is_covered = (wanted >= covered[0]) & (wanted <= covered[1])
+    matrix = _shares(nm, wanted, np.diag(is_covered.astype(float)))
+    if quantity == "light":
+        for band, (low, high) in enumerate(pairwise(edges)):
+            near = 1e-6 * (high - low)
+            inside = (nm >= low - near) & (nm <= high + near) & (abs(nm - wanted[band]) > near)
+            if inside.any():
+                part = np.clip(covered, low, high) if is_covered[band] else np.array([low, high])
+                mean = _integrals(nm, part, np.full((2, 1), 1 / (part[1] - part[0])), covered)
+                matrix[:, band] = mean[:, 0]
+    return matrix
+
+
+def _integrals(
+    known: np.ndarray, grid: np.ndarray, density: np.ndarray, covered: np.ndarray
+) -> np.ndarray:
+    """(known, bands): the integrals over a grid of a spectrum times a density of each band, both
+    linear between their wavelengths, and 0 beyond those that are covered."""
+    points = np.concatenate([grid, known[(known > grid[0]) & (known < grid[-1])]])
+    points = np.unique(points[(points >= covered[0]) & (points <= covered[1])])
+    at = np.stack([np.interp(points, grid, one) for one in density.T], axis=-1)
+    steps, share = np.diff(points)[:, None] / 6, np.zeros_like(at)
+    share[:-1] += steps * (2 * at[:-1] + at[1:])  # exact for a product of two lines
+    share[1:] += steps * (at[:-1] + 2 * at[1:])
+    return _shares(known, points, share)
+
+
+def _shares(known: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(known, bands): the sums over points, (points, bands), of weights times a spectrum there."""
+    above = np.clip(np.searchsorted(known, points, side="right"), 1, max(len(known) - 1, 1))
+    below, above = above - 1, np.minimum(above, len(known) - 1)
+    t = np.clip((points - known[below]) / np.maximum(known[above] - known[below], 1e-300), 0, 1)
+    matrix = np.zeros((len(known), weights.shape[1]))
+    np.add.at(matrix, below, (1 - t)[:, None] * weights)
+    np.add.at(matrix, above, t[:, None] * weights)
+    return matrix
 
 
 def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity) -> np.ndarray:
-    if spectrum.pairs is not None or spectrum.file is not None:
-        if spectrum.pairs is not None:
-            nanometres, values = np.asarray(spectrum.pairs, float).T
-            known = nanometres * 1e-9
-        else:
-            assert spectrum.file is not None
-            known, values = _column(spectrum.file, spectrum.column, folder)
-        reduced = values @ reduction(known, bands, quantity=quantity)
-    else:
-        wanted = _samples(bands)
-        values = _from_library(spectrum, wanted)
-        reduced = values if bands.wavelengths is not None else values @ colours_of(wanted, quantity)
+    table = _table_of(spectrum, bands, folder, quantity)
+    if table is not None:
+        known, values = table
+        reduced = spectrum.scale * np.maximum(
+            values @ reduction(known, bands, quantity=quantity), 0
+        )
+        is_reflectance = quantity == "reflectance" and spectrum.scale * values.max() <= 1
+        if bands.wavelengths is None and is_reflectance and reduced.max() > 1 + _ROUNDING:
+            red, green, blue = reduced
+            warnings.warn(
+                f"a reflectance of at most 1 is ({red:.3g}, {green:.3g}, {blue:.3g}) in linear "
+                "sRGB, whose colours end at 1, where it is cut; give the scene wavelengths to keep "
+                "it.",
+                stacklevel=2,
+            )
+        return np.minimum(reduced, 1) if is_reflectance else reduced
+    wanted = _samples(bands)
+    values = _from_library(spectrum, wanted)
+    reduced = values if bands.wavelengths is not None else values @ colours_of(wanted, quantity)
     return spectrum.scale * np.maximum(reduced, 0)
+
+
+def _table_of(
+    spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Wavelengths, m, and values of a spectrum that is a table: pairs, a file, or a lamp of the CIE
+    that no formula gives."""
+    if spectrum.pairs is not None:
+        nanometres, values = np.asarray(spectrum.pairs, float).T
+        return nanometres * 1e-9, values
+    if spectrum.file is not None:
+        return read_table(folder.file(spectrum.file), spectrum.column, quantity)
+    if spectrum.illuminant is None:
+        return None
+    import colour
+
+    table = colour.SDS_ILLUMINANTS.get(spectrum.illuminant)
+    if table is None or table.name in colour_data.BY_FORMULA:
+        return None
+    if bands.wavelengths is not None:
+        _from_library(spectrum, bands.wavelengths)  # which refuses those beyond the table
+    elif table.shape.start > 380 or table.shape.end < 780:
+        raise InputError(
+            f"illuminant {table.name!r} is known from {table.shape.start:g} to "
+            f"{table.shape.end:g} nm, and RGB takes 380 to 780 nm; give the scene wavelengths "
+            "within the table, or a spectrum of your own."
+        )
+    return table.wavelengths * 1e-9, table.values
 
 
 def _samples(bands: Bands) -> np.ndarray:
@@ -231,34 +327,3 @@ def _from_library(spectrum: Tabulated, wavelengths: np.ndarray) -> np.ndarray:
         raise InputError(f"no patch {patch!r} on {spectrum.chart}; {nearest(patch, patches)}.")
     every = colour_data.chart_reflectances(grid, name=spectrum.chart)
     return np.asarray(every[patches.index(patch)])
-
-
-def _column(name: str, column: str | None, folder: Folder) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths, m, and values of one column of a CSV."""
-    file, lines = folder.file(name), folder.text(name).splitlines()
-    heads = [head.strip() for head in lines[0].split(",")] if lines else []
-    if len(heads) < 2:
-        raise InputError(f"{file}: no columns; begin with a line of heads, as in wavelength,value.")
-    wanted = heads[1] if column is None else column
-    if wanted not in heads[1:]:
-        raise InputError(f"{file}: no column {wanted!r}; {nearest(wanted, heads[1:])}.")
-    rows = []
-    for number, line in enumerate(lines[1:], 2):
-        if line.strip():
-            cells = line.split(",")
-            try:
-                rows.append((float(cells[0]), float(cells[heads.index(wanted)])))
-            except (ValueError, IndexError):
-                raise InputError(
-                    f"{file}, line {number}: {line.strip()[:40]!r} has no number for {wanted!r}; "
-                    "correct it."
-                ) from None
-    table = np.asarray(rows).reshape(-1, 2)
-    if len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputError(
-            f"{file}: a spectrum takes at least two rows of finite numbers whose wavelengths "
-            "ascend; correct it."
-        )
-    if (table[:, 1] < 0).any():
-        raise InputError(f"{file}: {wanted!r} has negative values; a spectrum has none.")
-    return table[:, 0] * 1e-9, table[:, 1]
