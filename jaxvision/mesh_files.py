@@ -24,6 +24,9 @@ Vector = Sequence[float | int] | np.ndarray
 Axes = Sequence[Vector] | np.ndarray
 Affine = Sequence[Sequence[float | int]] | np.ndarray
 
+# Rounding is named above these shares: of the area of a triangle, as a vector, and of the size.
+_TURNED, _MOVED = 1e-2, 5e-4
+
 
 def read_mesh(
     path: str | os.PathLike[str],
@@ -41,7 +44,9 @@ def read_mesh(
 
     Points are scaled, then rotated, then moved, or mapped by `matrix`. Triangles without area in
     the numbers of `dtype`, which no ray would hit, are left out, and a warning counts them.
-    Coordinates that are not finite are kept; `geometry.problems` reports them.
+    Coordinates that are not finite are kept; `geometry.problems` reports them. A warning names a
+    mesh so far from the origin that `dtype` changes its triangles by more than 1 % on average, or
+    moves its vertices by more than 5e-4 of its size.
 
     Args:
         path: the file.
@@ -77,10 +82,10 @@ def read_mesh(
             stacklevel=2,
         )
     loaded.apply_transform(_to_world(file, scale, rotation, position, matrix))
-    vertices = np.asarray(loaded.vertices, float)
+    exact = np.asarray(loaded.vertices, float)
     with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
-        vertices = vertices.astype(jnp.result_type(float) if dtype is None else dtype)
-    faces = _with_area(file, vertices, np.asarray(loaded.faces, np.int32))
+        vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
+    faces = _with_area(file, vertices, exact, np.asarray(loaded.faces, np.int32))
     normals = None
     if smooth:
         normals = np.asarray(loaded.vertex_normals, float).astype(vertices.dtype)
@@ -112,8 +117,11 @@ def _to_world(
     return whole
 
 
-def _with_area(file: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The triangles with a positive area; files often hold some without."""
+def _with_area(
+    file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
+) -> np.ndarray:
+    """The triangles with a positive area; files often hold some without. A warning tells what
+    rounding took from those of the file, whose vertices are exact."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
         raise InputError(
@@ -121,14 +129,39 @@ def _with_area(file: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarra
             f"{len(vertices)}; export it again."
         )
     flat = faces_without_area(vertices, faces)
+    _check_rounding(file, vertices, exact, faces)
     if flat.all():
         raise InputError(f"{file}: none of its {len(faces)} triangles has area; export it again.")
     if flat.any():
+        rounded = (flat & ~faces_without_area(exact, faces)).sum()
+        by_rounding = f" ({rounded} of them in {vertices.dtype} alone)" if rounded else ""
         warnings.warn(
-            f"{file}: {flat.sum()} of {len(faces)} triangles have no area and were left out.",
+            f"{file}: {flat.sum()} of {len(faces)} triangles have no area{by_rounding} and were "
+            "left out.",
             stacklevel=3,
         )
     return faces[~flat]
+
+
+def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray) -> None:
+    """Warns of a mesh far from the origin, whose triangles or whole rounding changes."""
+    before, after = (
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        for corners in (exact[faces], vertices[faces].astype(float))
+    )
+    whole = np.linalg.norm(before, axis=1).sum()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        change = np.linalg.norm(after - before, axis=1).sum() / whole
+        shift = np.abs(vertices - exact).max()
+        share = shift / np.ptp(exact, axis=0).max()
+    if change > _TURNED or share > _MOVED:
+        warnings.warn(
+            f"{file}: lies up to {np.abs(exact).max():.3g} m from the origin, where "
+            f"{vertices.dtype} moves its vertices by up to {shift:.2g} m and changes the areas and "
+            f"slopes of its triangles by {change:.2g} on average; move it near the origin, with "
+            "lamps and camera, as by position, or take the dtype float64.",
+            stacklevel=4,
+        )
 
 
 def _primitive(file: Path, mesh: int, primitive: int):

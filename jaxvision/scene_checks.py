@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from .brdf import is_body
-from .geometry import problems
+from .geometry.checks import invalid
 from .lights import DirectionalLight, PointLight, RectangleLight, SmallLight
 from .scene import (
     Box,
@@ -34,9 +34,10 @@ def scene_problems(
 ) -> list[str]:
     """One sentence for each problem of a scene.
 
-    Reports: the problems of each shape (`geometry.problems`); closed meshes turned inside out;
-    emitters without area and lights without direction; a scene without any light; a light, an
-    emitter or the camera inside an opaque closed surface with a hidden inside; a point light on a
+    Reports: the problems of each shape (`geometry.problems`, but for places far from the origin);
+    closed meshes turned inside out; emitters without area and lights without direction; a scene
+    without any light; a light, an emitter or the camera inside an opaque closed surface with a
+    hidden inside; a point light on a
     surface other than a mesh, which it would not light. Objects may lie inside glass or a two-sided
     surface: there the inside is seen, and a ray that starts in glass is taken to be in it.
 
@@ -52,7 +53,7 @@ def scene_problems(
     found = [
         f"{name}: {problem}"
         for name, surface in zip(surfaces, scene.surfaces, strict=True)
-        for problem in problems(surface.shape)
+        for problem in invalid(surface.shape)
     ]
     if found:  # the checks below need valid shapes
         return found

@@ -22,11 +22,11 @@ import numpy as np
 from .._shipped import existing_file, shipped_files
 from .._types import as_dtype
 from ..errors import InputError, nearest
-from ..geometry import problems
+from ..geometry.checks import coarse, invalid
 from ..gltf_files import SUFFIXES as GLTF
 from ..in_notebooks import record_html
 from ..record_files import record_of
-from ..scene import AmbientLight, Material, Scene, Surface, View
+from ..scene import AmbientLight, Material, Scene, Surface, TriangleMesh, View
 from ..scene_checks import lost_numbers, scene_problems
 from ..toml_files import checked, read_toml
 from .bands import bands_of
@@ -211,7 +211,8 @@ def _check_rounded(
     exact: tuple[Scene, View],
     rounded: tuple[Scene, View],
 ) -> None:
-    """`InputError` for the first object that the dtype of the rendering cannot represent."""
+    """`InputError` for the first object that the dtype of the rendering cannot represent, and a
+    warning of those that it represents coarsely."""
     (scene, view), (kept, kept_view) = exact, rounded
     objects = [
         *zip(surfaces, scene.surfaces, kept.surfaces, strict=True),
@@ -222,7 +223,10 @@ def _check_rounded(
     for name, before, after in objects:
         found = lost_numbers(before, after)
         if isinstance(after, Surface):
-            found += problems(after.shape)
+            found += invalid(after.shape)
+            if not isinstance(after.shape, TriangleMesh):  # of which its reader has warned
+                for coarse_place in coarse(after.shape):
+                    warnings.warn(f"{file}: {name}: {coarse_place}", stacklevel=3)
         for problem in found:
             raise InputError(f"{file}: {name}: {problem}")
 

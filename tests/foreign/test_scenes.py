@@ -342,3 +342,81 @@ def test_places_in_a_list_are_counted_alike(tmp_path):
         InputError, match=r"light\[1\]\.direction must have shape \(3,\), got \(2,\)"
     ):
         jv.scene_files.read_scene(tmp_path / "scene.toml")
+
+
+EAST = np.array([452300.0, 5411827.0, 430.0])  # a place in the coordinates of a surveyor, m
+
+
+def roof(file, at):
+    """Twelve facets of 4 m by 2.3 m, by turns 0.6 m up and down, as an OBJ."""
+    lines = []
+    for i in range(12):
+        y, z, w = 2.3 * i, 0.6 * (i % 2), 0.6 * ((i + 1) % 2)
+        for corner in ((0, y, z), (4, y, z), (4, y + 2.3, w), (0, y + 2.3, w)):
+            lines.append("v {:.3f} {:.3f} {:.3f}".format(*(at + corner)))
+        lines.append("f {} {} {} {}".format(*range(4 * i + 1, 4 * i + 5)))
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def slopes(mesh):
+    a, b, c = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    return np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), np.abs(normals[:, 2]))
+
+
+def test_a_mesh_in_surveyors_coordinates_says_what_rounding_does(tmp_path):
+    file, slope = roof(tmp_path / "utm.obj", EAST), np.arctan2(0.6, 2.3)
+    with pytest.warns(UserWarning, match=r"5.41e\+06 m .* float32 moves .* by up to 0.2 m .* near"):
+        coarse = jv.mesh_files.read_mesh(file, dtype="float32")
+    assert np.abs(slopes(coarse) - slope).max() > 0.01
+    assert "numbers of float32 are 0.5 m apart" in jv.geometry.problems(coarse)[0]
+    for given in ({"dtype": "float64"}, {"dtype": "float32", "position": -EAST}):
+        mesh = jv.mesh_files.read_mesh(file, **given)  # without a word
+        np.testing.assert_allclose(slopes(mesh), slope, rtol=1e-3)
+        assert jv.geometry.problems(mesh) == []
+
+
+def test_triangles_that_rounding_flattens_are_told_from_those_of_the_file(tmp_path):
+    text = "".join(f"v {EAST[0]} {EAST[1] + y} {x}\n" for x, y in ((0, 0), (1, 0), (0, 0.2)))
+    text += f"v {EAST[0]} {EAST[1] + 5} 0\nf 1 2 3\nf 1 2 4\nf 1 1 2\n"
+    (tmp_path / "m.obj").write_text(text)
+    with (
+        pytest.warns(UserWarning, match="areas and slopes"),
+        pytest.warns(
+            UserWarning, match=r"2 of 3 triangles have no area \(1 of them in float32 alone\)"
+        ),
+    ):
+        jv.mesh_files.read_mesh(tmp_path / "m.obj", dtype="float32")
+
+
+@pytest.mark.parametrize("at", [0.0, 1e5])
+def test_a_scene_far_from_the_origin_is_named(tmp_path, at):
+    """At 1e5 m numbers of float32 are 8 mm apart, and the picture of a ball of 1 m is wrong."""
+    (tmp_path / "s.toml").write_text(f"""
+[camera]
+kind = "pinhole"
+position = [{at}, {at - 4}, {at}]
+target = [{at}, {at}, {at}]
+resolution = [4, 4]
+field_of_view = 50
+[material.grey]
+family = "lambert"
+albedo = 0.5
+[[surface]]
+name = "ball"
+shape = "sphere"
+centre = [{at}, {at}, {at}]
+radius = 1
+material = "grey"
+[[light]]
+kind = "directional"
+direction = [0, -1, 1]
+irradiance = 1.0
+""")
+    read = jv.scene_files.read_scene
+    if not at:
+        read(tmp_path / "s.toml")
+        return
+    with pytest.warns(UserWarning, match=r'"ball": Sphere lies .* 0.0078 m apart'):
+        read(tmp_path / "s.toml")
