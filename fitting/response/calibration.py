@@ -154,6 +154,7 @@ def _calibrate(
             least_error=max(STEADIEST, plane.exposure_sd),
             step=stack.step,
             origin=stack.origin,
+            black_sd=plane.black_sd,
             dim=dim,
         )
 

@@ -17,12 +17,14 @@ class CodeBins:
         lookup: (codes,) bin of every code; -1 where it is at or below black or clipped.
         black: DN without light.
         anchor: DN where g = 0; None for mid-scale.
+        black_sd: DN, with which black is known; 0 for exactly.
     """
 
     edges: Float[np.ndarray, " edges"]
     lookup: Int[np.ndarray, " codes"]
     black: float
     anchor: float | None = None
+    black_sd: float = 0.0
 
     @property
     def full_scale(self) -> int:
@@ -67,6 +69,7 @@ def code_bins(
     count: int = MAX_BINS,
     step: int = 1,
     origin: int = 0,
+    black_sd: float = 0.0,
 ) -> CodeBins:
     """Bins of codes: one per code up to a number; beyond, bins of equal width in sqrt(DN - black),
     which follow shot noise.
@@ -78,6 +81,7 @@ def code_bins(
         count: most bins.
         step: DN between neighbouring codes: 16 of 12 bits at the upper end of 16.
         origin: DN of a code, less than a step.
+        black_sd: DN, with which black is known; 0 for exactly.
 
     Returns:
         The bins.
@@ -92,7 +96,7 @@ def code_bins(
     edges = origin + (starts - 0.5) * step
     lookup = np.searchsorted(edges, np.arange(2**bits), side="right") - 1
     lookup[int(np.ceil(edges[-1])) :] = -1
-    return CodeBins(edges, lookup.astype(np.int32), black)
+    return CodeBins(edges, lookup.astype(np.int32), black, black_sd=black_sd)
 
 
 def interval_variance(means: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:

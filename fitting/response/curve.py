@@ -184,6 +184,7 @@ def fit_response_curve(
     rounds: int = MOST_ROUNDS,
     step: int = 1,
     origin: int = 0,
+    black_sd: float = 0.0,
     dim: bool = False,
 ) -> ResponseCurve:
     """The response curve of one channel.
@@ -201,6 +202,7 @@ def fit_response_curve(
         rounds: how often the curve is solved for at most, smoothness and shutter errors between.
         step: DN between neighbouring codes.
         origin: DN of a code, less than a step.
+        black_sd: DN, with which black is known: a wrong one bends a pure gamma. 0 for exactly.
         dim: whether a stack will do in which too few pixels pass mid-scale: g = 0 then lies in the
             middle of the codes that are seen.
 
@@ -221,8 +223,10 @@ def fit_response_curve(
             "each exposure its own image."
         )
     clip = 2.0**bits - 1 if clip is None else clip
-    bins = code_bins(bits, black, clip, count=most_bins, step=step, origin=origin)
-    coarse = code_bins(bits, black, clip, count=PILOT_BINS, step=step, origin=origin)
+    bins, coarse = (
+        code_bins(bits, black, clip, count=count, step=step, origin=origin, black_sd=black_sd)
+        for count in (most_bins, PILOT_BINS)
+    )
     linked, bright = _well_exposed(codes, bins)
     reached = (linked & bright).sum() >= max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1])
     if reached or not dim:

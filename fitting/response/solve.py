@@ -2,8 +2,9 @@
 
 Prior: the local exponent dg / d ln(z - black) is a random walk in the clock of `roughness`, in
 which the 201 measured curves of Grossberg & Nayar (2003) are about equally rough all along; a pure
-gamma is free of cost. Its strength and tau maximise the marginal likelihood (MacKay's fixed point,
-Neural Computation 4, 1992).
+gamma is free of cost. Where black is known to `black_sd`, what the gamma changes by with black is
+free but for that error. The prior's strength and tau maximise the marginal likelihood (MacKay's
+fixed point, Neural Computation 4, 1992).
 
 Pixels that err together count as fewer: with u_k the gradient of tile k's energy at the curve,
 
@@ -166,21 +167,27 @@ def solve(
     matrix = np.sum([tile.matrix for tile in equations], axis=0)
     right = np.sum([tile.right for tile in equations], axis=0)
     rough, size = roughness(bins), len(bins.centres)
+    moved = _from_another_black(bins, matrix[:size, :size], right[:size])
+    pull = rough @ moved
     curve, errors = slice(0, size), slice(size, None)
     free, least_effect = basis.shape[1], sum(tile.pixels for tile in tiles) / COUNTED
     hyper = replace(start, design_effect=max(start.design_effect, least_effect))
     while True:
         believed = min(hyper.shutter_error, max(BELIEVED, least_error))
         prior = np.zeros_like(matrix)
-        prior[curve, curve] = hyper.smoothness * rough
+        # The energy of g - a moved, a ~ N(0, 1) integrated out, and that at the likeliest a.
+        gained = 1 + hyper.smoothness * (pull @ moved)
+        of_black = np.outer(pull, pull) * hyper.smoothness / gained
+        energy, rest = rough - of_black, rough - of_black * (1 + 1 / gained)
+        prior[curve, curve] = hyper.smoothness * energy
         prior[errors, errors] = np.eye(free) / believed**2
         covariance = inverse(matrix / hyper.design_effect + prior, bins)
         mean = covariance @ right / hyper.design_effect
         g, d = mean[curve], mean[errors]
-        taken_up = hyper.smoothness * np.sum(rough * covariance[curve, curve])
-        determined = max(size - 2 - taken_up, 1.0)
+        taken_up = hyper.smoothness * np.sum(rest * covariance[curve, curve])
+        determined = max(size - 3 + 1 / gained - taken_up, 1.0)
         known = max(free - covariance[errors, errors].trace() / believed**2, 1e-3)
-        smoothness = max(determined / (g @ rough @ g + determined / SMOOTHEST), ROUGHEST)
+        smoothness = max(determined / (g @ rest @ g + determined / SMOOTHEST), ROUGHEST)
         tau = float(np.clip(np.sqrt(d @ d / known), least_error, max(SHAKIEST, least_error)))
         effect = _design_effect(equations, matrix, mean, covariance, hyper.design_effect)
         suggested = Hyperparameters(smoothness, tau, max(effect, least_effect))
@@ -191,6 +198,7 @@ def solve(
             held = np.log(known_by.trace() / size)  # what `inverse` adds
             evidence = mean @ right / hyper.design_effect + held + np.linalg.slogdet(covariance)[1]
             evidence += (size - 2) * np.log(hyper.smoothness) - 2 * free * np.log(believed)
+            evidence -= np.log(gained)
             return Solution(
                 g,
                 d,
@@ -208,6 +216,16 @@ def solve(
         hyper = replace(suggested, smoothness=ahead) if rounds > 1 else suggested
         if abs(np.log(pace)) < SETTLED:
             rounds = 1
+
+
+def _from_another_black(
+    bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
+) -> Float[np.ndarray, " bins"]:
+    """What the best gamma changes by where black lies a standard deviation lower."""
+    column = bins.log_codes - bins.log_codes[bins.middle]
+    gamma = column @ right / (column @ matrix @ column)
+    lower = replace(bins, black=bins.black - bins.black_sd)
+    return gamma * (lower.log_codes - bins.log_codes)
 
 
 def inverse(
