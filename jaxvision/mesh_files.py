@@ -1,20 +1,24 @@
 """Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
 
 Eager; trimesh (the extra `mesh`) is loaded on first use. A file of several meshes becomes one, each
-placed as in the file's scene; polygons are split into triangles. Lengths are taken as metres;
-colours, textures and materials of the file are not read. Every failure is an `InputError` of one
-sentence.
+placed as in the file's scene; polygons are split into triangles that cover them. Lengths are taken
+as metres; colours, textures and materials of the file are not read. Every failure is an
+`InputError` of one sentence.
 """
 
 import os
+import re
 import warnings
 from collections.abc import Sequence
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from ._polygons import are_fans, cut, fan, obj_in_triangles, polygons_of
 from .errors import InputError, install
 from .geometry.checks import faces_without_area
 from .gltf_files import Gltf, primitive_of, read_gltf
@@ -200,18 +204,69 @@ def _load(file: Path):
             "OBJ, PLY or GLB."
         )
     try:
-        scene = trimesh.load_scene(file, process=False)
+        scene = trimesh.load_scene(**_source(file), process=False)
         mesh = scene.to_mesh()
         if scene.units is not None:
             mesh.units = scene.units
     except Exception as error:  # each format's reader fails in its own way
-        reason = _in_plain_words(error)
+        reason = _of_content(file) or _in_plain_words(error)
         raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
     if np.shape(mesh.vertices)[1:] != (3,):
         raise InputError(f"{file}: its points do not have three coordinates; export it again.")
     if len(mesh.faces) == 0:
-        raise InputError(f"{file}: holds no triangles; export it again as a mesh.")
+        why = _of_content(file)
+        reason = f" that can be read: {why}" if why else ""
+        raise InputError(f"{file}: holds no triangles{reason}; export it again as a mesh.")
+    return _with_whole_polygons(file, mesh)
+
+
+def _source(file: Path) -> dict[str, Any]:
+    """What trimesh reads: the file, or an OBJ whose polygons are cut."""
+    if file.suffix.lower() == ".obj":
+        triangles = obj_in_triangles(file.read_bytes().decode("latin-1"))
+        if triangles is not None:
+            _trimesh(file)  # which says how to install it
+            from trimesh.resolvers import FilePathResolver
+
+            data = BytesIO(triangles.encode("latin-1"))
+            of_folder = FilePathResolver(str(file.absolute()))
+            return {"file_obj": data, "file_type": "obj", "resolver": of_folder}
+    return {"file_obj": file}
+
+
+def _with_whole_polygons(file: Path, mesh):
+    """The mesh of a PLY or OFF file whose polygons are cut so that they cover what they enclose."""
+    polygons = polygons_of(file) if file.suffix.lower() in (".ply", ".off") else None
+    if polygons is None or max(one.max() for one in polygons) >= len(mesh.vertices):
+        return mesh
+    pieces = cut(np.asarray(mesh.vertices, float), polygons)
+    if are_fans(pieces):
+        return mesh
+    fans = np.concatenate([corners[fan(len(corners))] for corners in polygons])
+    one, other = (np.unique(np.sort(faces, axis=1), axis=0) for faces in (fans, mesh.faces))
+    if not np.array_equal(one, other):
+        raise InputError(
+            f"{file}: holds polygons that are not convex, whose corners texture has changed; "
+            "export it again in triangles."
+        )
+    whole = zip(polygons, pieces, strict=True)
+    mesh.faces = np.concatenate([corners[three] for corners, three in whole])
     return mesh
+
+
+def _of_content(file: Path) -> str | None:
+    """Why a reader of trimesh failed, as far as the content tells."""
+    data = file.read_bytes()
+    match file.suffix.lower():
+        case ".stl" if len(data) >= 84:
+            announced, held = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
+            if not data.startswith(b"solid") and announced != held:
+                return f"it announces {announced} triangles and has the length of {held}"
+        case ".ply" if b"element tristrips" in data[:10_000]:
+            return "it has strips of triangles, which are not read"
+        case ".obj" if re.search(rb"^v[ \t]+\S*\d,\d", data, re.MULTILINE):
+            return "it writes decimals with commas"
+    return None
 
 
 def _in_plain_words(error: Exception) -> str:

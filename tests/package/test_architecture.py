@@ -44,6 +44,7 @@ FLOORS = [
         "_plain_content",
         "_legible_axes",
         "_local_workers",
+        "_polygons",
     },
     {"raw_files", "_netpbm_files", "_radiance_files"},
     {"image_settings"},

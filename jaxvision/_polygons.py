@@ -1,0 +1,188 @@
+"""Polygons of OBJ, PLY and OFF files, cut into triangles that cover the polygon and nothing else.
+
+Readers cut them by a fan from their first corner, which covers what is open, or parts twice, where
+a polygon is not convex. Those are cut by ears here, the convex ones by the fan.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+Polygons = list[np.ndarray]  # of corners, numbers of vertices
+
+_PLY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+
+
+def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
+    """(triangles, 3) of each polygon: places among its own corners.
+
+    Args:
+        vertices: (vertices, 3) m.
+        polygons: at least three corners each, within the vertices.
+    """
+    counts = np.array([len(one) for one in polygons])
+    found = [fan(count) for count in counts]
+    for count in np.unique(counts[counts > 3]):
+        members = np.flatnonzero(counts == count)
+        corners = vertices[np.stack([polygons[i] for i in members])]
+        edges = np.roll(corners, -1, axis=1) - corners
+        normals = np.cross(corners - corners[:, :1], edges).sum(axis=1)  # twice the area
+        turns = np.cross(np.roll(edges, 1, axis=1), edges)
+        inward = np.einsum("ijk,ik->ij", turns, normals)
+        for k in np.flatnonzero((inward < 0).any(axis=1)):
+            found[members[k]] = _by_ears(corners[k], normals[k])
+    return found
+
+
+def fan(count: int) -> np.ndarray:
+    """The triangles of a polygon of so many corners from its first."""
+    return np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], 1)
+
+
+def are_fans(pieces: list[np.ndarray]) -> bool:
+    """Whether all are cut as readers do."""
+    return all(len(one) == 1 or np.array_equal(one, fan(len(one) + 2)) for one in pieces)
+
+
+def _by_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Seen along the axis nearest to its normal; the fan of a polygon that crosses itself."""
+    axis = int(np.abs(normal).argmax())
+    x, y = np.delete(corners, axis, axis=1).T
+    if (normal[axis] < 0) != (axis == 1):  # x and z are seen from behind
+        x = -x
+
+    def turn(a: int, b: int, c: int | np.ndarray) -> np.ndarray:
+        return (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
+
+    left, triangles = list(range(len(corners))), []
+    while len(left) > 3:
+        for k, b in enumerate(left):
+            a, c = left[k - 1], left[(k + 1) % len(left)]
+            size = turn(a, b, c)
+            others = np.array([p for p in left if p not in (a, b, c)])
+            same = np.zeros(len(others), bool)
+            for corner in (a, b, c):  # a bridge to a hole passes some corners twice
+                same |= (x[others] == x[corner]) & (y[others] == y[corner])
+            inside = (turn(a, b, others) >= 0) & (turn(b, c, others) >= 0)
+            inside &= (turn(c, a, others) >= 0) & ~same
+            if size == 0 or (size > 0 and not inside.any()):
+                break
+        else:
+            return fan(len(corners))
+        triangles.append((a, b, c))
+        left.remove(b)
+    return np.array([*triangles, left])
+
+
+def obj_in_triangles(text: str) -> str | None:
+    """An OBJ whose polygons are cut into triangles; None where all of them are convex."""
+    if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", text, re.MULTILINE):
+        return None
+    joined = text.replace("\\\r\n", " ").replace("\\\n", " ")
+    lines = joined.splitlines()
+    vertices, places, polygons = [], [], []
+    for place, line in enumerate(lines):
+        words = line.split("#", 1)[0].split()
+        if words[:1] == ["v"]:
+            vertices.append(words[1:4])
+        elif words[:1] == ["f"] and len(words) > 4:
+            corners = np.array([int(word.split("/")[0]) for word in words[1:]])
+            places.append(place)
+            polygons.append(np.where(corners < 0, len(vertices) + corners, corners - 1))
+    if not polygons:
+        return None
+    points = np.array(vertices, float)
+    if any(one.min() < 0 or one.max() >= len(points) for one in polygons):
+        return None  # the reader says so
+    pieces = cut(points, polygons)
+    if are_fans(pieces):
+        return None
+    for place, triangles in zip(places, pieces, strict=True):
+        words = np.array(lines[place].split("#", 1)[0].split()[1:])
+        lines[place] = "\n".join("f " + " ".join(three) for three in words[triangles])
+    return "\n".join(lines) + "\n"
+
+
+def polygons_of(file: Path) -> Polygons | None:
+    """The polygons of a PLY or OFF file in its order; None if it holds nothing but triangles, or is
+    no file that this reads."""
+    try:
+        found = _of_off(file) if file.suffix.lower() == ".off" else _of_ply(file.read_bytes())
+    except (ValueError, IndexError, KeyError, StopIteration, OverflowError):
+        return None  # the reader of meshes says why
+    if not found or all(len(one) == 3 for one in found) or min(map(len, found)) < 3:
+        return None
+    return found
+
+
+def _of_off(file: Path) -> Polygons:
+    text = re.sub(r"#.*", "", file.read_text("latin-1")).split("OFF", 1)[1]
+    lines = [line.split() for line in text.splitlines() if line.strip()]
+    vertices, faces = int(lines[0][0]), int(lines[0][1])
+    rows = lines[1 + vertices : 1 + vertices + faces]
+    return [np.array(row[1 : int(row[0]) + 1], int) for row in rows]
+
+
+def _of_ply(data: bytes) -> Polygons:
+    """The lists of corners of the faces, if every face of a binary file has as many."""
+    end = data.index(b"end_header")
+    start = data.index(b"\n", end) + 1
+    head = [line.split() for line in data[:end].decode("latin-1").splitlines()]
+    kind = next(words[1] for words in head if words[:1] == ["format"])
+    elements: list[tuple[str, int, list[list[str]]]] = []
+    for words in head:
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(words[1:])
+    if kind == "ascii":
+        lines = iter(line.split() for line in data[start:].decode("latin-1").splitlines())
+        for name, count, properties in elements:
+            rows = [next(lines) for _ in range(count)]
+            if name == "face":
+                return [_corners_of(row, properties) for row in rows]
+        return []
+    order = "<" if "little" in kind else ">"
+    for name, count, properties in elements:
+        if count == 0:
+            continue
+        fields, at = [], start
+        for place, words in enumerate(properties):
+            if words[0] == "list":
+                size = np.dtype(order + _PLY_TYPES[words[1]])
+                many = int(np.frombuffer(data, size, 1, at)[0])
+                fields.append((f"n{place}", size))
+                fields.append((words[3], np.dtype(order + _PLY_TYPES[words[2]]), (many,)))
+            else:
+                fields.append((words[1], np.dtype(order + _PLY_TYPES[words[0]])))
+            at = start + np.dtype(fields).itemsize
+        table = np.frombuffer(data, np.dtype(fields), count, start)
+        for field in fields:
+            counts = field[0] if re.fullmatch(r"n\d+", field[0]) else None
+            if counts and (table[counts] != table[counts][0]).any():
+                return []
+        if name == "face":
+            corners = next(w[3] for w in properties if w[0] == "list" and "vertex_ind" in w[3])
+            return list(table[corners].astype(int))
+        start += table.nbytes
+    return []
+
+
+def _corners_of(row: list[str], properties: list[list[str]]) -> np.ndarray:
+    at = 0
+    for words in properties:
+        many = int(row[at]) if words[0] == "list" else 0
+        if words[0] == "list" and "vertex_ind" in words[3]:
+            return np.array(row[at + 1 : at + 1 + many], int)
+        at += 1 + many
+    raise KeyError("vertex_indices")

@@ -1,0 +1,105 @@
+"""Meshes as other programs write them: polygons that are not convex, and files that are damaged."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from jaxvision.errors import InputError
+from jaxvision.mesh_files import read_mesh
+
+PLY = (
+    "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
+)
+PLY += "element face {}\nproperty list uchar int vertex_indices\nend_header\n"
+RNG = np.random.default_rng(5)
+
+
+def areas(mesh):
+    """Twice the area of the triangles alone and as they turn: equal if none covers another."""
+    a, b, c = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)].transpose(1, 0, 2)
+    across = np.cross(b - a, c - a)
+    return np.linalg.norm(across, axis=1).sum() / 2, np.linalg.norm(across.sum(axis=0)) / 2
+
+
+def shoelace(flat):
+    x, y = flat.T
+    return abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+def star(points, start=0):
+    """A polygon around the origin whose radius jumps: most corners are open or not convex."""
+    radius = np.where(np.arange(points) % 2, 1.0, 3.0) + RNG.uniform(0, 0.5, points)
+    angle = 2 * np.pi * np.arange(points) / points
+    return np.roll(np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1), start, axis=0)
+
+
+def written(folder, kind, corners, polygons):
+    file = folder / f"m.{kind.split('-')[0]}"
+    vertices = [" ".join(f"{x:.9g}" for x in row) for row in corners]
+    faces = [" ".join(map(str, [len(one), *one])) for one in polygons]
+    if kind == "obj":
+        vertices = [f"v {row}" for row in vertices]
+        faces = ["f " + " ".join(f"{i + 1}" for i in one) for one in polygons]
+        file.write_text("\n".join([*vertices, *faces]) + "\n")
+    elif kind == "off":
+        head = ["OFF", f"{len(vertices)} {len(faces)} 0"]
+        file.write_text("\n".join([*head, *vertices, *faces]) + "\n")
+    elif kind == "ply":
+        head = PLY.format("ascii", len(vertices), len(faces))
+        file.write_text(head + "\n".join([*vertices, *faces]) + "\n")
+    else:
+        body = np.asarray(corners, "<f4").tobytes()
+        body += b"".join(struct.pack(f"<B{len(one)}i", len(one), *one) for one in polygons)
+        head = PLY.format("binary_little_endian", len(vertices), len(faces))
+        file.write_bytes(head.encode() + body)
+    return file
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "ply", "ply-binary"])
+@pytest.mark.parametrize("start", [0, 1, 2, 3])
+def test_an_arrow_head_is_four_square_metres_from_any_corner(tmp_path, kind, start):
+    flat = np.roll([[0.0, 0], [4, 0], [1, 1], [0, 4]], start, axis=0)
+    file = written(tmp_path, kind, np.column_stack([flat, flat * 0 @ [[0], [0]]]), [[0, 1, 2, 3]])
+    np.testing.assert_allclose(areas(read_mesh(file)), 4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "ply", "ply-binary"])
+def test_polygons_that_are_not_convex_are_covered_once(tmp_path, kind):
+    """Stars in tilted planes, turned either way, against the shoelace formula."""
+    tilt = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    for axes in (np.eye(3), np.eye(3)[[1, 2, 0]], np.eye(3)[[2, 1, 0]], tilt):
+        flat = star(14, start=3)
+        corners = np.column_stack([flat, np.zeros(14)]) @ axes + [1, 2, 3]
+        for order in (range(14), range(13, -1, -1)):
+            mesh = read_mesh(written(tmp_path, kind, corners, [list(order)]))
+            assert len(mesh.faces) == 12
+            np.testing.assert_allclose(areas(mesh), shoelace(flat), rtol=1e-5)
+
+
+def test_convex_polygons_stay_as_they_were(tmp_path):
+    corners = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [3, 1, 0], [1, 1, 0]]
+    polygons = [[0, 1, 2, 3], [1, 4, 2]]
+    for kind in ("obj", "ply", "off"):
+        mesh = read_mesh(written(tmp_path, kind, np.array(corners, float), polygons))
+        found = {tuple(sorted(face)) for face in np.asarray(mesh.faces).tolist()}
+        assert found == {(0, 1, 2), (0, 2, 3), (1, 2, 4)}
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "sentence"),
+    [
+        ("a.stl", bytes(80) + struct.pack("<I", 3) + bytes(100), "announces 3 .* length of 2"),
+        (
+            "a.ply",
+            (PLY.format("ascii", 4, 1).replace("face", "tristrips")).encode()
+            + b"0 0 0\n1 0 0\n0 1 0\n1 1 0\n4 0 1 2 3\n",
+            "strips of triangles",
+        ),
+        ("a.obj", b"v 0,0 0,0 0,0\nv 2,5 0,0 0,0\nv 0,0 2,0 0,0\nf 1 2 3\n", "with commas"),
+    ],
+)
+def test_what_a_mesh_lacks_is_said_of_its_content(tmp_path, name, data, sentence):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError, match=sentence):
+        read_mesh(tmp_path / name)
