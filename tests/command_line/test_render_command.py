@@ -75,6 +75,7 @@ def rendered(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_picture_is_that_of_render(rendered):
     """Tile by tile and through the file, as all at once."""
     source = read_scene(rendered / "ball.toml")

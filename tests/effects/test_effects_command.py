@@ -107,6 +107,7 @@ def test_what_may_be_left_out_is_said_last(scene):
     assert json.loads(said)["unit"] == "DN"
 
 
+@pytest.mark.slow
 def test_effects_bear_the_names_of_the_file_and_shares_in_percent():
     status, out, _ = called(app, "effects", "glass_and_mirror", "--tolerance", "1%")
     assert status == 0

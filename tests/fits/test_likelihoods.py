@@ -365,6 +365,7 @@ def test_a_code_far_from_the_mean_has_its_probability(light, code):
     assert np.isfinite(slope)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize(
     ("light", "code"), [(0.5, 40.0), (0.5, 900.0), (0.5, 1.0), (2000.0, 3000.0), (2000.0, 6000.0)]

@@ -80,6 +80,7 @@ def test_slopes_through_a_transform_are_those_of_the_sum():
     np.testing.assert_allclose(twice, 12 * once, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_diffraction_of_a_lamp_at_night():
     lens = jv.ThinLens(
         [0, 0, 0], np.eye(3), 0.05, 4e-6, resolution=(120, 110), f_number=16.0, focus_distance=1e9

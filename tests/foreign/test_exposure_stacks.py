@@ -193,6 +193,7 @@ def curve_like(log_exposure, covariance, *, bits=12):
     )
 
 
+@pytest.mark.slow
 def test_departures_are_judged_by_the_error_of_all_codes_together():
     """Curves of a pure gamma with errors of 3 %, that of neighbours alike: one in 100 is called
     none, where the largest departure exceeds 5 % in most. A bend of 30 % is seen."""

@@ -121,6 +121,7 @@ def test_of_five_frames_the_others_of_the_level_stay(image, words):
     assert words in told
 
 
+@pytest.mark.slow
 def test_gain_without_the_frame_is_the_camera_s():
     found = calibrate(read(put(FLATS, l6_1=WHITE))).shown["system_gain"]
     assert abs(found.value - GAIN) < 3 * found.standard_error
@@ -182,6 +183,7 @@ def test_darks_without_the_offset_of_the_flats_are_refused():
         read(flats)
 
 
+@pytest.mark.slow
 def test_a_bias_of_no_exposure_and_stray_light_are_read():
     """Light of 300 electrons that enters at every exposure, also at none."""
     lit = [0.0, *TIMES[1:]]
@@ -395,6 +397,7 @@ def test_raw_frames_are_taken_as_raw():
     assert processing_in_words(measured, linear_levels(measured)) == []
 
 
+@pytest.mark.slow
 def test_saturation_and_light_that_is_stated_wrongly_are_no_tone_curve():
     bright = np.concatenate([ELECTRONS, [12000, 15000, 20000, 30000, 60000]])
     flats = [[frame(x, 800 + 2 * i), frame(x, 801 + 2 * i)] for i, x in enumerate(bright)]

@@ -189,6 +189,7 @@ def test_a_lobe_between_the_samples_of_a_lamp_is_named(material, order, said):
     assert missing_light(scene, integrator="path") == []
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("alpha", "height", "said"), [(0.02, 100.0, 1), (0.3, 1.0, 0), (0.02, 0.5, 0), (0.02, 0.0, 0)]
 )

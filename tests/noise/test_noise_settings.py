@@ -114,6 +114,7 @@ def fit_by_scipy(told, efficiencies=1):
     )
 
 
+@pytest.mark.slow
 def test_the_fit_is_that_of_scipy():
     told = told_by_settings(1)
     ours, theirs = fitted(SETTINGS, told), fit_by_scipy(told)

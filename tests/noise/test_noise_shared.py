@@ -301,6 +301,7 @@ def test_light_that_flickers_is_taken_out_row_by_row():
     assert "sensor" in shown.records
 
 
+@pytest.mark.slow
 def test_few_frames_of_few_rows_raise_no_alarm():
     """A variance of one or three degrees exceeds its mean by four of its errors in one of a hundred
     cameras that share nothing, and in as many whose flats and darks share the same."""

@@ -136,6 +136,7 @@ def verdict_of(calibration, **special):
     return findings(dataclasses.replace(calibration, held_out=held_out))[0]
 
 
+@pytest.mark.slow
 def test_why_a_model_of_far_larger_error_is_not_told_apart(calibration):
     """One incidence makes all the difference, and is named: sqrt((4 * 0.1^2 + 2^2) / 5) = 0.899,
     with one of the others left out sqrt((3 * 0.1^2 + 2^2) / 4) = 1.004, without that one 0.1."""

@@ -119,6 +119,7 @@ def glossy(lights, normals, amplitude):
     return power(lights, normals, 1) + amplitude * lit * np.maximum(half @ normals.T, 0) ** 20
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("spread", [20, 60])
 @pytest.mark.parametrize(
     ("surface", "shape", "widest"),
@@ -187,6 +188,7 @@ def test_few_lights_learn_of_a_departure_from_neighbouring_pixels():
     assert np.mean(off < 2.448 * found.normal_sd.ravel()) > 0.85
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("robust", [True, False])
 def test_noise_does_not_choose_the_readings_in_the_shadow(robust):
     """In attached shadows half of the noise is above 0: kept, it turned normals by 4 degrees."""
