@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 
 _SIZES = {
     1: 1,
+    2: 1,
     3: 2,
     4: 4,
     5: 8,
@@ -19,10 +20,11 @@ _SIZES = {
     16: 8,
     18: 8,
 }  # bytes of a value, by the type of its tag
-_LETTERS = {1: "B", 3: "H", 4: "I", 5: "II", 7: "B", 10: "ii", 13: "I", 16: "Q", 18: "Q"}
+_LETTERS = {1: "B", 2: "B", 3: "H", 4: "I", 5: "II", 7: "B", 10: "ii", 13: "I", 16: "Q", 18: "Q"}
 _QUOTIENTS = (5, 10)
 SUBFILE, ROWS, COLUMNS, BITS, PHOTOMETRIC, COLOUR_MAP, SUB_IFDS = 254, 257, 256, 258, 262, 320, 330
 ALPHA, MULTIPLIED = 338, 1  # what an extra channel is: colours are multiplied by it
+GDAL_WORDS, GDAL_MISSING = 42112, 42113  # XML, among it scale and offset; a number, as a text
 SAMPLE_FORMAT = 339  # 1: whole numbers without a sign, 3: floating numbers
 BLACKS_SIZE, BLACKS, BLACKS_ALONG = 50713, 50714, (50715, 50716)  # of DNG: rows and columns; levels
 CFA_SIZE, CFA_COLOURS = 33421, 33422
@@ -51,6 +53,10 @@ class TiffPicture:
     def first(self, tag: int, otherwise: int = 0) -> Any:
         """The first value of a tag."""
         return next(iter(self.values.get(tag, ())), otherwise)
+
+    def text(self, tag: int) -> str:
+        """The text of a tag, without its end."""
+        return bytes(self.values.get(tag, ())).split(b"\0")[0].decode("latin-1")
 
     @property
     def is_copy(self) -> bool:

@@ -244,7 +244,7 @@ def _of_fits(file: Path, header: Mapping[str, Any]) -> ImageSettings:
     celsius = _number(header.get("CCD-TEMP", header.get("SET-TEMP")))
     pedestal = _number(header.get("PEDESTAL"))
     return ImageSettings(
-        exposure=_positive(header.get("EXPTIME", header.get("EXPOSURE"))),
+        exposure=_positive(header.get("EXPTIME")) or _positive(header.get("EXPOSURE")),
         iso=_positive(header.get("ISOSPEED")),
         taken=_time(header.get("DATE-OBS")),
         temperature=None if celsius is None else celsius - ABSOLUTE_ZERO,

@@ -36,6 +36,8 @@ from ._tiff_tags import (
     BITS,
     COLOUR_MAP,
     COLUMNS,
+    GDAL_MISSING,
+    GDAL_WORDS,
     INKS,
     LIGHT,
     MULTIPLIED,
@@ -513,6 +515,11 @@ def _name_unused(
         said += jpeg_extras(file)
     if page and page.first(ALPHA) == MULTIPLIED:
         said.append("that its colours are multiplied by alpha (those of most files are not)")
+    white = spec.get_float_attribute("whiteLuminance", 0.0)
+    if white > 0:
+        said.append(f"its luminance of white, {white:g} cd m^-2: values are relative, as stored")
+    if page:
+        said += _of_gdal(page)
     words = spec.get_string_attribute("ImageDescription")
     calibration = dict(re.findall(r"^(cf|c[0-4])=(.*)$", words, re.M))
     plain = [("cf", "0"), ("c0", "0.0"), ("c1", "1.0")]
@@ -521,6 +528,28 @@ def _name_unused(
         said.append(f"its calibration by ImageJ ({told}): the codes are as stored")
     if said:
         warnings.warn(f"{file}: not used: {'; '.join(said)}.", stacklevel=5)
+
+
+def _of_gdal(page: TiffPicture) -> list[str]:
+    """What GDAL says of the numbers of a GeoTIFF: scale, offset, and the number of missing ones."""
+    items = re.findall(
+        r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(GDAL_WORDS)
+    )
+    plain = {"scale": 1.0, "offset": 0.0}
+    told = [f"{role} = {number}" for role, number in items if _differs(number, plain[role])]
+    said = []
+    if told:
+        said.append(f"its {', '.join(dict.fromkeys(told))} by GDAL: the numbers are as stored")
+    if missing := page.text(GDAL_MISSING).strip():
+        said.append(f"that pixels of {missing} are missing, by GDAL")
+    return said
+
+
+def _differs(number: str, plain: float) -> bool:
+    try:
+        return float(number) != plain
+    except ValueError:
+        return True
 
 
 def _in_display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:

@@ -124,7 +124,7 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
         said.append(f"{_listed(others)} {verb} not used (the argument part chooses one)")
     if pixels.ndim == 3:
         planes = len(pixels)
-        if planes != 3 or third.upper() not in ("", "RGB"):
+        if planes != 3 or third.upper() != "RGB":
             called = f" ({third})" if third else ""
             said.append(f"the {planes} planes of its third axis{called} are taken as channels")
         pixels = np.moveaxis(pixels, 0, -1)

@@ -98,6 +98,15 @@ def test_what_shines_is_in_nits(tmp_path):
     np.testing.assert_allclose(surface.emission, [10, 5, 0], rtol=1e-6)
 
 
+def test_meshes_that_shine_beside_lamps_of_blender_are_named(tmp_path):
+    lamp = matt(0, 0, 0, emissiveFactor=[1, 0.5, 0])
+    by_blender = {"version": "2.0", "generator": "Khronos glTF Blender I/O v4.2.70"}
+    (tmp_path / "a.gltf").write_text(json.dumps(content(lamp, asset=by_blender)))
+    with pytest.warns(UserWarning, match="683 times too weak beside them, unless the mode was"):
+        read_scene(tmp_path / "a.gltf")
+    read(tmp_path, quietly=False, asset=by_blender)
+
+
 @pytest.mark.parametrize("metal", [1.0, 0.25])
 def test_a_lobe_is_that_of_the_specification(metal, tmp_path):
     """Appendix B written out, at angles where the coat's F is F0 to 1e-4: h.v = 0.987."""

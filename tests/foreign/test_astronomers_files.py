@@ -81,8 +81,11 @@ def test_units_are_named_and_chosen(tmp_path):
 
 def test_a_third_axis_that_is_not_colour_is_said(tmp_path):
     cube = np.arange(24, dtype=np.float32).reshape(3, 2, 4)
-    fits.writeto(tmp_path / "rgb.fits", cube)
+    fits.writeto(tmp_path / "rgb.fits", cube, fits.Header({"CTYPE3": "RGB"}))
     np.testing.assert_array_equal(read_image(tmp_path / "rgb.fits"), np.moveaxis(cube, 0, -1))
+    fits.writeto(tmp_path / "open.fits", cube)  # frames, filters or colours
+    with pytest.warns(UserWarning, match="the 3 planes of its third axis are taken as channels"):
+        read_image(tmp_path / "open.fits")
     fits.writeto(tmp_path / "time.fits", cube, fits.Header({"CTYPE3": "TIME"}))
     with pytest.warns(
         UserWarning, match=r"3 planes of its third axis \(TIME\) are taken as channels"
@@ -105,3 +108,9 @@ def test_a_pedestal_is_a_black_level_in_either_sign(tmp_path, pedestal):
     """SBIG's convention is the number to add to come to 0; others write what was added."""
     fits.writeto(tmp_path / "a.fits", np.zeros((2, 2)), fits.Header({"PEDESTAL": pedestal}))
     assert read_settings(tmp_path / "a.fits").black_level == 100
+
+
+def test_an_exposure_that_is_no_number_hides_none(tmp_path):
+    head = fits.Header({"EXPTIME": "0.5 s", "EXPOSURE": 0.5})
+    fits.writeto(tmp_path / "a.fits", np.zeros((2, 2)), head)
+    assert read_settings(tmp_path / "a.fits").exposure == 0.5

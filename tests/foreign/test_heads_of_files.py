@@ -78,6 +78,39 @@ def test_what_imagej_says_of_codes_is_named(tmp_path):
     assert not _warnings(_tiff(tmp_path, b"ImageJ=1.54f\nunit=inch\n\0"))
 
 
+def test_what_gdal_says_of_numbers_is_named(tmp_path):
+    """Reflectances of satellites are codes with a scale, and a code of missing ones."""
+    words = (
+        b'<GDALMetadata><Item name="SCALE" sample="0" role="scale">0.0001</Item>'
+        b'<Item name="OFFSET" sample="0" role="offset">-0.1</Item></GDALMetadata>\0'
+    )
+    more = [(42112, 2, len(words), 201), (42113, 2, 6, 201 + len(words))]
+    file = _tiff(tmp_path, b"\0", more)
+    file.write_bytes(file.read_bytes() + words + b"-9999\0")
+    assert _warnings(file) == [
+        "not used: its scale = 0.0001, offset = -0.1 by GDAL: the numbers are as stored; that "
+        "pixels of -9999 are missing, by GDAL."
+    ]
+    plain = words.replace(b"0.0001", b"1.0000").replace(b"-0.1", b"-0.0")
+    file = _tiff(tmp_path, b"\0", more[:1])
+    file.write_bytes(file.read_bytes() + plain)
+    assert not _warnings(file)
+
+
+def test_the_luminance_of_white_is_named(tmp_path):
+    import OpenImageIO as oiio
+
+    file = tmp_path / "a.exr"
+    spec = oiio.ImageSpec(2, 2, 3, "float")
+    spec.attribute("whiteLuminance", 100.0)
+    out = oiio.ImageOutput.create(str(file))
+    out.open(str(file), spec)
+    out.write_image(np.ones((2, 2, 3), np.float32))
+    out.close()
+    (said,) = _warnings(file, np.ones((2, 2, 3)))
+    assert "luminance of white, 100 cd m^-2: values are relative, as stored" in said
+
+
 def _warnings(file, pixels=((1, 2), (3, 4))):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

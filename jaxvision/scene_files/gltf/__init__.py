@@ -7,7 +7,8 @@
     lights      point and directional, of KHR_lights_punctual
     cameras     perspective and orthographic
 
-glTF counts light in candela, lux and cd m^-2; here 683 lumens are 1 W, as exporters write it.
+glTF counts light in candela, lux and cd m^-2; here 683 lumens are 1 W. Blender writes so the lamps
+of its lighting mode "Standard", but no mesh that shines; a warning names a file with both.
 Colours are linear sRGB. What is not read is refused with its name, never left out; a warning tells
 of what is a little different.
 """
@@ -74,6 +75,17 @@ def scene_of(file: Path) -> dict[str, Any]:
         )
     if not surfaces:
         raise InputError("has no mesh in its scene; add one.")
+    if (
+        "Blender" in str(content.asset)
+        and lights
+        and any("emission" in surface for surface in surfaces)
+    ):
+        warnings.warn(
+            "holds lamps and meshes that shine, written by Blender, whose lighting mode 'Standard' "
+            "counts 683 lm for a watt of its lamps but not of its meshes: these are 683 times too "
+            "weak beside them, unless the mode was 'Unitless'; then all of the picture is.",
+            stacklevel=2,
+        )
     return {
         "camera": cameras[0],
         "render": {"integrator": "path"},
