@@ -40,10 +40,12 @@ class Odd:
     Attributes:
         names: of the frames, at least one.
         reason: a clause.
+        spare: whether the frames are as good as those that are left, and only do not go with them.
     """
 
     names: tuple[str, ...]
     reason: str
+    spare: bool = False
 
     @property
     def sentence(self) -> str:
@@ -95,8 +97,9 @@ def refuse_half(where: str | Path, odd: Sequence[Odd], count: int) -> None:
     Raises:
         InputError: names the first frames and why they disagree.
     """
-    if 2 * sum(len(one.names) for one in odd) >= count > 0:
-        first = odd[0]
+    wrong = [one for one in odd if not one.spare]
+    if 2 * sum(len(one.names) for one in wrong) >= count > 0:
+        first = wrong[0]
         raise InputError(
             f"{where}: half of its {count} frames or more do not belong with the others "
             f"({listed(first.names)}: {first.reason}); decide which belong and take the others out."

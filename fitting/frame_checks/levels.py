@@ -29,6 +29,7 @@ from .compared import (
 )
 from .deviates import beyond_chance, usual_size
 from .frame import COPIED, Odd, Shown, listed
+from .moved import moved_frames
 
 PAIRS = 2.22  # standard deviations a quartile of pairwise differences
 LAMP = 0.005  # of the signal: less changes no figure by more than half of it
@@ -54,7 +55,7 @@ def odd_frames(
         What does not belong; a level of which one frame would be left is named whole.
     """
     compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
-    for test in (_copies, _means, _unevenness, _noise):
+    for test in (_copies, _means, _unevenness, moved_frames, _noise):
         test(compared)
     compared.without_single_frames()
     if black is not None:

@@ -1,0 +1,119 @@
+"""Flats between which the camera, or what is before it, moved.
+
+The unequal gains of pixels, the dust and the light's own pattern are the same in all frames of a
+level, so that they cancel from their differences. Where a frame moved against another, the pattern
+stays in the difference: it is the same at all levels, and grows with the signal.
+"""
+
+from itertools import combinations
+
+import numpy as np
+
+from .compared import SURE, ComparedLevels, of_one_mean, trimmed_variance
+from .frame import Odd, listed
+
+OTHER_NOISE = 1.4  # ratio of variances of two pairs of frames, of which one pair moved
+FEWEST_LEVELS = 3  # at which frames differ by one pattern
+ALIKE = 0.05  # correlation of what frames differ by at two levels, by less no gain is off by more
+MOST_FRAMES = 24  # whose pairs are all compared
+
+
+def moved_frames(levels: ComparedLevels) -> None:
+    """Frames that agree with each other, but not with the others of their level, by a pattern that
+    is the same at other levels."""
+    if levels.black is None:
+        return
+    samples = {
+        level: of_one_mean(frames, float(levels.black[level]))
+        for level, frames in enumerate(levels.frames)
+        if 2 <= len(frames) <= MOST_FRAMES and levels.light[level] > 0
+    }
+    parted = {level: found for level, own in samples.items() if (found := _parted(own)) is not None}
+    apart = {level: _difference(samples[level], groups) for level, (groups, _) in parted.items()}
+    if len(apart) < FEWEST_LEVELS or len({field.size for field in apart.values()}) > 1:
+        return
+    least = max(SURE / np.sqrt(next(iter(apart.values())).size), ALIKE)
+    alike = [
+        level
+        for level, own in apart.items()
+        if np.median([abs(own @ apart[i]) for i in apart if i != level]) > least
+    ]
+    if len(alike) < FEWEST_LEVELS:
+        return
+    groups = {level: parted[level][0] for level in alike}
+    # The noise of dim levels hides more of the same.
+    usual = groups[max(alike, key=lambda level: levels.light[level])]
+    for level, own in samples.items():
+        if level not in parted and len(own) == sum(map(len, usual)):
+            field = _difference(own, usual)
+            if np.median([abs(field @ apart[i]) for i in alike]) > SURE / np.sqrt(field.size):
+                groups[level] = usual
+    _leave_out(levels, groups, [parted[level][1] for level in alike])
+
+
+def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarray:
+    """By what the first two groups differ, of mean 0 and length 1."""
+    first, second = (np.mean([samples[i] for i in group], axis=0) for group in groups[:2])
+    field = (second - first).ravel().astype(float)
+    field -= field.mean()
+    return field / max(float(np.linalg.norm(field)), 1e-300)
+
+
+def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
+    """Frames in groups that agree among themselves, the largest first, and by what ratio of
+    variances groups differ more than that; two frames are apart by an unknown ratio; None for one
+    group, and where frames belong to no group clearly."""
+    if len(samples) == 2:
+        return [[0], [1]], np.nan
+    variances = {
+        (i, j): trimmed_variance(samples[j] - samples[i])
+        for i, j in combinations(range(len(samples)), 2)
+    }
+    least = min(variances.values())
+    if not least > 0:
+        return None
+    groups: list[list[int]] = []
+    for i in range(len(samples)):
+        own = [g for g in groups if any(variances[j, i] < OTHER_NOISE * least for j in g)]
+        if len(own) > 1:
+            return None
+        if own:
+            own[0].append(i)
+        else:
+            groups.append([i])
+    groups.sort(key=len, reverse=True)
+    within = [variances[pair] for group in groups for pair in combinations(group, 2)]
+    across = [v for pair, v in variances.items() if not any({*pair} <= {*g} for g in groups)]
+    if not across or not within or max(within) > OTHER_NOISE * least:
+        return None
+    return groups, float(np.median(across) / np.median(within))
+
+
+def _leave_out(
+    levels: ComparedLevels, groups: dict[int, list[list[int]]], ratios: list[float]
+) -> None:
+    """The largest group of each level stays; of two frames, none does."""
+    gone: dict[bool, list[str]] = {True: [], False: []}
+    example = ""
+    for level in sorted(groups):
+        frames = levels.frames[level]
+        kept, *others = groups[level]
+        pair = len(frames) == 2
+        places = range(2) if pair else sorted(i for group in others for i in group)
+        example = example or listed([frames[i].name for i in kept])
+        gone[pair] += [frames[i].name for i in places]
+        levels.frames[level] = [frame for i, frame in enumerate(frames) if i not in set(places)]
+    cause = "as where the camera or something before it moved"
+    if gone[True]:
+        reason = (
+            "the two of a level differ by a pattern that is the same at other levels and grows "
+            f"with the light, {cause} in between"
+        )
+        levels.odd.append(Odd(tuple(gone[True]), reason))
+    if gone[False]:
+        ends = " to ".join(f"{ratio:.2g}" for ratio in (np.nanmin(ratios), np.nanmax(ratios)))
+        reason = (
+            f"the others of a level agree with each other, as {example} do, and differ from these "
+            f"by {ends} times that variance, by a pattern that is the same at other levels, {cause}"
+        )
+        levels.odd.append(Odd(tuple(gone[False]), reason, spare=True))
