@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .stuck_bits import StuckBit, stuck_bits
+
 FOLLOWS = 0.1  # of what light adds to most pixels; a pixel that gains less is dead
 LIT = 20.0  # times a pixel's noise, that light must add before that can be told
 FAR = 6.0  # standard deviations from the others in the dark, of every frame of an exposure
@@ -97,15 +99,17 @@ class DeadPixels:
     Attributes:
         still: (h, w) true where light changes nothing.
         hot: (h, w) true where a pixel is far from the others in the dark, but follows the light.
+        stuck: bits of the converter that never change.
     """
 
     still: Bool[np.ndarray, "h w"]
     hot: Bool[np.ndarray, "h w"]
+    stuck: tuple[StuckBit, ...] = ()
 
     @property
     def all(self) -> Bool[np.ndarray, "h w"]:
-        """Of either kind."""
-        return self.still | self.hot
+        """Of any kind."""
+        return np.logical_or.reduce([self.still, self.hot, *(one.mask for one in self.stuck)])
 
     @property
     def sentence(self) -> str:
@@ -118,6 +122,7 @@ class DeadPixels:
             )
             if mask.any()
         ]
+        parts += [f"{int(one.mask.sum())} {one.clause}" for one in self.stuck]
         gone = self.all
         return (
             f"{int(gone.sum())} of {gone.size} pixels were left out: {' and '.join(parts)}. Every "
@@ -134,7 +139,8 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
         darks: (h, w) DN, of the longest exposure, two or more.
 
     Returns:
-        The pixels; None where there are none, or more than a tenth of all.
+        The pixels; None where there are none. Dead and hot ones that are more than a tenth of all
+        are left.
 
     Example:
         >>> from fitting.noise.live_pixels import dead_pixels
@@ -157,9 +163,10 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
         if usual > LIT * max(noise, _step(low)):
             still = gained < FOLLOWS * usual
             hot &= ~still
+    stuck = tuple(stuck_bits([*alike, *(one for one in darks if one.shape == shape)]))
     if not 0 < (still | hot).mean() <= MOST:
-        return None
-    return DeadPixels(still, hot)
+        still = hot = np.zeros(shape, bool)
+    return DeadPixels(still, hot, stuck) if still.any() or hot.any() or stuck else None
 
 
 def _far(values: np.ndarray, sign: int) -> np.ndarray:

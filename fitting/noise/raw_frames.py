@@ -104,7 +104,7 @@ def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float
         live: the pixels that count.
 
     Returns:
-        DN^2.
+        DN^2; NaN where no two neighbours count.
     """
     found = []
     for axis in (0, 1):
@@ -113,8 +113,9 @@ def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float
                 np.moveaxis(live.mask, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:])
             )
             apart = np.diff(np.moveaxis(average, axis, 0), axis=0)
-            found.append(np.mean(apart[first & second] ** 2) / 2)
-    return float(np.mean(found))
+            if (first & second).any():
+                found.append(np.mean(apart[first & second] ** 2) / 2)
+    return float(np.mean(found)) if found else np.nan
 
 
 def processing_in_words(
