@@ -7,6 +7,8 @@ A converter of b bits gives 2^b different numbers, but a file may hold them in a
     uneven        a stretched histogram, or a table (gamma): codes are missing, more of them in
                   some places than in others
     alternating   even codes more often than odd ones, because their steps are wider
+    coarser       from some code on all are multiples of a larger step: a second amplifier or
+                  converter took over
 
 The step q between neighbouring codes decides how large rounding is, q^2 / 12; a file that is read
 as if q were 1 gives read noise that is wrong.
@@ -19,6 +21,8 @@ import numpy as np
 from jaxtyping import Float
 
 MOST_VALUES = 2**18  # different numbers; frames of more lie on no grid
+RARE = 1e-9  # chance that the codes from some number on share a step
+TOP = 1e-3  # share of the pixels that must have these codes
 CHANCE = 1e-3  # that numbers of step 1 are all multiples of a larger one
 SMOOTH = 1.0  # noise between neighbouring pixels, in codes, from which histograms are smooth
 QUARTILE = 0.9539  # median distance of two normal deviates of standard deviation 1
@@ -43,6 +47,8 @@ class Converter:
         imbalance: by what share even codes occur more (or less) often than odd ones, half of their
             difference; 0 where it is within chance.
         clips_at: largest number, DN, where pixels pile up at it; None elsewhere.
+        coarse_from: DN from which steps are `coarse_step`; None where all steps are alike.
+        coarse_step: DN.
     """
 
     step: float = 1.0
@@ -51,6 +57,8 @@ class Converter:
     missing: float = 0.0
     imbalance: float = 0.0
     clips_at: float | None = None
+    coarse_from: float | None = None
+    coarse_step: float = 1.0
 
     @property
     def width(self) -> float:
@@ -132,7 +140,11 @@ class Codes:
         scaled = _grid(used, 0.5 + 1e-3)
         if scaled is not None and scaled[0] > COARSE:
             return Converter(*scaled, clips_at=clips_at)
+        coarse = _coarser_above(used, counts)
         smooth = self._smooth(1.0)
+        if coarse is not None and not _missing(smooth[: int(coarse[0])]):
+            below = _imbalance(smooth[: int(coarse[0])])
+            return Converter(1.0, 0.0, True, 0.0, below, clips_at, *coarse)
         missing = _missing(smooth)
         if missing:
             return Converter(even=False, missing=missing, clips_at=clips_at)
@@ -190,11 +202,17 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
             "rounding counts as theirs; where they are unequal, read noise is off. Give raw frames."
         ]
     if step < 1:
-        parts = f"{1 / step:.4g}"
+        parts = f"{1 / step:.6g}"
         return [
             f"Every number is a multiple of 1/{parts}: the frames were divided by {parts}, or are "
             f"averages of {parts}. The gain of an average is {parts} times too small and its "
             f"quantum efficiency {parts} times too large, so give single frames."
+        ]
+    if step == 1 and converter.coarse_from is not None:
+        return [
+            f"From {converter.coarse_from:g} DN on numbers lie {converter.coarse_step:g} apart, "
+            f"below it {step:g}: a second amplifier or converter takes over there, whose gain and "
+            "read noise are its own."
         ]
     if step == 1:
         return []
@@ -239,6 +257,24 @@ def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | No
     if step > 1 and float(step) ** (1.0 - used.size) > CHANCE:
         return None
     return float(step), float(used[0] % step)
+
+
+def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tuple | None:
+    """The number from which all codes are multiples of a larger step, and that step; None where
+    there is none, or chance makes it. At the largest number codes of any kind may be clipped."""
+    for values in (used, used[:-1]):
+        gaps = np.diff(values).astype(np.int64)
+        if gaps.size < 2:
+            continue
+        above = np.gcd.accumulate(gaps[::-1])[::-1]  # of each gap and all above it
+        many = np.arange(gaps.size, 0, -1)
+        sure = (above > above[0]) & (many * np.log(np.maximum(above, 1)) > -np.log(RARE))
+        # Codes that are seldom used leave gaps of any size.
+        sure &= float(counts.sum()) * TOP < np.cumsum(counts[: values.size][::-1])[::-1][:-1]
+        if sure.any():
+            place = int(np.argmax(sure))
+            return float(values[place]), float(above[place])
+    return None
 
 
 def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, float] | None:

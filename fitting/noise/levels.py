@@ -11,6 +11,8 @@ so that all frames of a level count, and a fixed pattern cancels from the tempor
 the digital number; exposures are seconds; light is counted in photons per pixel and exposure.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +26,7 @@ REACH = 3  # rows and columns up to which pixels count as neighbours
 SATURATED_DROP = 5.0  # standard errors by which the variance falls behind the saturation point
 LINEAR_TOP = 0.95  # of the saturation signal: the upper end of the standard's linearity range
 CLEAR_OF_CLIPPING = 4.0  # standard deviations
+FEWEST_OF_ONE = 4  # levels that one of two converters read
 
 
 class Levels(eqx.Module):
@@ -83,6 +86,20 @@ class Levels(eqx.Module):
         return jnp.sum(self.flicker / self.shared.shape[:, None], axis=0)
 
 
+class Doubt(NamedTuple):
+    """What the frames of a series say against some figures, which are then not given.
+
+    Attributes:
+        of: names of the figures.
+        reason: a clause that stands in place of them.
+        sentence: for the findings.
+    """
+
+    of: tuple[str, ...]
+    reason: str
+    sentence: str
+
+
 class PhotonTransfer(eqx.Module):
     """A photon transfer measurement.
 
@@ -95,6 +112,7 @@ class PhotonTransfer(eqx.Module):
         full_scale: largest DN, None where unknown.
         remarks: what the reader of the measurement did with it, in sentences.
         lossy: names of frames whose files are JPEG.
+        doubts: figures that the frames do not tell, and why.
     """
 
     bright: Levels
@@ -105,6 +123,7 @@ class PhotonTransfer(eqx.Module):
     full_scale: float | None = eqx.field(static=True, default=None)
     remarks: tuple[str, ...] = eqx.field(static=True, default=())
     lossy: tuple[str, ...] = eqx.field(static=True, default=())
+    doubts: tuple[Doubt, ...] = eqx.field(static=True, default=())
 
     @property
     def converter(self) -> Converter:
@@ -140,7 +159,8 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
 
     Returns:
         Indices of the levels up to 95 % of the saturation signal and four standard deviations below
-        full scale.
+        full scale, and below the number from which another converter takes over where four levels
+        are.
     """
     bright = measurement.bright
     mean, variance = np.asarray(bright.mean), np.asarray(bright.variance)
@@ -151,7 +171,16 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
     if saturated is not None:
         signal = mean - np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
         usable &= signal <= LINEAR_TOP * signal[saturated]
-    return np.flatnonzero(usable)
+    below = np.flatnonzero(usable & _of_one_converter(measurement))
+    return below if len(below) >= FEWEST_OF_ONE else np.flatnonzero(usable)
+
+
+def _of_one_converter(measurement: PhotonTransfer) -> np.ndarray:
+    """Levels below the number from which another converter takes over."""
+    bright, top = measurement.bright, measurement.converter.coarse_from
+    if top is None:
+        return np.ones(bright.mean.shape, bool)
+    return np.asarray(bright.mean + CLEAR_OF_CLIPPING * np.sqrt(bright.variance)) < top
 
 
 def rounding_step(amounts: np.ndarray) -> float:
