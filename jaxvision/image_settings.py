@@ -61,6 +61,7 @@ class ImageSettings:
         bits: of the codes that `jaxvision.io.read_image` gives, by the file's own depth: a 12-bit
             TIFF has 12. The camera's converter may have fewer, not more.
         kind: IMAGETYP of FITS, such as "Flat Field".
+        gain: GAIN of FITS, what the amplifier was set to in the camera's own unit.
     """
 
     exposure: float | None = None
@@ -73,6 +74,7 @@ class ImageSettings:
     saturation: float | None = None
     pattern: str | None = None
     kind: str | None = None
+    gain: float | None = None
     bits: int | None = None
 
 
@@ -253,6 +255,7 @@ def _of_fits(file: Path, header: Mapping[str, Any]) -> ImageSettings:
         saturation=_positive(header.get("SATURATE")),
         pattern=_fits_pattern(file, header),
         kind=_name(header.get("IMAGETYP")),
+        gain=_number(header.get("GAIN")),
     )
 
 

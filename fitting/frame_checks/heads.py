@@ -45,7 +45,7 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], l
         What does not belong, and remarks on what heads say otherwise.
 
     Raises:
-        InputError: where no ISO speed, camera or aperture is that of most frames.
+        InputError: where no ISO speed, gain, camera or aperture is that of most frames.
     """
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
@@ -78,7 +78,10 @@ def _grouped(frames: Sequence[Stated]) -> list[list[Stated]]:
     return list(groups.values())
 
 
-_UNIFORM: list[tuple[str, Callable[[Any], str]]] = [("iso", lambda iso: f"ISO {iso:g}")]
+_UNIFORM: list[tuple[str, Callable[[Any], str]]] = [
+    ("iso", lambda iso: f"ISO {iso:g}"),
+    ("gain", lambda gain: f"GAIN = {gain:g}"),
+]
 _OF_A_GROUP: list[tuple[str, Callable[[Any], str]]] = [
     ("camera", str),
     ("f_number", lambda number: f"f/{number:.3g}"),

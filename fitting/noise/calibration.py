@@ -38,17 +38,12 @@ from .parts import Part
 from .pattern import PatternVariance, Spread, fitted_pattern, standard_pattern
 from .periodic import Periodic, periodic_structure, unequal_gains_of
 from .quantised import FINEST_READ_NOISE
-from .quantities import OFFSET_SPREAD, QUANTITIES, READ_NOISE, SCATTERS, Quantity
+from .quantities import OFFSET_SPREAD, ON_GAIN, QUANTITIES, READ_NOISE, SCATTERS, Quantity
 from .regressions import through_origin
 from .shared import Found, shared_noise
 from .window import needed_window, offset_data
 
 STANDARD, LIKELIHOOD = "EMVA 1288", "likelihood"
-ON_GAIN = (
-    *("system_gain", "inverse_gain", "quantum_efficiency", "read_noise", "dsnu"),
-    *("saturation_electrons", "threshold_electrons", "threshold_photons"),
-    *("dark_current_mean", "dark_current_variance"),
-)
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 _evaluated = compiled_briefly(evaluate)

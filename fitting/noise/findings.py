@@ -39,6 +39,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
     return (
         *measurement.bright.left_out,
         *measurement.dark.left_out,
+        *(doubt.sentence for doubt in measurement.doubts),
         *flicker_in_words(measurement, calibration.flicker),
         *_processing(calibration),
         *_efficiency(calibration),
@@ -81,11 +82,12 @@ def is_no_sensor(calibration: NoiseCalibration) -> bool:
         calibration: of a camera.
 
     Returns:
-        True where more electrons are counted than photons arrive, frames were not raw, or no
-        likelihood has a maximum.
+        True where more electrons are counted than photons arrive, frames were not raw or of two
+        gains, or no likelihood has a maximum.
     """
     return (
         calibration.likelihood is None
+        or any("system_gain" in doubt.of for doubt in calibration.measurement.doubts)
         or is_impossible(calibration)
         or bool(processing_in_words(calibration.measurement, calibration.usable))
     )
@@ -131,6 +133,13 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
     measurement = calibration.measurement
     converter = measurement.converter
     told = converter_in_words(converter, measurement.full_scale)
+    if converter.coarse_from is not None:
+        used = float(measurement.bright.mean[calibration.usable[-1]])
+        told.append(
+            "The likelihood uses the levels below; the standard's figures are of both."
+            if used < converter.coarse_from
+            else "Too few levels lie below, so that all figures are of both."
+        )
     read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
     if converter.imbalance and read is not None and read.value and read.standard_error:
         gain = calibration.gain
@@ -312,10 +321,11 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     if "variance_scatter" in values:
         scatter, error = _shown(calibration, "variance_scatter")
         expected = float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1)))))
+        known = calibration.linear.data.shared is not None
+        shared = ", as noise does that rows, columns or whole frames share" if known else ""
         told.append(
             f"Variances scatter by {format_with_error(100 * scatter, 100 * error)} % rms beyond "
-            f"the {100 * expected:.2g} % of independent pixels, as noise does that rows, columns "
-            "or whole frames share."
+            f"the {100 * expected:.2g} % of independent pixels{shared}."
         )
     chosen = calibration.chosen
     if chosen.inflation > 1:
@@ -355,7 +365,16 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
             "clipped, rounded signal; the standard's figures are biased there."
         )
     least = least_dark_variance(calibration.measurement)
-    if is_floored(calibration.measurement, calibration.within):
+    dark = calibration.measurement.dark
+    if not is_floored(calibration.measurement, calibration.within):
+        return told
+    if float(np.min(np.asarray(dark.variance))) > least:
+        told.append(
+            f"The line through the variances of the darks over their exposure begins below "
+            f"{least:.3g} DN², though none of them is: they lie on no line, and of dark noise the "
+            "standard gives an upper bound."
+        )
+    else:
         told.append(
             f"Dark variance is below {least:.3g} DN², where rounding rules: of dark noise the "
             "standard gives an upper bound."
@@ -394,7 +413,8 @@ def _glow(calibration: NoiseCalibration) -> list[str]:
     beneath = max(smooth[short], 0.0) + error[short]
     noise = float(np.sqrt(np.median(np.asarray(dark.variance))))
     uneven = np.sqrt(np.maximum(smooth, 0.0))
-    if smooth[long] < max(SURE * error[long], GROWS**2 * beneath, (MATTERS * noise) ** 2):
+    least = max(SURE * error[long], GROWS**2 * beneath, (MATTERS * noise) ** 2)
+    if not smooth[long] >= least:
         return []
     rise = float(dark.mean[long] - dark.mean[short])
     return [
@@ -412,8 +432,14 @@ def _dark_current(calibration: NoiseCalibration) -> list[str]:
         return []
     mean, variance = (float(values[f"dark_current_{way}"]) for way in ("mean", "variance"))
     error = float(np.hypot(errors["dark_current_mean"], errors["dark_current_variance"]))
-    if abs(mean - variance) < FAR * error:
+    if abs(mean - variance) < FAR * error or calibration.measurement.doubts:
         return []
+    if float(np.asarray(calibration.standard.misfit.factors)[1]) > 1:
+        return [
+            f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
+            "whose levels scatter about a line over exposure more than noise does: that figure is "
+            "no dark current."
+        ]
     return [
         f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
         f"{abs(mean - variance) / error:.1f} standard errors apart: a black level that is "
@@ -468,7 +494,8 @@ def _drift(calibration: NoiseCalibration) -> list[str]:
     if dark.shared is None:
         return []
     wander = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
-    if not wander.believed:
+    fades = any("dark_current_mean" in doubt.of for doubt in calibration.measurement.doubts)
+    if not wander.believed or fades:
         return []
     return [
         f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms; it is "

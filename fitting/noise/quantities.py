@@ -51,6 +51,11 @@ NEED_SATURATION = tuple(
     for quantity in QUANTITIES
     if quantity.name.startswith(("saturation", "snr_max", "dynamic_range", "usable_bits"))
 )
+ON_GAIN = (
+    *("system_gain", "inverse_gain", "quantum_efficiency", "read_noise", "dsnu"),
+    *("saturation_electrons", "threshold_electrons", "threshold_photons"),
+    *("dark_current_mean", "dark_current_variance", "dark_current"),
+)
 HEADINGS = {  # of the sheet, in the order of the standard's summary
     "Quantum efficiency": ("quantum_efficiency", "responsivity"),
     "Overall system gain": ("system_gain", "inverse_gain"),

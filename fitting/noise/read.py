@@ -17,12 +17,13 @@ from jaxvision.io import read_image
 from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter
-from ..frame_checks.frame import ALONE, Odd, refuse_half
+from ..frame_checks.frame import ALONE, Odd, Shown, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..frame_checks.levels import odd_frames
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
+from .doubts import doubts
 from .level_sums import LevelStatistics, LevelSums, Unlit
 from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, rounding_step
 from .levels_table import read_table
@@ -103,9 +104,9 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     if dead is not None:
         remarks.append(_dead_in_words(rig, dead, channel))
     source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
-    dark = _reduced(source, darks, odd=odd["dark"])
+    dark, of_darks = _reduced(source, darks, odd=odd["dark"])
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
-    bright = _reduced(source, flats, odd=odd["flat"], light=amounts, dark=dark)
+    bright, of_flats = _reduced(source, flats, odd=odd["flat"], light=amounts, dark=dark)
     converter = source.codes.converter()
     bright, dark = (replace(levels, converter=converter) for levels in (bright, dark))
     if float(bright.pixels) != float(dark.pixels):
@@ -126,7 +127,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
             "Some flats have no dark frames of their own exposure; the nearest were subtracted, so "
             "dark current between the two exposures counts as light."
         )
-    return PhotonTransfer(
+    found = PhotonTransfer(
         bright=bright,
         dark=dark,
         dark_of=jnp.argmin(gap, axis=1),
@@ -136,6 +137,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         remarks=tuple(remarks),
         lossy=tuple(name for one in (*flats, *darks) for name in one.files if _is_jpeg(name)),
     )
+    return replace(found, doubts=doubts(found, of_flats, of_darks))
 
 
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
@@ -157,7 +159,7 @@ def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Lev
     entries = _pooled(rig.dark)
     dead = _dead(rig, [], entries, channel, load)
     source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
-    darks = _reduced(source, entries, odd=odd["dark"])
+    darks, _ = _reduced(source, entries, odd=odd["dark"])
     told = () if dead is None else (_dead_in_words(rig, dead, channel),)
     return replace(darks, converter=source.codes.converter(), left_out=(*told, *darks.left_out))
 
@@ -297,8 +299,9 @@ def _reduced(
     odd: Sequence[Odd],
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
-) -> Levels:
-    """Levels of frames that belong together; `odd` is what was left out before."""
+) -> tuple[Levels, list[tuple[Shown, ...]]]:
+    """Levels of frames that belong together, and what is kept of these; `odd` is what was left out
+    before."""
     rig, gone = source.rig, list(odd)
     count = sum(len(entry.files) for entry in entries)
     times = np.array([entry.exposure for entry in entries])
@@ -332,7 +335,7 @@ def _reduced(
     # In a mosaic the nearest sites of one colour are two pixels apart.
     adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
     covariances = jnp.asarray([row.covariances for row in rows]) if adjacent else None
-    return Levels(
+    levels = Levels(
         light=jnp.asarray(amounts[there]),
         exposure=jnp.asarray(times[there]),
         mean=jnp.asarray(mean),
@@ -349,6 +352,7 @@ def _reduced(
         combs=jnp.asarray([row.combs for row in rows]) if adjacent else None,
         left_out=tuple(one.sentence for one in gone),
     )
+    return levels, [row.shown for row in rows]
 
 
 def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[Odd]) -> None:

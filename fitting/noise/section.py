@@ -1,6 +1,6 @@
 """A noise calibration as its reader sees it: the sheet line by line, findings and pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -159,7 +159,20 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
             reason = _why_missing(calibration, name)
             listed.append(not_determined(quantity, reason, method=missing))
     own = [found for name, found in calibration.shown.items() if name not in by_likelihood]
-    return (*listed, *(replace(found, method=LIKELIHOOD) for found in own))
+    listed += [replace(found, method=LIKELIHOOD) for found in own]
+    return tuple(_without_doubted(calibration, listed))
+
+
+def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
+    """The figures, those that frames do not tell replaced by the reason."""
+    doubts = calibration.measurement.doubts
+    why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
+    return [
+        one
+        if one.name not in why or (one.value is None and one.name not in FROM_DARK_NOISE)
+        else replace(not_determined(one, why[one.name], method=one.method or ""), group=one.group)
+        for one in listed
+    ]
 
 
 def _bound(calibration: NoiseCalibration, quantity: Quantity, value: float) -> str:

@@ -68,13 +68,15 @@ def _sensor(
     if not measurement.converter.step:
         scale = None
     dark_noise, response = _patterns(calibration)
+    doubted = {name for doubt in measurement.doubts for name in doubt.of}
+    current = None if "dark_current" in doubted else values.get("dark_current")
     return Sensor(
         shot_noise=PoissonShotNoise(),
         brighter_fatter=fitted_effect(kernel, values, calibration.chosen.data.top_signal),
         exposure_time=jnp.median(measurement.bright.exposure),
         quantum_efficiency=values["responsivity"] / gain if photons else None,
         read_noise=values["read_noise"],
-        dark_current=jnp.maximum(values["dark_current"], 0) if "dark_current" in values else None,
+        dark_current=None if current is None else jnp.maximum(current, 0),
         gain=gain / step,
         offset=(values["black_level"] - origin) / step,
         dsnu=dark_noise,

@@ -381,7 +381,9 @@ def test_noise_that_was_processed_is_named(kind, words):
 def test_files_that_are_not_raw_make_no_sensor(measure, none):
     measured = measure()
     levels = linear_levels(measured)
-    found = SimpleNamespace(measurement=measured, usable=levels, efficiency=0.6)
+    found = SimpleNamespace(
+        measurement=measured, usable=levels, efficiency=0.6, likelihood=SimpleNamespace()
+    )
     assert is_no_sensor(found) == none
     assert any("No sensor file is written" in told for told in _processing(found)) == none
 

@@ -4,12 +4,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from astropy.io import fits
 
 from fitting import noise
+from fitting.codes import converter_in_words, converter_of
+from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
 from fitting.noise.findings import _glow
+from fitting.noise.levels import linear_levels
 from fitting.noise.pattern import fitted_pattern
 from fitting.noise.section import _why_hidden, section
+from fitting.noise.stuck_bits import stuck_bits
 from jaxvision.errors import InputError
 
 K, READ, BLACK, SHAPE = 0.5, 3.0, 64.0, (64, 64)
@@ -93,3 +98,184 @@ def test_a_pattern_under_noise_is_called_hidden_under_noise():
     for spread in (pattern.dark, pattern.response):
         assert spread.seen or "take more frames" in _why_hidden(pattern, spread)
     assert not pattern.response.seen
+
+
+def doubted(found):
+    return {doubt.of: doubt.sentence for doubt in found.doubts}
+
+
+def test_afterglow_of_flats_is_no_dark_current():
+    """A hundredth of the charge of a flat in the dark that follows it, then half of that again."""
+    rng = np.random.default_rng(6)
+    flats, _ = series(rng)
+    darks = [[exposed(rng, 0.01 * x * 0.5**i) for i in range(3)] for x in ELECTRONS]
+    ((names, told),) = doubted(measured(flats, darks)).items()
+    assert names == ("dark_current_mean", "dark_current_variance", "dark_current")
+    assert "afterglow" in told
+    # 99 and 66 DN are the first and third mean of the brightest level: 64 + 35, 64 + 9 DN.
+    first, _, third = (float(x) for x in told.split("means of ")[1].split(" DN")[0].split(","))
+    assert abs(first - 99) < 0.2
+    assert abs(third - 72.75) < 0.2
+
+
+def test_levels_of_two_gains_are_named_at_the_break():
+    rng = np.random.default_rng(7)
+    gains = np.where(np.arange(8) < 4, K, 4 * K)
+    own = [(light / (gain / K), gain) for light, gain in zip(ELECTRONS, gains, strict=True)]
+    flats = [[exposed(rng, light, gain=gain) for _ in range(2)] for light, gain in own]
+    darks = [[exposed(rng, 0.0, gain=gain) for _ in range(2)] for _, gain in own]
+    ((names, told),) = doubted(measured(flats, darks)).items()
+    assert "system_gain" in names
+    assert "up to that of flats[3][0]" in told
+    assert "from that of flats[4][0] on" in told
+    low, high = (float(told.split(word)[1].split(" DN")[0]) for word in ("signal is ", "[0], and "))
+    assert abs(low / K - 1) < 0.05
+    assert abs(high / (4 * K) - 1) < 0.05
+
+
+def test_darks_that_the_camera_subtracted_from_itself_are_named():
+    """Noise reduction from the fifth exposure on: twice the read-out's variance, and no dark
+    current that the variance would tell."""
+    rng = np.random.default_rng(8)
+
+    def own(i, electrons):
+        size = K * READ if i > 3 else 0.0
+        return [
+            exposed(rng, electrons, offsets=size * rng.standard_normal(SHAPE)) for _ in range(2)
+        ]
+
+    flats = [own(i, x) for i, x in enumerate(ELECTRONS)]
+    found = measured(flats, [own(i, 0.0) for i in range(8)])
+    ((names, told),) = doubted(found).items()
+    assert "read_noise" in names
+    assert "system_gain" not in names
+    assert "up to the level of darks[3][0]" in told
+    assert f"from that of darks[4][0] ({EXPOSURES[4]:.3g} s) on" in told
+
+
+def test_two_gains_in_the_heads_of_fits_files_are_told_apart(tmp_path):
+    """GAIN in the camera's own unit; 0 is a gain, too."""
+    stated = []
+    for i, gain in enumerate([0, 0, 0, 120]):
+        head = fits.Header({"GAIN": gain})
+        fits.PrimaryHDU(np.zeros((4, 4), np.int16), head).writeto(tmp_path / f"{i}.fits")
+        stated.append(Stated(f"{i}.fits", tmp_path / f"{i}.fits", 1.0))
+    (odd,), _ = odd_heads(tmp_path, stated)
+    assert odd.names == ("3.fits",)
+    assert odd.reason == "its head says GAIN = 120, those of the others GAIN = 0"
+    with pytest.raises(InputError, match=r"GAIN = 0, that of 3\.fits GAIN = 120"):
+        odd_heads(tmp_path, stated[2:])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clean_series_raise_no_doubt(seed):
+    """With dark current, a lamp that warms up and black that drifts."""
+    rng = np.random.default_rng(20 + seed)
+    flats, darks = [], []
+    for light, seconds in zip(ELECTRONS, EXPOSURES, strict=True):
+        drift = rng.normal(0, 0.3, (2, 3))
+        warming = 1 + 0.002 * np.arange(3)
+        dark = 100 * seconds * seed
+        flats.append(
+            [
+                exposed(rng, light * w + dark, offsets=d)
+                for w, d in zip(warming, drift[0], strict=True)
+            ]
+        )
+        darks.append([exposed(rng, dark, offsets=d) for d in drift[1]])
+    assert measured(flats, darks).doubts == ()
+
+
+def moving(rng, frames, *, step=1, prnu=0.03):
+    """Flats and darks, the gains of odd frames displaced by so many rows."""
+    die = 1 + prnu * rng.standard_normal((SHAPE[0] + step, SHAPE[1]))
+    own = [die[(i % 2) * step :][: SHAPE[0]] for i in range(frames)]
+    flats = [[exposed(rng, x, prnu=p) for p in own] for x in ELECTRONS]
+    return flats, [[exposed(rng, 0.0) for _ in range(2)] for _ in ELECTRONS]
+
+
+def test_frames_between_which_the_camera_moved_are_left_out():
+    found = measured(*moving(np.random.default_rng(9), 4))
+    signal = found.bright.mean - found.dark.mean
+    shot = found.bright.variance - found.dark.variance
+    np.testing.assert_allclose(shot / signal, K, rtol=6 * np.sqrt(2 / np.prod(SHAPE)))
+    response = fitted_pattern(found, np.arange(len(ELECTRONS))).response
+    assert abs(np.sqrt(response.variance) / 0.03 - 1) < 5 / np.sqrt(2 * np.prod(SHAPE))
+    (told,) = found.bright.left_out
+    assert told.startswith("flats[0][1], flats[0][3], flats[1][1] and 13 more were left out")
+    assert "flats[0][0] and flats[0][2]" in told
+
+
+def test_pairs_between_which_the_camera_moved_are_refused():
+    with pytest.raises(InputError, match="the two of a level differ by a pattern"):
+        measured(*moving(np.random.default_rng(10), 2))
+
+
+@pytest.mark.parametrize("frames", [2, 5])
+def test_unequal_pixels_that_stand_still_have_not_moved(frames):
+    found = measured(*moving(np.random.default_rng(11), frames, step=0))
+    assert found.bright.left_out == ()
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        (np.s_[:, ::2], "32 columns (0, 2, 4, 6, ...), where bit 3 of the codes is always 1"),
+        (np.s_[5:7], "rows 5, 6, where bit 3 of the codes is always 1"),
+        (np.s_[::2, 1::2], "row and column (0, 1) of every cell of 2 x 2, where bit 3"),
+    ],
+)
+def test_codes_that_never_occur_in_some_lines_are_named_and_left_out(place, said):
+    """Bit 3 always 1; of the rest gain, black and the noise of the darks are right."""
+    flats, darks = series(np.random.default_rng(12))
+    for frame in (frame for level in (*flats, *darks) for frame in level):
+        frame[place] |= 8
+    found = measured(flats, darks)
+    (told,) = (one for one in found.remarks if "always" in one)
+    assert said in told
+    signal = found.bright.mean - found.dark.mean
+    shot = found.bright.variance - found.dark.variance
+    np.testing.assert_allclose(shot / signal, K, rtol=6 / np.sqrt(float(found.bright.pixels)))
+    np.testing.assert_allclose(found.dark.mean, BLACK, atol=0.15)
+    np.testing.assert_allclose(found.dark.variance, (K * READ) ** 2 + 1 / 12, rtol=0.15)
+
+
+@pytest.mark.parametrize("step", [1, 16])
+def test_clean_and_left_aligned_numbers_have_no_stuck_bit(step):
+    flats, darks = series(np.random.default_rng(13))
+    assert stuck_bits([step * one for one in (*flats[-1], *flats[-2], *darks[-1])]) == []
+
+
+def two_amplifiers(rng, *, gain=0.5, over=400):
+    """Codes of one amplifier below 400 DN, above of another one in steps of 16."""
+    frames = []
+    for electrons in (0.0, 60.0, 120.0, 240.0, 400.0, 1500.0, 3000.0, 6000.0):
+        e = rng.poisson(electrons, (2, *SHAPE))
+        fine = np.rint(BLACK + gain * (e + READ * rng.standard_normal(e.shape)))
+        coarse = BLACK + 16 * np.rint(gain * (e + 25 * rng.standard_normal(e.shape)) / 16)
+        frames.append(list(np.where(fine < over, fine, coarse).astype(np.uint16)))
+    return frames
+
+
+def test_codes_of_a_second_amplifier_are_named_and_left_to_it():
+    darks, *flats = two_amplifiers(np.random.default_rng(14))
+    found = measured(flats, [darks], dark_exposures=[0.1])
+    converter = found.converter
+    assert (converter.step, converter.coarse_step) == (1.0, 16.0)
+    assert 400 <= converter.coarse_from < 800
+    np.testing.assert_array_equal(linear_levels(found), range(4))
+    (told,) = converter_in_words(converter, 4095.0)
+    assert told.startswith(f"From {converter.coarse_from:g} DN on numbers lie 16 apart")
+
+
+def test_one_amplifier_has_steps_of_one_size():
+    flats, darks = series(np.random.default_rng(15))
+    every = [frame for level in (*flats, *darks) for frame in level]
+    for frames in (every, [16 * frame for frame in every], every[:3]):
+        assert converter_of(frames).coarse_from is None
+
+
+def test_numbers_of_single_precision_are_divided_by_whole_ones():
+    flats, _ = series(np.random.default_rng(16), count=3)
+    (told,) = converter_in_words(converter_of([x / 65535 for level in flats for x in level]), 1.0)
+    assert "multiple of 1/65535: the frames were divided by 65535" in told

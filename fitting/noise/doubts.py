@@ -1,0 +1,179 @@
+"""Series of flats and darks that one camera in one state did not make, by their levels.
+
+afterglow   darks that fade in the order in which they were taken, in proportion to the flats of
+            their level: what a flat left behind, no dark current
+two gains   variance over signal that is one number up to a level, and another from there on
+two modes   the same of the variance without light alone: another gain of the darks, or an exposure
+            from which on the camera subtracts a dark frame of its own
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import stdtr
+
+from ..frame_checks.frame import Shown
+from .levels import Doubt, PhotonTransfer, linear_levels
+from .quantities import ON_GAIN
+
+CHANCE = 1e-4  # that darks of a clean camera seem to fade
+FEWEST_LEVELS = 5
+CONSTANT = 1 / 3  # of the fall at the brightest level, which may be the same at all levels
+STEP = np.log(1.25)  # of a gain or a dark variance, from which it is another one
+SURE = 6.0  # standard errors of the difference of two groups
+ALIKE, SUDDEN = 0.25, 0.6  # of a step: scatter within a group at most, between neighbours at least
+KNOWN = 0.05  # relative error of a level's variance up to which it counts
+OF_DARK_NOISE = (
+    *("temporal_dark_noise", "read_noise", "threshold_photons", "threshold_electrons"),
+    *("dynamic_range", "dynamic_range_db", "usable_bits", "dark_current_variance"),
+)
+
+
+class _Step(NamedTuple):
+    """Where a quantity changes from one number to another.
+
+    Attributes:
+        place: of the first level of the second.
+        low: mean logarithm before it.
+        high: from it on.
+    """
+
+    place: int
+    low: float
+    high: float
+
+
+def doubts(
+    measurement: PhotonTransfer,
+    flats: Sequence[Sequence[Shown]],
+    darks: Sequence[Sequence[Shown]],
+) -> tuple[Doubt, ...]:
+    """What the levels of a series say against figures that rest on all of them.
+
+    Args:
+        measurement: bright and dark levels.
+        flats: frames of each bright level.
+        darks: frames of each dark level, in the order in which they were taken.
+
+    Returns:
+        Doubts.
+    """
+    found = [_fading(measurement, darks), _two_gains(measurement, flats)]
+    if found[-1] is None:
+        found.append(_two_modes(measurement, darks))
+    return tuple(one for one in found if one is not None)
+
+
+def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Doubt | None:
+    """Darks that fall by a share of the flats of their exposure from frame to frame."""
+    dark, matched = measurement.dark, np.asarray(measurement.dark_of)
+    signal = np.asarray(measurement.bright.mean) - np.asarray(dark.mean)[matched]
+    there = [i for i in range(len(darks)) if (matched == i).any()]
+    if len(there) < FEWEST_LEVELS:
+        return None
+    falls, lights, errors = [], [], []
+    for i in there:
+        means = np.array([frame.mean for frame in darks[i]])
+        order = np.arange(len(means)) - (len(means) - 1) / 2
+        squares = float(np.sum(order**2))
+        falls.append(-float(order @ means) / squares)
+        lights.append(float(signal[matched == i].mean()))
+        errors.append(np.sqrt(float(dark.variance[i]) / float(dark.pixels) / squares))
+    x, y = np.array(lights) / max(lights), np.array(falls)
+    design = np.stack([np.ones_like(x), x], axis=1)
+    (constant, share), *_ = np.linalg.lstsq(design, y)
+    left, degrees = y - design @ [constant, share], len(y) - 2
+    scatter = max(float(np.sum(left**2) / degrees), float(np.mean(np.square(errors))))
+    if not scatter > 0:
+        return None
+    error = np.sqrt(scatter * np.linalg.inv(design.T @ design)[1, 1])
+    if stdtr(degrees, -share / error) > CHANCE or abs(constant) > CONSTANT * share:
+        return None
+    top = there[int(np.argmax(x))]
+    means = [frame.mean for frame in darks[top]]
+    listed = ", ".join(f"{mean:.5g}" for mean in means[:6])
+    excess = (np.mean(means) - means[-1]) / max(lights)
+    return Doubt(
+        ("dark_current_mean", "dark_current_variance", "dark_current"),
+        "the darks fade from frame to frame in proportion to the flats of their exposure",
+        f"From frame to frame of a level the darks fade, by a share of the signal of its flats "
+        f"({darks[top][0].name} and the next have means of {listed} DN), as the afterglow "
+        "(persistence) of a flat does, or a sensor that cools. That is no dark current, and none "
+        f"is given; signals of the flats are too small by {100 * excess:.2g} % or more. Take the "
+        "darks before the flats, or wait.",
+    )
+
+
+def _step(values: Float[np.ndarray, " levels"], errors: np.ndarray) -> _Step | None:
+    """Two groups of neighbours, each of one value; None without."""
+    best, found = np.inf, None
+    for place in range(2, len(values) - 1):
+        parts = values[:place], values[place:]
+        left = float(sum(np.sum((part - part.mean()) ** 2) for part in parts))
+        if left < best:
+            best, found = left, place
+    if len(values) < FEWEST_LEVELS or found is None:
+        return None
+    low, high = values[:found], values[found:]
+    apart = float(high.mean() - low.mean())
+    scatter = np.sqrt(best / (len(values) - 2) + np.mean(errors**2))
+    within = max(np.abs(part - part.mean()).max() for part in (low, high))
+    sudden = np.sign(apart) * (values[found] - values[found - 1])
+    if (
+        abs(apart) < max(STEP, SURE * scatter * np.sqrt(1 / len(low) + 1 / len(high)))
+        or within > ALIKE * abs(apart)
+        or sudden < SUDDEN * abs(apart)
+    ):
+        return None
+    return _Step(found, float(low.mean()), float(high.mean()))
+
+
+def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[Shown]]) -> Doubt | None:
+    bright, dark = measurement.bright, measurement.dark
+    usable, matched = linear_levels(measurement), np.asarray(measurement.dark_of)
+    signal = (np.asarray(bright.mean) - np.asarray(dark.mean)[matched])[usable]
+    variance = np.asarray(bright.variance)[usable]
+    shot = variance - np.asarray(dark.variance)[matched][usable]
+    degrees = float(bright.pixels) * (np.asarray(bright.frames)[usable] - 1)
+    errors = variance * np.sqrt(2 / degrees) / np.maximum(shot, 1e-9)
+    told = (signal > 0) & (shot > 0) & (errors < KNOWN)
+    usable, errors = usable[told], errors[told]
+    found = _step(np.log(shot[told] / signal[told]), errors)
+    if found is None:
+        return None
+    before, after = (flats[usable[i]][0].name for i in (found.place - 1, found.place))
+    low, high = np.exp(found.low), np.exp(found.high)
+    return Doubt(
+        ON_GAIN,
+        "the flats tell two gains, as the findings say",
+        f"Variance over signal is {low:.3g} DN in the levels up to that of {before}, and "
+        f"{high:.3g} DN from that of {after} on, as of two gains, or where frames of some were "
+        "averaged or denoised. No gain, nor what rests on it, is given. Calibrate each by itself, "
+        "or state iso or gain_db of every flat and dark.",
+    )
+
+
+def _two_modes(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Doubt | None:
+    dark = measurement.dark
+    order = np.argsort(np.asarray(dark.exposure), kind="stable")
+    variance = np.asarray(dark.variance)[order]
+    if not (variance > 0).all():
+        return None
+    degrees = float(dark.pixels) * (np.asarray(dark.frames)[order] - 1)
+    found = _step(np.log(variance), np.sqrt(2 / degrees))
+    if found is None:
+        return None
+    before, after = (darks[order[i]][0].name for i in (found.place - 1, found.place))
+    seconds = float(np.asarray(dark.exposure)[order[found.place]])
+    low, high = np.exp(found.low), np.exp(found.high)
+    return Doubt(
+        OF_DARK_NOISE,
+        "the darks are of two ways of reading, as the findings say",
+        f"The variance of the darks is {low:.3g} DN² up to the level of {before}, and "
+        f"{high:.3g} DN² from that of {after} ({seconds:.3g} s) on: the camera reads out in "
+        "another way there, as at another gain, or where it subtracts a dark frame of its own at "
+        "long exposures (noise reduction, which doubles the variance). Dark noise is given for "
+        "neither; calibrate the two ranges apart.",
+    )
