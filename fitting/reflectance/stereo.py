@@ -21,8 +21,9 @@ from jaxvision.plots import pictures
 
 from ..copies import Copies
 from ..inference.diagnostics import listed
-from ..inference.formatting import format_percent, format_spread
-from .stereo_misfit import FEW_LIGHTS, departures
+from ..inference.formatting import format_percent, format_spread, format_with_error
+from .stereo_lights import FLAT, Common, common_departure, solved
+from .stereo_misfit import FEW_LIGHTS, departures, shared_squares
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
@@ -34,9 +35,10 @@ PASSES = 8  # at most, of a fit and the readings that it predicts between the li
 CONTRADICTED, USUAL = 0.5, 0.25  # share of an image's pixels; the most that the median image may
 APART = 8.0  # times the median image's median residual, from which an image stands apart
 FEWEST = 30  # pixels by which an image is judged
+ALONE = 0.02  # logarithm of a factor that sets an image apart from those that agree
+SHARED, SMALL = 0.5, 0.02  # of the residuals' squares; of the albedo: a contradiction that is told
 NEGLIGIBLE = 1e-6  # of the albedo: a departure from Lambert's law that is rounding
 HEADS = ("", "median", "90 % of pixels in", "unit")
-FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
 
 
 @dataclass(frozen=True)
@@ -129,17 +131,20 @@ def photometric_stereo(
             hardly any is left out, and the errors are as large as the contradiction. With two
             broken readings among six, as at the rim of a body, a broken one may be kept and the
             normal be off by .25 rad. An image that the others contradict in most pixels is left out
-            as a whole, and named.
+            as a whole, and named, as is one of at least five that is brighter or darker than the
+            others predict by one factor in all pixels.
 
     Returns:
         Normals, albedo, and standard deviations from the residuals of each pixel, with those of
         the other pixels as prior. Where residuals show that the surface is not Lambert's, or the
         readings not linear, the standard deviations allow for what neighbouring lights then share,
-        and a sentence says so. On simulated balls under 6 to 96 lights, at most 60 degrees from the
-        viewer, cones of 95 % held the normal in 94 to 98 % of the pixels of a matt ball, in 94 to
-        99 % of a glossy one and in 90 to 97 % of a rough one. With fewer than 16 lights, some of
-        which graze, a rough surface rotates normals by more than its residuals show: cones held 54
-        to 67 %, and the sentence says that too.
+        and a sentence says so. Factors of the intensities or an offset of all readings that all
+        pixels ask for are named; g is not corrected for them, but the standard deviations allow
+        for the change that they would make. On simulated balls under 6 to 96 lights, at most 60
+        degrees from the viewer, cones of 95 % held the normal in 94 to 98 % of the pixels of a matt
+        ball, in 94 to 99 % of a glossy one and in 90 to 97 % of a rough one. With fewer than 16
+        lights, some of which graze, a rough surface rotates normals by more than its residuals
+        show: cones held 54 to 67 %, and the sentence says that too.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
@@ -157,22 +162,39 @@ def photometric_stereo(
     rows = directions * irradiance[:, None]
     readings = stack.reshape(len(stack), -1)
     between = (readings > lowest) & (readings < highest)
-    counts = _counted(rows, readings, between, (lowest, highest), robust=robust)
-    apart, findings = _images_apart(rows, readings, counts, (lowest, highest))
+    limits = (lowest, highest)
+    counts = _counted(rows, readings, between, limits, robust=robust)
+    apart, findings = _images_apart(rows, readings, counts, limits)
     if robust and apart.any():
         between[apart] = False
-        counts = _counted(rows, readings, between, (lowest, highest), robust=robust)
-    g, inverse = _solved(rows, readings, counts.astype(float))
-    residuals = np.where(counts, readings - rows @ g.T, 0).reshape(stack.shape)
-    found = departures(rows, directions, residuals, counts.reshape(stack.shape), inverse)
+    common, alone = _common(rows, readings, between, limits, robust=robust)
+    if alone.any():
+        between[alone] = False
+        findings += _of_factors_apart(common, alone)
+        common, _ = _common(rows, readings, between, limits, robust=False)
+    agreeing = readings
+    if apart.any() or alone.any() or common is not None:
+        agreeing = readings if common is None else common.removed(readings)
+        counts = _counted(rows, agreeing, between, limits, robust=robust)
+    shaped = counts.reshape(stack.shape)
+    found = departures(rows, directions, agreeing.reshape(stack.shape), shaped)
+    g, _ = solved(rows, readings, found.weights)
+    covariance = found.covariance
+    if common is not None:
+        covariance = departures(rows, directions, stack, shaped).covariance
+        moved = solved(rows, agreeing, found.weights)[0] - g
+        covariance = covariance + moved[:, :, None] * moved[:, None, :]
+        findings += (_of_common(common, moved / _typical(g)),)
     albedo = np.linalg.norm(g, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         normals = g / albedo[:, None]
-        normal_sd, albedo_sd = _deviations(normals, albedo, found.covariance)
+        normal_sd, albedo_sd = _deviations(normals, albedo, covariance)
         misfit = np.where(np.isfinite(albedo), found.size / albedo, np.nan)
-        alone = _deviations(normals, albedo, inverse * found.noise[:, None, None])[0]
+        by_noise = _deviations(normals, albedo, found.inverse * found.noise[:, None, None])[0]
     if found.seen and np.nanmedian(misfit) > NEGLIGIBLE:
-        findings += (_of_misfit(misfit, normal_sd / alone, counts.sum(axis=0)),)
+        findings += (_of_misfit(misfit, normal_sd / by_noise, counts.sum(axis=0)),)
+    if not findings:
+        findings = _of_contradiction(rows, stack, between, limits)
     shape = stack.shape[1:]
     return Stereo(
         normals.reshape(*shape, 3),
@@ -196,6 +218,85 @@ def _deviations(
     return np.sqrt(aside) / albedo, np.sqrt(along)
 
 
+def _common(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    between: Bool[np.ndarray, "lights pixels"],
+    limits: tuple[float, float],
+    *,
+    robust: bool,
+) -> tuple[Common | None, Bool[np.ndarray, " lights"]]:
+    """Factors of the lights or an offset that all pixels ask for, and the few lights whose factor
+    is unlike the others', which agree."""
+    counts = _counted(rows, readings, between, limits, robust=False)
+    common = common_departure(rows, readings, counts)
+    if common is None or not robust:
+        return common, np.zeros(len(rows), bool)
+    off = np.abs(np.log(common.factors))
+    alone = off > ALONE
+    few = alone.sum() <= min(between.any(axis=1).sum() - 4, (len(rows) - 1) // 2)
+    others_agree = 10 * off[~alone].max(initial=0) < off[alone].min(initial=np.inf)
+    return common, alone & few & others_agree
+
+
+def _of_factors_apart(common: Common, alone: Bool[np.ndarray, " lights"]) -> tuple[str, ...]:
+    return tuple(
+        f"images[{i}] is {format_with_error(common.factors[i], common.factor_sds[i])} times as "
+        "bright as the other images predict it, in all pixels alike, and was left out: an "
+        "intensity or exposure time that is not as stated."
+        for i in np.flatnonzero(alone)
+    )
+
+
+def _of_common(common: Common, moved: Float[np.ndarray, "pixels 3"]) -> str:
+    allowed = (
+        f"That explains {format_percent(common.explained)} of the squares of the residuals and "
+        f"would change g = rho n by {format_percent(_typical(moved), decimals=1)} of the albedo "
+        "(median over pixels), which the standard deviations allow for."
+    )
+    if common.offset:
+        return (
+            "All readings ask for the same offset, "
+            f"{format_with_error(common.offset, common.offset_sd)}: room light or a black level "
+            "that was not subtracted, one subtracted twice (a negative offset), or a surface that "
+            f"is not Lambert's. {allowed} Subtract it from the images if you can tell its cause."
+        )
+    shown = listed([f"{value:.3f}" for value in common.factors])
+    return (
+        "The images do not agree with the intensities of the lights. They would with factors "
+        f"{shown} (standard errors up to {common.factor_sds.max():.2g}), whose common scale they "
+        "cannot tell: intensities or exposure times that are not as stated, or a lamp that drifts. "
+        f"{allowed} If so, multiply the intensities by these factors."
+    )
+
+
+def _of_contradiction(
+    rows: Float[np.ndarray, "lights 3"],
+    stack: Float[np.ndarray, "lights h w"],
+    between: Bool[np.ndarray, "lights pixels"],
+    limits: tuple[float, float],
+) -> tuple[str, ...]:
+    """A sentence on readings between the limits that most pixels contradict, neighbours alike."""
+    readings = stack.reshape(len(rows), -1)
+    counts = _counted(rows, readings, between, limits, robust=False)
+    g, _, used = _least_squares(rows, readings, counts.astype(float))
+    counts &= np.isfinite(g[:, 0])
+    residuals = np.where(counts, readings - rows @ g.T, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.sqrt(_scatter(rows, readings, counts, g, used)) / np.linalg.norm(g, axis=1)
+    lit = size[np.isfinite(size)]
+    shared = shared_squares(residuals.reshape(stack.shape), counts.reshape(stack.shape))
+    if shared < SHARED or not lit.size or np.median(lit) < SMALL:
+        return ()
+    return (
+        f"The images contradict m = E rho n.l by {format_percent(np.median(lit))} of the albedo "
+        f"(median over pixels), and neighbouring pixels alike: they share {format_percent(shared)} "
+        "of the residuals' squares. Directions, order or intensities of the lights, a black level, "
+        "a gamma, highlights, shadows or a surface that is not Lambert's do so; the images alone "
+        "do not tell which. Normals may be further off than their standard deviations say.",
+    )
+
+
 def _of_misfit(
     misfit: Float[np.ndarray, " pixels"],
     wider: Float[np.ndarray, " pixels"],
@@ -208,7 +309,8 @@ def _of_misfit(
         else ""
     )
     return (
-        "The surface is not Lambert's, or the readings are not linear: neighbouring lights depart "
+        "The surface is not Lambert's, or the readings are not linear (room light, a black level, "
+        "a gamma, clipped pixels), or the lights are not as stated: neighbouring lights depart "
         f"from m = E rho n.l alike, by {format_percent(np.nanmedian(misfit), decimals=1)} of the "
         f"albedo (median over pixels). The standard deviations of normals allow for it and are "
         f"{np.nanmedian(wider):.1f} times what noise alone makes them.{few}"
@@ -280,30 +382,13 @@ def _checked(
     return stack, directions, irradiance
 
 
-def _solved(
-    rows: Float[np.ndarray, "lights 3"],
-    readings: Float[np.ndarray, "lights pixels"],
-    weights: Float[np.ndarray, "lights pixels"],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted least squares of each pixel: g, and the inverse of the normal matrix; NaN where the
-    lights that count do not determine g."""
-    products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
-    matrix = (weights.T @ products).reshape(-1, 3, 3)
-    sizes = np.linalg.eigvalsh(matrix)
-    known = sizes[:, 0] > FLAT**2 * sizes[:, 2]
-    inverse = np.full_like(matrix, np.nan)
-    inverse[known] = np.linalg.inv(matrix[known])
-    right = np.where(weights > 0, weights * readings, 0).T @ rows
-    return np.einsum("pij,pj->pi", inverse, right), inverse
-
-
 def _least_squares(
     rows: Float[np.ndarray, "lights 3"],
     readings: Float[np.ndarray, "lights pixels"],
     weights: Float[np.ndarray, "lights pixels"],
 ) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, " pixels"]]:
     """g, its covariance by the scatter of the residuals, and how many readings count."""
-    g, inverse = _solved(rows, readings, weights)
+    g, inverse = solved(rows, readings, weights)
     used = weights.sum(axis=0).astype(int)
     return g, inverse * _scatter(rows, readings, weights > 0, g, used)[:, None, None], used
 
@@ -346,11 +431,11 @@ def _counted(
     moving = np.arange(readings.shape[1])
     for _ in range(PASSES):
         own, own_near, own_between = readings[:, moving], near[:, moving], between[:, moving]
-        g, _ = _solved(rows, own, own_near.astype(float))
+        g, _ = solved(rows, own, own_near.astype(float))
         chosen = own_near
         for spread in (0 * own[0], _usual_residual(rows, own, own_near, g)):
             narrower = own_between & _between(rows, g, spread**2, limits)
-            known = np.isfinite(_solved(rows, own, narrower.astype(float))[1][:, 0, 0])
+            known = np.isfinite(solved(rows, own, narrower.astype(float))[1][:, 0, 0])
             chosen = np.where(known, narrower, chosen)
         if robust:
             chosen = _consistent(rows, own, chosen)
@@ -389,7 +474,7 @@ def _consistent(
     least = np.where(size > 0, 1e-6 * size, 1.0)
     residuals = np.zeros_like(readings)
     for _ in range(ROUNDS):
-        g, _ = _solved(rows, readings, weights)
+        g, _ = solved(rows, readings, weights)
         residuals = np.where(counts, np.abs(readings - rows @ g.T), np.nan)
         weights = np.where(counts, 1 / np.maximum(residuals, least), 0)
         weights = np.nan_to_num(weights / np.maximum(weights.max(axis=0), 1e-300))

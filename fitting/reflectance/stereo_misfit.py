@@ -21,6 +21,10 @@ posterior of both variances.
 Residuals of six lights hardly distinguish noise from departures. Neighbouring pixels do, whose
 noise is independent and whose departures are alike: where residuals of neighbours correlate, noise
 is at most twice what they do not share.
+
+Cameras count photons, so that the variance of a reading grows with it: by a share of it that
+maximises the restricted likelihood. Under lights of unequal intensities a constant variance would
+pass for departures that the stronger lights show.
 """
 
 from dataclasses import dataclass
@@ -28,6 +32,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln
+
+from .stereo_lights import solved
 
 REACH = 0.8  # w: as slow as n.l and rough surfaces change with the light
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e8, 21)])  # tau^2 / sigma^2
@@ -44,6 +50,14 @@ QUIETEST = 1e-9  # of the largest variance: noise that is no more than rounding
 LOUDEST = 2.0  # times what neighbours do not share
 INSIDE, NEWTON = 0.95, 8  # probability of a cone; rounds of the search for its radius
 MOST, AT_ONCE = 2_000, 1_000  # pixels that tell it; pixels that are computed together
+OF_PHOTONS = (
+    0.0,
+    0.5,
+    0.8,
+    0.93,
+    0.98,
+    0.995,
+)  # shares of a typical reading's variance that grow with it
 
 
 @dataclass(frozen=True)
@@ -51,12 +65,16 @@ class Departures:
     """What the readings of each pixel owe to noise and to departures from Lambert's law.
 
     Attributes:
+        weights: (lights, pixels) of the readings in least squares; 0 for those that do not count.
+        inverse: (pixels, 3, 3) of the normal matrices; NaN where g is unknown.
         covariance: (pixels, 3, 3) of g.
-        noise: (pixels,) variance of a reading; NaN where no residual is left.
+        noise: (pixels,) variance of a reading of weight 1; NaN where no residual is left.
         size: (pixels,) tau, readings over irradiance.
         seen: whether there are departures; if not, all residuals count as noise.
     """
 
+    weights: Float[np.ndarray, "lights pixels"]
+    inverse: Float[np.ndarray, "pixels 3 3"]
     covariance: Float[np.ndarray, "pixels 3 3"]
     noise: Float[np.ndarray, " pixels"]
     size: Float[np.ndarray, " pixels"]
@@ -73,6 +91,7 @@ class _Reduced:
         rest: (pixels,) the squares of what is left.
         freedom: (pixels,) degrees of freedom.
         turning: (pixels, 3, features) change of g by each feature.
+        volume: (pixels,) of the weights and of g, in the logarithm of the restricted likelihood.
     """
 
     eigenvalues: Float[np.ndarray, "pixels features"]
@@ -80,49 +99,111 @@ class _Reduced:
     rest: Float[np.ndarray, " pixels"]
     freedom: Int[np.ndarray, " pixels"]
     turning: Float[np.ndarray, "pixels 3 features"]
+    volume: Float[np.ndarray, " pixels"]
 
 
 def departures(
     rows: Float[np.ndarray, "lights 3"],
     directions: Float[np.ndarray, "lights 3"],
-    residuals: Float[np.ndarray, "lights h w"],
+    readings: Float[np.ndarray, "lights h w"],
     counts: Bool[np.ndarray, "lights h w"],
-    inverse: Float[np.ndarray, "pixels 3 3"],
 ) -> Departures:
     """Covariance of g that allows for departures from Lambert's law.
 
     Args:
         rows: (lights, 3) E l.
         directions: (lights, 3) unit.
-        residuals: (lights, h, w) of least squares; 0 where a reading does not count.
+        readings: (lights, h, w).
         counts: (lights, h, w) the readings of the fit.
-        inverse: (pixels, 3, 3) of its normal matrices; NaN where g is unknown.
 
     Returns:
-        Covariance, noise and size.
+        Weights, covariance, noise and size.
     """
-    of_pixels, weights = residuals.reshape(len(rows), -1), counts.reshape(len(rows), -1)
-    used = weights.sum(axis=0)
+    flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
+    used = counted.sum(axis=0)
+    g, inverse = solved(rows, flat, counted.astype(float))
     told = (used > 3) & np.isfinite(inverse[:, 0, 0])
     noise, size = np.full(len(used), np.nan), np.zeros(len(used))
     covariance = np.full_like(inverse, np.nan)
     places = np.flatnonzero(told)
     if not places.size:
-        return Departures(covariance, noise, size, seen=False)
+        return Departures(counted.astype(float), inverse, covariance, noise, size, seen=False)
     features = _features(directions) * np.linalg.norm(rows, axis=1)[:, None]
+    expected = np.maximum(np.nan_to_num(rows @ g.T), 0)
+    typical = float(np.median(expected[counted & told])) or 1.0
 
-    def reduced(chosen: Int[np.ndarray, " some"]) -> _Reduced:
-        of_chosen, counted = of_pixels[:, chosen], weights[:, chosen]
-        return _reduced(rows, features, of_chosen, counted, inverse[chosen])
-
-    shared = _shared(residuals, counts)
-    own_scatter = (of_pixels[:, told] ** 2).sum(axis=0) / (used[told] - 3)
-    unshared = (1 - shared) * float(own_scatter.mean()) if shared else np.inf
-    prior = _prior(reduced(places[:: -(-len(places) // MOST)]), unshared)
+    some, fits = places[:: -(-len(places) // MOST)], []
+    for share in OF_PHOTONS:
+        weights = counted / (1 - share + share * expected / typical)
+        g, inverse = solved(rows, flat, weights)
+        of = _Fit(rows, features, np.where(counted, flat - rows @ g.T, 0), weights, inverse)
+        scaled = of.residuals * np.sqrt(weights)
+        shared = shared_squares(scaled.reshape(readings.shape), counts)
+        scatter = (scaled[:, told] ** 2).sum(axis=0) / (used[told] - 3)
+        unshared = (1 - shared) * float(scatter.mean()) if shared else np.inf
+        fits.append((of, _prior(of.reduced(some), unshared, RATIOS[:1])))
+    best = max(fits, key=lambda fit: fit[1].likelihood)
+    if best[1].likelihood - fits[0][1].likelihood < EVIDENCE:
+        best = fits[0]
+    slow = [
+        (of, _prior(of.reduced(some), alone.unshared, RATIOS), alone)
+        for of, alone in ([best] if best is fits[0] else [fits[0], best])
+    ]
+    seen = all(
+        prior.likelihood - alone.likelihood > EVIDENCE or prior.unshared < np.inf
+        for _, prior, alone in slow
+    )
+    of, prior = slow[0][:2] if seen else best
     for start in range(0, len(places), AT_ONCE):
-        some = places[start : start + AT_ONCE]
-        noise[some], size[some], covariance[some] = _posterior(reduced(some), inverse[some], prior)
-    return Departures(covariance, noise, size, seen=prior.ratios.size > 1)
+        part = places[start : start + AT_ONCE]
+        noise[part], size[part], covariance[part] = _posterior(
+            of.reduced(part), of.inverse[part], prior
+        )
+    return Departures(of.weights, of.inverse, covariance, noise, size, seen=seen)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Weighted least squares of all pixels.
+
+    Attributes:
+        rows: (lights, 3) E l.
+        features: (lights, features) of the departures, times E.
+        residuals: (lights, pixels); 0 where a reading does not count.
+        weights: (lights, pixels).
+        inverse: (pixels, 3, 3) of the normal matrices.
+    """
+
+    rows: Float[np.ndarray, "lights 3"]
+    features: Float[np.ndarray, "lights features"]
+    residuals: Float[np.ndarray, "lights pixels"]
+    weights: Float[np.ndarray, "lights pixels"]
+    inverse: Float[np.ndarray, "pixels 3 3"]
+
+    def reduced(self, some: Int[np.ndarray, " some"]) -> _Reduced:
+        """Residuals of some pixels along the eigenvectors of what the process leaves in them."""
+        residuals, weights, inverse = (
+            self.residuals[:, some],
+            self.weights[:, some],
+            self.inverse[some],
+        )
+        count = self.features.shape[1]
+        both = np.concatenate([self.features, self.rows], axis=1)
+        products = (both[:, :, None] * both[:, None, :]).reshape(len(both), -1)
+        table = (weights.T @ products).reshape(-1, count + 3, count + 3)
+        across = table[:, count:, :count]
+        turning = inverse @ across
+        left = table[:, :count, :count] - np.swapaxes(across, 1, 2) @ turning
+        values, vectors = np.linalg.eigh(left)
+        known = values > WHOLE * np.maximum(values[:, -1:], 1e-300)
+        along = np.einsum("pf,pfe->pe", (weights * residuals).T @ self.features, vectors)
+        squares = np.where(known, along**2 / np.where(known, values, 1), 0)
+        rest = np.maximum((weights * residuals**2).sum(axis=0) - squares.sum(axis=1), 0)
+        counts = weights > 0
+        volume = np.log(np.where(counts, weights, 1)).sum(axis=0) / 2
+        volume += np.linalg.slogdet(inverse)[1] / 2
+        eigenvalues = np.where(known, values, 0)
+        return _Reduced(eigenvalues, squares, rest, counts.sum(axis=0) - 3, turning, volume)
 
 
 def _features(directions: np.ndarray) -> Float[np.ndarray, "lights features"]:
@@ -131,28 +212,6 @@ def _features(directions: np.ndarray) -> Float[np.ndarray, "lights features"]:
     values, vectors = np.linalg.eigh(np.exp(-apart / (2 * REACH**2)))
     kept = values > THINNEST * values.max()
     return vectors[:, kept] * np.sqrt(values[kept])
-
-
-def _reduced(
-    rows: np.ndarray,
-    features: np.ndarray,
-    residuals: Float[np.ndarray, "lights some"],
-    weights: Bool[np.ndarray, "lights some"],
-    inverse: Float[np.ndarray, "some 3 3"],
-) -> _Reduced:
-    count = features.shape[1]
-    both = np.concatenate([features, rows], axis=1)
-    products = (both[:, :, None] * both[:, None, :]).reshape(len(rows), -1)
-    table = (weights.T.astype(float) @ products).reshape(-1, count + 3, count + 3)
-    across = table[:, count:, :count]
-    turning = inverse @ across
-    left = table[:, :count, :count] - np.swapaxes(across, 1, 2) @ turning
-    values, vectors = np.linalg.eigh(left)
-    known = values > WHOLE * np.maximum(values[:, -1:], 1e-300)
-    along = np.einsum("pf,pfe->pe", residuals.T @ features, vectors)
-    squares = np.where(known, along**2 / np.where(known, values, 1), 0)
-    rest = np.maximum((residuals**2).sum(axis=0) - squares.sum(axis=1), 0)
-    return _Reduced(np.where(known, values, 0), squares, rest, weights.sum(axis=0) - 3, turning)
 
 
 @dataclass(frozen=True)
@@ -165,6 +224,7 @@ class _Prior:
         ratios: (ratios,) of tau^2 / sigma^2; 0 alone where no departures are seen.
         shares: (levels, ratios), whose sum is 1.
         unshared: variance that neighbouring pixels do not share; infinite where they share none.
+        likelihood: its logarithm.
     """
 
     levels: Float[np.ndarray, " levels"]
@@ -172,10 +232,11 @@ class _Prior:
     ratios: Float[np.ndarray, " ratios"]
     shares: Float[np.ndarray, "levels ratios"]
     unshared: float
+    likelihood: float
 
 
-def _prior(of: _Reduced, unshared: float) -> _Prior:
-    """By maximum likelihood; departures are seen in it, or in neighbours."""
+def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) -> _Prior:
+    """By maximum likelihood."""
     squares, volume = _squares(of, RATIOS)
     most = min(max(float((squares[0] / of.freedom).max()), 1e-300), LOUDEST * unshared)
     least = max(float(np.quantile(squares[-1] / of.freedom, 0.01)), QUIETEST * most)
@@ -183,14 +244,13 @@ def _prior(of: _Reduced, unshared: float) -> _Prior:
     count = int(min(LEVELS, np.ceil(span / FINEST) + 2))
     step = max(span / (count - 1), FINEST)
     levels, freedom = most * np.exp(-step * np.arange(count)), 2 / step**2
-    logs = _likelihoods(squares, volume, of.freedom, levels, freedom)
-    alone, without = _shares(logs[:, :1], np.full((count, 1), 1 / count))
-    start = np.full(logs.shape[:2], (1 - MATT) / (len(RATIOS) - 1) / count)
-    start[:, 0] = MATT / count
-    shares, with_departures = _shares(logs, start)
-    if with_departures - without < EVIDENCE and unshared == np.inf:
-        return _Prior(levels, freedom, RATIOS[:1], alone, unshared)
-    return _Prior(levels, freedom, RATIOS, shares, unshared)
+    several = len(ratios)
+    logs = _likelihoods(squares[:several], volume[:several], of.freedom, levels, freedom)
+    start = np.full(logs.shape[:2], (1 - MATT) / max(several - 1, 1) / count)
+    start[:, 0] = (MATT if several > 1 else 1) / count
+    shares, likelihood = _shares(logs, start)
+    likelihood += float(of.volume.sum())
+    return _Prior(levels, freedom, ratios, shares, unshared, likelihood)
 
 
 def _squares(of: _Reduced, ratios: Float[np.ndarray, " ratios"]) -> tuple[np.ndarray, np.ndarray]:
@@ -274,8 +334,16 @@ def _radius(
     return found / gaussian
 
 
-def _shared(residuals: np.ndarray, counts: np.ndarray) -> float:
-    """Share of the residuals' squares that neighbouring pixels have in common; 0 within chance."""
+def shared_squares(residuals: np.ndarray, counts: np.ndarray) -> float:
+    """Share of the residuals' squares that neighbouring pixels have in common; 0 within chance.
+
+    Args:
+        residuals: (lights, h, w) of least squares.
+        counts: (lights, h, w) the readings of the fit.
+
+    Returns:
+        The share, at most 1.
+    """
     product = square = pairs = freedom = 0.0
     for axis in (1, 2):
         one, other = (np.moveaxis(a, axis, 0) for a in (residuals, counts))

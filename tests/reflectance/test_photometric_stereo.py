@@ -227,6 +227,66 @@ def test_an_image_that_does_not_belong_is_named_and_left_out(spoil, named, expon
     assert np.mean(off < 2.448 * found.normal_sd.ravel()) > 0.9
 
 
+def ring(count, zenith=35):
+    around, tilt = 2 * np.pi * np.arange(count) / count + 0.3, np.radians(zenith)
+    flat = np.sin(tilt) * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    return np.concatenate([flat, np.full((count, 1), np.cos(tilt))], axis=1)
+
+
+def photons(lights, normals, exposures, seed=1):
+    """Counts of a matt ball of albedo 1200 under lights of several exposures, with shot noise."""
+    mean = 1200 * np.maximum(np.nan_to_num(lights @ normals.T), 0)
+    drawn = np.random.default_rng(seed).poisson(2 * mean * np.asarray(exposures)[:, None]) / 2
+    return np.rint(drawn + 2 * np.random.default_rng(seed + 1).normal(size=drawn.shape))
+
+
+def missed(found, normals):
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    return off, np.mean((off > 2.448 * found.normal_sd.ravel())[normals[:, 2] > 0.85])
+
+
+@pytest.mark.parametrize("exposures", [[1, 1.3, 1, 1], [1, 0.95, 0.9, 0.85], 3 * [1, 1.1]])
+def test_factors_that_all_pixels_ask_for_are_named_and_allowed_for(exposures):
+    lights, normals = ring(len(exposures)), ball(30).reshape(-1, 3)
+    readings = photons(lights, normals, exposures)
+    found = photometric_stereo(readings.reshape(-1, 30, 30), lights)
+    (told,) = (s for s in found.findings if "do not agree with the intensities" in s)
+    said = told.split("factors ")[1].split(" (standard")[0].replace(" and ", ", ")
+    factors = np.array([float(number) for number in said.split(", ")])
+    np.testing.assert_allclose(
+        factors / factors[-1], np.array(exposures) / exposures[-1], rtol=0.02
+    )
+    assert missed(found, normals)[1] < 0.08  # was 35 % with a lamp that drifts
+    right = photometric_stereo(readings.reshape(-1, 30, 30), lights, intensities=factors)
+    assert not right.findings
+    assert np.degrees(np.nanmedian(missed(right, normals)[0][normals[:, 2] > 0.85])) < 2
+
+
+@pytest.mark.parametrize("count", [5, 8])
+def test_an_image_of_another_exposure_is_left_out_of_few(count):
+    lights, normals = ring(count), ball(30).reshape(-1, 3)
+    readings = photons(lights, normals, np.where(np.arange(count) == 1, 1.3, 1))
+    found = photometric_stereo(readings.reshape(-1, 30, 30), lights)
+    assert "images[1]" in str(found)
+    assert "left out" in str(found)
+    off, out = missed(found, normals)
+    assert np.degrees(np.nanmedian(off[normals[:, 2] > 0.85])) < 2  # was 2.6 to 8.5
+    assert out < 0.1
+
+
+@pytest.mark.parametrize("brighter", [2, 4])
+def test_right_intensities_that_differ_are_not_called_wrong(brighter):
+    """The noise of photons grows with the light, which had passed for a surface not Lambert's."""
+    lights, normals = ring(8), ball(30).reshape(-1, 3)
+    intensities = np.where(np.arange(8) % 2, brighter, 1.0)
+    readings = photons(lights, normals, intensities).reshape(-1, 30, 30)
+    found = photometric_stereo(readings, lights, intensities=intensities)
+    assert not found.findings
+    inner = normals[:, 2] > 0.85
+    z = np.abs(found.albedo.ravel() - 1200)[inner] / found.albedo_sd.ravel()[inner]
+    assert 0.91 < np.mean(z < 1.96) < 0.98  # was all of them, of errors three times too large
+
+
 def test_copies_are_named():
     readings = READ + RNG.normal(0, 2, READ.shape)
     readings[7] = readings[2]

@@ -220,7 +220,8 @@ ELSEWHERE = (
         "test_photometric_stereo",
         """
             fitting.reflectance.stereo: photometric_stereo
-            fitting.reflectance.stereo_misfit: departures
+            fitting.reflectance.stereo_lights: common_departure solved
+            fitting.reflectance.stereo_misfit: departures shared_squares
         """,
     ),
     Elsewhere(

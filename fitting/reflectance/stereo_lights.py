@@ -1,0 +1,177 @@
+"""Least squares of pixels under different lights, and what all pixels contradict alike.
+
+A wrong intensity of a light, another exposure of its image and a lamp that drifts scale an image as
+a whole; room light and a wrong black level add the same to all readings. Few lights leave a pixel
+one or two residuals, which tell neither. The residuals of all pixels do: the factors of the lights,
+or the offset, minimise their squares, with g of each pixel as nuisance (variable projection; Golub
+& Pereyra, Inverse Problems 19, 2003). Their errors come from leaving out parts of the image
+(jackknife), which disagree where the surface is not Lambert's.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+FLAT = 1e-6  # least over largest singular value of lights that lie in a plane
+ROUNDS, DONE = 40, 1e-6  # of Gauss-Newton; the largest step of a factor that ends them
+TAIL = 2.4  # standard deviations from which a residual counts less (Cauchy's weights)
+NORMAL_MAD = 1.4826  # the standard deviation of a Gaussian over its median absolute deviation
+PARTS = 10  # of the image, each of which is left out once
+MOST, FEWEST = 2_000, 100  # pixels that tell it
+LIT = 0.1  # of the brightest pixels' mean reading: pixels that tell it
+CLEAR = 5.0  # standard errors of a factor or offset that is seen
+DETERMINED = 10.0  # times what noise in g adds to the information on a factor
+WIDEST = 10.0  # factor of a light; beyond, its direction is wrong or no light is
+EXPLAINED = 0.5  # least share of the residuals' squares that it explains
+
+
+@dataclass(frozen=True)
+class Common:
+    """What the readings of all pixels have in common, beside m = E rho n.l.
+
+    Attributes:
+        factors: (lights,) irradiance over that stated.
+        factor_sds: (lights,) their standard errors; 0 where they are not fitted.
+        offset: added to all readings, in their unit.
+        offset_sd: likewise.
+        explained: share of the residuals' squares.
+    """
+
+    factors: Float[np.ndarray, " lights"]
+    factor_sds: Float[np.ndarray, " lights"]
+    offset: float
+    offset_sd: float
+    explained: float
+
+    def removed(self, readings: Float[np.ndarray, "lights pixels"]) -> np.ndarray:
+        """Readings without it."""
+        return (readings - self.offset) / self.factors[:, None]
+
+
+def solved(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    weights: Float[np.ndarray, "lights pixels"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted least squares of each pixel.
+
+    Args:
+        rows: (lights, 3) irradiance times unit direction.
+        readings: (lights, pixels).
+        weights: (lights, pixels), 0 for those that do not count.
+
+    Returns:
+        (pixels, 3) g and (pixels, 3, 3) the inverse of the normal matrix; NaN where the lights that
+        count do not determine g.
+    """
+    products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
+    matrix = (weights.T @ products).reshape(-1, 3, 3)
+    sizes = np.linalg.eigvalsh(matrix)
+    known = sizes[:, 0] > FLAT**2 * sizes[:, 2]
+    inverse = np.full_like(matrix, np.nan)
+    inverse[known] = np.linalg.inv(matrix[known])
+    right = np.where(weights > 0, weights * readings, 0).T @ rows
+    return np.einsum("pij,pj->pi", inverse, right), inverse
+
+
+def common_departure(
+    rows: Float[np.ndarray, "lights 3"],
+    readings: Float[np.ndarray, "lights pixels"],
+    counts: Bool[np.ndarray, "lights pixels"],
+) -> Common | None:
+    """Factors of the lights, or an offset, that all pixels ask for.
+
+    Args:
+        rows: (lights, 3) irradiance times unit direction.
+        readings: (lights, pixels).
+        counts: (lights, pixels) those between the limits.
+
+    Returns:
+        The factors or the offset, whichever explains more; None where neither is seen.
+    """
+    mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
+    told = (counts.sum(axis=0) > 3) & (mean > 0)
+    if told.sum() < FEWEST:
+        return None
+    some = np.flatnonzero(told & (mean > LIT * np.quantile(mean[told], 0.95)))
+    some = some[:: -(-len(some) // MOST)]
+    if some.size < FEWEST:
+        return None
+    own, counted = readings[:, some], counts[:, some]
+    found = [_fitted(rows, own, counted, by_offset=by) for by in (True, False)]
+    found = [one for one in found if one is not None and one.explained > EXPLAINED]
+    return max(found, key=lambda one: one.explained, default=None)
+
+
+def _fitted(
+    rows: np.ndarray, readings: np.ndarray, counts: np.ndarray, *, by_offset: bool
+) -> Common | None:
+    """By Gauss-Newton with Cauchy's weights; None where it is not determined or not seen."""
+    factors, offset, weights = np.ones(len(rows)), 0.0, counts.astype(float)
+    for _ in range(ROUNDS):
+        scaled, moved = rows * factors[:, None], readings - offset
+        g, inverse = solved(scaled, moved, weights)
+        known = np.isfinite(g[:, 0])
+        weights, predicted = weights * known, np.nan_to_num(scaled @ g.T)
+        inverse[~known] = 0
+        residuals = np.where(counts & known, moved - predicted, 0)
+        normals, rights = _normal_parts(scaled, weights, inverse, predicted, residuals, by_offset)
+        normal = normals.sum(axis=0)
+        step = np.linalg.pinv(normal, rcond=FLAT, hermitian=True) @ rights.sum(axis=0)
+        if by_offset:
+            offset += float(step[0])
+            size = abs(float(step[0])) / float(np.abs(predicted).max())
+        else:
+            factors = factors * np.exp(np.clip(step, -1, 1))
+            size = float(np.abs(step).max())
+        if size < DONE:
+            break
+        spread = NORMAL_MAD * float(np.median(np.abs(residuals[counts])))
+        weights = counts / (1 + (residuals / max(TAIL * spread, 1e-300)) ** 2)
+    plain = np.where(weights > 0, readings - rows @ solved(rows, readings, weights)[0].T, 0)
+    least, most = (float((weights * r**2).sum()) for r in (residuals, plain))
+    noise = least * readings.shape[1] / max(int((counts.sum(axis=0) - 3).sum()), 1)
+    undetermined = np.linalg.eigvalsh(normal) < DETERMINED * noise
+    if most == 0 or undetermined.sum() > (0 if by_offset else 1):
+        return None
+    away = [
+        np.linalg.pinv(normal - part, rcond=FLAT, hermitian=True) @ (rights.sum(axis=0) - right)
+        for part, right in zip(normals, rights, strict=True)
+    ]
+    sds = np.sqrt((PARTS - 1) * np.var(away, axis=0))
+    if by_offset:
+        seen = abs(offset) > CLEAR * sds[0]
+        found = Common(np.ones(len(rows)), np.zeros(len(rows)), offset, float(sds[0]), 0.0)
+    else:
+        factors /= np.sort(factors)[(len(factors) - 1) // 2]
+        off = np.abs(np.log(factors))
+        seen = bool((off > CLEAR * sds).any() and off.max() < np.log(WIDEST))
+        found = Common(factors, factors * sds, 0.0, 0.0, 0.0)
+    return replace(found, explained=1 - least / most) if seen else None
+
+
+def _normal_parts(
+    rows: np.ndarray,
+    weights: np.ndarray,
+    inverse: np.ndarray,
+    predicted: np.ndarray,
+    residuals: np.ndarray,
+    by_offset: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices and right sides of each part of the image, g eliminated."""
+    change = weights if by_offset else weights * predicted
+    right = change * residuals
+    normals, rights = [], []
+    for part in np.array_split(np.arange(predicted.shape[1]), PARTS):
+        if by_offset:
+            across = (rows.T @ change[:, part]).T[:, None]
+            own = change[:, part].sum()[None, None]
+            rights.append(right[:, part].sum()[None])
+        else:
+            across = change[:, part].T[:, :, None] * rows
+            own = np.diag((change * predicted)[:, part].sum(axis=1))
+            rights.append(right[:, part].sum(axis=1))
+        lost = np.tensordot(across @ inverse[part], across, axes=([0, 2], [0, 2]))
+        normals.append(own - lost)
+    return np.array(normals), np.array(rights)
