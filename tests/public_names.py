@@ -43,6 +43,7 @@ EAGER = {
     "jaxvision.scene_checks",
     "jaxvision.scene_files",
     "jaxvision.scene_files.bands",
+    "jaxvision.scene_files.spectrum_tables",
     "jaxvision.scene_files.mitsuba",
     "jaxvision.scene_files.mitsuba.document",
     "jaxvision.scene_files.mitsuba.transforms",
