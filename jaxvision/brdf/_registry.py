@@ -25,7 +25,7 @@ from ._specular import Specular, one_way
 POLAR, AZIMUTHS = 32, 64  # nodes of the default albedo
 
 
-Bound = Callable[[Ends[Any]], Reflection]
+Bound = Callable[[Ends], Reflection]
 
 
 class Family(NamedTuple):

@@ -70,7 +70,7 @@ class Emitted(Shown):
     normal: Vec
 
 
-Bound = Callable[[Ends[Any]], Source]
+Bound = Callable[[Ends], Source]
 
 
 class Discrete(NamedTuple):

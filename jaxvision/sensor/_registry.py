@@ -9,7 +9,7 @@ from .._bounds import Ends
 from .._types import Key, Scalars
 from ..scene import SensorEffect
 
-Bound = Callable[[Ends[Any], float], tuple[float, float]]
+Bound = Callable[[Ends, float], tuple[float, float]]
 
 
 class Stage(NamedTuple):
