@@ -8,6 +8,7 @@ from ..inference.formatting import format_percent
 from ..inference.parameters import names, prior_gaussian
 from ..inference.posterior import Posterior
 from ..inference.trust import convergence_in_words
+from ..reflectance.from_images.read import ASSUMED_BLACK
 from ..reflectance.from_images.shading_check import contradictions
 from ..reflectance.names import DESCRIBES
 from ..report.section import Table
@@ -16,9 +17,14 @@ from .fit import JointFit, image_errors
 from .halves import APART
 from .model import MISFIT_AT
 from .prediction import Score
+from .read import JointMeasurement
 from .unequal_pixels import NOISE, unequal_pixels
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
+UNLIT, FEWEST_UNLIT = 0.0, 30  # cosine of incidence of pixels in attached shadow; so many tell
+BELOW_DARKS, GAINS_APART = 5.0, 5.0  # standard errors by which darks, or gains, are another's
+UNLIKE_GAIN = 0.15  # relative difference of gains worth a word
+ROUNDS = 5  # of reweighting
 NOTABLE = 2.5  # standard deviations of an image's error worth a word
 
 
@@ -28,8 +34,13 @@ def findings(calibration: JointCalibration) -> tuple[str, ...]:
     encoding = None if gamma is None else float(gamma)
     return (
         *contradictions(calibration.measurement.observation, gamma=encoding),
-        *calibration.measurement.observation.findings,
+        *(
+            sentence
+            for sentence in calibration.measurement.observation.findings
+            if sentence != ASSUMED_BLACK or "black_level" in calibration.fits[0].data.known
+        ),
         *calibration.measurement.findings,
+        *darker_than_darks(calibration.measurement),
         *(s for fit in calibration.fits for s in _channel_findings(calibration, fit)),
     )
 
@@ -47,11 +58,14 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
             f"The cells scatter more than noise and the errors that the rig names allow "
             f"(chi-square per cell {fit.unexplained:.2f}); a misfit of {_misfit_in_words(fit)} "
             "explains them: a surface that is not the model's, "
-            "or an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give."
+            "an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give, or a "
+            "black level, gain or read noise that is not the images'."
         )
     if "prnu" not in fit.values:
         stated = calibration.measurement.camera.prnu_sd is not None
         found += [] if misses_as_noise(calibration, fit) else _gain_findings(fit, stated=stated)
+    if "gamma" not in fit.values:
+        found += gains_disagree(fit, calibration.measurement.camera.gain)
     found += fit.identifiability.sentences
     posterior = calibration.posteriors.get(fit.channel)
     if posterior is None:
@@ -74,10 +88,85 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
                 "to see how large the misfit is."
             )
         found += _halves_findings(calibration, fit)
-    found += _prior_alone(posterior)
+    found += _prior_alone(posterior, of_frames=calibration.measurement.levels is not None)
     found += _image_findings(calibration, fit)
     found.append(convergence_in_words(posterior))
     return [f"{name}{sentence}" for sentence in found]
+
+
+def darker_than_darks(measurement: JointMeasurement) -> list[str]:
+    """A sentence where pixels that no light reaches are darker than the darks: light only adds.
+
+    Args:
+        measurement: with darks, or without.
+    """
+    observation, found = measurement.observation, []
+    unlit = observation.cosine < UNLIT
+    for i, levels in enumerate(measurement.levels or ()):
+        if not levels.dark.any() or np.count_nonzero(unlit) < FEWEST_UNLIT:
+            continue
+        of_darks = float(np.mean(levels.mean[levels.dark]))
+        dn = observation.dn[i][unlit]
+        below = of_darks - float(np.median(dn))
+        error = 1.2533 * float(np.std(dn)) / np.sqrt(len(dn))  # of the median of a Gaussian
+        if below > max(1.0, BELOW_DARKS * np.hypot(error, levels.mean_error[levels.dark].max())):
+            found.append(
+                f"Pixels that face away from the light lie at {np.median(dn):.1f} DN (median of "
+                f"{len(dn)}), {below:.1f} DN below the darks ({of_darks:.1f} DN), although light "
+                "can only add: the darks are of another temperature, exposure or setting, and move "
+                "the surface's estimates. Leave them out, or take darks beside the images."
+            )
+    return found
+
+
+def gains_disagree(fit: JointFit, stated: float | None) -> list[str]:
+    """A sentence where the object's pixels scatter with another gain than flats and darks, or the
+    rig, say.
+
+    Args:
+        fit: of one channel, linear.
+        stated: gain of the rig, DN/e-; None where it says none.
+    """
+    cells, levels = fit.data.cells, fit.data.levels
+    freedom = np.asarray(cells.count, float) - 1
+    some = freedom > 0
+    own, error = _slope(
+        np.asarray(cells.mean)[some], np.asarray(cells.scatter)[some] / freedom[some], freedom[some]
+    )
+    if levels is not None:
+        source = "flats and darks tell"
+        numbers = (np.asarray(x, float) for x in (levels.mean, levels.variance, levels.freedom))
+        other, of_other = _slope(*numbers)
+    elif stated is not None:
+        source, other, of_other = "the rig states", stated, 0.0
+    else:
+        return []
+    apart = abs(own - other)
+    if not (apart > GAINS_APART * np.hypot(error, of_other) and apart > UNLIKE_GAIN * other):
+        return []
+    also = ", or a texture or unequal pixels add to the scatter" if own > other else ""
+    return [
+        f"The scatter of the object's pixels rises by {own:.3g} DN^2/DN with their signal, where "
+        f"{source} a gain of {other:.3g} DN/e-: they are of another gain than the images{also}. "
+        "Do not use the gain and the read noise."
+    ]
+
+
+def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple[float, float]:
+    """Slope of variances over means with its standard error, by weights of their own fit."""
+    if len(mean) < 3 or np.ptp(mean) == 0:
+        return np.nan, np.inf
+    columns, expected = (
+        np.stack([np.ones_like(mean), mean], axis=1),
+        np.full(len(mean), variance.mean()),
+    )
+    coefficients, covariance = np.zeros(2), np.eye(2)
+    for _ in range(ROUNDS):
+        weight = freedom / (2 * expected**2)
+        covariance = np.linalg.inv((columns.T * weight) @ columns)
+        coefficients = covariance @ (columns.T @ (weight * variance))
+        expected = np.maximum(columns @ coefficients, 0.05 * variance.mean())
+    return float(coefficients[1]), float(np.sqrt(covariance[1, 1]))
 
 
 def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
@@ -114,13 +203,16 @@ def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
 def _gain_findings(fit: JointFit, *, stated: bool) -> list[str]:
     """Whether gain and read noise explain how pixels scatter."""
     seen = unequal_pixels(fit)
+    remedy = ", or flats and darks"
+    if fit.data.levels is not None:
+        remedy = "; the flats and darks alone tell gain and read noise by `noise`"
     if seen.found:
         return [
             "The variance of pixels grows with the square of their signal, which neither photons "
             "nor read-out make: unequal pixels, or a texture, of about "
             f"{format_percent(seen.size, decimals=2)} "
             f"({seen.deviations:.0f} standard errors from none). They hide the gain and the "
-            f"read noise; give the rig camera.prnu_sd = {seen.size:.2g}, or flats and darks."
+            f"read noise; give the rig camera.prnu_sd = {seen.size:.2g}{remedy}."
         ]
     if seen.hide_noise(stated):
         return [
@@ -128,7 +220,7 @@ def _gain_findings(fit: JointFit, *, stated: bool) -> list[str]:
             "cannot tell from photons and "
             f"read-out, would move the gain or the read noise by {seen.moved:.1f} standard errors: "
             "neither is printed. Give the rig camera.prnu_sd (0 if pixels are alike and the "
-            "surface is smooth), or flats and darks."
+            f"surface is smooth){remedy}."
         ]
     if "system_gain" in fit.data.known or fit.data.levels is not None:
         return []
@@ -150,15 +242,14 @@ def _misfit_in_words(fit: JointFit) -> str:
     )
 
 
-def _prior_alone(posterior: Posterior) -> list[str]:
+def _prior_alone(posterior: Posterior, *, of_frames: bool) -> list[str]:
     before = prior_gaussian(posterior.space)[1]
     share = np.sqrt(np.diagonal(posterior.covariance)) / before
     told = [name for name, s in zip(names(posterior.space), share, strict=True) if s > PRIOR_ALONE]
     if not told:
         return []
-    return [
-        f"The estimates of {listed(told)} are those that the rig states; the images add little."
-    ]
+    source = "the rig states or its flats and darks tell" if of_frames else "the rig states"
+    return [f"The estimates of {listed(told)} are those that {source}; the images add little."]
 
 
 def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:

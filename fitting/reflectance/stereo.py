@@ -168,7 +168,7 @@ def photometric_stereo(
     if robust and apart.any():
         between[apart] = False
     common, alone = _common(rows, readings, between, limits, robust=robust)
-    if alone.any():
+    if common is not None and alone.any():
         between[alone] = False
         findings += _of_factors_apart(common, alone)
         common, _ = _common(rows, readings, between, limits, robust=False)

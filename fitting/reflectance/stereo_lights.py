@@ -109,6 +109,7 @@ def _fitted(
 ) -> Common | None:
     """By Gauss-Newton with Cauchy's weights; None where it is not determined or not seen."""
     factors, offset, weights = np.ones(len(rows)), 0.0, counts.astype(float)
+    normals, rights, residuals = np.zeros((3, 0))
     for _ in range(ROUNDS):
         scaled, moved = rows * factors[:, None], readings - offset
         g, inverse = solved(scaled, moved, weights)
@@ -117,8 +118,7 @@ def _fitted(
         inverse[~known] = 0
         residuals = np.where(counts & known, moved - predicted, 0)
         normals, rights = _normal_parts(scaled, weights, inverse, predicted, residuals, by_offset)
-        normal = normals.sum(axis=0)
-        step = np.linalg.pinv(normal, rcond=FLAT, hermitian=True) @ rights.sum(axis=0)
+        step = np.linalg.pinv(normals.sum(axis=0), rcond=FLAT, hermitian=True) @ rights.sum(axis=0)
         if by_offset:
             offset += float(step[0])
             size = abs(float(step[0])) / float(np.abs(predicted).max())
@@ -132,6 +132,7 @@ def _fitted(
     plain = np.where(weights > 0, readings - rows @ solved(rows, readings, weights)[0].T, 0)
     least, most = (float((weights * r**2).sum()) for r in (residuals, plain))
     noise = least * readings.shape[1] / max(int((counts.sum(axis=0) - 3).sum()), 1)
+    normal = normals.sum(axis=0)
     undetermined = np.linalg.eigvalsh(normal) < DETERMINED * noise
     if most == 0 or undetermined.sum() > (0 if by_offset else 1):
         return None

@@ -3,14 +3,16 @@ images, images that do not belong. Files are written by hand in the Cornell text
 closed forms."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fitting import reflectance
+from fitting import joint, reflectance
 from fitting.checks.joint import Lab, photographed
 from fitting.checks.reflectance import Sphere
 from fitting.inference.estimates import find
+from fitting.joint.findings import darker_than_darks, findings, gains_disagree
 from fitting.reflectance import from_files
 from fitting.reflectance.from_files.calibration import albedo
 from fitting.reflectance.from_files.fit import LobeFit, ModelFit
@@ -165,6 +167,60 @@ def test_a_mask_that_leaves_out_nothing_is_told():
     sphere = SphereGeometry(centre=(11.5, 11.5), radius=12.0)
     seen = matt_ball(mask=np.ones((24, 24), bool), sphere=sphere, normals=None)
     assert any("leaves out no pixel; it has no effect" in sentence for sentence in seen.findings)
+
+
+def with_darks(black):
+    """A matt ball of 500 DN over a black level of 60, its flats, and darks of another black."""
+    rng = np.random.default_rng(2)
+
+    def camera(electrons, black=60.0):
+        counts = rng.poisson(electrons) + 3 * rng.normal(size=electrons.shape)
+        return np.round(black + 0.5 * counts)
+
+    around = 2 * np.pi * np.arange(8) / 8
+    lights = np.stack([0.8 * np.cos(around), 0.8 * np.sin(around), np.full(8, 0.6)], axis=1)
+    shading = np.maximum(np.einsum("hwc,lc->lhw", BALL, lights), 0)
+    flats = [[camera(np.full((24, 24), level)) for _ in range(3)] for level in (200.0, 1000.0)]
+    darks = [[camera(np.zeros((24, 24)), black) for _ in range(4)]]
+    return joint.from_photographs(
+        [camera(1000 * image) for image in shading],
+        lights,
+        camera=Camera(bits=12),
+        normals=BALL,
+        flats=flats,
+        darks=darks,
+    )
+
+
+def test_darks_brighter_than_what_no_light_reaches_are_named():
+    (told,) = darker_than_darks(with_darks(70.0))
+    assert "10.0 DN below the darks (70.0 DN)" in told
+    assert not darker_than_darks(with_darks(60.0))
+    assert not darker_than_darks(with_darks(50.0))  # stray light can be there
+
+
+def test_what_darks_tell_is_not_called_assumed_or_stated():
+    said = " ".join(findings(joint.calibrate(with_darks(60.0), model="lambert")))
+    assert "was assumed" not in said
+    assert "those that the rig states;" not in said
+    assert "or flats and darks" not in said  # which are given
+
+
+@pytest.mark.parametrize(("gain", "named"), [(0.5, False), (1.0, True)])
+def test_frames_of_another_gain_than_the_images_are_named(gain, named):
+    rng, freedom = np.random.default_rng(3), np.full(40, 29.0)
+    mean = np.linspace(70.0, 1000.0, 40)
+    variance = (2 + 0.5 * (mean - 60)) * rng.chisquare(freedom) / freedom
+    cells = SimpleNamespace(count=freedom + 1, mean=mean, scatter=variance * freedom)
+    level = np.array([60.0, 200.0, 800.0])
+    frames = SimpleNamespace(
+        mean=level, variance=2 + gain * (level - 60), freedom=np.full(3, 1000.0)
+    )
+    fit = SimpleNamespace(data=SimpleNamespace(cells=cells, levels=frames))
+    assert bool(gains_disagree(fit, None)) == named
+    fit.data.levels = None
+    assert bool(gains_disagree(fit, gain)) == named
+    assert not gains_disagree(fit, None)
 
 
 def black(dn):

@@ -316,18 +316,32 @@ def _part_findings(calibration: ReflectanceCalibration) -> list[str]:
     }
     sides = [part for part in means if part != "outline"]
     worst = [max(sides, key=lambda part: abs(means[part]))] if sides else []
+    assumed = _taken_for_granted(calibration)
     told = [part for part in ("outline", *worst) if abs(means.get(part, 0.0)) > NOTABLE_RESIDUAL]
     return [
         f"Averaged over all lights, the {part} of the object is "
         f"{format_percent(abs(means[part]), decimals=1)} "
         + (
             "brighter than predicted: light that the rig does not name (inter-reflection from a "
-            "stand or table, stray light) or a surface that is not the model's."
+            "stand or table, stray light)"
             if means[part] > 0
-            else "darker than predicted: shadow, or a surface that is not the model's."
+            else "darker than predicted: shadow"
         )
+        + f", a surface that is not the model's, or what the rig takes for granted: {assumed}."
         for part in told
     ]
+
+
+def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
+    """What a fit assumes of files, lights and camera, and what would change it."""
+    observation = calibration.observation
+    granted = []
+    if observation.gamma is None:
+        granted.append("linear files (give camera.gamma, or --fit-gamma, for sRGB pictures)")
+    if (np.ptp(observation.falloff, axis=1) == 0).all():
+        granted.append("lamps at infinity (give a near lamp's position in place of its direction)")
+    granted.append("an orthographic camera, far from the object")
+    return listed(granted)
 
 
 def _shadow_finding(calibration: ReflectanceCalibration) -> list[str]:

@@ -33,6 +33,7 @@ DARK_ERRORS = 4.0  # of an image's median, up to which it lies at the black leve
 DARK_SHARE = 0.05  # of the signal that the other images let one expect, below which one is dark
 OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
 NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
+ASSUMED_BLACK = "The rig gives no camera.black_level, so a black level of 0 DN was assumed."
 
 
 @dataclass(frozen=True)
@@ -355,7 +356,7 @@ def _held_out(rig: Rig) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
 def _assumptions(rig: Rig) -> tuple[str, ...]:
     if rig.camera.black_level is not None:
         return ()
-    return ("The rig gives no camera.black_level, so a black level of 0 DN was assumed.",)
+    return (ASSUMED_BLACK,)
 
 
 def _refuse_unusable(rig: Rig, observation: ReflectanceObservation) -> None:
