@@ -224,11 +224,11 @@ def _check_rounded(
         found = lost_numbers(before, after)
         if isinstance(after, Surface):
             found += invalid(after.shape)
-            if not isinstance(after.shape, TriangleMesh):  # of which its reader has warned
-                for coarse_place in coarse(after.shape):
-                    warnings.warn(f"{file}: {name}: {coarse_place}", stacklevel=3)
         for problem in found:
             raise InputError(f"{file}: {name}: {problem}")
+        if isinstance(after, Surface) and not isinstance(after.shape, TriangleMesh):
+            for far in coarse(after.shape):  # of a mesh its reader has warned
+                warnings.warn(f"{file}: {name}: {far}", stacklevel=3)
 
 
 @contextmanager
