@@ -215,7 +215,13 @@ def read_frame(
             wrong = ~np.isfinite(frame)
         if bad := int((wrong.any(axis=-1) if wrong.ndim == 3 else wrong).sum()):
             raise InputError(f"{path}: {bad} pixels are NaN or infinite; repair or mask them.")
-    if frame.max() > camera.full_scale or frame.min() < 0:
+    if frame.min() < 0:
+        raise InputError(
+            f"{path}: holds numbers below 0, down to {frame.min():g}, as where a black level was "
+            "subtracted; give the frames as the camera wrote them, or add a constant to all and "
+            "state it as camera.black_level."
+        )
+    if frame.max() > camera.full_scale:
         raise InputError(
             f"{path}: values from {frame.min():g} to {frame.max():g} do not fit "
             f"{camera.bits} bits (0 to {camera.full_scale}); correct camera.bits."

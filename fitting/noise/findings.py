@@ -104,9 +104,9 @@ def _processing(calibration: NoiseCalibration) -> list[str]:
 
 
 def _periodic(calibration: NoiseCalibration) -> list[str]:
-    """What was found, without the blocks of a compression."""
+    """What was found, without the blocks of a compression and what resizing repeats."""
     blocks = is_compressed(calibration.measurement, calibration.usable)
-    found = [one for one in calibration.periodic if not (blocks and one.period == BLOCK)]
+    found = [one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)]
     return periodic_in_words(tuple(found), calibration.gain)
 
 

@@ -89,7 +89,8 @@ def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> 
             f"The {name} of a flat share noise of "
             f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms where it "
             f"is plainest, new in every frame, beyond that of the darks: up to {100 * share:.2g} % "
-            f"of a flat's variance, as of a flickering lamp or of interference. It was taken out, "
+            f"of a flat's variance, as of a flickering lamp, of interference or of "
+            f"frames that were resampled. It was taken out, "
             f"{name[:-1]} by {name[:-1]}; gain and efficiency rest on what pixels have of their "
             "own, and the means of the flats are less well known by it."
         )

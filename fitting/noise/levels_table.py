@@ -17,6 +17,8 @@ from jaxvision.errors import InputError, plain_text
 
 from .levels import FEWEST_PIXELS, Levels, PhotonTransfer, rounding_step
 
+FEWEST_FOR_POWER, LIGHTS = 4, 4.0  # levels, and times the dimmest signal, to tell a power of it
+STRAIGHT, CURVED = 0.05, 4.0  # relative scatter of variance over signal; times that of its root
 COUNT_COLUMNS = ("bright_sum", "bright_pvar", "dark_sum", "dark_pvar")
 MOMENT_COLUMNS = ("mean_bright_DN", "var_bright_DN2", "mean_dark_DN", "var_dark_DN2")
 PIXELS_COLUMN, FRAMES_COLUMN = "pixels", "frames"
@@ -53,6 +55,7 @@ def read_table(file: Path, bits: int | None) -> PhotonTransfer:
     frames = columns.get(FRAMES_COLUMN, np.full(len(light), 2.0))
     pixels = _pixels(file, columns, frames)
     moments = _moments(file, columns, frames, pixels)
+    _refuse_deviations(file, *moments)
     order = np.argsort(light, kind="stable")
     size = jnp.asarray(float(pixels))
     bright, dark = (
@@ -155,6 +158,27 @@ def _moments(
     sums = [_column(file, columns, name) for name in COUNT_COLUMNS]
     total, within = frames * pixels, frames**2 * (frames - 1) * pixels
     return sums[0] / total, sums[1] / within, sums[2] / total, sums[3] / within
+
+
+def _refuse_deviations(
+    file: Path, mean: np.ndarray, variance: np.ndarray, unlit: np.ndarray, of_dark: np.ndarray
+) -> None:
+    """Refuses standard deviations in place of variances: their squares are in proportion to the
+    signal, and they are not."""
+    signal = mean - unlit
+    seen = (signal > 0) & (variance > of_dark) & (mean <= mean[np.argmax(variance)])
+    if seen.sum() < FEWEST_FOR_POWER or np.ptp(np.log(signal[seen])) < np.log(LIGHTS):
+        return
+
+    def scatter(power: int) -> float:
+        rates = ((variance**power - of_dark**power) / signal)[seen]
+        return float(np.std(rates) / np.mean(rates))
+
+    if scatter(2) < min(STRAIGHT, scatter(1) / CURVED):
+        raise InputError(
+            f"{file}: its variances are not in proportion to the signal, but their squares are, as "
+            "those of standard deviations; give variances, DN²."
+        )
 
 
 def _depth(

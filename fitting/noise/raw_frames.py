@@ -3,6 +3,7 @@
 JPEG       noise that neighbours share, except across the borders of blocks of 8 x 8 pixels; of
            little compression, coefficients of the blocks' cosine transforms that are multiples of
            the steps that JPEG rounded them to
+resizing   noise that neighbours share, less of it after every second or fourth row and column
 denoising  frames that share noise: a pattern that grows as the signal does, as shot noise, and
            not as offsets and gains of pixels, d + p x^2
 gamma      a signal that grows as a power of the light, and noise that does not grow with it
@@ -19,6 +20,7 @@ from .live_pixels import LivePixels
 BLOCK = 8  # pixels of a side
 SURE = 6.0  # standard errors
 SHARED = 0.1  # of the noise, by which less the covariance across a border must be
+PARTED = 0.5  # of what the lowest covariance lacks, that the others of a period lack too
 KEPT = 0.1  # of K, by which less a pattern may grow with the signal
 STEPS = np.arange(1, 17)  # of JPEG's rounding that are looked for, DN
 SMOOTH = 1 / 1.3  # deviations of a coefficient, in steps, from which raw numbers show no comb
@@ -188,11 +190,28 @@ def _parted_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]
     others = (found.sum(axis=1) - least) / (BLOCK - 1)
     if not np.all(others - least > max(SURE * error, SHARED)):
         return []
+    period = next((p for p in (2, 4) if _repeats(found, p)), BLOCK)
+    if period < BLOCK:
+        every = {2: "second", 4: "fourth"}[period]
+        return [
+            f"Neighbouring pixels share {100 * float(others.mean()):.2g} % of their noise, and "
+            f"less across every {every} row and column, as in frames that were resized: "
+            f"{NOT_THE_CAMERAS}"
+        ]
     return [
         f"Neighbouring pixels share {100 * float(others.mean()):.2g} % of their noise, but "
         f"{100 * float(least.mean()):.2g} % across every eighth row and column, as in JPEG, which "
         f"drops noise block by block: {NOT_THE_CAMERAS}"
     ]
+
+
+def _repeats(shares: Float[np.ndarray, "2 residues"], period: int) -> bool:
+    """Whether neighbours share least after so many rows and columns already."""
+    for own in shares:
+        low = np.arange(BLOCK) % period == int(np.argmin(own)) % period
+        if own[~low].mean() - own[low].max() < PARTED * (own[~low].mean() - own.min()):
+            return False
+    return True
 
 
 def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:

@@ -5,14 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from astropy.io import fits
+from PIL import Image
 
 from fitting import noise
 from fitting.codes import converter_in_words, converter_of
 from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
-from fitting.noise.findings import _glow
+from fitting.noise.findings import _glow, _periodic
 from fitting.noise.levels import linear_levels
+from fitting.noise.levels_table import read_table
 from fitting.noise.pattern import fitted_pattern
+from fitting.noise.periodic import periodic_structure
+from fitting.noise.raw_frames import processing_in_words
 from fitting.noise.section import _why_hidden, section
 from fitting.noise.stuck_bits import stuck_bits
 from jaxvision.errors import InputError
@@ -279,3 +283,50 @@ def test_numbers_of_single_precision_are_divided_by_whole_ones():
     flats, _ = series(np.random.default_rng(16), count=3)
     (told,) = converter_in_words(converter_of([x / 65535 for level in flats for x in level]), 1.0)
     assert "multiple of 1/65535: the frames were divided by 65535" in told
+
+
+def resized(frame, factor):
+    """By a bicubic filter, as an export does."""
+    size = tuple(round(factor * n) for n in frame.shape[::-1])
+    image = Image.fromarray(frame.astype(np.float32)).resize(size, Image.Resampling.BICUBIC)
+    return np.clip(np.rint(np.asarray(image)), 0, 4095).astype(np.uint16)
+
+
+@pytest.mark.parametrize(("factor", "every"), [(4 / 3, "fourth"), (2, "second")])
+def test_resized_flats_are_no_jpeg_and_get_no_taps(factor, every):
+    flats, darks = (
+        [[resized(frame, factor) for frame in level] for level in levels]
+        for levels in series(np.random.default_rng(17))
+    )
+    found = measured(flats, darks)
+    usable = np.arange(len(ELECTRONS))
+    (told,) = processing_in_words(found, usable)
+    assert f"less across every {every} row and column, as in frames that were resized" in told
+    periodic = periodic_structure(found, usable)
+    shown = {"system_gain": SimpleNamespace(value=K, standard_error=0.01)}
+    seen = SimpleNamespace(measurement=found, usable=usable, periodic=periodic, gain=K, shown=shown)
+    assert _periodic(seen) == []
+
+
+def test_numbers_below_zero_are_no_matter_of_bits():
+    flats, darks = series(np.random.default_rng(18), count=3)
+    with pytest.raises(InputError, match=r"below 0, down to -\d+, as where a black level was"):
+        measured(*([[x.astype(np.int16) - 64 for x in y] for y in z] for z in (flats, darks)))
+
+
+def table(folder, power):
+    """Exact moments of a camera, the variances as this power of themselves."""
+    variance = K**2 * (ELECTRONS + READ**2)
+    rows = [
+        f"{e},{e},{BLACK + K * e},{v**power},{BLACK},{(K * READ) ** (2 * power)},4096"
+        for e, v in zip(ELECTRONS, variance, strict=True)
+    ]
+    heads = "photons_per_pixel,exposure_s,mean_bright_DN,var_bright_DN2,mean_dark_DN,var_dark_DN2"
+    (folder / "levels.csv").write_text("\n".join([f"{heads},pixels", *rows]))
+    return folder / "levels.csv"
+
+
+def test_standard_deviations_in_a_table_of_variances_are_refused(tmp_path):
+    read_table(table(tmp_path, 1), 12)
+    with pytest.raises(InputError, match="their squares are, as those of standard deviations"):
+        read_table(table(tmp_path, 0.5), 12)

@@ -136,7 +136,7 @@ def test_frames_are_float64_as_stored(tmp_path, camera):
         ("a.png", np.zeros((2, 2), np.uint8), "8-bit data, but the rig declares 12 bits"),
         ("a.png", np.full((2, 2), 4096, np.uint16), "do not fit 12 bits"),
         ("a.npy", np.array([[1.0, np.nan]]), "1 pixels are NaN or infinite"),
-        ("a.npy", np.array([[1.0, -2.0]]), "values from -2 to 1 do not fit"),
+        ("a.npy", np.array([[1.0, -2.0]]), "holds numbers below 0, down to -2"),
         ("a.npy", np.array(["x"]), "not an image"),
         ("a.npy", np.zeros((2, 2, 2, 2)), "not an image"),
         ("a.npy", np.zeros((2, 2, 4)), "a.npy: has 4 channels; .* without an alpha channel"),
