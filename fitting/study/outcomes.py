@@ -123,6 +123,24 @@ def digest_of(path: Path) -> str:
     return found.hexdigest()[:16]
 
 
+def frames_of(path: Path) -> frozenset[str]:
+    """What tells the images of a folder from others, whatever their names and the rest of the rig.
+
+    Args:
+        path: of the rig.
+
+    Returns:
+        Hexadecimal digits of each image that is there, with the region of it that is used.
+
+    Raises:
+        InputError: for a rig that cannot be read.
+    """
+    rig = load_rig(path)
+    region = repr(rig.camera.region).encode()
+    files = (file for file in _images(rig) if file.is_file())
+    return frozenset(hashlib.sha256(region + _excerpt(file)).hexdigest()[:16] for file in files)
+
+
 def _excerpt(file: Path) -> bytes:
     """The size of a file and three parts of it: noise tells any two images apart there."""
     size = file.stat().st_size

@@ -20,11 +20,14 @@ from .outcomes import (
     calibrated,
     changed_at,
     digest_of,
+    frames_of,
     memory_of,
     remembered,
 )
 from .page import page
 from .table import table, write_table
+
+SHARED = 0.5  # of the images, of which more make two folders one camera
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,8 @@ def study(
         progress: called with (done, folders).
 
     Returns:
-        The study; a folder that cannot be calibrated says why, and the others go on.
+        The study; a folder that cannot be calibrated, or that holds the images of another one,
+        says why, and the others go on.
 
     Raises:
         InputError: for no folders, two of one name, and for a worker that is not like this process
@@ -69,6 +73,7 @@ def study(
     """
     asked = _named(paths, out)
     outcomes = {folder.camera: remembered(settings, folder) for folder in asked}
+    outcomes |= _copies(asked)
     left = [folder for folder in asked if outcomes[folder.camera] is None]
     done = len(asked) - len(left)
     progress(done, len(asked))
@@ -87,6 +92,28 @@ def study(
         text = page(title, *parts, shown=settings.shown)
         whole.write_text(text, encoding="utf-8")
     return result
+
+
+def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
+    """Of folders that hold the images of one before them: these are one camera."""
+    before: dict[str, frozenset[str]] = {}
+    found = {}
+    for folder in folders:
+        try:
+            own = frames_of(folder.path)
+        except InputError:  # which its turn says
+            continue
+        for name, others in before.items():
+            shared = len(own & others)
+            if shared and shared > SHARED * min(len(own), len(others)):
+                why = (
+                    f"{shared} of its {len(own)} images are those of {name}, so that the two are "
+                    "one camera; give it its own, or leave it out."
+                )
+                found[folder.camera] = Outcome(folder.camera, failed=why)
+                break
+        before[folder.camera] = own
+    return found
 
 
 def _named(paths: Sequence[Path], out: Path) -> list[Folder]:

@@ -2,12 +2,15 @@
 
 import datetime
 import json
+import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.stats
+import tomli_w
 import xarray as xr
 from commands import called
 from studies import write_camera
@@ -131,8 +134,24 @@ def cameras(tmp_path, monkeypatch):
         return [Section("noise", "Noise", (estimate,), ("Read.",))], {}
 
     monkeypatch.setattr(folders, "noise", calibrated)
-    paths = [write_camera(tmp_path / n, seed=3, levels=2, side=4) for n in "abc"]
+    paths = [write_camera(tmp_path / n, seed=i, levels=2, side=4) for i, n in enumerate("abc")]
     return asked, paths, tmp_path / "out"
+
+
+def test_folders_of_the_same_images_are_one_camera(cameras):
+    """Whatever their rigs state, except for another region of the images."""
+    asked, paths, out = cameras
+    for name, region in (("d", None), ("e", [0, 0, 2, 4])):
+        folder = shutil.copytree(paths[0], out.parent / name)
+        rig = tomllib.loads((folder / "rig.toml").read_text())
+        rig["camera"] |= {"temperature": 293.0} | ({"region": region} if region else {})
+        (folder / "rig.toml").write_text(tomli_w.dumps(rig))
+    every = [*paths, out.parent / "d", out.parent / "e"]
+    found = study(every, out, Settings("noise", reports=False))
+    failed = {one.camera: one.failed for one in found.outcomes if one.failed}
+    assert list(failed) == ["d"]
+    assert failed["d"].startswith("8 of its 8 images are those of a, so that the two are one")
+    assert "d" not in asked
 
 
 def test_a_study_goes_on_where_it_was_and_tries_again_what_failed(cameras):
