@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy.special import stdtr
 
 from ..frame_checks.frame import Shown
+from .emva1288 import least_dark_variance
 from .levels import Doubt, PhotonTransfer, linear_levels
 from .quantities import ON_GAIN
 
@@ -24,6 +25,7 @@ CONSTANT = 1 / 3  # of the fall at the brightest level, which may be the same at
 STEP = np.log(1.25)  # of a gain or a dark variance, from which it is another one
 SURE = 6.0  # standard errors of the difference of two groups
 ALIKE, SUDDEN = 0.25, 0.6  # of a step: scatter within a group at most, between neighbours at least
+DITHERED = 1.0  # variance in squared steps, below which rounding bends it
 KNOWN = 0.05  # relative error of a level's variance up to which it counts
 OF_DARK_NOISE = (
     *("temporal_dark_noise", "read_noise", "threshold_photons", "threshold_electrons"),
@@ -81,6 +83,8 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Do
         falls.append(-float(order @ means) / squares)
         lights.append(float(signal[matched == i].mean()))
         errors.append(np.sqrt(float(dark.variance[i]) / float(dark.pixels) / squares))
+    if max(lights) <= 0:
+        return None
     x, y = np.array(lights) / max(lights), np.array(falls)
     design = np.stack([np.ones_like(x), x], axis=1)
     (constant, share), *_ = np.linalg.lstsq(design, y)
@@ -138,7 +142,8 @@ def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[Shown]]) ->
     shot = variance - np.asarray(dark.variance)[matched][usable]
     degrees = float(bright.pixels) * (np.asarray(bright.frames)[usable] - 1)
     errors = variance * np.sqrt(2 / degrees) / np.maximum(shot, 1e-9)
-    told = (signal > 0) & (shot > 0) & (errors < KNOWN)
+    dithered = variance > DITHERED * measurement.converter.width**2
+    told = (signal > 0) & (shot > 0) & (errors < KNOWN) & dithered
     usable, errors = usable[told], errors[told]
     found = _step(np.log(shot[told] / signal[told]), errors)
     if found is None:
@@ -159,7 +164,7 @@ def _two_modes(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) ->
     dark = measurement.dark
     order = np.argsort(np.asarray(dark.exposure), kind="stable")
     variance = np.asarray(dark.variance)[order]
-    if not (variance > 0).all():
+    if not (variance > least_dark_variance(measurement)).all():
         return None
     degrees = float(dark.pixels) * (np.asarray(dark.frames)[order] - 1)
     found = _step(np.log(variance), np.sqrt(2 / degrees))
