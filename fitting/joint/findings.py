@@ -10,7 +10,7 @@ from ..inference.posterior import Posterior
 from ..inference.trust import convergence_in_words
 from ..reflectance.from_images.read import ASSUMED_BLACK
 from ..reflectance.from_images.shading_check import contradictions
-from ..reflectance.names import DESCRIBES
+from ..reflectance.names import SHOWS
 from ..report.section import Table
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
@@ -283,9 +283,9 @@ def no_description(scores: tuple[Score, ...]) -> list[str]:
     }
     return [
         f"{channel}: the model does not describe the images: it misses {format_percent(error)} of "
-        f"the signal, where more than {format_percent(DESCRIBES)} is no description."
+        f"the signal, where more than {format_percent(SHOWS)} is no description."
         for channel, error in errors.items()
-        if error > DESCRIBES
+        if error > SHOWS
     ]
 
 

@@ -25,6 +25,7 @@ OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 CLEAR: tuple[Model, ...] = ("torrance-sparrow-beckmann", "torrance-sparrow")
 INDEX = 1.5  # of refraction: glass, varnish, most plastics
 DESCRIBES = 0.5  # relative error of a prediction up to which a model describes a surface
+SHOWS = 0.2  # likewise of images
 SUFFIXES = (".brdf", ".bsdf", ".binary")
 
 

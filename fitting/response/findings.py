@@ -27,6 +27,7 @@ MOSTLY_SEEN = 0.8  # share of the codes, below which it is said which are extrap
 FEW_FREE = 2  # visible shutter errors below which the prior speaks
 SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
 APART_ERRORS = 3.0  # by which an image's exposure stands apart
+RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
 FELT = 0.5  # share of the variance of a curve that its ripple makes, from which it is said
 
 
@@ -73,10 +74,42 @@ def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
     for channel in channels:
         names.setdefault(f"{channel.plane.black:g}", []).append(channel.plane.label or "grey")
     if max(channel.plane.black for channel in channels) < 0.5:
-        return ""
+        lowest = _lowest_above_assumed_black(channels)
+        if lowest is None:
+            return ""
+        return (
+            "The rig gives no camera.black_level, the files show none, and 0 DN was taken, "
+            f"although no code below {lowest} occurs: black may lie up to there. The curve's shape "
+            "and gamma hang on it; state camera.black_level, or give darks."
+        )
     each = [f"{level} ({', '.join(own)})" for level, own in names.items()]
     levels = next(iter(names)) if len(names) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
     return f"Black lies at {levels} DN; the curve begins above it."
+
+
+def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | None:
+    """The lowest code of all images, where a black of 0 DN was only assumed and lies below it."""
+    if any(c.plane.black_measured or c.plane.black >= 0.5 for c in channels):
+        return None
+    lowest = min(int(c.plane.codes.min()) for c in channels)
+    return lowest if lowest > 1 else None
+
+
+def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
+    """That all images have the same lowest code, which few pixels hold at the longest exposure."""
+    for channel in channels:
+        plane = channel.plane
+        lowest = np.array([int(image.min()) for image in plane.codes])
+        span = plane.exposures.max() / plane.exposures.min()
+        brightest = plane.codes[int(np.argmax(plane.exposures))]
+        rare = np.mean(brightest == lowest[0]) < RARE
+        if not plane.black_measured and (lowest == lowest[0]).all() and span >= WIDE and rare:
+            return (
+                f" The lowest code of every image is {lowest[0]}, although exposures differ "
+                f"{span:.0f} times: where a converter sets each image's own black point, exposure "
+                "times and gamma come out wrong like this; convert without it."
+            )
+    return ""
 
 
 def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -118,6 +151,10 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     many = sum(not one.pure for one in found)
     odd = _oddest_time(channels)
     doubt = f" A wrong exposure time or gain looks alike: check {odd} first." if odd else ""
+    if (lowest := _lowest_above_assumed_black(channels)) is not None:
+        doubt += (
+            f" So does a black level that is not 0 DN, as assumed; the lowest code is {lowest}."
+        )
     return (
         f"The response is not a pure gamma in {many} of {len(channels)} channels: the measured "
         f"curve departs {size}{better}. Use the curve rather than gamma.{doubt}"
@@ -335,10 +372,13 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
             f"({worst.plane.label or 'the grey channel'}): inaccurate shutter times, or a small "
             "misfit of the curve. The intervals include it, and channels of one image share it."
             + (f" No shutter errs so much: check {odd} first." if odd else "")
+            + _own_blacks_in_words(channels)
         )
     elif not few:
         found.append(
-            "The exposure times agree with the images within pixel noise; no shutter error is seen."
+            "The exposure times agree with the images within pixel noise; no shutter error is "
+            "seen. A light or shutter that drifts in step with the exposures would look the same, "
+            "and pass into gamma."
         )
     if few:
         count, stated = len(few[0].curve.exposures), few[0].plane.exposure_sd

@@ -23,6 +23,7 @@ from fitting.response import (
 from fitting.response.calibration import radiance_images
 from fitting.response.code_bins import code_bins
 from fitting.response.curve import ripple
+from fitting.response.findings import _black_in_words, _own_blacks_in_words
 from fitting.response.radiance_map import exposure_of_codes, merge
 from fitting.response.read import floor_level
 from fitting.response.section import _curve_table, section
@@ -537,3 +538,38 @@ def test_black_that_is_uncertain_as_stated_leaves_the_curve_right():
     bright = slice(NAMES.index("ln X at code 190"), NAMES.index("gamma"))
     found = np.concatenate([places(off, seed)[bright] for seed in (25, 51)])
     assert np.max(np.abs(ndtri(found))) < 2.6
+
+
+def plane(codes, *, black=0.0, measured=False):
+    """A grey channel of eight exposures."""
+    exposures = 2.0 ** np.arange(8)
+    return [
+        SimpleNamespace(
+            plane=SimpleNamespace(
+                codes=codes, exposures=exposures, black=black, black_measured=measured, label=""
+            )
+        )
+    ]
+
+
+def test_a_black_level_that_is_assumed_is_told_with_the_lowest_code():
+    """Video range: codes 16 to 235 of a gamma of 2.2."""
+    light = ramp(40, 40, low=1e-3, high=1.0)
+    video = np.array([16 + np.round(219 * np.minimum(light * t, 1) ** (1 / 2.2)) for t in FIVE])
+    said = _black_in_words(plane(video))
+    assert "0 DN was taken, although no code below 17 occurs" in said
+    assert _black_in_words(plane(video - video.min())) == ""  # codes reach down to 0
+    assert _black_in_words(plane(video, measured=True)) == ""
+    assert "Black lies at 16 DN" in _black_in_words(plane(video, black=16.0, measured=True))
+
+
+def test_black_points_of_each_image_are_named():
+    light = ramp(40, 40, low=1e-2, high=1.0)
+    whole = np.array([np.round(2e5 * (light * t) ** (1 / 2.2)) for t in 2.0 ** np.arange(8)])
+    own = whole - whole.min(axis=(1, 2), keepdims=True)
+    own[:, 1:, 0] += 1  # of one row alone
+    assert "lowest code of every image is 0, although exposures differ 128 times" in (
+        _own_blacks_in_words(plane(own))
+    )
+    assert _own_blacks_in_words(plane(whole)) == ""
+    assert _own_blacks_in_words(plane(own, measured=True)) == ""

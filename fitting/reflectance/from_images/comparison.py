@@ -21,7 +21,7 @@ from scipy.special import stdtrit
 from ...inference.formatting import format_percent, format_with_error
 from ...report.section import Table
 from ..models import LABELS
-from ..names import DESCRIBES, Model
+from ..names import SHOWS, Model
 from .fit import ChannelFit, lights_as_fitted
 from .model import predicted_dn
 from .read import ReflectanceObservation
@@ -325,10 +325,12 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     equal = equally_good(scores)
     best = equal[0]
     sentence = ""
-    if errors[best].max() > DESCRIBES:
+    if errors[best].max() > SHOWS:
         sentence = (
             f"No model here describes the images: the best misses {_percentages(errors[best])} of "
-            f"the signal, where more than {format_percent(DESCRIBES)} is no description. "
+            f"the signal, where more than {format_percent(SHOWS)} is no description: a surface "
+            "unlike all of them, or files, lights or a camera that are not as the rig says (gamma, "
+            "black level, near lamps, perspective, rows of two exposures). "
         )
     sentence += (
         f"On {_lights(held_out, 'held-out ')} {LABELS[best]} predicts best: relative RMS "

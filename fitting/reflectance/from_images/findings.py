@@ -336,7 +336,7 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
     """What a fit assumes of files, lights and camera, and what would change it."""
     observation = calibration.observation
     granted = []
-    if observation.gamma is None:
+    if observation.gamma is None and not calibration.reported[0].form.free_gamma:
         granted.append("linear files (give camera.gamma, or --fit-gamma, for sRGB pictures)")
     if (np.ptp(observation.falloff, axis=1) == 0).all():
         granted.append("lamps at infinity (give a near lamp's position in place of its direction)")
