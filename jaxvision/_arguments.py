@@ -31,10 +31,9 @@ from ._types import (
     is_any_axes,
     is_known,
     require_metres,
-    within_integers,
 )
 from .errors import nearest
-from .plain_arrays import plain_array
+from .plain_arrays import plain_array, within_integers
 
 P = ParamSpec("P")
 R = TypeVar("R")

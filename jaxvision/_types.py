@@ -21,7 +21,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from .errors import InputError
-from .plain_arrays import plain_array
+from .plain_arrays import plain_array, within_integers
 
 
 class _OneOf(type):
@@ -98,24 +98,6 @@ def in_short(x: Any) -> str:
     """What was given, on one line and not longer than a sentence bears."""
     words = " ".join(repr(x).split())
     return words if len(words) <= 80 else f"{words[:80]} ..."
-
-
-def within_integers(x: Any) -> Any:
-    """The same numbers, floating if JAX's integers, of 32 bits by default, do not hold them all:
-    it would cut their upper bits off, or refuse plain ones in words of its own."""
-    if type(x) in (list, tuple):
-        if all(type(part) is float for part in x):
-            return x
-        parts = [within_integers(part) for part in x]
-        return x if all(new is old for new, old in zip(parts, x, strict=True)) else parts
-    if type(x) is int:
-        held = jnp.iinfo(jnp.result_type(int))
-        return x if held.min <= x <= held.max else float(x)
-    if isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "iu" and x.dtype.itemsize == 8:
-        held = jnp.iinfo(jax.dtypes.canonicalize_dtype(x.dtype))
-        if x.size and not (held.min <= x.min() and x.max() <= held.max):
-            return x.astype(np.float64)
-    return x
 
 
 _ANY = "an argument"

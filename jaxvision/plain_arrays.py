@@ -84,6 +84,31 @@ def plain_array(name: str, value: Any) -> Any:
     return _without_mask(name, value) if isinstance(value, np.ma.MaskedArray) else value
 
 
+def within_integers(x: Any) -> Any:
+    """The same numbers, floating if JAX's integers, of 32 bits by default, do not hold them all:
+    it would cut their upper bits off, or refuse plain ones in words of its own."""
+    if type(x) in (list, tuple):
+        if all(type(part) is float for part in x):
+            return x
+        parts = [within_integers(part) for part in x]
+        return x if all(new is old for new, old in zip(parts, x, strict=True)) else parts
+    if type(x) is int:
+        held = _held(np.int64)
+        return x if held.min <= x <= held.max else float(x)
+    if isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "iu" and x.dtype.itemsize == 8:
+        held = _held(x.dtype)
+        if x.size and not (held.min <= x.min() and x.max() <= held.max):
+            return x.astype(np.float64)
+    return x
+
+
+def _held(dtype: Any) -> np.iinfo:
+    """The range of JAX's integers for those of NumPy."""
+    import jax
+
+    return np.iinfo(jax.dtypes.canonicalize_dtype(dtype))
+
+
 def _refuse_spans(name: str, value: Any) -> None:
     """NumPy reads a span of time as a number of whatever unit it has."""
     is_array = isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "m"

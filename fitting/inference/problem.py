@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxvision.errors import InputError, nearest
-from jaxvision.plain_arrays import plain_array
+from jaxvision.plain_arrays import plain_array, within_integers
 
 from .candidates import Candidate
 from .likelihoods import Likelihood, check_data, names_within, with_values
@@ -416,7 +416,7 @@ PARTS = ("least_squares", "surrogate", "log_density", "residuals", "draw")  # of
 
 def as_arrays(tree: Any) -> Any:
     """Floating-point leaves as arrays: data, which are no part of a compile key."""
-    plain = jax.tree.map(lambda x: plain_array("inputs", x), tree)
+    plain = jax.tree.map(lambda x: within_integers(plain_array("inputs", x)), tree)
     return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, plain)
 
 

@@ -328,3 +328,18 @@ def test_arrays_that_hold_no_numbers_are_refused_in_one_sentence(entrance, value
 def test_arrays_of_python_numbers_are_numbers():
     halves = np.array([Fraction(1, 2), 0.5, 1], object)
     np.testing.assert_allclose(jv.srgb_encode(halves), jv.srgb_encode([0.5, 0.5, 1.0]))
+
+
+@pytest.mark.usefixtures("as_users_start")
+def test_inputs_of_a_fit_beyond_32_bits_keep_their_value():
+    x = np.array([1, 2, 3, 4], np.int64) * 1_000_000_000
+    found = fit(
+        Problem(
+            {"a": Parameter(start=2.0)},
+            lambda a, inputs: a * (inputs * 1e-9),
+            Gaussian(sd=0.1),
+            2.5e-9 * x.astype(float),
+            inputs=x,
+        )
+    )
+    np.testing.assert_allclose(found.posterior.mode, [2.5], rtol=1e-4)
