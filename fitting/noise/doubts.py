@@ -1,5 +1,6 @@
 """Series of flats and darks that one camera in one state did not make, by their levels.
 
+multiplied  skewed flats of an EMCCD, whose variance over signal is no gain (`multiplied`)
 afterglow   darks that fade in the order in which they were taken, in proportion to the flats of
             their level: what a flat left behind, no dark current
 two gains   variance over signal that is one number up to a level, and another from there on
@@ -17,6 +18,7 @@ from scipy.special import stdtr
 from ..frame_checks.frame import Shown
 from .emva1288 import least_dark_variance
 from .levels import Doubt, PhotonTransfer, linear_levels
+from .multiplied import multiplied
 from .quantities import ON_GAIN
 
 CHANCE = 1e-4  # that darks of a clean camera seem to fade
@@ -62,7 +64,8 @@ def doubts(
     Returns:
         Doubts.
     """
-    found = [_fading(measurement, darks), _two_gains(measurement, flats)]
+    found = [_fading(measurement, darks), multiplied(measurement, flats, darks)]
+    found.append(_two_gains(measurement, flats))
     if found[-1] is None:
         found.append(_two_modes(measurement, darks))
     return tuple(one for one in found if one is not None)

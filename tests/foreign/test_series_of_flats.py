@@ -330,3 +330,41 @@ def test_standard_deviations_in_a_table_of_variances_are_refused(tmp_path):
     read_table(table(tmp_path, 1), 12)
     with pytest.raises(InputError, match="their squares are, as those of standard deviations"):
         read_table(table(tmp_path, 0.5), 12)
+
+
+def electron_multiplying(rng, electrons, gain=50.0):
+    """A frame of an EMCCD of .1 DN for each electron behind its register."""
+    counts = rng.poisson(electrons, SHAPE)
+    behind = np.where(counts > 0, rng.gamma(np.maximum(counts, 1), gain), 0.0)
+    return np.rint(500 + 0.1 * (behind + 25 * rng.standard_normal(SHAPE))).astype(np.uint16)
+
+
+def test_multiplied_electrons_are_named_and_have_no_gain_of_light():
+    """5 DN for an electron of a pixel; variance over signal is 10 DN."""
+    rng = np.random.default_rng(19)
+    light = np.geomspace(1, 1000, 8)
+    flats = [[electron_multiplying(rng, x) for _ in range(2)] for x in light]
+    darks = [[electron_multiplying(rng, 0.0) for _ in range(2)]]
+    bits = noise.Camera(bits=14)
+    found = noise.from_frames(
+        flats, darks, [0.01] * 8, list(light / 0.6), camera=bits, dark_exposures=[0.01]
+    )
+    ((names, told),) = doubted(found).items()
+    assert "quantum_efficiency" in names
+    half = float(told.split("the codes, which is ")[1].split(" DN")[0])
+    assert abs(half / 5 - 1) < 0.05
+
+
+@pytest.mark.parametrize("gain", [0.5, 5.0])
+def test_dim_flats_of_light_alone_are_as_skewed_as_poisson_noise(gain):
+    rng = np.random.default_rng(20)
+    light = np.geomspace(1, 500, 8)
+    hot = rng.exponential(2.0, SHAPE)
+
+    def frame(electrons):
+        e = rng.poisson(electrons + hot) + READ * rng.standard_normal(SHAPE)
+        return np.rint(200 + gain * e).astype(np.uint16)
+
+    levels = [[[frame(x) for _ in range(2)] for x in own] for own in (light, 0 * light)]
+    found = noise.from_frames(*levels, [0.01] * 8, list(light), camera=noise.Camera(bits=14))
+    assert found.doubts == ()
