@@ -136,11 +136,14 @@ def calibrate_one(
     one: FramesOfSetting, *, sampling: Emcee | None, seed: int
 ) -> NoiseCalibration | InputError | None:
     """One setting by itself, by emcee or Laplace; None of darks alone, and the error where the fit
-    has no maximum."""
+    has no maximum or the frames tell no gain."""
     if isinstance(one.frames, Levels):
         return None
     try:
         found = calibrate(one.frames, sampling=sampling, seed=seed)
     except InputError as error:
         return error
-    return found if found.likelihood is not None else InputError(found.no_likelihood)
+    why = [doubt.sentence for doubt in one.frames.doubts if "system_gain" in doubt.of]
+    if found.likelihood is None:
+        why.append(found.no_likelihood)
+    return InputError(why[0]) if why else found
