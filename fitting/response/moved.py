@@ -22,7 +22,7 @@ CLEAR = 0.03, 0.95  # of the range of codes, between which a cut must lie
 FARTHEST = 8  # of the picture's sides: the farthest shift is a part of so many
 LEAST = 2.0  # pixels: less is seen to by the classes of steepness
 SURE = 6.0  # standard deviations by which agreement must rise
-ALIKE = 0.75  # share of pixels that must agree where the images are said to lie
+ALIKE = 0.5  # Cohen's kappa of the agreement where the images are said to lie
 
 
 def moved_exposures(
@@ -87,7 +87,8 @@ def _shift(
     # Agreeing less agreeing pixels: each changes the sum by 2, of those that differ in one of both.
     scatter = 2 * np.sqrt(len(pairs) * (1 - min(share[middle], 1)) * common[middle] / 2 + 1)
     rise = (share[best] - share[middle]) * common[middle]
-    if rise < SURE * scatter or share[best] < 2 * ALIKE - 1:
+    chance = np.mean([a.mean() * b.mean() for a, b in pairs])  # agreement of unlike images
+    if rise < SURE * scatter or share[best] - chance < ALIKE * (1 - chance):
         return np.zeros(2)
     return np.array(best, float) - middle
 
