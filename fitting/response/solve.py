@@ -221,9 +221,11 @@ def solve(
 def _from_another_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
-    """What the best gamma changes by where black lies a standard deviation lower."""
+    """What the best gamma changes by where black lies a standard deviation lower; 0 where no pixel
+    tells of a gamma."""
     column = bins.log_codes - bins.log_codes[bins.middle]
-    gamma = column @ right / (column @ matrix @ column)
+    known = column @ matrix @ column
+    gamma = column @ right / known if known > 0 else 0.0
     lower = replace(bins, black=bins.black - bins.black_sd)
     return gamma * (lower.log_codes - bins.log_codes)
 
