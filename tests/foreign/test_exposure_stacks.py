@@ -409,6 +409,28 @@ def test_a_kind_of_curve_outside_of_the_family_is_within_the_band(monkeypatch):
         assert np.mean(np.abs(z) < 1.96) >= 0.9
 
 
+@pytest.mark.parametrize("exponent", [1.8, 2.2])
+def test_a_pure_gamma_goes_on(exponent):
+    """The mean of the family drew code 17 of gamma 2.2 up by .46."""
+    curve, truth = seen_in_part(lambda u: u**exponent, 110 / 255, 243 / 255, seed=1)
+    gap = curve.log_exposure - truth
+    gap -= np.median(gap[curve.seen])
+    assert abs(gap[curve.codes == 17]) < 0.15
+
+
+def test_a_curve_of_no_kind_of_the_family_is_within_the_band():
+    """S-shaped and a gamma at black; a sum of powers; a tangent."""
+    bins, rng = code_bins(8, 0.0, 255.0), np.random.default_rng(1)
+    u, seen = bins.centres / 255, (bins.centres >= 80) & (bins.centres <= 220)
+    sine = np.sin(np.pi * u / 2)
+    for light in (u**2.2 + sine**3, 0.6 * u + 0.4 * u**4, np.tan(u * np.arctan(4))):
+        measured = np.log(light) + rng.normal(0, 0.004, u.shape)
+        g, covariance = beyond.extrapolated(bins, measured, 3e-5 * np.eye(len(u)), seen)
+        z = (g - np.log(light)) / np.sqrt(np.diagonal(covariance))
+        beyond_seen = ~seen & (bins.centres >= 8) & (bins.centres <= 250)
+        assert np.mean(np.abs(z[beyond_seen]) < 1.96) >= 0.85
+
+
 def hand_held(moves, seed=0):
     """Codes of a textured scene under four exposures, moved by rows and columns in each."""
     rng = np.random.default_rng(seed)
