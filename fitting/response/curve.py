@@ -61,6 +61,7 @@ SAME = 1e-3  # step of ln t below which two exposures are one
 RIPPLE = 0.055  # of g, for each unit of ln t by which a step between exposures exceeds `APART`
 BENT = 100.0  # smoothness up to which a ripple is as large: a third of the median of measured ones
 FALLS = 0.5  # in ln X, of a curve that has gone astray
+NEAR, BENT_BY = 4.0, 2.5  # noises of a pixel: from the end of what is seen; error of ln X there
 DOUBTFUL = 0.5  # of the relative variance, the error of the slope that its correction may be
 
 
@@ -167,8 +168,12 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
     steps = steps[steps > SAME]
     if not steps.size:
         return 0.0
-    room = min(1.0, float(np.sqrt(BENT / smoothness)))
-    return RIPPLE * max(float(steps.min()) - APART, 0.0) * room
+    return RIPPLE * max(float(steps.min()) - APART, 0.0) * _room(smoothness)
+
+
+def _room(smoothness: float) -> float:
+    """Share of what a rough curve may be off by."""
+    return min(1.0, float(np.sqrt(BENT / smoothness)))
 
 
 def fit_response_curve(
@@ -380,6 +385,23 @@ def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
     return np.any(rule.weight[:, cells] > 0, axis=0)
 
 
+def _at_ends_of_light(
+    density: np.ndarray, g: np.ndarray, noise: np.ndarray, seen: np.ndarray
+) -> Float[np.ndarray, "2 bins"]:
+    """What a rough curve may be off by at codes around the first and the last seen one, and beyond:
+    not 0 where the density of light over ln X falls to less than half within the noise of pixels.
+    What is seen there comes from further in, which bends the curve."""
+    bent = np.zeros((2, len(g)))
+    places = np.flatnonzero(seen)
+    for row, end in zip(bent, places[[0, -1]] if len(places) else (), strict=False):
+        off = np.abs(g - g[end]) / noise[end]
+        further = seen & (off >= NEAR) & (off < 2 * NEAR)
+        if further.any() and density[end] < np.median(density[further]) / 2:
+            outward = np.arange(len(g)) <= end if end == places[0] else np.arange(len(g)) >= end
+            row[outward | (seen & (off < NEAR))] = BENT_BY * noise[end]
+    return bent
+
+
 def _curve(
     found: Solution,
     whole: Solution,
@@ -406,7 +428,12 @@ def _curve(
     covariance, freedom = widened(covariance, shutter, over_tiles(whole, bins), by_exposures)
     spread = found.basis @ found.free_covariance @ found.basis.T
     seen = (np.diagonal(statistics.matrix)[:size] > 0) & expected
-    g, covariance = extrapolated(bins, g, covariance, seen)
+    own = np.sqrt(noise_variance(noise, g))
+    density = np.diagonal(statistics.matrix)[:size] * own**2 / np.gradient(g)
+    bent = _at_ends_of_light(density, g, own, seen)
+    g, covariance = extrapolated(bins, g, covariance, seen & ~np.any(bent, axis=0))
+    bent *= _room(found.used.smoothness)
+    covariance += bent.T @ bent
     return ResponseCurve(
         bins=bins,
         log_exposure=g,

@@ -409,6 +409,16 @@ def test_a_kind_of_curve_outside_of_the_family_is_within_the_band(monkeypatch):
         assert np.mean(np.abs(z) < 1.96) >= 0.9
 
 
+def test_the_band_allows_for_light_that_ends():
+    """What is seen at the end comes from further in: film was off by .1 at code 25 and below, in
+    bands of .04."""
+    curve, truth = seen_in_part(film, 0.1, 0.6, seed=1)
+    gap = curve.log_exposure - truth
+    gap -= np.median(gap[curve.seen])
+    judged = ~curve.seen & (curve.codes >= 10) & (curve.codes <= 250)
+    assert np.mean(np.abs(gap[judged]) < curve.half_width[judged]) > 0.9
+
+
 @pytest.mark.parametrize("exponent", [1.8, 2.2])
 def test_a_pure_gamma_goes_on(exponent):
     """The mean of the family drew code 17 of gamma 2.2 up by .46."""
