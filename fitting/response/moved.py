@@ -8,6 +8,7 @@ where they lie, by far more than those pixels' number scatters.
 
 from collections.abc import Sequence
 from itertools import islice, pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -45,7 +46,8 @@ def moved_exposures(
     """
     if len({np.shape(frame) for frame in frames}) != 1:
         return []  # refused where they are read
-    smooth = [uniform_filter(_middle(frame), list(cell)) for frame in frames]
+    size: Any = list(cell)  # SciPy's types know one number for all axes only
+    smooth = [uniform_filter(_middle(frame), size) for frame in frames]
     steps = [_shift(one, other, full_scale) for one, other in pairwise(smooth)]
     places = np.concatenate([np.zeros((1, 2)), np.cumsum(np.array(steps).reshape(-1, 2), axis=0)])
     far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST

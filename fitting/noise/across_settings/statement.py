@@ -236,7 +236,7 @@ def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) 
     while True:
         problem, start, labels = _stated(settings, told, freed, reference)
         begin = np.concatenate([np.ravel(start[parameter.name]) for parameter in problem.free])
-        optimum = search(problem, start_at(problem.space, begin)[None])
+        optimum = search(problem, np.asarray(start_at(problem.space, begin))[None])
         claims = _judged(problem, optimum.vector, settings, freed)
         worst = max(claims, key=lambda claim: claim.significance, default=None)
         if worst is None or worst.holds:
