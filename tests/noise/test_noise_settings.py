@@ -4,6 +4,7 @@ that fail are found and given up, a rig of several settings goes through the com
 import json
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -24,6 +25,7 @@ from fitting.noise import (
     Setting,
     calibrate_settings,
     darks_from_frames,
+    from_frames,
     read_by_setting,
     read_photon_transfer,
     sensor_at,
@@ -259,6 +261,29 @@ def test_what_fails_is_said(camera):
     (off,) = own
     assert off.label == "ISO 400"
     np.testing.assert_allclose(off.value, 0.2, atol=4 * off.error)
+
+
+def test_no_sensor_is_written_of_a_camera_one_of_whose_settings_was_compressed(camera):
+    """As of a camera of one setting."""
+    assert section(camera).records
+    rng = np.random.default_rng(0)
+    flats = [rng.poisson(n, (2, 64, 64)) for n in (100, 200, 300, 400)]
+    named = {"camera": Camera(bits=12), "dark_exposures": [0.01]}
+    measured = from_frames(
+        flats, [rng.poisson(9, (2, 64, 64))], [0.01] * 4, [200, 400, 600, 800], **named
+    )
+    own = SimpleNamespace(
+        measurement=replace(measured, lossy=("flat_01.jpg",)),
+        usable=np.arange(4),
+        within=SimpleNamespace(saturation=None),
+        chosen=SimpleNamespace(values={}),
+    )
+    every = (*camera.calibrations[:1], own, *camera.calibrations[2:])
+    made = section(replace(camera, calibrations=every))
+    assert not made.records
+    (told,) = (one for one in made.findings if "not raw" in one)
+    assert f"Frames of {camera.settings[1].label} are not raw" in told
+    assert "No sensor is written" in told
 
 
 def test_gains_that_were_exchanged_are_off_by_their_ratio():

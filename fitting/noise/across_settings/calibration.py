@@ -13,6 +13,7 @@ from ...inference.precision import in_double
 from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration, calibrate
 from ..levels import Levels, PhotonTransfer
+from ..raw_frames import processing_in_words
 from ..settings import Setting
 from .pooled import Pooled, full_well, pattern
 from .setting import FramesOfSetting, told_by_calibration, told_by_darks
@@ -58,6 +59,15 @@ class CameraCalibration(ShownInNotebooks):
         """Whether more electrons are counted than photons arrive at some setting."""
         efficiency = self.figures.log_efficiency
         return efficiency is not None and bool(efficiency.max() > 0)
+
+    @property
+    def processed(self) -> tuple[str, ...]:
+        """Labels of the settings whose frames were not raw."""
+        return tuple(
+            setting.label
+            for setting, own in zip(self.settings, self.calibrations, strict=True)
+            if own is not None and processing_in_words(own.measurement, own.usable)
+        )
 
 
 @in_double

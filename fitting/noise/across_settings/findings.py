@@ -171,6 +171,12 @@ FINDINGS = (
         "The quantum efficiency comes out above 100 %, which no sensor has: give photons per pixel "
         "and exposure, and images that were not smoothed. No sensor is written.",
     ),
+    Finding(
+        "processed",
+        lambda c: {"labels": "; ".join(c.processed)} if c.processed else None,
+        "Frames of {labels} are not raw (compressed or denoised), as the findings of each say. No "
+        "sensor is written: it would pass what these files went through for the camera.",
+    ),
     *_given_up(
         *("system_gain", "temperature"),
         "The conversion gain changes with temperature ({own}), as amplifiers and references do; "

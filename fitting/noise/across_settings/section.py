@@ -61,7 +61,7 @@ def section(calibration: CameraCalibration) -> Section:
         pictures=camera_pictures(calibration),
         tables=(_settings_table(calibration), _claims_table(calibration)),
         posteriors={"": calibration.posterior},
-        records={} if calibration.is_impossible else writers,
+        records={} if calibration.is_impossible or calibration.processed else writers,
         about=_about(calibration),
         headings=OWN_HEADINGS,
         settings={
