@@ -18,6 +18,7 @@ from jaxvision.io import INTEGER_FORMATS, READ_ONLY_FORMATS, read_image
 from jaxvision.plain_arrays import plain_array
 from jaxvision.toml_files import checked
 
+from .inference.given import plain_numbers
 from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
 
 Load = Callable[[Path], np.ndarray]  # an image by its path
@@ -56,7 +57,7 @@ def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
             "has no mask of its own here; give its .data, and leave the pixels out of all images "
             "by the argument mask where there is one, else by camera.region."
         )
-    return np.asarray(plain_array(name, image))
+    return np.asarray(plain_numbers(name, image))
 
 
 def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:

@@ -30,6 +30,9 @@ _CARRIED = {
     "tensorflow": ("a device and gradients", ".numpy()"),
 }
 
+# By the kind of a dtype.
+_NO_NUMBERS = {"V": "fields by name", "M": "dates", "S": "text", "U": "text"}
+
 
 def plain_array(name: str, value: Any) -> Any:
     """The argument as numbers alone, if nothing is lost by that.
@@ -39,11 +42,13 @@ def plain_array(name: str, value: Any) -> Any:
         value: what the caller gave; lists are looked through.
 
     Returns:
-        The same, but a masked array as its numbers, NaN where a floating number is masked.
+        The same, but a masked array as its numbers, NaN where a floating number is masked, and an
+        array of the other byte order (as of FITS files) in this machine's, which JAX needs.
 
     Raises:
         InputError: for masked whole numbers, which cannot be NaN, for arrays with units,
-            coordinates or an index, and for spans of time, which have a unit too.
+            coordinates or an index, for spans of time, which have a unit too, and for arrays of
+            text, dates, fields by name or objects that are no numbers.
 
     Example:
         >>> jv.plain_arrays.plain_array("data", np.ma.masked_greater([1.0, 9.0], 5))
@@ -64,11 +69,10 @@ def plain_array(name: str, value: Any) -> Any:
                 plain_array(f"a number of {name}", part)
                 if not isinstance(part, Number):
                     raise InputError(f"{name} holds {part!r:.40}, which is no number; take it out.")
-            return value.astype(float)
-        if value.dtype.kind in "VM":
-            held = "dates" if value.dtype.kind == "M" else "fields by name"
+            return value.astype(complex if np.iscomplexobj(value.tolist()) else float)
+        if held := _NO_NUMBERS.get(value.dtype.kind):
             raise InputError(f"{name} holds {held} ({value.dtype}), not numbers; give numbers.")
-        return value
+        return value if value.dtype.isnative else value.astype(value.dtype.newbyteorder("="))
     for base in type(value).__mro__:
         package = base.__module__.partition(".")[0]
         if package in _CARRIED and hasattr(value, "shape"):

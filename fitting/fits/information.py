@@ -25,6 +25,7 @@ from ..inference.posterior import Posterior
 from ..inference.problem import (
     Problem,
     Vector,
+    as_arrays,
     give,
     least_squares_residuals,
     likelihood_at,
@@ -83,7 +84,7 @@ def with_inputs(problem: Problem, inputs: Any) -> Problem:
             "Clustered: what a new group shares with none is not known; plan with the likelihood "
             "inside."
         )
-    arrays = jax.tree.map(jnp.asarray, inputs)
+    arrays = jax.tree.map(jnp.asarray, as_arrays(inputs))
 
     def at_origin(problem: Problem) -> Array:
         values = values_at(problem, jnp.zeros(len(problem.space)))

@@ -13,7 +13,7 @@ from jaxvision.plain_arrays import plain_array
 from jaxvision.progress import progress_bar
 
 from ..inference.estimates import QUANTILES
-from ..inference.given import require_kind, require_seed, require_whole
+from ..inference.given import plain_numbers, require_kind, require_seed, require_whole
 from ..inference.misfit import CHANCE
 from ..inference.on_host import require_here
 from ..inference.parameters import to_natural
@@ -91,8 +91,7 @@ def fit_map(
     for name, values in (("data", data), ("inputs", inputs), ("labels", labels)):
         require_here(name, values)
     require_kind("fit_map: problem", problem, Problem)
-    data, inputs = plain_array("data", data), plain_array("inputs", inputs)
-    data = data if hasattr(data, "shape") else np.asarray(data)
+    data = plain_numbers("data", data)
     own_shape = problem.data.shape
     shape = tuple(data.shape[len(own_shape) :])
     if (
@@ -143,7 +142,10 @@ def fit_map(
             begin,
             problem,
             jnp.asarray(np.moveaxis(flat[..., filled], -1, 0), dtype),
-            [None if leaf is None else jnp.asarray(leaf[filled]) for leaf in leaves],
+            [
+                None if x is None else jnp.asarray(plain_array("inputs", np.asarray(x[filled])))
+                for x in leaves
+            ],
             jnp.asarray(steps),
             chance,
         )
@@ -182,6 +184,7 @@ def _by_pixel(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list[Any
         raise InputError("inputs: give them in the structure of the problem's own.")
     found = []
     for whole, leaf in zip(own, given, strict=True):
+        leaf = plain_array("inputs", leaf)
         inner = np.shape(whole)
         if np.shape(leaf) == (*inner, *shape):
             flat = np.asarray(leaf).reshape(*inner, int(np.prod(shape)))

@@ -23,7 +23,7 @@ from ..inference.formatting import format_interval, format_p, format_unit, forma
 from ..inference.misfit import Misfit
 from ..inference.on_host import on_host
 from ..inference.posterior import Posterior, estimates
-from ..inference.problem import Problem, records_at, values_from
+from ..inference.problem import Problem, as_arrays, records_at, values_from
 from ..inference.search import Optimum
 from ..report.section import Picture, Section, Table
 from .bands import Bands, bands, pushed, simulated, thinned_draws
@@ -184,7 +184,9 @@ class Fit:
         """
         thinned = jnp.asarray(thinned_draws(self.posterior, draws))
         keys = jax.random.split(jax.random.key(self.posterior.seed), len(thinned))
-        given = self.problem.inputs if inputs is None else jax.tree.map(jnp.asarray, inputs)
+        given = self.problem.inputs
+        if inputs is not None:
+            given = jax.tree.map(jnp.asarray, as_arrays(inputs))
         return bands(
             on_host(simulated(self.problem, keys, thinned, given, jnp.asarray(self.noise)))
         )

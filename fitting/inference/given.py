@@ -1,6 +1,7 @@
 """Numbers as a user gives them: whole ones, widths and ends of a range, refused in one sentence."""
 
 from collections.abc import Callable, Mapping
+from numbers import Number
 from typing import Any
 
 import jax
@@ -16,6 +17,57 @@ from .on_host import on_host
 
 INSIDE = "Student's t of data with ends is StudentT(scale, low=..., high=...)"
 LARGEST_SEED = 2**32 - 1  # that all generators take
+
+
+def plain_numbers(what: str, value: Any) -> Any:
+    """An argument as an array of real numbers, or refused in a sentence that names it.
+
+    Args:
+        what: name of the argument.
+        value: as given; None in a list is a missing number.
+
+    Returns:
+        An array of NumPy or JAX; what is one already, with real numbers in this machine's byte
+        order, is not copied.
+
+    Raises:
+        InputError: for text, complex numbers, objects, rows of unequal length, and what
+            `plain_array` refuses.
+
+    Example:
+        >>> from fitting.inference.given import plain_numbers
+        >>> plain_numbers("data", np.array([1, 2], ">f4")).dtype.isnative
+        True
+    """
+    plain = plain_array(what, value)
+    if not hasattr(plain, "dtype"):
+        try:
+            plain = np.asarray(plain)
+        except ValueError as error:
+            raise InputError(
+                f"{what} has parts of unequal length; give an array, NaN where numbers are missing."
+            ) from error
+    if plain.dtype.kind in "OSU":
+        parts = np.asarray(plain, object)
+        held = [
+            part
+            for part in parts.ravel()
+            if not isinstance(part, Number) and (part is not None or not parts.ndim)
+        ]
+        if held:
+            raise InputError(f"{what} holds {held[0]!r:.40}, which is no number; give numbers.")
+        plain = plain.astype(complex if np.iscomplexobj(plain.tolist()) else float)
+    refuse_complex(what, plain)
+    return plain
+
+
+def refuse_complex(what: str, plain: Any) -> None:
+    """Refuses complex numbers where real ones are wanted: a cast would drop the imaginary part."""
+    if np.iscomplexobj(plain):
+        raise InputError(
+            f"{what} holds complex numbers, and real ones are wanted; give their real and "
+            "imaginary parts along an axis of two, or the modulus."
+        )
 
 
 def is_concrete(tree: Any) -> bool:
@@ -64,7 +116,9 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
         if isinstance(value, str) and value:
             return value
         try:
-            return jnp.asarray(plain_array(what, value), jnp.result_type(float))
+            plain = plain_array(what, value)
+            refuse_complex(what, plain)
+            return jnp.asarray(plain, jnp.result_type(float))
         except InputError:
             raise
         except (TypeError, ValueError) as error:

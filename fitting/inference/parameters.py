@@ -30,8 +30,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
-from jaxvision.plain_arrays import plain_array
 
+from .given import plain_numbers
 from .priors import Prior, support
 
 Vector = Float[Array, "... parameters"]
@@ -43,9 +43,11 @@ FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # at which a prior's spread is re
 
 def _frozen(value: Any) -> Any:
     """Numbers as nested tuples, which a compile key can hold."""
-    value = plain_array("a number of a Parameter", value)
-    if value is None or np.ndim(value) == 0:
-        return value if value is None else float(value)
+    if value is None:
+        return None
+    value = plain_numbers("a number of a Parameter", value)
+    if value.ndim == 0:
+        return float(value)
     return tuple(_frozen(part) for part in np.asarray(value))
 
 
@@ -334,7 +336,7 @@ def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None
 
     Returns (quantiles,) ascending, in its unit; None where neither prior nor bounds limit it."""
     if (prior := parameter.prior) is not None:
-        low, high = (_share_below(prior, end) for end in ends(parameter))
+        low, high = (share_below(prior, end) for end in ends(parameter))
         return np.asarray(prior.quantile(low + (high - low) * FLAT_QUANTILES))
     a, b = scaled_ends(parameter)
     if not np.isfinite([a, b]).all():
@@ -343,7 +345,7 @@ def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None
     return v if parameter.transform == "identity" else np.exp(v)
 
 
-def _share_below(prior: Prior, x: float) -> float:
+def share_below(prior: Prior, x: float) -> float:
     """The probability below x, from the quantiles by bisection."""
     low, high = 0.0, 1.0
     while high - low > LEAST_PRIOR / 1e6:

@@ -10,6 +10,7 @@ by name), `inputs`, a record (a scene with the unknown numbers in place), or one
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from datetime import date
 from typing import Any
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from jaxvision.errors import InputError, nearest
 from jaxvision.plain_arrays import plain_array, within_integers
 
 from .candidates import Candidate
+from .given import plain_numbers
 from .likelihoods import Likelihood, check_data, names_within, with_values
 from .on_host import on_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
@@ -145,7 +147,7 @@ class Problem(eqx.Module):
         )
         self.tied = {name: entry for name, entry in parameters.items() if isinstance(entry, Tied)}
         self.fixed = {
-            name: jnp.asarray(entry, jnp.result_type(float))
+            name: jnp.asarray(plain_numbers(name, entry), jnp.result_type(float))
             for name, entry in parameters.items()
             if not isinstance(entry, (Parameter, Tied))
         }
@@ -416,8 +418,35 @@ PARTS = ("least_squares", "surrogate", "log_density", "residuals", "draw")  # of
 
 def as_arrays(tree: Any) -> Any:
     """Floating-point leaves as arrays: data, which are no part of a compile key."""
-    plain = jax.tree.map(lambda x: within_integers(plain_array("inputs", x)), tree)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        listed = bool(path) and isinstance(path[-1], jax.tree_util.SequenceKey)
+        if listed and isinstance(leaf, str | bytes | date):
+            raise InputError(f"inputs holds {leaf!r:.40}, which is no number; give numbers.")
+
+    def plain_one(x: Any) -> Any:
+        return within_integers(
+            plain_array("inputs", np.asarray(x) if isinstance(x, np.memmap) else x)
+        )
+
+    plain = jax.tree.map(plain_one, tree)
     return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, plain)
+
+
+def missing_in_words(problem: Problem, *, first: int = 0) -> str:
+    """The first number that is NaN among what `predict` is given; empty without one.
+
+    `first`: row of all data that is the first of these."""
+    given = {"inputs": problem.inputs} | problem.fixed | problem.records
+    for path, leaf in jax.tree_util.tree_leaves_with_path(given):
+        if not eqx.is_inexact_array(leaf) or not (missing := np.isnan(on_host(leaf))).any():
+            continue
+        at = np.argwhere(missing)[0]
+        by_row = bool(at.size and problem.data.ndim) and len(missing) == len(problem.data)
+        place = "".join(f"[{i + first * (by_row and not axis)}]" for axis, i in enumerate(at))
+        name = f"{path[0].key}{jax.tree_util.keystr(path[1:])}"
+        remedy = "leave that row out, of the data too" if by_row else "give a number"
+        return f"{name}{place} is NaN; {remedy}."
+    return ""
 
 
 def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
@@ -498,7 +527,7 @@ def finite_data(data: Any) -> np.ndarray:
     """Data as an array.
 
     `data`: of any shape; NaN where a datum is missing."""
-    data = on_host(plain_array("data", data), dtype=jnp.result_type(float))
+    data = on_host(plain_numbers("data", data), dtype=jnp.result_type(float))
     if np.isinf(data).any():
         raise InputError(
             f"{int(np.isinf(data).sum())} of the data are infinite: mark missing ones by NaN."

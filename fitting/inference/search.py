@@ -65,6 +65,7 @@ from .problem import (
     least_squares_residuals,
     log_density,
     log_likelihood,
+    missing_in_words,
     start_of_data,
 )
 from .separable import KNOTS, completed, eliminated, in_closed_form, require_linear
@@ -266,10 +267,8 @@ def search(
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
-        raise InputError(
-            f"The log density is finite at none of the {len(costs)} starts: check predict, bounds "
-            "and start."
-        )
+        why = _missing(problem) or "check predict, bounds and start."
+        raise InputError(f"The log density is finite at none of the {len(costs)} starts: {why}")
     if modes is not None and on_host(modes[0].converged)[best]:
         found, prior_information = jax.tree.map(lambda x: x[best], modes)
     else:
@@ -541,6 +540,15 @@ ONE_END = 0.1
 Derivatives = tuple[Array, Array, Array]
 
 
+def _missing(problem: Problem) -> str:
+    """As `missing_in_words`, by the row of all data."""
+    if problem.stream is None:
+        return missing_in_words(problem)
+    parts = enumerate(chunks(problem))
+    told = (missing_in_words(part, first=i * len(part.data)) for i, part in parts)
+    return next(filter(None, told), "")
+
+
 def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum:
     """The mode of the posterior of all data."""
     assert problem.stream is not None
@@ -554,7 +562,8 @@ def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum
     if not np.isfinite(costs[best]):
         raise InputError(
             "The log density of all data is finite at none of the places where a search of "
-            f"{problem.data.shape[0]} of them ended: check predict and the data."
+            f"{problem.data.shape[0]} of them ended: "
+            f"{_missing(problem) or 'check predict and the data.'}"
         )
     start = sampled.vector if best == int(np.argmin(sampled.costs)) else sampled.ends[best]
     found = minimise_read(

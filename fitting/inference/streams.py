@@ -18,7 +18,7 @@ import numpy as np
 from jaxvision.errors import InputError
 from jaxvision.plain_arrays import plain_array
 
-from .given import require_whole
+from .given import plain_numbers, require_whole
 from .likelihoods import Clustered, check_data
 from .on_host import require_here
 
@@ -90,8 +90,7 @@ def opened(
             "the function that makes it."
         )
     if not callable(data):
-        data = plain_array("data", data)
-        data = data if hasattr(data, "shape") else np.asarray(data)
+        data = plain_numbers("data", data)
     for name, values in (("data", data), ("inputs", inputs), ("likelihood", likelihood)):
         require_here(name, values)
     stream = Stream(data, inputs, likelihood, *_beside(data, inputs, likelihood), size)
@@ -163,14 +162,16 @@ def _pieces(stream: Stream) -> Iterator[Rows]:
         own = _chosen(stream, stream.beside)
         for begin in range(0, len(data), stream.size):
             part = slice(begin, begin + stream.size)
-            yield Rows(np.asarray(data[part], dtype), tuple(np.asarray(leaf[part]) for leaf in own))
+            beside = tuple(plain_array("inputs", np.asarray(leaf[part])) for leaf in own)
+            yield Rows(np.asarray(data[part], dtype), beside)
         return
     for piece in cast(Iterable[Any], data()):
         rows, inputs = piece if isinstance(piece, tuple) else (piece, stream.beside[0])
-        rows = np.asarray(plain_array("data", rows), dtype)
+        rows = np.asarray(plain_numbers("data", rows), dtype)
         beside = inputs, stream.likelihood
         _check_beside(stream, beside, len(rows) if rows.ndim else 0)
-        yield Rows(rows, tuple(np.asarray(leaf) for leaf in _chosen(stream, beside)))
+        own = (plain_array("inputs", np.asarray(leaf)) for leaf in _chosen(stream, beside))
+        yield Rows(rows, tuple(own))
 
 
 def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:

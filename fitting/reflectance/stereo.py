@@ -16,12 +16,12 @@ from scipy.special import ndtri, stdtrit
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 from jaxvision.in_notebooks import figure_png, record_html, with_picture
-from jaxvision.plain_arrays import plain_array
 from jaxvision.plots import pictures
 
 from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
+from ..inference.given import plain_numbers
 from .stereo_lights import FLAT, Common, common_departure, solved
 from .stereo_misfit import FEW_LIGHTS, departures, shared_squares
 
@@ -363,14 +363,16 @@ def _typical(g: Float[np.ndarray, "pixels 3"]) -> float:
 def _checked(
     images: ArrayLike, lights: ArrayLike, intensities: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    images, lights = plain_array("images", images), plain_array("lights", lights)
-    stack, directions = np.asarray(images, float), np.asarray(lights, float)
+    stack = np.asarray(plain_numbers("images", images), float)
+    directions = np.asarray(plain_numbers("lights", lights), float)
     if stack.ndim != 3 or directions.shape != (len(stack), 3):
         raise InputError(
             f"images (lights, h, w) and lights (lights, 3) do not agree: got {stack.shape} and "
             f"{directions.shape}; give one direction an image, and one channel at a time."
         )
-    irradiance = np.ones(len(stack)) if intensities is None else np.asarray(intensities, float)
+    irradiance = np.ones(len(stack))
+    if intensities is not None:
+        irradiance = np.asarray(plain_numbers("intensities", intensities), float)
     if irradiance.shape != (len(stack),) or not ((irradiance > 0) & (irradiance < np.inf)).all():
         raise InputError(f"intensities must be {len(stack)} numbers above 0, got {irradiance}.")
     lengths = np.linalg.norm(directions, axis=1)
