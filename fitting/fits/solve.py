@@ -38,6 +38,7 @@ from ..inference.search import (
     start_at,
 )
 from ..inference.streams import Advance
+from .prior_check import blamed, conflicts
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
 from .words import about_chains, about_posterior, about_search, is_confirmed, verdict
@@ -162,9 +163,15 @@ def fit(
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     before = None if after is None else after.posterior
     failures = verdict(optimum, checks, wide.explained, wide_noise=_fits_width(problem))
+    against = conflicts(problem, optimum, wide)
+    why = () if wide.explained else blamed(against, checks)
+    if why:
+        failures = [*(one for one in failures if one not in checks.faults), *why]
     drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
     failures += about_search(optimum, drawn) + about_chains(drawn)
-    findings = (*wide.words, *checks.remarks, *about_posterior(problem, optimum, drawn))
+    contradicted = () if why else tuple(one.words for one in against)
+    remarks = (*wide.words, *checks.remarks, *contradicted)
+    findings = (*remarks, *about_posterior(problem, optimum, drawn))
     findings = (*map(str, choices), *findings)
     settings = {
         "starts": len(optimum.costs),

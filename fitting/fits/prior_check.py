@@ -1,0 +1,150 @@
+"""Whether priors and data agree, each prior against what everything else says of its parameter.
+
+A prior of any kind is N(0, 1) on the scale g = Phi^-1(F(x)), F its distribution function; a prior
+that only falls from its lower end is half of one, g = Phi^-1((1 + F(x)) / 2). With H the curvature
+of the log posterior at its mode, h the part of prior i in H_ii and V = (H^-1)_ii, what remains
+without that prior has the variance c = V / (1 - h V) and lies c dL/du_i from the mode, where the
+slope of the remainder is minus that of the prior. On the scale g the two differ by
+
+    z = g / sqrt(1 + c (dg/du)^2).
+
+Source:
+    Box, "Sampling and Bayes' inference in scientific modelling and robustness", J. R. Stat. Soc. A
+    143, 1980, the check of a prior by its predictive distribution.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import chdtrc, ndtr, ndtri
+from scipy.stats import norm
+
+from ..inference.formatting import format_with_error
+from ..inference.likelihoods import Clustered
+from ..inference.misfit import CHANCE, Misfit
+from ..inference.parameters import Parameter, log_prior, share_below, to_natural
+from ..inference.priors import HalfNormal, LogNormal, Normal, Prior, Uniform
+from ..inference.problem import Problem
+from ..inference.search import Optimum
+from .widening import Widening
+
+LEAST = 1e-4  # of what is known of a parameter, the data's share from which they are compared
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """A prior that the data contradict.
+
+    Attributes:
+        words: the sentence.
+        saved: what chi-square would fall by without that prior.
+    """
+
+    words: str
+    saved: float
+
+
+def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Conflict, ...]:
+    """Priors that lie further from what the data say than chance allows, the farthest first.
+
+    Of all priors together one false alarm is allowed in 1 / `CHANCE` fits."""
+    space = problem.space
+    tested = [
+        i for i, p in enumerate(space) if p.prior is not None and not isinstance(p.prior, Uniform)
+    ]
+    if not tested or not optimum.stationary:
+        return ()
+    vector = jnp.asarray(optimum.vector, jnp.result_type(float))
+    to_x = partial(to_natural, space)
+    values, slopes = jax.jvp(to_x, (vector,), (jnp.ones_like(vector),))
+    values, slopes = np.asarray(values, np.float64), np.asarray(slopes, np.float64)
+    gradient = -np.asarray(jax.grad(partial(log_prior, space))(vector), np.float64)
+    known = np.diagonal(np.linalg.inv(optimum.curvature))
+    prior_part = np.diagonal(optimum.prior_information)
+    limit = -ndtri(CHANCE / (2 * len(tested)))
+    found = []
+    for i in tested:
+        share = 1 - known[i] * prior_part[i]
+        if not share > LEAST:
+            continue
+        variance = known[i] / share
+        step = variance * gradient[i]
+        spread = variance * wide.noise**2
+        if isinstance(problem.likelihood, Clustered):  # its covariance has the prior's part too
+            outer = wide.gaussian_covariance[i, i] - known[i] ** 2 * prior_part[i]
+            spread = max(variance, outer / share**2)
+        place, slope = _on_scale(space[i].prior, values[i])
+        turned = slope * slopes[i]
+        z = (place + turned * step) / np.sqrt(1 + turned**2 * spread)
+        if abs(z) > limit:
+            alone = _alone(space[i], values[i], slopes[i], step, np.sqrt(spread))
+            found.append((abs(z), Conflict(_in_words(space[i], abs(z), alone), step * gradient[i])))
+    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+
+
+def blamed(found: tuple[Conflict, ...], checks: Misfit) -> tuple[str, ...]:
+    """Sentences in place of a misfit's where the model describes the data without these priors."""
+    left = checks.chi_square - sum(one.saved for one in found)
+    dof = max(checks.dof - len(found), 1)
+    if not (found and checks.faults and chdtrc(dof, max(left, 0)) > CHANCE):
+        return ()
+    named = "that prior" if len(found) == 1 else "those priors"
+    return (
+        f"{found[0].words} The model does not describe the data because of it: chi-square per "
+        f"degree of freedom is {checks.chi_square / max(checks.dof, 1):.4g}, and would be about "
+        f"{max(left, 0) / dof:.2g} without {named}.",
+        *(one.words for one in found[1:]),
+    )
+
+
+def _on_scale(prior: Prior, x: float) -> tuple[float, float]:
+    """The place of a value on the scale on which its prior is N(0, 1), and dg/dx there."""
+    match prior:
+        case Normal():
+            return (x - prior.mean) / prior.sd, 1 / prior.sd
+        case LogNormal():
+            return float(np.log(x / prior.median)) / prior.log_sd, 1 / (x * prior.log_sd)
+        case HalfNormal():
+            return x / prior.sd, 1 / prior.sd
+    below = share_below(prior, x)
+    density = float(np.exp(prior.log_density(jnp.asarray(x))))
+    if _falls(prior):
+        below, density = (1 + below) / 2, density / 2
+    place = float(ndtri(below))
+    if abs(place) < 6:
+        return place, density / norm.pdf(place)
+    # Beyond the digits of a share of 1, along the line through the quantiles of one and two.
+    one, two = (_quantile(prior, np.sign(place) * k) for k in (1.0, 2.0))
+    slope = float(np.sign(place) / (two - one))
+    return float(np.sign(place) + slope * (x - one)), slope
+
+
+def _quantile(prior: Prior, g: float) -> float:
+    share = ndtr(g)
+    return float(prior.quantile(np.array(2 * share - 1 if _falls(prior) else share)))
+
+
+def _falls(prior: Prior) -> bool:
+    """Whether a density falls from its lower end."""
+    first, middle = (prior.log_density(jnp.asarray(prior.quantile(np.array(p)))) for p in (0, 0.5))
+    return bool(np.isfinite(first) and first > middle)
+
+
+def _alone(p: Parameter, x: float, slope: float, step: float, error: float) -> str:
+    """What is known of a parameter without its prior, of a logarithm on its own scale."""
+    if p.transform == "log":
+        best = float(x * np.exp(slope * step / x))
+        return format_with_error(best, float(best * slope / x * error))
+    return format_with_error(x + slope * step, abs(slope) * error)
+
+
+def _in_words(p: Parameter, z: float, alone: str) -> str:
+    low, middle, high = (p.prior.quantile(ndtr(np.array(k))) for k in (-1.0, 0.0, 1.0))
+    return (
+        f"The prior of {p.name}, {middle:.4g} ± {(high - low) / 2:.3g}, lies {z:.1f} standard "
+        f"deviations from what the data alone say ({alone}): one of them is wrong, or less certain "
+        "than it claims."
+    )
