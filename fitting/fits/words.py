@@ -13,12 +13,11 @@ from ..inference.parameters import (
     scaled_ends,
     to_natural,
 )
-from ..inference.posterior import Posterior
+from ..inference.posterior import NEARLY_PRIOR, Posterior, piled_at
 from ..inference.problem import Problem
 from ..inference.search import SAME_PLACE, Optimum
 from ..inference.trust import convergence_in_words, is_trusted
 
-PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
 SAME_END = 0.02  # rise in cost above which two searches ended apart: of many optima, some are near
 MANY_OPTIMA = 0.5  # share of searches that end alone
@@ -173,7 +172,7 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
         f"{parameter.name} is known from its prior or bounds, hardly from the data: its standard "
         f"deviation is {part * width:.3g} after and {width:.3g} before them."
         for parameter, width, part in zip(space, before, share, strict=True)
-        if part > PRIOR_ALONE
+        if part > NEARLY_PRIOR
     ]
 
 
@@ -186,14 +185,17 @@ def _at_ends(space: ParameterSpace, posterior: Posterior) -> list[str]:
     """Bounds within the reach of the posterior, on the scale on which a number is at home."""
     found = []
     _, share = prior_share(space, posterior)
-    for parameter, draws, known in zip(space, posterior.samples.T, share, strict=True):
-        draws = draws if parameter.transform == "identity" else np.log(draws)
+    for parameter, natural, known in zip(space, posterior.samples.T, share, strict=True):
+        side = piled_at(parameter, natural) if posterior.sampled else ""
+        draws = natural if parameter.transform == "identity" else np.log(natural)
         low, high = scaled_ends(parameter)
         middle, sd = np.median(draws), np.std(draws)
         for end, distance in (("lower", middle - low), ("upper", high - middle)):
-            if distance < AT_END * sd and known <= PRIOR_ALONE:
-                found.append(
-                    f"{parameter.name} lies {distance / sd:.1f} standard deviations from the {end} "
-                    "end of its range: the data may want it beyond."
-                )
+            if not (side == end or (distance < AT_END * sd and known <= NEARLY_PRIOR)):
+                continue
+            begins = ", and its 95 % interval begins there" if side == end else ""
+            found.append(
+                f"{parameter.name} lies {distance / sd:.1f} standard deviations from the {end} "
+                f"end of its range: the data may want it beyond{begins}."
+            )
     return found

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
 from jaxvision.in_notebooks import record_html
@@ -13,6 +13,7 @@ from jaxvision.in_notebooks import record_html
 from .formatting import format_interval, format_name, format_unit, format_value
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)  # ends of the 95 and 68 % intervals and the middle
+AT_AN_END = 1 / 8  # of an interval, where the density of draws at its ends is counted
 
 
 @runtime_checkable
@@ -133,13 +134,39 @@ def _shifted(value: float, step: float, log_scale: bool) -> float:
     return float(value * np.exp(step / value)) if log_scale and value > 0 else float(value + step)
 
 
+def from_the_end(
+    distance: Float[np.ndarray, "draws ..."], level: float
+) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Whether draws pile up at an end of their range, so that the shortest interval begins there:
+    their density at the end is at least that at the other end of such an interval. An equal-tailed
+    interval never covers the end itself.
+
+    Args:
+        distance: (draws, ...) from the end, at least 0.
+        level: probability of the interval.
+
+    Returns:
+        (...) whether they do; and (...) how far the interval reaches.
+    """
+    reach = np.quantile(distance, level, axis=0)
+    width = AT_AN_END * reach
+    first = np.sum(distance < width, axis=0)
+    last = np.sum((distance > reach - width) & (distance <= reach), axis=0)
+    return (first >= last) & (reach > 0), reach
+
+
 def sampled_estimate(
-    what: Named, draws: Float[np.ndarray, " draws"], *, method: str = "", group: str = ""
+    what: Named,
+    draws: Float[np.ndarray, " draws"],
+    *,
+    method: str = "",
+    group: str = "",
+    ends: Sequence[float] | Float[np.ndarray, "5"] | None = None,
 ) -> Estimate:
     """Median, standard deviation and equal-tailed quantile intervals of draws.
 
-    `draws`: (draws,) in its unit."""
-    ends = np.quantile(draws, QUANTILES)
+    `draws`: (draws,) in its unit. `ends`: other intervals, at `QUANTILES`; None for these."""
+    ends = np.quantile(draws, QUANTILES) if ends is None else ends
     return quantile_estimate(what, ends[2], np.std(draws), ends, method=method, group=group)
 
 

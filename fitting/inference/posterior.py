@@ -22,13 +22,28 @@ from jaxvision.errors import InputError
 from .blocks import Block, fingerprint
 from .diagnostics import identifiability
 from .emcee_run import Emcee, enough_walkers, run_ensemble
-from .estimates import QUANTILES, Estimate, quantile_estimate, sampled_estimate
+from .estimates import (
+    QUANTILES,
+    Estimate,
+    from_the_end,
+    quantile_estimate,
+    sampled_estimate,
+)
 from .in_blocks import at_a_time
 from .on_host import on_host
-from .parameters import ParameterSpace, names, to_natural
+from .parameters import (
+    Parameter,
+    ParameterSpace,
+    ends,
+    names,
+    prior_values,
+    scaled_ends,
+    to_natural,
+)
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
+NEARLY_PRIOR = 0.7  # posterior over prior standard deviation from which the prior is what is seen
 BATCH = 8  # walkers evaluated at a time: blocks of 8 beat a full vmap on a CPU
 
 
@@ -249,25 +264,77 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     """Value, standard error and 68 / 95 % intervals of each parameter in its own unit.
 
     Laplace: the mode and the Gaussian's or Student's quantiles carried through the transform.
-    Samplers: median, standard deviation and quantiles of the draws."""
+    Samplers: median, standard deviation and quantiles of the draws; where these pile up at a bound,
+    the intervals begin there."""
     if posterior.sampled:
         return tuple(
-            sampled_estimate(parameter, draws, method=posterior.method, group=group)
+            sampled_estimate(
+                *(parameter, draws),
+                method=posterior.method,
+                group=group,
+                ends=_sampled_ends(parameter, draws),
+            )
             for parameter, draws in zip(posterior.space, posterior.samples.T, strict=True)
         )
     deviation = np.sqrt(np.diagonal(posterior.covariance))
     centre = jnp.asarray(posterior.unconstrained_mode)
     freedom = np.inf if posterior.freedom is None else posterior.freedom
     steps = stdtrit(freedom, np.asarray(QUANTILES)[:, None]) * deviation
-    ends = np.asarray(to_natural(posterior.space, centre[None] + jnp.asarray(steps)))
+    found = np.asarray(to_natural(posterior.space, centre[None] + jnp.asarray(steps)))
     slope = np.asarray(_slope(posterior.space, centre))
     spread = np.abs(slope) * deviation
     return tuple(
         quantile_estimate(
-            p, posterior.mode[i], spread[i], ends[:, i], method="Laplace", group=group
+            p, posterior.mode[i], spread[i], found[:, i], method="Laplace", group=group
         )
         for i, p in enumerate(posterior.space)
     )
+
+
+def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
+    """The bound of a number at which its draws pile up: "lower", "upper" or none.
+
+    A posterior about as wide as what was known before piles up at no bound, or at both."""
+    known = prior_values(parameter)
+    if known is not None and np.std(draws) > NEARLY_PRIOR * np.std(known):
+        return ""
+    for side, distance in _from_bounds(parameter, draws).items():
+        if from_the_end(distance, 0.95)[0]:
+            return side
+    return ""
+
+
+def _from_bounds(
+    parameter: Parameter, draws: Float[np.ndarray, " draws"]
+) -> dict[str, Float[np.ndarray, " draws"]]:
+    """Distances from the finite bounds, on the scale on which the number is at home."""
+    low, high = scaled_ends(parameter)
+    scaled = np.log(draws) if parameter.transform == "log" else draws
+    found = {}
+    if np.isfinite(low):
+        found["lower"] = np.maximum(scaled - low, 0)
+    if np.isfinite(high):
+        found["upper"] = np.maximum(high - scaled, 0)
+    return found
+
+
+def _sampled_ends(
+    parameter: Parameter, draws: Float[np.ndarray, " draws"]
+) -> Float[np.ndarray, "5"]:
+    """Ends of intervals and the middle, at `QUANTILES`."""
+    found = np.quantile(draws, QUANTILES)
+    if not (side := piled_at(parameter, draws)):
+        return found
+    bound = ends(parameter)[side == "upper"]
+    sign = 1 if side == "lower" else -1
+    for level, first, last in ((0.95, 0, 4), (0.68, 1, 3)):
+        begins, reach = from_the_end(_from_bounds(parameter, draws)[side], level)
+        if begins:
+            other = np.log(bound) if parameter.transform == "log" else bound
+            other = other + sign * float(reach)
+            other = np.exp(other) if parameter.transform == "log" else other
+            found[first], found[last] = sorted((bound, other))
+    return found
 
 
 @partial(jax.jit, static_argnums=0)
