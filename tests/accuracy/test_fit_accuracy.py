@@ -40,7 +40,7 @@ OTHER = words("""
 *.simulated.count *.simulations *.plan.repeats *.sphere_lights.count *.from_files.*
 *.places_in.posterior *.corner_figure.* *.trace_figure.* *.check.posterior *.prior_share.posterior
 *.about_search.posterior *.about_posterior.posterior *.about_chains.posterior
-*.estimates.posterior *.is_trusted.posterior
+*.estimates.posterior *.is_trusted.posterior *.Likelihood.posterior *.piled_at.draws
 *.convergence_in_words.posterior *.*Calibration.* *.Fit.posterior *.GammaFit.posterior
 *.fitted_material.* *.fit_separable.coarse *.over_exposures.coarse *.scatter_log_density.count
 *.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
