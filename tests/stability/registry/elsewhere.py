@@ -87,7 +87,7 @@ def covered_names(group: Elsewhere) -> tuple[str, ...]:
 
 
 ELSEWHERE = (
-    Elsewhere(CHOICES, "test_plain_arrays", "plain_arrays: plain_array"),
+    Elsewhere(CHOICES, "test_plain_arrays", "plain_arrays: plain_array within_integers"),
     Elsewhere(
         FILES,
         "test_camera_files test_record_files",
@@ -535,11 +535,12 @@ ELSEWHERE = (
     ),
     Elsewhere(
         SOLVERS,
-        "test_problem test_plan_and_budget test_called_for",
+        "test_problem test_plan_and_budget test_called_for test_prior_check",
         """
             fitting.fits.bands: bands pushed simulated thinned_draws
             fitting.fits.budget: budget
             fitting.fits.called_for: called_for
+            fitting.fits.prior_check: blamed conflicts
             fitting.fits.information: expected_information slope_of with_inputs
             fitting.fits.information: in_words plan
             fitting.fits.solve: fit method_of
@@ -587,23 +588,24 @@ ELSEWHERE = (
             fitting.inference.left_out: distance negligible
             fitting.inference.diagnostics: identifiability listed
             fitting.inference.estimates: find gaussian_estimate not_determined quantile_estimate
-            fitting.inference.estimates: sampled_estimate
+            fitting.inference.estimates: from_the_end sampled_estimate
             fitting.inference.given.*
             fitting.inference.likelihoods: check_data named_width names_within numerics
             fitting.inference.likelihoods: with_noise_scaled with_values
             fitting.inference.misfit: judge
             fitting.inference.channels: by_channel
             fitting.inference.candidates: numbers_of price squared_ratios weakest whole_name
-            fitting.inference.posterior: natural_draws
+            fitting.inference.posterior: natural_draws piled_at
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: from_scaled scaled_ends to_natural to_scaled
-            fitting.inference.parameters: to_unconstrained
+            fitting.inference.parameters: share_below to_unconstrained
             fitting.inference.priors: support
             fitting.inference.problem: give least_squares_residuals likelihood_at log_density
             fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
             fitting.inference.problem: residuals_from start_of_data values_at values_from
             fitting.inference.records: head is_path reach read replaced
             fitting.inference.problem: argument_names arguments as_arrays check_names finite_data
+            fitting.inference.problem: missing_in_words
             fitting.inference.problem: named_and_rest
             fitting.inference.problem: placed placed_like
             fitting.inference.tails: log_student student_log_density
@@ -642,7 +644,7 @@ ELSEWHERE = (
     ),
     Elsewhere(
         STATISTICS,
-        "test_codes foreign/test_frames",
+        "test_codes foreign/test_frames foreign/test_series_of_flats",
         """
             fitting.codes: converter_of
             fitting.frame_checks.exposures: blank_images odd_exposures
@@ -652,9 +654,13 @@ ELSEWHERE = (
             fitting.frame_checks.between_levels: noise_of_levels
             fitting.frame_checks.compared: of_one_mean rms trimmed_variance
             fitting.frame_checks.deviates: beyond_chance usual_size
+            fitting.frame_checks.moved: moved_frames
+            fitting.noise.doubts: doubts
             fitting.noise.live_pixels: dead_pixels
+            fitting.noise.multiplied: multiplied
             fitting.noise.raw_frames: block_products combs is_compressed local_variance
             fitting.noise.raw_frames: tone_curve
+            fitting.noise.stuck_bits: stuck_bits
         """,
     ),
     Elsewhere(
