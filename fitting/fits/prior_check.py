@@ -115,7 +115,7 @@ def _on_scale(prior: Prior, x: float) -> tuple[float, float]:
         below, density = (1 + below) / 2, density / 2
     place = float(ndtri(below))
     if abs(place) < 6:
-        return place, density / norm.pdf(place)
+        return place, float(density / norm.pdf(place))
     # Beyond the digits of a share of 1, along the line through the quantiles of one and two.
     one, two = (_quantile(prior, np.sign(place) * k) for k in (1.0, 2.0))
     slope = float(np.sign(place) / (two - one))
