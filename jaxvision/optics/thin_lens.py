@@ -87,7 +87,7 @@ def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
         1.0
     """
     near = _is_near(first, second) & _is_near(second, first) & jnp.isfinite(first)
-    closer = _is_near(first, second, 4) & _is_near(second, first, 4) & jnp.isfinite(first)
+    closer = _is_near(first, second, 4.0) & _is_near(second, first, 4.0) & jnp.isfinite(first)
     a, b = (or_one(z, closer) for z in (first, second))
     close = (b - a) * _reciprocal(a) * _reciprocal(b)
     far = _reciprocal(first) - _reciprocal(second)
@@ -332,14 +332,14 @@ def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None
         )
 
 
-def _is_near(z: Scalars, f: Scalars, times: float = 2) -> Bool[Array, "..."]:
+def _is_near(z: Scalars, f: Scalars, times: float = 2.0) -> Bool[Array, "..."]:
     """Where z is at most twice f, so that the difference of reciprocals would lose digits."""
     return jnp.abs(z) <= times * jnp.abs(f)
 
 
 def _parts(z: Scalars, f: Scalars) -> tuple[Scalars, Scalars]:
     """z in m, where it is near and where it is far, and in both about the border between them."""
-    return jnp.where(_is_near(z, f, 4), z, 0), jnp.where(_is_near(z, f, 1.5), jnp.inf, z)
+    return jnp.where(_is_near(z, f, 4.0), z, 0), jnp.where(_is_near(z, f, 1.5), jnp.inf, z)
 
 
 def _reciprocal(x: Scalars) -> Scalars:

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
+from jaxtyping import Array, Bool
 
 from .._arguments import takes_numbers
 from .._types import Scalar, Scalars, is_known
@@ -401,7 +402,7 @@ def _converted(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> 
     return jax.tree.map(partial(jnp.where, fine), _rounded(analogue, fine, high), wide)
 
 
-def _rounded(analogue: Moments, fine: Scalars, high: Scalar) -> Moments:
+def _rounded(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments:
     """Moments of Gaussian noise of less than 1 DN rms, rounded to whole numbers from 0 to `high`:
     with P_c = P(x > c + 1/2), the mean is sum P_c and the mean square sum (2 c + 1) P_c."""
     noisy = fine & (analogue.variance > 0)
