@@ -115,15 +115,19 @@ def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
     Returns:
         (bins, bins).
     """
+    increments = _increments(bins)
+    return increments.T @ increments
+
+
+def _increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
+    """D of the roughness D^T D: increments of the exponent over roots of the clock's ticks."""
     z, step = bins.centres, 1 / np.diff(bins.log_codes)
     clock = (z[2:] - z[:-2]) / 2 * bins.pace(z[1:-1])
-    increments = np.stack([step[:-1], -step[:-1] - step[1:], step[1:]]) / np.sqrt(clock)
-    energy = np.zeros((len(z), len(z)))
     rows = np.arange(len(z) - 2)
-    for p in range(3):
-        for q in range(3):
-            energy[rows + p, rows + q] += increments[p] * increments[q]
-    return energy
+    increments = np.zeros((len(rows), len(z)))
+    for place, value in enumerate((step[:-1], -step[:-1] - step[1:], step[1:])):
+        increments[rows, rows + place] = value / np.sqrt(clock)
+    return increments
 
 
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
@@ -166,7 +170,8 @@ def solve(
     equations = tuple(equations_of(tile, log_t, basis) for tile in tiles)
     matrix = np.sum([tile.matrix for tile in equations], axis=0)
     right = np.sum([tile.right for tile in equations], axis=0)
-    rough, size = roughness(bins), len(bins.centres)
+    increments, size = _increments(bins), len(bins.centres)
+    rough = increments.T @ increments
     moved = _from_another_black(bins, matrix[:size, :size], right[:size])
     pull = rough @ moved
     curve, errors = slice(0, size), slice(size, None)
@@ -187,7 +192,10 @@ def solve(
         taken_up = hyper.smoothness * np.sum(rest * covariance[curve, curve])
         determined = max(size - 3 + 1 / gained - taken_up, 1.0)
         known = max(free - covariance[errors, errors].trace() / believed**2, 1e-3)
-        smoothness = max(determined / (g @ rest @ g + determined / SMOOTHEST), ROUGHEST)
+        # A sum of squares: g R g of a smooth curve is a difference of numbers 1e9 times as large.
+        straight = g - hyper.smoothness * (pull @ g) / gained * moved
+        energy_left = np.sum((increments @ straight) ** 2)
+        smoothness = max(determined / (energy_left + determined / SMOOTHEST), ROUGHEST)
         tau = float(np.clip(np.sqrt(d @ d / known), least_error, max(SHAKIEST, least_error)))
         effect = _design_effect(equations, matrix, mean, covariance, hyper.design_effect)
         suggested = Hyperparameters(smoothness, tau, max(effect, least_effect))

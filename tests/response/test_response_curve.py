@@ -264,6 +264,20 @@ def test_pure_gamma_costs_nothing_in_the_prior():
     assert bent @ roughness(bins) @ bent > 1e-3
 
 
+@pytest.mark.parametrize("most_bins", [140, 512])
+def test_a_linear_camera_is_as_smooth_as_can_be(most_bins):
+    """The energy of a pure gamma is 0 to rounding, of either sign as a quadratic form: the search
+    then began again at the roughest curve, or not, by the last digit."""
+    rng = np.random.default_rng(4)
+    light = np.geomspace(400, 32_000, 4800)
+    times = np.array([1 / 16, 1 / 4, 1.0])
+    codes = np.round(60 + 0.25 * rng.poisson(light * times[:, None])).astype(int)
+    curve = fit_response_curve(
+        np.minimum(codes, 4095), times, bits=12, black=60.0, most_bins=most_bins
+    )
+    assert curve.smoothness > 5e7
+
+
 @pytest.mark.parametrize("level", [0, 3, 255])
 def test_images_without_information_are_refused(level):
     codes = np.full((9, 5000), level, np.uint16)
