@@ -17,7 +17,7 @@ import numpy as np
 from ..brdf.measured import BRDFSamples
 from ..errors import InputError
 from ..io import replaced_on_success
-from ._contents import NANOMETRE, TURN, contents_of, representable
+from ._contents import LEAST_NANOMETRES, NANOMETRE, TURN, contents_of, representable
 
 Row = tuple[int, list[float]]  # the number of its line, and its numbers
 
@@ -85,6 +85,11 @@ def _take_wavelengths(file: Path, rows: list[Row]) -> list[float]:
         raise InputError(
             f"{file}: {bands} increasing wavelengths in nm are announced, got {len(wavelengths)} "
             f"numbers starting {wavelengths[:4]}; correct the header."
+        )
+    if wavelengths[-1] < LEAST_NANOMETRES:
+        raise InputError(
+            f"{file}: wavelengths up to {wavelengths[-1]:g} nm are X-rays; give them in nm, not in "
+            "micrometres."
         )
     return wavelengths
 

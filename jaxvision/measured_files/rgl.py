@@ -17,7 +17,7 @@ import numpy as np
 from ..brdf.rgl import RGL, rgl_material
 from ..errors import InputError
 from ..io import as_float32, replaced_on_success
-from ._contents import NANOMETRE, TURN, contents_of, representable
+from ._contents import LEAST_NANOMETRES, NANOMETRE, TURN, contents_of, representable
 from ._tensor_file import fields_in, tensor_file
 
 
@@ -111,10 +111,10 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
             raise InputError(f"{file}: field {name!r} is 0 everywhere; copy the file again.")
     if spectral:
         nanometres = fields["wavelengths"]
-        if not np.isfinite(nanometres).all() or (nanometres <= 0).any():
+        if not np.isfinite(nanometres).all() or (nanometres < LEAST_NANOMETRES).any():
             raise InputError(
-                f"{file}: field 'wavelengths' must hold finite numbers above 0, in nm; copy the "
-                "file again."
+                f"{file}: field 'wavelengths' must hold finite numbers, in nm, of "
+                f"{LEAST_NANOMETRES:g} or more; copy the file again."
             )
     return symmetry
 

@@ -287,3 +287,63 @@ def test_a_swapped_pair_does_not_move_a_surface():
     for name, value in zip(("diffuse", "specular", "exponent"), Sphere().truth, strict=True):
         low, high = find(told.estimates, name).interval_95
         assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low)
+
+
+def cornell_samples(change):
+    """A Phong lobe over a matt ground, of six incidences and as many viewers, as samples of a file
+    that a function of (values, zeniths of light and viewer) changed."""
+    light, viewer, turn = (
+        x.ravel()
+        for x in np.meshgrid(
+            np.radians([5, 20, 35, 50, 65, 80]),
+            np.radians([5, 20, 35, 50, 65, 80]),
+            np.radians(np.arange(0, 181, 20)),
+            indexing="ij",
+        )
+    )
+    cosine = np.cos(light) * np.cos(viewer) - np.sin(light) * np.sin(viewer) * np.cos(turn)
+    lobe = 0.1 + 0.3 * np.clip(cosine, 0, 1) ** 20
+    values = lobe[:, None] * np.array([1.0, 0.9, 0.8])
+    rng = np.random.default_rng(1)
+    values = change(values * rng.normal(1, 0.02, values.shape), light, viewer)
+    return from_samples(
+        "changed",
+        BRDFSamples(light, np.zeros_like(light), viewer, turn, values, None),
+        weights=np.ones(len(light)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda f, i, o: f * np.cos(o)[:, None], "as the viewer's cosine does"),
+        (lambda f, i, o: f * np.cos(i)[:, None], "as the light's cosine does"),
+        (lambda f, i, o: f * np.where(i[:, None] > 0.7, [1, 1, 0], 1), "is not: blue, in 50 %"),
+        (lambda f, i, o: f, None),
+    ],
+)
+def test_values_that_are_no_brdf_are_named(change, said):
+    found = cornell_samples(change).findings
+    assert len(found) == (said is not None)
+    assert said is None or said in found[0]
+
+
+def test_an_angle_along_the_surface_and_wavelengths_in_micrometres_are_told(tmp_path):
+    rows = [
+        f"{i:.6f} 0 {o:.6f} {p:.6f} 0.1"
+        for i in np.radians([10, 30, 50, 90])
+        for o in VIEWERS
+        for p in AZIMUTHS
+    ]
+    file = tmp_path / "elevation.brdf"
+    file.write_text("\n".join(["1", "550", *rows]))
+    assert any("1 of 4 angles of incidence" in one for one in read_measured_brdf(file).findings)
+    file.write_text("\n".join(["1", "0.55", *rows]))
+    with pytest.raises(InputError, match=r"up to 0\.55 nm are X-rays"):
+        read_measured_brdf(file)
+
+
+def test_a_surface_darker_than_velvet_is_told():
+    found = cornell_samples(lambda f, i, o: f / 1500)
+    calibration = from_files.calibrate(found, model="lambert")
+    assert any("less than black velvet" in one for one in section(calibration).findings)

@@ -38,6 +38,7 @@ NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that 
 APART = 1.5  # ratio of two errors from which a reader is told why they are not told apart
 OVERFIT = 1.5  # held-out over fitted error from which a reader is told
 ROUNDING = 1e-3  # of an albedo
+BLACK = 0.005  # albedo of the blackest paints and velvets
 OBLIQUE = np.radians(15.0)  # incidence from which back and forth lie apart
 NEAR = np.radians(7.5)  # of the light: where a peak counts as toward it
 BRIGHT = 3.0  # times the median of its incidence, from which a value is a peak
@@ -88,6 +89,12 @@ def _impossible(calibration: BRDFCalibration) -> Numbers | None:
     bands = calibration.measured.bands
     band = f" in band {bands[most]}" if len(bands) > 1 else ""
     return {"model": LABELS[calibration.model], "albedo": found[most], "band": band}
+
+
+def _black(calibration: BRDFCalibration) -> Numbers | None:
+    """A surface darker than any but the blackest coatings."""
+    most = float(albedo(calibration.fits[calibration.model], calibration.index).max())
+    return {"albedo": 100 * most} if most < BLACK else None
 
 
 def _toward_light(calibration: BRDFCalibration) -> Numbers | None:
@@ -434,6 +441,13 @@ FINDINGS = (
         _impossible,
         "{model} as fitted is impossible: it reflects {albedo:.2g} times the light that falls on "
         "it along the normal{band} (its albedo), and no surface reflects more than all of it.",
+    ),
+    Finding(
+        "black",
+        _black,
+        "The surface as fitted reflects {albedo:.2g} % of the light that falls on it along the "
+        "normal, less than black velvet: values may lack a factor, as those of a MERL file do that "
+        "were divided by its scales already.",
     ),
     Finding(
         "toward the light",

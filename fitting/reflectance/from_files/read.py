@@ -41,6 +41,9 @@ FEWEST_CLIPPED = 5  # samples that hold the largest value, from which it may be 
 PILED = 3  # times as many as hold the next largest: a step of rounding holds about as many
 PEAK = 1.5  # times the median of the others: a lobe, no matt surface
 HORIZON = np.radians(89.5)  # elevations beyond are rounding about the horizon
+CUT = 0.05  # of the samples, exact zeros in one band alone from which a reader is told
+SWAPPED = 10  # pairs of samples with light and viewer exchanged that tell of a factor
+TILTED = np.radians(10.0)  # by which their elevations differ at least
 # f_r in sr^-1 beyond any measurement: an instrument that sees 1e-6 sr, which is finer than any
 # goniometer, reads at most 1e6 from a perfect mirror; the blackest coatings reflect 1e-4.
 LARGEST, SMALLEST = 1e6, 1e-9
@@ -214,6 +217,13 @@ def from_samples(
             "lobes and to test them on an angle that no fit has seen."
         )
     _check_signal(source, values[seen], incidence, incidences)
+    lost = len(_incidences(theta_i)[1]) - len(incidences)
+    if lost:
+        findings += (
+            f"{lost} of {lost + len(incidences)} angles of incidence lie along the surface, "
+            "where no light falls, and were left out; angles are counted from the normal.",
+        )
+    findings += _cut_bands(values[seen], _band_names(values.shape[1], _nanometres(samples)))
     negative = float(np.mean(values[seen] < 0))
     if negative:
         findings += (
@@ -225,8 +235,9 @@ def from_samples(
     chosen = np.flatnonzero(seen)
     weights = weights[chosen]
     turn = np.asarray(samples.phi_o - samples.phi_i, np.float64)[chosen]
-    metres = samples.wavelengths
-    nanometres = None if metres is None else np.asarray(metres, np.float64) * NANOMETRES
+    azimuth = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+    findings += _of_a_cosine(theta_i[chosen], theta_o[chosen], azimuth, values[chosen])
+    nanometres = _nanometres(samples)
     return MeasuredBRDF(
         name=name,
         wi=_chosen(wi, chosen),
@@ -236,11 +247,57 @@ def from_samples(
         incidence=incidence,
         incidences=incidences,
         elevation=theta_o[chosen],
-        azimuth=np.abs((turn + np.pi) % (2 * np.pi) - np.pi),
+        azimuth=azimuth,
         bands=_band_names(values.shape[1], nanometres),
         wavelengths=nanometres,
         findings=findings,
     )
+
+
+def _nanometres(samples: BRDFSamples) -> Float[np.ndarray, " bands"] | None:
+    metres = samples.wavelengths
+    return None if metres is None else np.asarray(metres, np.float64) * NANOMETRES
+
+
+def _cut_bands(values: Float[np.ndarray, "n bands"], bands: tuple[str, ...]) -> tuple[str, ...]:
+    """What is said of bands that are exactly 0 where another band is not."""
+    share = np.mean((values == 0) & (values > 0).any(axis=1, keepdims=True), axis=0)
+    cut, worst = int(np.sum(share > CUT)), int(np.argmax(share))
+    if not cut:
+        return ()
+    among = f"{cut} of {len(bands)} bands are, worst " if cut > 1 else ""
+    return (
+        f"Exactly 0 where another band is not: {among}{bands[worst]}, in "
+        f"{format_percent(share[worst])} of the samples. Values were cut at zero, or the file ends "
+        "early and was filled up; fits take these zeros as measured.",
+    )
+
+
+def _of_a_cosine(
+    theta_i: np.ndarray, theta_o: np.ndarray, azimuth: np.ndarray, values: np.ndarray
+) -> tuple[str, ...]:
+    """What is said where samples with light and viewer exchanged, which are equal of any surface
+    (Helmholtz), are in the ratio of the viewers' cosines, or of the lights'."""
+    bright = values.mean(axis=1)
+    light, viewer = np.meshgrid(theta_i, theta_o, indexing="ij")
+    alike = (np.abs(light - viewer) < SAME_INCIDENCE) & (
+        np.abs(np.subtract.outer(azimuth, azimuth)) < SAME_INCIDENCE
+    )
+    one, other = np.nonzero(alike & alike.T)
+    told = (theta_o[one] - theta_i[one] > TILTED) & (bright[one] > 0) & (bright[other] > 0)
+    one, other = one[told], other[told]
+    if len(one) < SWAPPED:
+        return ()
+    ratio = np.log(bright[one] / bright[other])
+    cosines = np.log(np.cos(theta_o[one]) / np.cos(theta_i[one]))
+    for sign, whose in ((1, "viewer's"), (-1, "light's")):
+        if np.median(np.abs(ratio - sign * cosines)) < np.median(np.abs(ratio)) / 5:
+            return (
+                f"Where light and viewer are exchanged the values differ as the {whose} cosine "
+                "does, and a BRDF is the same both ways: the file seems to hold f_r times that "
+                "cosine; divide by it.",
+            )
+    return ()
 
 
 def _clipped(
