@@ -28,6 +28,7 @@ FEW_FREE = 2  # visible shutter errors below which the prior speaks
 SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
 APART_ERRORS = 3.0  # by which an image's exposure stands apart
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
+BLACKS = 0.01  # error of exposure times from which they may be the cause
 FELT = 0.5  # share of the variance of a curve that its ripple makes, from which it is said
 
 
@@ -365,14 +366,15 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
     odd = _oddest_time(channels)
     if shaky:
         worst = max(shaky, key=lambda c: c.curve.shutter_error or 0.0)
+        error = worst.curve.shutter_error or 0.0
         found.append(
             f"In {len(shaky)} of {len(channels)} channels the images disagree on their exposure "
             "times by more than pixel noise, at most "
-            f"{100 * (worst.curve.shutter_error or 0.0):.2g} % rms "
+            f"{100 * error:.2g} % rms "
             f"({worst.plane.label or 'the grey channel'}): inaccurate shutter times, or a small "
             "misfit of the curve. The intervals include it, and channels of one image share it."
             + (f" No shutter errs so much: check {odd} first." if odd else "")
-            + _own_blacks_in_words(channels)
+            + (_own_blacks_in_words(channels) if error > BLACKS else "")
         )
     elif not few:
         found.append(

@@ -23,7 +23,7 @@ from fitting.response import (
 from fitting.response.calibration import radiance_images
 from fitting.response.code_bins import code_bins
 from fitting.response.curve import ripple
-from fitting.response.findings import _black_in_words, _own_blacks_in_words
+from fitting.response.findings import _black_in_words, _own_blacks_in_words, _shutter_in_words
 from fitting.response.radiance_map import exposure_of_codes, merge
 from fitting.response.read import floor_level
 from fitting.response.section import _curve_table, section
@@ -605,3 +605,13 @@ def test_black_points_of_each_image_are_named():
     )
     assert _own_blacks_in_words(plane(whole)) == ""
     assert _own_blacks_in_words(plane(own, measured=True)) == ""
+    for error, named in ((0.07, True), (0.00035, False)):  # of black points, and of good shutters
+        (channel,) = plane(own)
+        times = channel.plane.exposures
+        channel.curve = SimpleNamespace(
+            shutter_error=error,
+            exposures=times,
+            shutter_offsets=np.full(8, error),
+            shutter_offset_errors=np.full(8, error),
+        )
+        assert ("black point" in " ".join(_shutter_in_words([channel]))) == named
