@@ -220,24 +220,36 @@ def written(sheets: dict[str, Sheet], missing: Sequence[str], out: Path) -> None
         (out / f"{slug(name)}.svg").write_text(drawn(sheet), encoding="utf-8")
         pages.setdefault(sheet.page, []).append(name)
     lines = [
-        "# What accuracy costs: an atlas",
+        "# Atlas of accuracy: error against time",
         "",
-        f"Measured on {machine()}, at most {given} s a knob,",
-        "by `python tests/benchmarks/atlas.py`.",
-        f"The machine was shared (a load of up to {load.split()[-1]}), so that times are long and",
-        "vary from knob to knob; within a knob they were measured in turns and compare.",
-        "Times are warm, those of scenes of the whole picture. Errors are relative root mean",
-        "squares, of fits in standard errors. Labels are settings; hollow points lie within three",
-        "times the error of the reference (dashed), those on the lower axis (`: 0`) equal it;",
-        "triangles are peers. `not reached` also stands where the time of a knob was too short for",
-        "finer settings.",
+        "Every approximation of the library has a setting that trades error for time. This atlas",
+        "measures the error and the time of each setting on a small problem.",
+        "",
+        f"- **How it was measured.** On {machine()},",
+        f"  with at most {given} s for each approximation, by `python tests/benchmarks/atlas.py`.",
+        f"  The machine was shared (a load of up to {load.split()[-1]}), so absolute times are long and",
+        "  vary between approximations. Settings of one approximation were timed in alternation and",
+        "  can be compared.",
+        "- **Time** is without compilation. For scenes it is the time of the whole picture.",
+        "- **Error** is the relative RMS error. For fits it is in units of the standard error.",
+        '- **Order** is the measured law of the error: an exponent of the setting, as in "-0.5 ±',
+        '  0.1", or a factor for each unit of the setting, as in "× 0.3". "Unknown" means that no',
+        "  law fitted.",
+        "- **10 %, 1 %, 0.1 %** give the fastest setting with at most this error, and its time.",
+        '  "Inferred" settings lie between or beyond the measured ones. "Not reached" also stands',
+        "  where there was too little time for finer settings.",
+        "- **Plots**: labels are settings. The dashed line is the error of the reference. Points",
+        "  within three times this error are hollow. Points on the lower axis (`: 0`) equal the",
+        "  reference. Triangles are other programs.",
+        "- **Not covered**: the figures are for one problem each, and differ for yours.",
+        "  `jaxvision accuracy SCENE` and `jaxvision-fit accuracy RIG` measure your own.",
         "",
     ]
     for page, names in pages.items():
         lines += [f"## {page}", ""]
         if page == "Pictures":
             lines += [f"Pictures of {pictures.SIDE} x {pictures.SIDE} pixels.", ""]
-        lines += ["| problem | knob | order | 10 % | 1 % | 0.1 % |"]
+        lines += ["| problem | approximation | order | 10 % | 1 % | 0.1 % |"]
         lines.append("| --- | --- | --- | --- | --- | --- |")
         for name in names:
             sheet = sheets[name]

@@ -121,11 +121,12 @@ def defaults(curves: Iterable[Curve]) -> list[str]:
     head = [
         "## Defaults",
         "",
-        "A default is beaten where another setting is a tenth faster and no less accurate, by more",
-        f"than the spreads of both: {beaten or 'none'} of the {shown} of which time was enough to",
-        f"tell. Of the other {len(places) - shown} it says what was reached.",
+        "This table compares the defaults with the curves. A default is beaten if another setting",
+        "is a tenth faster and at least as accurate, by more than the spreads of both. This is so",
+        f"for {beaten or 'none'} of {shown} defaults. For the other {len(places) - shown} there was "
+        "too little time to decide.",
         "",
-        "| knob | problem | default | its place |",
+        "| approximation | problem | default | result |",
         "| --- | --- | --- | --- |",
     ]
     rows = [

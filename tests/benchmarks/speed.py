@@ -151,13 +151,21 @@ def page(rows: list[Row], found: list[dict]) -> str:
     table += [cells(row, found_for(row, found)) for row in rows]
     lines = "\n".join(f"| {' | '.join(row)} |" for row in table)
     installed = ", ".join(f"{name} {_version(name)}" for name in PEERS)
-    return f"""# Speed, beside peers
+    return f"""# Speed compared with other programs
 
-Medians of calls that take turns, in one process a row; above 1, jaxvision is the faster one. Read
-ratios, not milliseconds: both share the machine with whatever else it did. Warm but for whole
-processes, float32, results compared in the same tests. Freed memory is kept, for the peers too
-(`jaxvision.keep_memory`). The peer is Mitsuba 3 (`llvm_ad_rgb`) for what is rendered, OpenCV or
-NumPy for pictures, pymatting for mattes.
+This table compares the speed of jaxvision with programs that do the same job. The peer
+is Mitsuba 3 (`llvm_ad_rgb`) for rendering, OpenCV or NumPy for pictures, and pymatting
+for mattes.
+
+- **How it was measured.** Calls of jaxvision and of the peer alternate in one process,
+  and times are medians. Compilation is not included, except in the rows about new
+  processes. All is in float32, and the same tests compare the results. Both keep freed
+  memory (`jaxvision.keep_memory`).
+- **How to read it.** "Times as fast" above 1 means that jaxvision is faster. Read the
+  ratios, not the milliseconds, because both programs shared the machine with other
+  work. "Equal error" compares time multiplied by squared error.
+- **Not covered**: GPUs ([decisions](decisions.md) has some), the first compilation of
+  single functions, and programs without a peer, such as fits.
 
 {lines}
 
