@@ -123,8 +123,8 @@ def defaults(curves: Iterable[Curve]) -> list[str]:
         "",
         "This table compares the defaults with the curves. A default is beaten if another setting",
         "is a tenth faster and at least as accurate, by more than the spreads of both. This is so",
-        f"for {beaten or 'none'} of {shown} defaults. For the other {len(places) - shown} there was "
-        "too little time to decide.",
+        f"for {beaten or 'none'} of {shown} defaults. For the other {len(places) - shown} there",
+        "was too little time to decide.",
         "",
         "| approximation | problem | default | result |",
         "| --- | --- | --- | --- |",

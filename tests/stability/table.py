@@ -34,33 +34,35 @@ from widened import calls, widened
 
 HEAD = """# Floating-point errors, function by function
 
-Written by `python tests/stability/table.py`. The error of a result is in units of the last place
-(ULP): the distance of neighbouring numbers of its precision at the true value, 2^-23 and 2^-52 of
-it at most. Each oracle is written from the definition, apart from the library
-(`tests/stability/registry/`), in 64 binary digits or 60 decimal ones, for the very numbers that the
-function is given. Points: hard cases, and {many:,} drawn from the domain in float32, a fifth of
-that in float64 ({slow} and {few} where the oracle needs mpmath). A result below the smallest normal
-number may be 0.
+This page gives the rounding error of every public function. The unit is ULP, the unit in the last
+place: the distance between neighbouring floating-point numbers at the true value, at most 2^-23
+(float32) and 2^-52 (float64) of it. `python tests/stability/table.py` writes the page.
 
-- *worst*, *mean*: ULP, in float32 and float64. Rows marked † are over 1 + Σ |x ∂f/∂x| / |f|: there
-  the result is a difference, or an exponential, of rounded numbers, and no formula does better.
-- *slope*: the largest relative error of a derivative over the hard cases, float32 and float64
-  (relative to the largest slope by the same argument; where the note says so, or to a hundredth of
-  f / x).
-- *jit*, *one*: the largest ULP, in float32, between compiled and eager at 32 points, hard cases
-  first, and between `vmap` and a loop at 3.
-- *bound*: what the tests hold the row to; {outside} Infinite and NaN results where the true
-  one is finite: {non_finite} of {points:,} points; slopes: {endless}.
-- *points*: what each argument is drawn from, one after the other: between two ends, uniform in the
-  logarithm but for those from 0; ± of either sign; "3 of" for the components of a vector. Of
-  arguments outside of these a row knows only its hard cases.
-- Functions of one variable are measured at every float32 of their domain, too: see below.
-- Which oracle: *mean* is against the oracle in 64 binary digits (60 decimal ones where it needs
-  mpmath), *worst* against the oracle in 60 decimal digits, at the hard cases and at the three worst
-  points. Where an oracle itself takes a difference, 64 binary digits are too few for the mean in
-  float64, which is then left out.
+- **How it was measured.** Each function is compared with an oracle, which is written from the
+  definition and shares no code with the library (`tests/stability/registry/`). The oracle uses 64
+  binary digits or 60 decimal digits, and the same rounded arguments as the function. The points are
+  hard cases and {many:,} random points of the domain in float32, and a fifth as many in float64.
+  Where the oracle needs mpmath, there are {slow} and {few} points.
+- **worst, mean**: the largest and the mean error in ULP, in float32 and float64. The mean is taken
+  against 64 binary digits (60 decimal digits where the oracle needs mpmath). The worst is taken
+  against 60 decimal digits, at the hard cases and at the three worst points. Where 64 binary digits
+  are too few for the mean in float64, it is left out.
+- **†**: the errors are divided by the condition number 1 + Σ |x ∂f/∂x| / |f|. There the result is a
+  difference or an exponential of rounded numbers, and no formula is more accurate.
+- **slope**: the largest relative error of a derivative over the hard cases, float32 / float64. It
+  is relative to the largest slope with respect to the same argument; where the note says so, or to
+  a hundredth of f / x.
+- **jit, one**: the largest difference in ULP, in float32, between compiled and eager code at 32
+  points, and between `vmap` and a loop at 3 points.
+- **bound**: the tests fail if an error exceeds this. {outside} Infinite or NaN results where the
+  true one is finite: {non_finite} of {points:,} points; slopes: {endless}.
+- **points**: the domain of each argument in turn, as a range. Points are uniform in the logarithm,
+  or uniform if the range begins at 0. ± means either sign, and "3 of" means three components of a
+  vector. Outside of the domain only hard cases were measured.
+- **Not covered**: a result below the smallest normal number may be 0. Random draws and iterative
+  solvers are in the last tables.
 
-## Beside an oracle
+## Functions with an oracle
 
 | function | float32 worst | mean | float64 worst | mean | slope | jit | one | bound | points |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
@@ -68,104 +70,107 @@ number may be 0.
 SECOND = """
 ## Compositions
 
-Float32 against the same function in float64 on the example of `tests/examples/`, whose formula
-other tests check: ULP of the largest number of the result, and of each number itself, which is
-meaningless for numbers that a sum leaves near 0, as in kernels and Fourier transforms.
+These functions are compositions of others. Their float32 result is compared with their float64
+result, on the examples of `tests/examples/`; other tests check the formulas. The errors are in ULP
+of the largest number of the result, and of each number itself. The second is meaningless for
+numbers that cancel to nearly 0, as in kernels and Fourier transforms.
 
-One example says little of other sizes. `pytest -m slow tests/stability/test_scaled.py` scales the
-arguments of these functions by powers of ten between -3 and 2, eight times each. A result in
-float32 may be off by 32 times what the last digits of its arguments and its own rounding explain;
-the ten functions that it leaves out stand there, each with its reason.
+One example does not cover other sizes. `pytest -m slow tests/stability/test_scaled.py` therefore
+scales the arguments by powers of ten between -3 and 2, eight times each. A float32 result may have
+an error of 32 times the expected one, which follows from the rounding of the arguments and of the
+result. The file lists ten exceptions, each with its reason.
 
 | function | of the largest | of each | bound |
 | --- | --- | --- | --- |
 """
 THIRD = """
-## Elsewhere
+## Other functions
 
-Functions without a floating-point result of their own, draws, and solvers that stop at a stated
-tolerance: what they are, how many, and the tests that check them.
+These functions have no floating-point result of their own, draw random numbers, or iterate to a
+stated tolerance. The table gives their number, their kind, and the tests that check them.
 
-| functions | | tests |
+| functions | kind | tests |
 | --- | --- | --- |
 """
-
-
 EVERY = """
 ## Every float32
 
-Functions of one variable at each float32 of their domain, without exception, by `python
-tests/stability/every_float32.py --record` (ten minutes of one core; killed, it goes on where it
-was with `--kept FOLDER`). The suite takes one in some thousands again.
+Functions of one variable were measured at each float32 of their domain, by `python
+tests/stability/every_float32.py --record`. This takes ten minutes of one core, and continues after
+an interruption with `--kept FOLDER`. The test suite repeats it for one number in some thousands.
 
 | function | numbers | worst, ULP | at | mean, ULP |
 | --- | --- | --- | --- | --- |
 """
 LAST = """
-## Above four units
+## Errors above four units
 
-What is left is rounding that the formula magnifies by a small whole number. Where it counts,
-float64 inside and float32 outside leave half a unit (`JAX_ENABLE_X64=1`, records by `as_dtype`):
-the dielectric takes 2.5 times its time, the conductor 2.1, GGX 1.5 (a million points, two cores, by
-`tests/benchmarks/bench_precision.py`). Rounding put back into float32, as `spectra.blackbody` does,
-took three times and five, and left 6.5 and 2.3 units.
+Errors above 4 ULP remain where a formula multiplies rounding errors by a small whole number. If
+they matter, compute in float64 and convert the result to float32: the error is then half a unit
+(`JAX_ENABLE_X64=1`, records by `as_dtype`). This takes 2.5 times as long for the dielectric, 2.1
+times for the conductor and 1.5 times for GGX (a million points, two cores,
+`tests/benchmarks/bench_precision.py`). Compensated float32 arithmetic, as in `spectra.blackbody`,
+took 3 and 5 times as long and left errors of 6.5 and 2.3 units.
 
 - `fresnel_dielectric`, `fresnel_conductor`: squares of quotients of squares. A relative error of
-  the cosine within counts four times, that of the contrast of the indices twice. Below an index
-  of 1 the result changes without bound at the critical angle: the rows are over that.
+  the refracted cosine counts four times, and one of the index contrast twice. For an index below 1
+  the slope is infinite at the critical angle, and the rows are divided by the condition number.
 - `normal_distribution` of GGX: the square of a sum of squares of quotients.
-- `parallel_rectangles` in float32: three terms of one size. Two of them are differences of angles,
-  by a series where these are small.
-- `angle_between`, `angle_over_sine`, `hidden_cosine` and `visibility`: arcs, or roots, of quotients
-  of sums of squares: five roundings.
+- `parallel_rectangles` in float32: three terms of similar size. Two of them are differences of
+  angles, which use a series where they are small.
+- `angle_between`, `angle_over_sine`, `hidden_cosine` and `visibility`: arcs or roots of quotients
+  of sums of squares, with five roundings.
 - `perpendicular_rectangles`: as `parallel_rectangles`.
-- `log_curve`: XLA's logarithm of 1 + x is 2.5 units off about x = 0.4, and there are two.
+- `log_curve`: two logarithms of 1 + x, for which XLA's error is 2.5 units near x = 0.4.
 - `depth_of_field`: seven roundings.
 - `scaled_to_key`: the exponential of a mean of logarithms.
-- `log_ndtr`, `Censored` and `StudentT` in float64: JAX's own series, 1e-10 of the result where one
-  takes over from another.
+- `log_ndtr`, `Censored` and `StudentT` in float64: JAX's own series, with a relative error of 1e-10
+  where one series replaces another.
 
 ## Damaged files
 
-`pytest -m slow tests/fuzz` changes, cuts and doubles bytes, lines and numbers of sound files; each
-must be read, or refused in one sentence, in 10 s of CPU and 12 GiB. 1,691,980 files were given so
-far. The longest run, of 980,000 files of 28 kinds (cameras, scenes, Mitsuba's and glTF's,
-materials, rigs, tables, MERL, RGL, Cornell, OBJ, PLY, STL, PNG, TIFF, JPEG, EXR, HDR, FITS, DNG,
-NPY, and what renders, chains and cameras leave unfinished): 178,970 were read, and 47 outcomes were
-wrong, of six causes, which are mended: camera files whose lists are tables (a traceback), names of
-PNG chunks, columns and scenes with a line break in the sentence, and a sky whose density was not
-finite in float32. The next 160,720 found one more, a NumPy header whose keys are bytes. The closing
-run: 392,000 files, 72,806 of them read, none wrong; nor were 7,600 after the last changes.
+`pytest -m slow tests/fuzz` changes, cuts and doubles bytes, lines and numbers of valid files. Each
+damaged file must be read, or be refused in one sentence, within 10 s of CPU and 12 GiB. There were
+1,691,980 files so far, of 28 kinds: cameras, scenes (also Mitsuba's and glTF's), materials, rigs,
+tables, measured BRDFs, meshes, images, FITS, DNG and NPY files, and unfinished renders and chains.
 
-Commands are given files and whole folders (flats and darks, a stack, a ball, photographs) after
-damage to the rig or to an image, which may be another one's copy, constant, dim, full of outliers
-or of another size. Of the last 2,090, of ten commands, 441 were done and 1,649 refused; none was
-wrong. Before these, four were: a level that scatters by 1e11 DN (memory), a maker's name that is no
-text, a negative error of a table, and a chain of minutes that could not become long enough. `pytest
--m slow tests/fuzz/test_fuzz_arguments.py` gives public functions odd arguments. The last dozen for
-each, but for those of `transport`, found eight sentences that were JAX's own (axes of size 0,
-pictures of two sizes, a table that is not square); they are the functions' now.
+| run | files | read | wrong |
+| --- | --- | --- | --- |
+| longest | 980,000 | 178,970 | 47, with six causes, all fixed |
+| next | 160,720 | | 1, fixed |
+| last | 392,000 | 72,806 | 0 |
+| after the last changes | 7,600 | | 0 |
 
-## Commands that are ended
+Commands also get damaged files and folders: flats and darks, a stack, a ball, photographs. The
+damage is to the rig or to an image, which may be a copy of another, constant, dim, full of outliers
+or of another size. The last run tried 2,090 damaged inputs on ten commands: 441 were processed,
+1,649 were refused with a message, and no result was wrong. `pytest -m slow
+tests/fuzz/test_fuzz_arguments.py` calls public functions with odd arguments. In its last run, eight
+errors were raised by JAX instead of the function; the functions now raise them themselves. That run
+did not include `transport`.
 
-`python tests/killed.py` ends a render, a chain and a report at random moments and runs them again.
-By SIGKILL at 290 moments: no file was torn, and each run went on, or began again, to the same
-bytes. By Ctrl-C at 324 moments before all was written, on a busy machine: each ended within 2 s
-with status 130 and one line, nothing was torn, and runs went on to the same bytes. Of 36 more,
-which came after all was written, at least 10 finished with status 0.
+## Interrupted commands
 
-Images, whole folders of them, the folder of the results and the working folder were removed at 84
-random moments of five commands: each run ended with its results, or in one sentence. Images that
-were removed once a calibration had read them cost the results at first, for the sake of the small
-pictures of a report; now the report says that they are gone.
+`python tests/killed.py` interrupts a render, a chain and a report at random moments, and runs them
+again.
+
+- **SIGKILL** at 290 moments: no file was damaged. Each run continued, or began again, to the same
+  bytes.
+- **Ctrl-C** at 324 moments before all was written, on a busy machine: each command ended within 2 s
+  with status 130 and one line. No file was damaged, and runs continued to the same bytes. Of 36
+  interruptions after all was written, at least 10 finished with status 0.
+- **Files removed** at 84 moments of five commands (images, image folders, the folder of the results
+  or the working folder): each run ended with its results, or with one sentence.
 
 ## Large data
 
-`pytest -m slow tests/package/test_large.py`: histograms, integral images, means, blurs, mosaics and
-a raw frame of 100 megapixels, rounded as their parts are (counts to the last one; sums in float32
-within 16 units); least squares on 1e7 observations within .02 of a standard error; rows of form
-factors to 1e6 patches of a closed room, which sum to 1 within 1e-4; the memory of chains of 1e6
-steps within 2 %.
+`pytest -m slow tests/package/test_large.py` tests large inputs:
+
+- Histograms, integral images, means, blurs, mosaics and a raw frame of 100 megapixels are rounded
+  like small ones. Counts are exact, and sums in float32 are within 16 units.
+- Least squares on 1e7 observations agrees within .02 of a standard error.
+- Rows of form factors to 1e6 patches of a closed room sum to 1 within 1e-4.
+- Chains of 1e6 steps use the predicted memory within 2 %.
 """
 
 
@@ -236,7 +241,7 @@ def all_rows(only: str, kept: Kept) -> dict[str, list[Row]]:
 def page(rows, composed):
     every = [row for several in rows.values() for row in several]
     wrong = [row for row in every if not row.holds]
-    outside = f"rows that lie outside: {len(wrong)}." if wrong else "no row lies outside."
+    outside = f"Rows that exceed it: {len(wrong)}." if wrong else "No row exceeds it."
     text = HEAD.format(
         many=MANY,
         slow=SLOW,
