@@ -1,12 +1,19 @@
-"""Open each page of the built site in Chromium, narrow to wide and, on a laptop, dark; pages of the
-reference, hundreds of one make, on a phone and a laptop; with --whole, each in all six ways.
+"""Open each page of the built site in Chromium and report faults.
 
-`python docs/check_site.py [--whole] [SITE]` (by default docs/_build) prints what is wrong and exits
-with 1: errors in the console, bodies wider than the window, what is wider than the column of an
-article and does not scroll by itself (on a laptop, code and tables that must scroll, too; what
-notebooks print may), links to pages or places that do not exist, a search that does not find
-PhongBRDF. It needs the extra `pages` and Chromium, whose program the variable CHROMIUM names. Other
-hosts are not asked for anything.
+`python docs/check_site.py [--whole] [SITE]` (by default docs/_build) opens each page at three
+widths, and dark on a laptop. The many pages of the reference are opened on a phone and a laptop
+only. With --whole each page is opened in all six ways. The script prints these faults and exits
+with 1:
+
+- errors in the console
+- bodies wider than the window
+- content wider than the column of an article that does not scroll; on a laptop also code and tables
+  that must scroll, but not the output of notebooks
+- links to pages or anchors that do not exist
+- a search that does not find PhongBRDF
+
+It needs the extra `pages`, and Chromium, whose path is in the variable CHROMIUM. It asks no other
+host for anything.
 """
 
 import functools
@@ -51,12 +58,12 @@ class Quiet(SimpleHTTPRequestHandler):
 
 
 def pages(site):
-    """Those that the theme keeps as its own templates left out."""
+    """All pages except the theme's own templates."""
     return [page for page in sorted(site.rglob("*.html")) if "_static" not in page.parts]
 
 
 def places(page):
-    """The names that links may end in."""
+    """The anchors of a page."""
     return set(re.findall(r'\b(?:id|name)="([^"]+)"', page.read_text("utf-8")))
 
 

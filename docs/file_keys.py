@@ -117,7 +117,7 @@ def table_of(heading, make, keys):
 
 
 def described(model) -> dict[str, str]:
-    """What the docstrings of a model and of what it extends say of each key."""
+    """The description of each key, from the docstrings of a model and of its base classes."""
     found: dict[str, str] = {}
     for one in reversed(model.__mro__):
         doc = inspect.cleandoc(one.__dict__.get("__doc__") or "")

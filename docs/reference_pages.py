@@ -119,7 +119,7 @@ def directive(name, value):
 
 
 def reference_pages(folder):
-    """One page a module, of what it exports; one each for what its submodules define."""
+    """One page for the exports of each module, and one for each of its submodules."""
     folder.mkdir(exist_ok=True)
     pages = defaultdict(dict)
     for package in ROOTS:
