@@ -12,6 +12,7 @@ from pathlib import Path
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")  # by which tolerances were set, beside a GPU too
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of workers, whose threads wait for each other
 
 import jax
 import jaxlib.version

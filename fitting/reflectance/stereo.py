@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri, stdtrit
+from threadpoolctl import threadpool_limits
 
 from jaxvision import ArrayLike
 from jaxvision.errors import InputError
@@ -104,6 +105,7 @@ class Stereo:
         return with_picture(figure_png(maps), table, meaning="normals and albedo")
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # threads cost more than systems this small
 def photometric_stereo(
     images: ArrayLike,
     lights: ArrayLike,
