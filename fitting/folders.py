@@ -269,7 +269,7 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
             "joint",
             "Surface, response and sensor",
             lambda: section(calibrate(measurement, **settings, **drawn, progress=by_channel)),
-            known=(*measurement.observation.findings, *measurement.findings),
+            known=measurement.findings,
         )
     free = settings.get("fit_gamma", False)
     return [with_inputs(found, rig, "a reflectance calibration", fit_gamma=free)], {}

@@ -23,7 +23,7 @@ from ..reflectance.from_images.posterior import (
     composite_log_density,
     total_log_likelihood,
 )
-from ..reflectance.from_images.read import ReflectanceObservation, read_reflectance_observation
+from ..reflectance.from_images.read import Photographs, read_reflectance_observation
 from ..reflectance.from_images.samples import Selection, gather, select
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
@@ -122,7 +122,7 @@ def _part(samples: Samples, chosen: np.ndarray) -> Samples:
     )
 
 
-def _grouping(observation: ReflectanceObservation, chosen: Selection, width: float) -> Grouping:
+def _grouping(observation: Photographs, chosen: Selection, width: float) -> Grouping:
     light, pixel = chosen.light, chosen.pixel
     angles = observation.cosine[light, pixel], observation.mirror_angle[light, pixel]
     return group(light, *angles, width=width)

@@ -8,8 +8,8 @@ import numpy as np
 from jaxvision.errors import InputError
 
 from ..joint.calibration import calibrate
-from ..joint.from_memory import from_photographs
-from ..joint.read import JointMeasurement
+from ..joint.read import from_photographs
+from ..reflectance.from_images.read import Photographs
 from ..rig import Camera, SphereGeometry
 from .reflectance import BITS, GAIN, RADIUS, SIZE, WHITE, Sphere, directions, electrons
 from .simulations import places_in
@@ -48,7 +48,7 @@ CASES = {
 }
 
 
-def photographed(lab: Lab, seed: int) -> JointMeasurement:
+def photographed(lab: Lab, seed: int) -> Photographs:
     """Photographs as a fit gets them.
 
     Args:
@@ -56,14 +56,14 @@ def photographed(lab: Lab, seed: int) -> JointMeasurement:
         seed: of every draw.
 
     Returns:
-        The measurement.
+        The observation.
     """
     rng = np.random.default_rng(seed)
     sphere, full = lab.sphere, 2.0**BITS - 1 - BLACK
     linear = np.maximum(GAIN * electrons(sphere, rng), 0)
     black = BLACK + BLACK_SD * rng.standard_normal()
     encoded = black + full * (linear / full) ** (1 / lab.gamma)
-    measurement = from_photographs(
+    observation = from_photographs(
         list(np.clip(np.round(encoded), 0, 2.0**BITS - 1)),
         directions(sphere.lights),
         camera=Camera(
@@ -78,7 +78,7 @@ def photographed(lab: Lab, seed: int) -> JointMeasurement:
         direction_sd=sphere.direction_sd or None,
     )
     every = np.zeros(sphere.lights, bool)
-    return replace(measurement, observation=replace(measurement.observation, held_out=every))
+    return replace(observation, held_out=every)
 
 
 def places(lab: Lab, seed: int) -> np.ndarray:

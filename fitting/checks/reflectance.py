@@ -13,7 +13,7 @@ from ..reflectance.from_images.from_memory import from_photographs
 from ..reflectance.from_images.geometry_cells import Grouping, group
 from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.posterior import channel_posterior
-from ..reflectance.from_images.read import ReflectanceObservation
+from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.samples import Selection, gather, select
 from ..reflectance.names import Model
 from ..rig import Camera, SphereGeometry
@@ -78,7 +78,7 @@ class Sphere:
         return WHITE * np.where(cosine > 0, shaded, 0)
 
     @cached_property
-    def observed(self) -> tuple[ReflectanceObservation, Selection, Grouping]:
+    def observed(self) -> tuple[Photographs, Selection, Grouping]:
         """Photographs of the first seed, their samples and cells: all but the numbers of any."""
         observation = from_photographs(
             list(photographs(self, 0)),

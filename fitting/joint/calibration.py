@@ -1,6 +1,6 @@
 """Joint calibration of surface, response and sensor from the same images."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,8 @@ from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
 from ..inference.precision import in_double
+from ..reflectance.from_images.model import Form
+from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.shading_check import without_strangers
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
@@ -20,8 +22,7 @@ from .fit import JointFit
 from .freedom import degrees_of_freedom, laplace_miss
 from .halves import Halves, by_halves, widened
 from .misfit import over_images, stretched, stretched_log_density
-from .model import Form, log_posterior
-from .read import JointMeasurement
+from .model import log_posterior
 from .turns import fit_turned
 
 STEPS = ("fit", "halves", "posterior")  # of each channel
@@ -32,7 +33,7 @@ class JointCalibration(ShownInNotebooks):
     """One posterior a channel, of surface, response and sensor together.
 
     Attributes:
-        measurement: what was calibrated.
+        observation: what was calibrated.
         model: of the surface, as asked for.
         fits: of the channels.
         posteriors: by channel, where the data with the priors determine every parameter.
@@ -40,7 +41,7 @@ class JointCalibration(ShownInNotebooks):
         halves: by channel, fits of the halves of the images where the model misses the surface.
     """
 
-    measurement: JointMeasurement
+    observation: Photographs
     model: Model
     fits: tuple[JointFit, ...]
     posteriors: dict[str, Posterior]
@@ -50,7 +51,7 @@ class JointCalibration(ShownInNotebooks):
 
 @in_double
 def calibrate(
-    measurement: JointMeasurement,
+    measurement: Photographs,
     *,
     model: Model = "phong",
     index: float = INDEX,
@@ -80,14 +81,12 @@ def calibrate(
     Raises:
         InputError: where too little is left to fit, and for numbers outside their range.
     """
-    kind, source = JointMeasurement, "from_photographs"
+    kind, source = Photographs, "from_photographs"
     require_kind("joint.calibrate: measurement", measurement, kind, source=source)
     check_index(index)
-    belonging = without_strangers(measurement.observation)
-    if belonging is not measurement.observation:
-        measurement = replace(measurement, observation=belonging)
-    form = Form(model, index)
-    channels = len(measurement.observation.channels)
+    observation = without_strangers(measurement)
+    form = Form(model, free_gamma=fit_gamma, index=index)
+    channels = len(observation.channels)
     fits, posteriors, robusts, halves = [], {}, {}, {}
 
     def done(steps: int) -> None:
@@ -96,11 +95,11 @@ def calibrate(
 
     for channel in range(channels):
         done(0)
-        fit = fit_turned(measurement, channel, form, fit_gamma=fit_gamma)
+        fit = fit_turned(observation, channel, form)
         done(1)
         if is_determined(fit):
             robust = over_images(fit)
-            apart = None if robust is None else by_halves(measurement, channel, fit, robust)
+            apart = None if robust is None else by_halves(observation, channel, fit, robust)
             if robust is not None and apart is not None:
                 halves[fit.channel], robust = apart, widened(robust, apart)
             if robust is not None:
@@ -109,7 +108,7 @@ def calibrate(
             posteriors[fit.channel] = _posterior(fit, robust, sampling, seed)
         fits.append(fit)
     done(0)
-    return JointCalibration(measurement, model, tuple(fits), posteriors, robusts, halves)
+    return JointCalibration(observation, model, tuple(fits), posteriors, robusts, halves)
 
 
 def is_determined(fit: JointFit) -> bool:

@@ -24,9 +24,10 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxvision import Vec, as_array, as_vec
 from jaxvision.hemisphere import local_frame, to_local
 
-from ..reflectance.from_images.read import VIEW, ReflectanceObservation
+from ..reflectance.from_images.model import Form
+from ..reflectance.from_images.read import VIEW, Photographs
 from ..reflectance.models import has_lobe, shape_of, unit_shading
-from .model import Cells, Form, Geometry, Values, signal, stored
+from .model import Cells, Geometry, Values, signal, stored
 
 WIDEST, NARROWEST = 0.05, 0.00625  # rad of the normal: widths of a cell
 FINE = 0.5  # width of the finest cells over that of the lobe, as the normal turns
@@ -85,7 +86,7 @@ def _lobe(form: Form, shape: Array, wi: Vec, wo: Vec) -> Array:
 
 
 def make_grid(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     channel: int,
     reference: Values,
     form: Form,
@@ -168,7 +169,7 @@ def _few_sizes(cells: int) -> int:
 
 
 def _lobe_at(
-    observation: ReflectanceObservation, light: int, reference: Values, form: Form
+    observation: Photographs, light: int, reference: Values, form: Form
 ) -> Float[np.ndarray, " pixels"]:
     """The lobe at unit amplitude, of the lit pixels of one image."""
     wi, blank = observation.wi[light][None], np.ones((1, len(observation.normals)))
@@ -221,7 +222,7 @@ def _local_geometry(normals: Array, wi: Array, irradiance: Array, turns: bool) -
 
 
 def reduce_images(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     channel: int,
     grid: Grid,
     reference: Values,
@@ -267,7 +268,7 @@ def reduce_images(
 
 
 def _usable_at(
-    observation: ReflectanceObservation, channel: int, light: int, reference: Values, form: Form
+    observation: Photographs, channel: int, light: int, reference: Values, form: Form
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `pixels_at`, without the outline's half-lit pixels."""
     expected, usable = pixels_at(observation, channel, light, reference, form)
@@ -275,7 +276,7 @@ def _usable_at(
 
 
 def pixels_at(
-    observation: ReflectanceObservation, channel: int, light: int, values: Values, form: Form
+    observation: Photographs, channel: int, light: int, values: Values, form: Form
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
     """What a model says of the pixels of one image.
 
@@ -304,7 +305,7 @@ def pixels_at(
 
 
 def _measured_clear(
-    observation: ReflectanceObservation, channel: int, light: int, values: Values
+    observation: Photographs, channel: int, light: int, values: Values
 ) -> np.ndarray:
     """(pixels,) whose numbers are twice as clear of both ends as what is expected need be."""
     gain, read_noise = float(values["system_gain"]), float(values["read_noise"])

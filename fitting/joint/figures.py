@@ -14,7 +14,7 @@ SHOWN_LIGHTS = 4
 
 def images_figure(calibration: JointCalibration) -> Figure:
     """Rows: measured, predicted, difference in standard deviations; columns: lights."""
-    observation = calibration.measurement.observation
+    observation = calibration.observation
     fit = calibration.fits[len(calibration.fits) // 2]
     channel = observation.channels.index(fit.channel)
     covariance = calibration.posteriors[fit.channel].covariance
@@ -23,7 +23,7 @@ def images_figure(calibration: JointCalibration) -> Figure:
     figure = Figure(figsize=(1.2 + 2.2 * len(lights), 6.6), layout="constrained")
     axes = figure.subplots(3, len(lights), squeeze=False)
     for column, light in enumerate(lights):
-        made = predict(calibration.measurement, fit, covariance, int(light))
+        made = predict(calibration.observation, fit, covariance, int(light))
         dn = np.where(made.usable, observation.dn[channel, light], np.nan)
         top = np.nanquantile(dn, 0.999)
         left = (dn - made.mean) / made.deviation
@@ -93,7 +93,7 @@ def lights_figure(calibration: JointCalibration) -> Figure:
         places = np.arange(len(mean)) + (i - (len(calibration.fits) - 1) / 2) * width
         axis.errorbar(places, mean, spread, fmt="o", ms=4, color=OF_CHANNEL[fit.channel])
     axis.axhline(0, color="0.7", lw=0.8)
-    files = np.array(calibration.measurement.observation.files)[calibration.fits[0].grid.lights]
+    files = np.array(calibration.observation.files)[calibration.fits[0].grid.lights]
     axis.set_xticks(np.arange(len(files)), files, rotation=90, fontsize=8)
     axis.set_ylabel("light, less what the rig says [%]")
     return figure

@@ -8,7 +8,7 @@ from ..inference.formatting import format_percent
 from ..inference.parameters import names, prior_gaussian
 from ..inference.posterior import Posterior
 from ..inference.trust import convergence_in_words
-from ..reflectance.from_images.read import ASSUMED_BLACK
+from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
 from ..reflectance.from_images.shading_check import contradictions
 from ..reflectance.names import SHOWS
 from ..report.section import Table
@@ -17,7 +17,6 @@ from .fit import JointFit, image_errors
 from .halves import APART
 from .model import MISFIT_AT
 from .prediction import Score
-from .read import JointMeasurement
 from .unequal_pixels import NOISE, unequal_pixels
 
 PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
@@ -33,14 +32,13 @@ def findings(calibration: JointCalibration) -> tuple[str, ...]:
     gamma = calibration.fits[0].values.get("gamma")
     encoding = None if gamma is None else float(gamma)
     return (
-        *contradictions(calibration.measurement.observation, gamma=encoding),
+        *contradictions(calibration.observation, gamma=encoding),
         *(
             sentence
-            for sentence in calibration.measurement.observation.findings
+            for sentence in calibration.observation.findings
             if sentence != ASSUMED_BLACK or "black_level" in calibration.fits[0].data.known
         ),
-        *calibration.measurement.findings,
-        *darker_than_darks(calibration.measurement),
+        *darker_than_darks(calibration.observation),
         *(s for fit in calibration.fits for s in _channel_findings(calibration, fit)),
     )
 
@@ -62,10 +60,10 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
             "black level, gain or read noise that is not the images'."
         )
     if "prnu" not in fit.values:
-        stated = calibration.measurement.camera.prnu_sd is not None
+        stated = calibration.observation.camera.prnu_sd is not None
         found += [] if misses_as_noise(calibration, fit) else _gain_findings(fit, stated=stated)
     if "gamma" not in fit.values:
-        found += gains_disagree(fit, calibration.measurement.camera.gain)
+        found += gains_disagree(fit, calibration.observation.camera.gain)
     found += fit.identifiability.sentences
     posterior = calibration.posteriors.get(fit.channel)
     if posterior is None:
@@ -88,21 +86,21 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
                 "to see how large the misfit is."
             )
         found += _halves_findings(calibration, fit)
-    found += _prior_alone(posterior, of_frames=calibration.measurement.levels is not None)
+    found += _prior_alone(posterior, of_frames=calibration.observation.levels is not None)
     found += _image_findings(calibration, fit)
     found.append(convergence_in_words(posterior))
     return [f"{name}{sentence}" for sentence in found]
 
 
-def darker_than_darks(measurement: JointMeasurement) -> list[str]:
+def darker_than_darks(observation: Photographs) -> list[str]:
     """A sentence where pixels that no light reaches are darker than the darks: light only adds.
 
     Args:
-        measurement: with darks, or without.
+        observation: with darks, or without.
     """
-    observation, found = measurement.observation, []
+    found = []
     unlit = observation.cosine < UNLIT
-    for i, levels in enumerate(measurement.levels or ()):
+    for i, levels in enumerate(observation.levels or ()):
         if not levels.dark.any() or np.count_nonzero(unlit) < FEWEST_UNLIT:
             continue
         of_darks = float(np.mean(levels.mean[levels.dark]))
@@ -258,7 +256,7 @@ def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
     if found is None or "light_scatter" not in fit.values:
         return []
     scale = float(fit.values["light_scatter"])
-    files = np.array(calibration.measurement.observation.files)[fit.grid.lights]
+    files = np.array(calibration.observation.files)[fit.grid.lights]
     mean = found[0][:, 0]
     relative = mean * np.asarray(fit.data.relative["light_scatter"]) * scale
     worst = int(np.argmax(np.abs(mean)))

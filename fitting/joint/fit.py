@@ -17,13 +17,14 @@ from ..inference.diagnostics import Identifiability, identifiability
 from ..inference.left_out import LeftOut
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_unconstrained
+from ..reflectance.from_images.model import Form
+from ..reflectance.from_images.read import Photographs, UniformLevels
 from ..reflectance.models import is_searched, shape_of
 from . import marginal
 from .cells import Grid, cell_width, make_grid, reduce_images
 from .left_out import small, widest, without
 from .model import (
     Cells,
-    Form,
     JointData,
     Levels,
     Prediction,
@@ -34,7 +35,6 @@ from .model import (
     values_at,
     weights,
 )
-from .read import JointMeasurement, UniformLevels
 from .start import (
     SCATTERS,
     first_noise,
@@ -93,21 +93,19 @@ class JointFit:
 
 
 def fit_channel(
-    measurement: JointMeasurement,
+    observation: Photographs,
     channel: int,
     form: Form,
     *,
-    fit_gamma: bool,
     about: Float[np.ndarray, "2 images"] | None = None,
 ) -> JointFit:
     """Best fit of one channel, its lights' errors linear about some directions.
 
     Args:
-        measurement: images, flats and darks.
+        observation: images, flats and darks.
         channel: index.
         form: of the fit; it becomes Lambert's where no highlight is seen.
-        fit_gamma: whether the encoding exponent is free.
-        about: (2, images) rad, turns of the lights of this measurement from where the rig puts
+        about: (2, images) rad, turns of the lights of this observation from where the rig puts
             them; None for none.
 
     Returns:
@@ -116,7 +114,7 @@ def fit_channel(
     Raises:
         InputError: where too little is left to fit.
     """
-    grid, data, start = _prepared(measurement, channel, form, fit_gamma=fit_gamma)
+    grid, data, start = _prepared(observation, channel, form)
     if about is not None:
         grid = replace(grid, geometry=replace(grid.geometry, about=jnp.asarray(about)))
         data = eqx.tree_at(lambda d: d.cells.geometry, data, grid.geometry)
@@ -125,18 +123,18 @@ def fit_channel(
         gone = small(data, *_predicted(widest(start, data.space), data))
     data, start = without(data, start, gone)
     about_start = data
-    data, solution = _rounds(measurement, channel, grid, data, start)
+    data, solution = _rounds(observation, channel, grid, data, start)
     chi_square, cells = _chi_square(solution.vector, data)
     unexplained = None
     if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
         unexplained = chi_square
         data, vector = _with_misfit(about_start, start)
-        data, solution = _rounds(measurement, channel, grid, data, vector)
+        data, solution = _rounds(observation, channel, grid, data, vector)
         chi_square, cells = _chi_square(solution.vector, data)
     of_prior = _prior_information(solution.vector, data.space)
     by_data = np.asarray(solution.information - of_prior, np.float64)
     return JointFit(
-        channel=measurement.observation.channels[channel],
+        channel=observation.channels[channel],
         data=data,
         grid=grid,
         vector=np.asarray(solution.vector, np.float64),
@@ -163,16 +161,13 @@ def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> b
     return is_searched(model, float(values_at(vector, data)[shape_of(model).name]))
 
 
-def _prepared(
-    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
-) -> tuple[Grid, JointData, Array]:
+def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid, JointData, Array]:
     """The cells of one channel about a first model, and that model, unconstrained."""
-    form, start = first_reflectance(measurement, channel, form, fit_gamma=fit_gamma)
-    space, known = parameters(measurement, channel, form, start, fit_gamma=fit_gamma)
-    start = start | first_noise(measurement, channel, start.get("gamma"))
+    form, start = first_reflectance(observation, channel, form)
+    space, known = parameters(observation, channel, form, start)
+    start = start | first_noise(observation, channel, start.get("gamma"))
     shape = None if form.model == "lambert" else start[shape_of(form.model).name]
-    observation = measurement.observation
-    scales = scatter_scales(measurement)
+    scales = scatter_scales(observation)
     natural = {name: start[name] for name in names(space)} | known
     grid = make_grid(
         observation,
@@ -187,8 +182,8 @@ def _prepared(
         space=space,
         form=form,
         known={name: jnp.asarray(value) for name, value in known.items()},
-        cells=_reduced(measurement, channel, grid, natural, form),
-        levels=_levels(measurement, channel),
+        cells=_reduced(observation, channel, grid, natural, form),
+        levels=_levels(observation, channel),
         white=jnp.asarray(observation.white),
         relative={
             name: jnp.asarray(size[grid.lights])
@@ -196,7 +191,7 @@ def _prepared(
             if name != "prnu"
         },
     )
-    _refuse_too_little(measurement, data)
+    _refuse_too_little(observation, data)
     vector = to_unconstrained(space, jnp.asarray([natural[name] for name in names(space)]))
     return grid, data, vector
 
@@ -223,7 +218,7 @@ def _with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
 
 
 def _rounds(
-    measurement: JointMeasurement, channel: int, grid: Grid, data: JointData, vector: Array
+    observation: Photographs, channel: int, grid: Grid, data: JointData, vector: Array
 ) -> tuple[JointData, NewtonSolution]:
     """The optimum, with cells about it: the reference follows until it has come to rest."""
     solution = minimise(cost, vector, data)
@@ -231,7 +226,7 @@ def _rounds(
         reference = solution.vector
         natural = {k: float(v) for k, v in values_at(reference, data).items()}
         within = None if number < FREE_ROUNDS else np.asarray(data.cells.count)
-        cells = _reduced(measurement, channel, grid, natural, data.form, within=within)
+        cells = _reduced(observation, channel, grid, natural, data.form, within=within)
         data = eqx.tree_at(lambda d: d.cells, data, cells)
         solution = minimise(cost, reference, data)
         if not solution.converged:
@@ -243,7 +238,7 @@ def _rounds(
 
 
 def _reduced(
-    measurement: JointMeasurement,
+    observation: Photographs,
     channel: int,
     grid: Grid,
     natural: dict[str, float],
@@ -253,22 +248,22 @@ def _reduced(
 ) -> Cells:
     reference = {name: jnp.asarray(value) for name, value in natural.items()}
     kept = {"products": "prnu" in natural, "within": within}
-    return reduce_images(measurement.observation, channel, grid, reference, form, **kept)
+    return reduce_images(observation, channel, grid, reference, form, **kept)
 
 
-def _levels(measurement: JointMeasurement, channel: int) -> Levels | None:
-    if measurement.levels is None:
+def _levels(observation: Photographs, channel: int) -> Levels | None:
+    if observation.levels is None:
         return None
-    of: UniformLevels = measurement.levels[channel]
+    of: UniformLevels = observation.levels[channel]
     return Levels(*(jnp.asarray(a) for a in (of.mean, of.variance, of.freedom)))
 
 
-def _refuse_too_little(measurement: JointMeasurement, data: JointData) -> None:
+def _refuse_too_little(observation: Photographs, data: JointData) -> None:
     cells = int(jnp.sum(data.cells.count > 0))
     if cells < FEWEST_CELLS:
         raise InputError(
             f"only {cells} patches of the object are lit and clear of black and of saturation "
-            f"({measurement.observation.clip:g} DN); expose differently, or correct "
+            f"({observation.clip:g} DN); expose differently, or correct "
             "camera.black_level and camera.saturation."
         )
 

@@ -17,8 +17,8 @@ from jaxvision.side_by_side import side_by_side
 
 from ..inference.clustering import Robustness
 from ..inference.parameters import names, to_natural
+from ..reflectance.from_images.read import Photographs
 from .fit import MISFIT, JointFit
-from .read import JointMeasurement
 from .turns import fit_turned
 
 FEWEST_IMAGES = 12  # of which the halves still tell a surface
@@ -51,12 +51,12 @@ class Halves:
 
 
 def by_halves(
-    measurement: JointMeasurement, channel: int, fit: JointFit, robust: Robustness
+    observation: Photographs, channel: int, fit: JointFit, robust: Robustness
 ) -> Halves | None:
     """Fits the halves of the images of one channel.
 
     Args:
-        measurement: images, flats and darks.
+        observation: images, flats and darks.
         channel: index.
         fit: of all images, which needed a misfit.
         robust: its covariance over images.
@@ -64,11 +64,11 @@ def by_halves(
     Returns:
         What they find; None of fewer than `FEWEST_IMAGES` images, and where a half tells nothing.
     """
-    images = np.flatnonzero(~measurement.observation.held_out)
+    images = np.flatnonzero(~observation.held_out)
     if len(images) < FEWEST_IMAGES:
         return None
     fits = side_by_side(
-        [partial(_of_images, measurement, channel, fit, images[half::2]) for half in (0, 1)]
+        [partial(_of_images, observation, channel, fit, images[half::2]) for half in (0, 1)]
     )
     if not all(half.converged and half.space == fit.space for half in fits):
         return None
@@ -100,14 +100,12 @@ def widened(robust: Robustness, halves: Halves) -> Robustness:
 
 
 def _of_images(
-    measurement: JointMeasurement, channel: int, fit: JointFit, images: np.ndarray
+    observation: Photographs, channel: int, fit: JointFit, images: np.ndarray
 ) -> JointFit:
-    others = np.ones(len(measurement.observation.held_out), bool)
+    others = np.ones(len(observation.held_out), bool)
     others[images] = False
-    observation = replace(measurement.observation, held_out=others)
     return fit_turned(
-        replace(measurement, observation=observation),
+        replace(observation, held_out=others),
         channel,
         fit.data.form,
-        fit_gamma="gamma" in names(fit.space),
     )

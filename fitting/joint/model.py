@@ -34,7 +34,7 @@ A number that is known exactly is no parameter, and an error that the rig does n
 traced.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -45,8 +45,8 @@ from jaxvision import Vec
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
+from ..reflectance.from_images.model import Form
 from ..reflectance.models import has_lobe, shape_of, unit_shading
-from ..reflectance.names import Model
 from . import marginal
 
 Values = dict[str, Array]
@@ -111,19 +111,6 @@ class Levels(eqx.Module):
     mean: Float[Array, " levels"]
     variance: Float[Array, " levels"]
     freedom: Float[Array, " levels"]
-
-
-@dataclass(frozen=True)
-class Form:
-    """What is static of a fit.
-
-    Attributes:
-        model: one of `reflectance.models`.
-        index: of refraction, of clear facets.
-    """
-
-    model: Model
-    index: float
 
 
 class JointData(eqx.Module):

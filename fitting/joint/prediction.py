@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..reflectance.from_images.read import ReflectanceObservation
+from ..reflectance.from_images.read import Photographs
 from .cells import DARKEST, SMALLEST_COSINE, local_geometry, pixels_at
 from .fit import JointFit
 from .model import BY_IMAGE, Cells, JointData, predicted, values_at
-from .read import JointMeasurement
 from .start import scatter_scales
 
 GAUSSIAN_BAND = 1.96  # standard deviations, of 95 %
@@ -34,7 +33,7 @@ class PixelPrediction:
 
 
 def predict(
-    measurement: JointMeasurement,
+    measurement: Photographs,
     fit: JointFit,
     covariance: Float[np.ndarray, "parameters parameters"],
     light: int,
@@ -50,7 +49,7 @@ def predict(
     Returns:
         The prediction; nan for pixels that are not lit.
     """
-    observation = measurement.observation
+    observation = measurement
     channel = observation.channels.index(fit.channel)
     expected, usable = pixels_at(observation, channel, light, fit.values, fit.data.form)
     usable = usable & (observation.cosine[light] > SMALLEST_COSINE)
@@ -61,7 +60,7 @@ def predict(
             _as_cells(observation, channel, light, expected, usable, fit),
             {
                 name: jnp.asarray(size[[light]])
-                for name, (_, size) in scatter_scales(measurement).items()
+                for name, (_, size) in scatter_scales(observation).items()
                 if name in BY_IMAGE
             },
         ),
@@ -74,7 +73,7 @@ def predict(
 
 
 def _as_cells(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     channel: int,
     light: int,
     expected: np.ndarray,
@@ -137,26 +136,25 @@ class Score:
 
 
 def score(
-    measurement: JointMeasurement,
+    observation: Photographs,
     fit: JointFit,
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Score:
     """Judges the predictions of one channel.
 
     Args:
-        measurement: of the fit.
+        observation: of the fit.
         fit: of one channel.
         covariance: (P, P) of its parameters on the unconstrained scale.
 
     Returns:
         The score.
     """
-    observation = measurement.observation
     channel = observation.channels.index(fit.channel)
     sums = np.zeros((2, 2))  # squared errors, squared signals
     distances: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])  # in deviations
     for light, held_out in enumerate(observation.held_out):
-        made = predict(measurement, fit, covariance, light)
+        made = predict(observation, fit, covariance, light)
         dn = observation.dn[channel, light][made.usable]
         miss = dn - made.mean[made.usable]
         signal = dn - observation.black

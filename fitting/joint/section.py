@@ -24,9 +24,9 @@ def section(calibration: JointCalibration) -> Section:
     Returns:
         Estimates, findings, tables and pictures.
     """
-    measurement, observation = calibration.measurement, calibration.measurement.observation
+    observation = calibration.observation
     scores = tuple(
-        score(measurement, fit, calibration.posteriors[fit.channel].covariance)
+        score(observation, fit, calibration.posteriors[fit.channel].covariance)
         for fit in calibration.fits
         if fit.channel in calibration.posteriors
     )
@@ -63,7 +63,7 @@ def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
     for fit in calibration.fits:
         if fit.channel in calibration.posteriors:
             found = estimates(calibration.posteriors[fit.channel], group=fit.channel)
-            stated = calibration.measurement.camera.prnu_sd is not None
+            stated = calibration.observation.camera.prnu_sd is not None
             hidden = "prnu" not in fit.values and unequal_pixels(fit).hide_noise(stated)
             why = "pixels may be unequal (see the findings)"
             if misses_as_noise(calibration, fit):

@@ -15,12 +15,11 @@ from ..inference.parameters import Parameter, ParameterSpace, names, to_natural
 from ..inference.priors import LogNormal, Normal
 from ..reflectance.from_images import model as images_model
 from ..reflectance.from_images.geometry_cells import average, group
+from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.optimum import project
-from ..reflectance.from_images.read import ReflectanceObservation
+from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.samples import Selection, make_samples, select
 from ..reflectance.models import amplitude, has_lobe, shape_of
-from .model import Form
-from .read import JointMeasurement
 
 TRUST = 1.6  # factor, one standard deviation, by which a stated error may be off
 MOST_AT_START = 100_000  # samples
@@ -38,18 +37,18 @@ SCATTERS = {
 
 
 def scatter_scales(
-    measurement: JointMeasurement,
+    observation: Photographs,
 ) -> dict[str, tuple[float, Float[np.ndarray, " lights"]]]:
     """The errors that the rig names.
 
     Args:
-        measurement: whose rig it is.
+        observation: whose rig it is.
 
     Returns:
         By name the stated size, and of each light its own relative to that. Strength of a light
         and exposure of its image change the same, so they count as one.
     """
-    known = measurement.observation.uncertain
+    known = observation.uncertain
     stated = {
         "light_scatter": np.hypot(known["intensity_sd"], known["exposure_sd"]),
         "direction_scatter": known["direction_sd"],
@@ -60,32 +59,29 @@ def scatter_scales(
         if sizes.any():
             typical = float(np.sqrt(np.mean(sizes[sizes > 0] ** 2)))
             found[name] = (typical, sizes / typical)
-    if measurement.camera.prnu_sd:
-        found["prnu"] = (measurement.camera.prnu_sd, np.ones(0))
+    if observation.camera.prnu_sd:
+        found["prnu"] = (observation.camera.prnu_sd, np.ones(0))
     return found
 
 
 def parameters(
-    measurement: JointMeasurement,
+    observation: Photographs,
     channel: int,
     form: Form,
     start: dict[str, float],
-    *,
-    fit_gamma: bool,
 ) -> tuple[ParameterSpace, dict[str, float]]:
     """What is to be found, and what the rig knows exactly.
 
     Args:
-        measurement: images, flats and darks.
+        observation: images, flats and darks.
         channel: index.
         form: of the fit.
         start: where the search begins; gamma is missing in it for linear files.
-        fit_gamma: whether the encoding exponent is free.
 
     Returns:
         Parameters with their priors, and numbers by name.
     """
-    camera, known = measurement.camera, {}
+    camera, known = observation.camera, {}
     space = [amplitude("diffuse", "k_d", images_model.COEFFICIENT_UNIT)]
     if has_lobe(form.model):
         space.append(amplitude("specular", "k_s", images_model.COEFFICIENT_UNIT))
@@ -101,21 +97,21 @@ def parameters(
             space.append(replace(parameter, prior=Normal(value, sd)))
 
     if "gamma" in start:
-        add(GAMMA, None if fit_gamma else camera.gamma, camera.gamma_sd)
+        add(GAMMA, None if form.free_gamma else camera.gamma, camera.gamma_sd)
     add(GAIN, camera.gain, camera.gain_sd)
     add(READ_NOISE, camera.read_noise, camera.read_noise_sd)
-    add(BLACK, *_black(measurement, channel))
-    for name, (size, _) in scatter_scales(measurement).items():
+    add(BLACK, *_black(observation, channel))
+    for name, (size, _) in scatter_scales(observation).items():
         space.append(replace(SCATTERS[name], prior=LogNormal(size, float(np.log(TRUST)))))
     return tuple(space), known
 
 
-def _black(measurement: JointMeasurement, channel: int) -> tuple[float, float | None]:
+def _black(observation: Photographs, channel: int) -> tuple[float, float | None]:
     """The black level and its standard deviation: the rig's, or the darks', or of both the mean
     weighted by their precisions."""
-    black, sd = measurement.observation.black, measurement.camera.black_sd
-    stated = measurement.camera.black_level is not None
-    levels = None if measurement.levels is None else measurement.levels[channel]
+    black, sd = observation.black, observation.camera.black_sd
+    stated = observation.camera.black_level is not None
+    levels = None if observation.levels is None else observation.levels[channel]
     if levels is None or not levels.dark.any() or (stated and sd is None):
         return black, sd
     means, errors = [levels.mean[levels.dark]], [levels.mean_error[levels.dark]]
@@ -127,25 +123,22 @@ def _black(measurement: JointMeasurement, channel: int) -> tuple[float, float | 
 
 
 def first_reflectance(
-    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
+    observation: Photographs, channel: int, form: Form
 ) -> tuple[Form, dict[str, float]]:
     """The form that the images show, and the least-squares reflectance and gamma.
 
     Args:
-        measurement: images, flats and darks.
+        observation: images, flats and darks.
         channel: index.
         form: that is asked for; where no highlight is seen Lambert's is found.
-        fit_gamma: whether the encoding exponent is free.
 
     Returns:
         The form, and natural values by name.
     """
-    observation = measurement.observation
-    search = images_model.Form(form.model, free_gamma=fit_gamma, index=form.index)
-    chosen = select(observation, held_out=False, form=search)
+    chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
     chosen = Selection(chosen.light[::every], chosen.pixel[::every])
-    samples = make_samples(observation, channel, search, chosen)
+    samples = make_samples(observation, channel, form, chosen)
     cells = group(
         chosen.light,
         observation.cosine[chosen.light, chosen.pixel],
@@ -155,27 +148,25 @@ def first_reflectance(
     space = images_model.parameter_space(found.form)
     natural = np.asarray(to_natural(space, vector), np.float64)
     start = dict(zip(names(space), natural.tolist(), strict=True))
-    if not fit_gamma and observation.gamma is not None:
+    if not form.free_gamma and observation.gamma is not None:
         start["gamma"] = observation.gamma
-    return Form(found.form.model, form.index), start
+    return replace(form, model=found.form.model), start
 
 
-def first_noise(
-    measurement: JointMeasurement, channel: int, gamma: float | None
-) -> dict[str, float]:
+def first_noise(observation: Photographs, channel: int, gamma: float | None) -> dict[str, float]:
     """Gain, read noise, black level and scatters near enough to begin with.
 
     Args:
-        measurement: images, flats and darks.
+        observation: images, flats and darks.
         channel: index.
         gamma: encoding exponent; None for linear files.
 
     Returns:
         Natural values by name.
     """
-    camera, observation = measurement.camera, measurement.observation
-    found = {name: size for name, (size, _) in scatter_scales(measurement).items()}
-    found["black_level"] = _black(measurement, channel)[0]
+    camera = observation.camera
+    found = {name: size for name, (size, _) in scatter_scales(observation).items()}
+    found["black_level"] = _black(observation, channel)[0]
     gain = camera.gain
     if gain is None:
         gain = _gain_of_neighbours(observation, channel, gamma)
@@ -186,9 +177,7 @@ def first_noise(
     return found
 
 
-def _gain_of_neighbours(
-    observation: ReflectanceObservation, channel: int, gamma: float | None
-) -> float:
+def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | None) -> float:
     """K from the differences of neighbours in a row: their light is nearly the same."""
     dn = np.clip(observation.dn[channel], observation.black + 1, None)
     linear = np.asarray(

@@ -6,15 +6,13 @@ is wider and weaker than each highlight, in all images alike. So the fit is done
 turns that it finds (Gauss-Newton), until no light moves.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 
+from ..reflectance.from_images.model import Form
+from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.turns import turned
 from .fit import JointFit, fit_channel, image_errors
-from .model import Form
-from .read import JointMeasurement
 
 MOST_TURNS = 8
 SETTLED = 0.05  # standard deviations of a light's direction
@@ -23,17 +21,14 @@ IMPLAUSIBLE = 3.0  # times the stated size, from which it is the model that miss
 Turns = Float[np.ndarray, "2 images"]
 
 
-def fit_turned(
-    measurement: JointMeasurement, channel: int, form: Form, *, fit_gamma: bool
-) -> JointFit:
+def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
     """Best fit of one channel, about the turns that it finds; about the rig's lights where these
     would be off by far more than the rig says.
 
     Args:
-        measurement: images, flats and darks.
+        observation: images, flats and darks.
         channel: index.
         form: of the fit; it becomes Lambert's where no highlight is seen.
-        fit_gamma: whether the encoding exponent is free.
 
     Returns:
         The fit.
@@ -41,12 +36,11 @@ def fit_turned(
     Raises:
         InputError: where too little is left to fit.
     """
-    observation = measurement.observation
     sizes = observation.uncertain["direction_sd"][~observation.held_out]
     if not sizes.any():
-        return fit_channel(measurement, channel, form, fit_gamma=fit_gamma)
+        return fit_channel(observation, channel, form)
     turns = np.zeros((2, len(sizes)))
-    nominal = fit = fit_channel(measurement, channel, form, fit_gamma=fit_gamma, about=turns)
+    nominal = fit = fit_channel(observation, channel, form, about=turns)
     for _ in range(MOST_TURNS):
         found = likeliest_turns(fit)
         if found is None or found[1].max() > IMPLAUSIBLE * sizes.max():
@@ -57,8 +51,7 @@ def fit_turned(
         across = np.zeros((len(observation.held_out), 2))
         across[fit.grid.lights] = turns.T
         lights = turned(observation, across)
-        moved = replace(measurement, observation=lights)
-        fit = fit_channel(moved, channel, form, fit_gamma=fit_gamma, about=turns)
+        fit = fit_channel(lights, channel, form, about=turns)
     return fit
 
 

@@ -28,12 +28,13 @@ from fitting.joint.fit import fit_channel
 from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.halves import Halves, widened
 from fitting.joint.misfit import _by_image, over_images
-from fitting.joint.model import Cells, Form, Geometry, JointData, log_likelihood
+from fitting.joint.model import Cells, Geometry, JointData, log_likelihood
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
 from fitting.joint.start import parameters, scatter_scales
 from fitting.joint.turns import fit_turned
 from fitting.joint.unequal_pixels import unequal_pixels
+from fitting.reflectance.from_images.model import Form
 from fitting.rig import Camera, SphereGeometry
 from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError
@@ -192,8 +193,8 @@ def primitives(jaxpr):
 
 def likelihood_of(measurement):
     """Operations in the log likelihood that a measurement calls for, on two blank cells."""
-    form, start = Form("phong", 1.5), {"gamma": GAMMA} if measurement.camera.gamma else {}
-    space, known = parameters(measurement, 0, form, start, fit_gamma=False)
+    form, start = Form("phong"), {"gamma": GAMMA} if measurement.camera.gamma else {}
+    space, known = parameters(measurement, 0, form, start)
     seven = jnp.full((7, 2), 0.5)
     up = Vec(jnp.zeros((7, 2)), jnp.zeros((7, 2)), jnp.ones((7, 2)))
     scales = scatter_scales(measurement)
@@ -296,10 +297,10 @@ def test_images_in_memory_are_those_of_files(tmp_path):
         darks=[dark],
     )
     theirs = read_joint_measurement(rig_folder(tmp_path, images, lights, flat, dark))
-    np.testing.assert_array_equal(ours.observation.dn, theirs.observation.dn)
-    np.testing.assert_array_equal(ours.observation.wi, theirs.observation.wi)
-    for name, sizes in theirs.observation.uncertain.items():
-        np.testing.assert_array_equal(ours.observation.uncertain[name], sizes)
+    np.testing.assert_array_equal(ours.dn, theirs.dn)
+    np.testing.assert_array_equal(ours.wi, theirs.wi)
+    for name, sizes in theirs.uncertain.items():
+        np.testing.assert_array_equal(ours.uncertain[name], sizes)
     assert ours.levels is not None
     assert theirs.levels is not None
     (mine,), (other,) = ours.levels, theirs.levels
@@ -433,11 +434,11 @@ def test_cells_are_wide_but_for_highlights_and_the_ends_of_the_scale():
     """Every pixel has one cell in an image; within a divided image no wide cell sees the lobe vary
     by more than a twentieth of its peak, and the finest are those of the width."""
     measurement = large_ball(np.random.default_rng(4), exponent=200.0)
-    of = measurement.observation
+    of = measurement
     reference = TRUTH | {"diffuse": DIFFUSE, "exponent": 200.0}
     del reference["gamma"]
     at = {name: jnp.asarray(value) for name, value in reference.items()}
-    form, width = Form("phong", 1.5), 0.0125
+    form, width = Form("phong"), 0.0125
     grid, shared = (
         make_grid(of, 0, at, form, width=width, turns=False, shared=s) for s in (False, True)
     )
@@ -469,7 +470,7 @@ def test_wide_cells_say_what_fine_ones_say():
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("fitting.joint.fit.cell_width", lambda form, shape: 0.02)
             patch.setattr("fitting.joint.cells.WIDEST", widest or 0.02)
-            fits.append(fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False))
+            fits.append(fit_channel(measurement, 0, Form("phong")))
     wide, fine = fits
     assert wide.cells < 0.4 * fine.cells
     assert wide.unexplained is None
@@ -512,7 +513,7 @@ def test_cells_of_many_pixels_say_what_the_pixels_say():
     for width in (0.05, 0.12):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("fitting.joint.fit.cell_width", lambda form, shape, width=width: width)
-            fits.append(fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False))
+            fits.append(fit_channel(measurement, 0, Form("phong")))
     fine, wide = fits
     assert wide.cells < fine.cells / 1.5
     assert np.sum(wide.data.cells.count) == np.sum(fine.data.cells.count)
@@ -538,7 +539,7 @@ def test_intervals_of_a_misfit_hold_what_other_images_say():
     for first in (0, 1):
         held_out = np.arange(17) % 2 != first
         held_out[16] = True
-        half = replace(measured, observation=replace(measured.observation, held_out=held_out))
+        half = replace(measured, held_out=held_out)
         found = calibrate(half)
         (fit,), posterior = found.fits, found.posteriors["grey"]
         assert fit.unexplained is not None
@@ -565,13 +566,13 @@ def test_what_all_cells_of_an_image_miss_is_no_noise_of_a_free_sensor(waves, prn
     lab = Lab(Sphere(prnu=prnu), gamma=1.0)
     rng = np.random.default_rng(3)
     exact = photographed(lab, 3)
-    seen = exact.observation
+    seen = exact
     turns, phases = rng.uniform(0, 2 * np.pi, (2, len(seen.files), 1))
     along = np.cos(turns) * seen.normals[:, 0] + np.sin(turns) * seen.normals[:, 1]
     wave = 1 + waves * np.sin(4 * along + phases)
     observation = replace(seen, dn=np.round(seen.black + (seen.dn - seen.black) * wave))
     measurement = replace(exact, observation=observation)
-    fit = fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False)
+    fit = fit_channel(measurement, 0, Form("phong"))
     robust = over_images(fit)
     assert (robust is None) == (waves == 0)
     if robust is None:
@@ -592,7 +593,7 @@ def test_images_whose_lights_were_turned_are_judged_one_by_one():
     """The angles of the lights have their axis of images last; the scores of all images sum to the
     gradient of the likelihood, which at the best fit is that of the priors."""
     lab = Lab(Sphere(direction_sd=np.radians(1.0)), gamma=1.0)
-    fit = fit_turned(photographed(lab, 0), 0, Form("phong", 1.5), fit_gamma=False)
+    fit = fit_turned(photographed(lab, 0), 0, Form("phong"))
     assert fit.data.cells.geometry.about is not None
     vector = jnp.asarray(fit.vector)
     scores, _ = _by_image(vector, fit.data)

@@ -77,6 +77,6 @@ def test_lights_off_by_a_degree_are_turned_and_leave_no_bias(seed):
     assert turns is not None
     across = np.zeros((12, 2))
     across[fit.grid.lights] = turns[0].T
-    seen = turned(measurement.observation, across)
+    seen = turned(measurement, across)
     cosine = np.sum(seen.wi[:11, 0] * actual[:11], axis=1)
     assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 0.1

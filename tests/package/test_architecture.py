@@ -63,8 +63,9 @@ STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section
 FITTING_FLOORS = [
     {"rig", "inference", "codes", "copies"},
     {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
-    {"photographs", "fits"},
-    {"noise", "response", "reflectance", "sensor_likelihoods"},
+    {"fits"},
+    {"noise", "response", "sensor_likelihoods"},
+    {"reflectance"},
     {"accuracy", "demo", "joint"},
     {"checks"},
     {"folders"},

@@ -17,14 +17,13 @@ from fitting.demo.compare import calibrate_lab
 from fitting.inference import posterior
 from fitting.inference.emcee_run import Chain, Emcee
 from fitting.joint import calibration as joint
-from fitting.joint.read import JointMeasurement
 from fitting.noise import calibration as noise
 from fitting.noise.read import read_photon_transfer
 from fitting.reflectance.from_files import calibration as from_files
 from fitting.reflectance.from_files.fit import fit_model
 from fitting.reflectance.from_files.read import from_samples
 from fitting.reflectance.from_images import calibration as from_images
-from fitting.reflectance.from_images.read import read_reflectance_observation
+from fitting.reflectance.from_images.read import Photographs, read_reflectance_observation
 from fitting.report.progress import reporting
 from fitting.response import calibration as response
 from fitting.response.read import read_exposure_stack
@@ -163,6 +162,6 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
     monkeypatch.setattr(joint, "without_strangers", lambda observation: observation)
     monkeypatch.setattr(joint, "_posterior", posterior)
     monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # of the stand-in
-    measurement = SimpleNamespace(observation=SimpleNamespace(channels=("red", "green")))
-    joint.calibrate(cast(JointMeasurement, measurement), seed=7)
+    measurement = SimpleNamespace(channels=("red", "green"))
+    joint.calibrate(cast(Photographs, measurement), seed=7)
     assert seeds == [(0, 7), (1, 7)]

@@ -9,10 +9,10 @@ from diligent import write_ball_rig
 from fitting.inference.estimates import find
 from fitting.joint import read_joint_measurement
 from fitting.joint.fit import fit_channel
-from fitting.joint.model import Form
 from fitting.joint.prediction import score as predicted_images
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
 from fitting.reflectance.from_images.calibration import mean_residual
+from fitting.reflectance.from_images.model import Form
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.section import section as reflectance_section
 from fitting.reflectance.from_images.shading_check import contradictions, directions_by_shading
@@ -107,7 +107,7 @@ def test_a_joint_fit_tells_misfit_from_noise(ball):
     scatter, and the band of a pixel holds what it says under lights that were not fitted. Without a
     misfit the gain came out as 31.8 DN per electron."""
     measurement = read_joint_measurement(load_rig(ball))
-    fit = fit_channel(measurement, 0, Form("phong", 1.5), fit_gamma=False)
+    fit = fit_channel(measurement, 0, Form("phong"))
     assert fit.converged
     assert fit.unexplained is not None
     assert float(fit.values["system_gain"]) < 4

@@ -109,11 +109,11 @@ def test_what_is_no_measurement_is_no_calibration():
     for calibrate, named in (
         (calibrate_noise, "noise.calibrate: measurement must be a PhotonTransfer, got dict; from_"),
         (calibrate_response, "response.calibrate: stack must be an ExposureStack, got dict"),
-        (calibrate_joint, "joint.calibrate: measurement must be a JointMeasurement, got dict"),
+        (calibrate_joint, "joint.calibrate: measurement must be a Photographs, got dict"),
     ):
         with pytest.raises(InputError, match=named):
             calibrate({"a": 1})
-    with pytest.raises(InputError, match="observation must be a ReflectanceObservation, got dict"):
+    with pytest.raises(InputError, match="observation must be a Photographs, got dict"):
         calibrate_reflectance({"a": 1}, model="phong")
 
 

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fitting.joint.model import Form
 from fitting.joint.read import read_joint_measurement
 from fitting.joint.start import parameters
 from fitting.noise.read import reduce_rig
+from fitting.reflectance.from_images.model import Form
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.report.unused_keys import unused_keys
 from fitting.response.read import read_exposure_stack
@@ -71,18 +71,23 @@ def load(path):
     return IMAGES[path.name]
 
 
-def joint_measurement(rig, *, load):
+def photographs(rig, *, load):
+    """What a reflectance calibration takes of them: nothing of the camera's own record."""
+    return dataclasses.replace(read_reflectance_observation(rig, load=load), camera=None)
+
+
+def joint_photographs(rig, *, load):
     measured = read_joint_measurement(rig, load=load)
-    start = {} if measured.observation.gamma is None else {"gamma": 2.0}
-    told = parameters(measured, 0, Form("phong", 1.5), start, fit_gamma=False)
-    return measured.observation, measured.levels, told
+    start = {} if measured.gamma is None else {"gamma": 2.0}
+    told = parameters(measured, 0, Form("phong"), start)
+    return dataclasses.replace(measured, camera=None), told
 
 
 READ = {
     "noise": reduce_rig,
     "response": read_exposure_stack,
-    "brdf": read_reflectance_observation,
-    "joint": joint_measurement,
+    "brdf": photographs,
+    "joint": joint_photographs,
 }
 
 

@@ -23,7 +23,7 @@ from .fit import ChannelFit, fit_channel, lights_as_fitted, predicted_image
 from .geometry_cells import group
 from .model import Form, parameter_space
 from .posterior import channel_posterior
-from .read import ReflectanceObservation
+from .read import Photographs
 from .samples import Selection, gather, select
 from .shading_check import without_strangers
 
@@ -54,7 +54,7 @@ class ReflectanceCalibration(ShownInNotebooks):
         minimum_cosine: n.l below which samples were left out.
     """
 
-    observation: ReflectanceObservation
+    observation: Photographs
     model: Model
     fits: dict[Model, tuple[ChannelFit, ...]]
     scores: tuple[ModelScore, ...]
@@ -71,7 +71,7 @@ class ReflectanceCalibration(ShownInNotebooks):
 
 @in_double
 def calibrate(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     *,
     model: Model,
     compare_all: bool = False,
@@ -108,7 +108,7 @@ def calibrate(
     Raises:
         InputError: where too few samples are left, and for numbers outside their range.
     """
-    kind, source = ReflectanceObservation, "from_photographs"
+    kind, source = Photographs, "from_photographs"
     require_kind("reflectance.calibrate: observation", observation, kind, source=source)
     if not 0 <= minimum_cosine < 1:
         raise InputError(f"minimum_cosine = {minimum_cosine}: give a cosine from 0 up to below 1.")

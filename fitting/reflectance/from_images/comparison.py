@@ -24,7 +24,7 @@ from ..models import LABELS
 from ..names import SHOWS, Model
 from .fit import ChannelFit, lights_as_fitted
 from .model import predicted_dn
-from .read import ReflectanceObservation
+from .read import Photographs
 from .samples import Selection, make_samples
 
 LEVEL = 0.975  # quantile of Student's t within which a difference counts as none
@@ -119,7 +119,7 @@ def difference(one: ModelScore, other: ModelScore) -> Difference:
 
 
 def squares_by_light(
-    observation: ReflectanceObservation, fit: ChannelFit, selection: Selection
+    observation: Photographs, fit: ChannelFit, selection: Selection
 ) -> Float[np.ndarray, "lights 2"] | None:
     """Sums over a light's unsaturated samples of squared (predicted - measured), and of squared
     signals above black.
@@ -153,9 +153,7 @@ def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None
     return float(np.sqrt(error / signal))
 
 
-def relative_error(
-    observation: ReflectanceObservation, fit: ChannelFit, selection: Selection
-) -> float | None:
+def relative_error(observation: Photographs, fit: ChannelFit, selection: Selection) -> float | None:
     """RMS of predicted - measured over the RMS of the measured signal above black, on unsaturated
     samples.
 
@@ -171,7 +169,7 @@ def relative_error(
 
 
 def compare(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     fits: Mapping[Model, Sequence[ChannelFit]],
     fitted: Selection,
     held_out: Selection,

@@ -14,7 +14,7 @@ from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from .calibration import ReflectanceCalibration, mean_residual
 from .fit import ChannelFit, lights_as_fitted, predicted_image
 from .model import decoded, encoding_gamma, lobe
-from .read import ReflectanceObservation
+from .read import Photographs
 from .samples import Selection, make_samples
 
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
@@ -150,7 +150,7 @@ def residual_map_figure(calibration: ReflectanceCalibration) -> Figure:
     return figure
 
 
-def _shown_lights(observation: ReflectanceObservation) -> list[int]:
+def _shown_lights(observation: Photographs) -> list[int]:
     """Of each kind, a light near the view, where the highlight is whole, and an oblique one."""
     lit = (observation.cosine > 0).mean(axis=1)
     chosen = []
@@ -252,7 +252,7 @@ def _draw_medians(
 
 
 def _picture(
-    observation: ReflectanceObservation, values: Float[np.ndarray, "channels pixels"]
+    observation: Photographs, values: Float[np.ndarray, "channels pixels"]
 ) -> Float[np.ndarray, "h w 3"]:
     """Linear values as an sRGB-like picture, grey where there is one channel."""
     displayed = np.clip(values, 0, 1) ** (1 / DISPLAY_GAMMA)
@@ -264,14 +264,14 @@ def _picture(
 
 
 def _plane(
-    observation: ReflectanceObservation, values: Float[np.ndarray, " pixels"]
+    observation: Photographs, values: Float[np.ndarray, " pixels"]
 ) -> Float[np.ndarray, "h w"]:
     plane = np.full(observation.shape, np.nan)
     plane[observation.rows, observation.columns] = values
     return _cropped(observation, plane)
 
 
-def _cropped(observation: ReflectanceObservation, image: np.ndarray) -> np.ndarray:
+def _cropped(observation: Photographs, image: np.ndarray) -> np.ndarray:
     rows, columns = observation.rows, observation.columns
     return image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
 

@@ -16,7 +16,7 @@ from .geometry_cells import Grouping
 from .model import Form, Samples, negative_log_likelihood, parameter_space, predicted_dn
 from .optimum import best, residual_signal_slope, weighted
 from .optimum_among_turns import TurnedLights, among_turns, with_wider_directions
-from .read import ReflectanceObservation
+from .read import Photographs
 from .samples import Gathered, Selection, make_samples
 from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread
 from .stated import StatedErrors, stated_errors, with_stated_errors
@@ -204,7 +204,7 @@ def robust_covariance(
 
 
 def _lights_alike(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     vector: Float[Array, " parameters"],
     samples: Samples,
     selection: Selection,
@@ -214,9 +214,7 @@ def _lights_alike(
     return regions(gradients, selection.light, observation.wi.mean(axis=1))
 
 
-def lights_as_fitted(
-    observation: ReflectanceObservation, fit: ChannelFit
-) -> ReflectanceObservation:
+def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
     """The observation with lights where a fit has them.
 
     Args:
@@ -232,7 +230,7 @@ def lights_as_fitted(
 
 
 def predicted_image(
-    observation: ReflectanceObservation, fit: ChannelFit, light: int
+    observation: Photographs, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, " pixels"]:
     """Digital numbers that a fit predicts under one light, without noise and not above the clip
     level.

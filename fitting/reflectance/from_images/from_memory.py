@@ -1,17 +1,30 @@
-"""Images of a known shape under known lights from memory: the observation that a rig of the same
-images gives."""
+"""Images of a known shape under known lights from memory: what a rig of the same images gives."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
+from jaxvision.errors import InputError
+from jaxvision.plain_arrays import plain_array
 
-from ...observation import in_memory
-from ...photographs import CALLED, rig_entries
+from ...observation import in_memory, require_as_many, require_frames, require_several_images
 from ...rig import Camera, SphereGeometry
-from .read import ReflectanceObservation, read_reflectance_observation
+from .read import Photographs
+from .uniform_frames import read_joint_measurement
+
+# What a caller calls the keys of the entries.
+CALLED = {
+    "light.direction": "lights",
+    "light.position": "lights",
+    "light.intensity": "intensities",
+    "light.intensity_sd": "intensity_sd",
+    "light.direction_sd": "direction_sd",
+    "light.exposure_sd": "exposure_sd",
+    "light.stray_sd": "stray_sd",
+}
 
 
 def from_photographs(
@@ -29,8 +42,10 @@ def from_photographs(
     stray_sd: ArrayLike | None = None,
     held_out: Sequence[int] = (),
     point_lights: bool = False,
-) -> ReflectanceObservation:
-    """Photographs in memory, for `reflectance.calibrate`.
+    flats: Sequence[Sequence[ArrayLike]] = (),
+    darks: Sequence[Sequence[ArrayLike]] = (),
+) -> Photographs:
+    """Photographs in memory, for `reflectance.calibrate` and `joint.calibrate`.
 
     The view is orthographic along +z (x right, y up, z toward the camera). Each standard deviation
     is one number for all images or one for each; None for exact.
@@ -38,7 +53,8 @@ def from_photographs(
     Args:
         images: one a light, (h, w) or (h, w, 3) DN each.
         lights: (lights, 3) unit vectors from the object toward distant lights.
-        camera: its bits, and what else is known of it.
+        camera: its bits, and what else is known of it and how well (`black_sd`, `gamma_sd`,
+            `gain_sd`, `read_noise_sd`, `prnu_sd`).
         normals: (h, w, 3) unit, 0 beside the object; either these or a sphere.
         sphere: seen orthographically.
         mask: (h, w), true where the object is; None for wherever the shape is.
@@ -50,9 +66,12 @@ def from_photographs(
         stray_sd: rms of light that reaches all pixels by other ways, relative to the irradiance.
         held_out: indices of the lights kept for testing; none for every fourth.
         point_lights: take `lights` as positions from the centre of the sphere, m.
+        flats: of each level of light two or more frames, (h, w) or (h, w, 3) DN; a joint
+            calibration reads gain and read noise from them.
+        darks: two or more frames each, the same without light.
 
     Returns:
-        The observation, checked as one of a folder is.
+        The photographs, checked as those of a folder are.
 
     Raises:
         InputError: for lists of unequal length, and for what cannot be used.
@@ -66,21 +85,52 @@ def from_photographs(
         >>> print(seen.channels, seen.shape, seen.held_out)
         ('grey',) (20, 20) [False False False  True]
     """
-    named, entries = rig_entries(
-        images,
-        lights,
-        normals=normals,
-        sphere=sphere,
-        mask=mask,
-        intensities=intensities,
-        held_out=held_out,
-        place="position" if point_lights else "direction",
-        uncertain={
-            "intensity_sd": intensity_sd,
-            "direction_sd": direction_sd,
-            "exposure_sd": exposure_sd,
-            "stray_sd": stray_sd,
-        },
-    )
+    lights, intensities = plain_array("lights", lights), plain_array("intensities", intensities)
+    require_several_images("images", images)
+    require_as_many("lights", lights, "images", images)
+    strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
+    require_as_many("intensities", strengths, "images", images)
+    uncertain = {
+        "intensity_sd": intensity_sd,
+        "direction_sd": direction_sd,
+        "exposure_sd": exposure_sd,
+        "stray_sd": stray_sd,
+    }
+    sizes = {name: _each(name, sd, images) for name, sd in uncertain.items() if sd is not None}
+    entries: dict[str, Any] = {"geometry": {} if sphere is None else {"sphere": sphere}}
+    entries["light"] = [
+        {
+            "file": f"images[{i}]",
+            "position" if point_lights else "direction": np.asarray(light).tolist(),
+            "intensity": np.atleast_1d(strength).tolist(),
+            "held_out": i in held_out,
+        }
+        | {name: float(each[i]) for name, each in sizes.items() if each[i] != 0}
+        for i, (light, strength) in enumerate(zip(lights, strengths, strict=True))
+    ]
+    named: dict[str, ArrayLike] = {f"images[{i}]": image for i, image in enumerate(images)}
+    for name, array in (("normals", normals), ("mask", mask)):
+        if array is not None:
+            named[name] = array
+            entries["geometry"][name] = name
+    for kind, sets in (("flat", flats), ("dark", darks)):
+        if len(sets):
+            require_frames(f"{kind}s", sets)
+        files = [[f"{kind}s[{i}][{j}]" for j in range(len(set_))] for i, set_ in enumerate(sets)]
+        for of_level, frames in zip(files, sets, strict=True):
+            named |= dict(zip(of_level, frames, strict=True))
+        entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
     rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
-    return read_reflectance_observation(rig, load=load)
+    return read_joint_measurement(rig, load=load)
+
+
+def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> Float[np.ndarray, " lights"]:
+    sizes = np.asarray(plain_array(name, sd))
+    if sizes.dtype.kind not in "fiu" or sizes.ndim > 1:
+        raise InputError(
+            f"{name}: give one number for all images or a list of one for each, got {sd!r:.60}."
+        )
+    if sizes.ndim == 0:
+        return np.full(len(images), float(sizes))
+    require_as_many(f"values of {name}", sizes, "images", images)
+    return sizes

@@ -9,7 +9,7 @@ from scipy.special import chdtri
 from .geometry_cells import Grouping
 from .model import Samples
 from .optimum import Optimum, weighed, weighed_and_fitted
-from .read import ReflectanceObservation
+from .read import Photographs
 from .samples import Gathered, Selection, make_samples, of_some_pixels
 from .spread import Spread
 from .turns import likeliest_turns, shifts_of_turns, turned
@@ -73,9 +73,7 @@ def among_turns(
     return (found if lights.followed else nominal), lights
 
 
-def with_wider_directions(
-    observation: ReflectanceObservation, factor: float
-) -> ReflectanceObservation:
+def with_wider_directions(observation: Photographs, factor: float) -> Photographs:
     """The observation with a larger `direction_sd`.
 
     Args:
@@ -124,7 +122,7 @@ def _settled(
 
 
 def _about(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     selection: Selection,
     channel: int,
     found: Optimum,

@@ -31,7 +31,7 @@ from .model import (
     parameter_space,
     predicted_dn,
 )
-from .read import ReflectanceObservation, angles
+from .read import Photographs, angles
 from .samples import Selection, make_samples
 from .spread import variance
 
@@ -92,7 +92,7 @@ def check_target(target: str, model: Model) -> None:
 
 
 def added_information(
-    observation: ReflectanceObservation, fit: ChannelFit, light: int
+    observation: Photographs, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Fisher's information of one more image, its pixels independent.
 
@@ -124,7 +124,7 @@ def added_information(
     return slopes @ slopes.T
 
 
-def _all_around(rigs: ReflectanceObservation) -> tuple[ReflectanceObservation, list[str]]:
+def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
     """The object under distant lights over the hemisphere, and where they stand."""
     described, directions = [], []
     for tilt in FROM_VIEW:

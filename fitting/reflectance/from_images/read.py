@@ -22,7 +22,17 @@ from ...frame_checks.frame import refuse_half
 from ...frame_checks.heads import Stated, odd_heads
 from ...inference.formatting import format_percent
 from ...observation import Load, in_region, one_black, read_mask, read_stack, to_one_black
-from ...rig import Camera, Geometry, Light, Purpose, Rig, SphereGeometry, as_rig, require
+from ...rig import (
+    Camera,
+    Geometry,
+    Light,
+    Purpose,
+    Rig,
+    SiteCamera,
+    SphereGeometry,
+    as_rig,
+    require,
+)
 
 VIEW = (0.0, 0.0, 1.0)
 PURPOSE: Purpose = "a reflectance calibration"
@@ -37,8 +47,27 @@ ASSUMED_BLACK = "The rig gives no camera.black_level, so a black level of 0 DN w
 
 
 @dataclass(frozen=True)
-class ReflectanceObservation:
-    """What was measured, for the pixels of the object.
+class UniformLevels:
+    """Flats and darks of one channel, a level an entry of the rig.
+
+    Attributes:
+        mean: (levels,) over frames and pixels, DN.
+        variance: (levels,) temporal, of one pixel, DN^2.
+        freedom: (levels,) degrees of freedom of the variance.
+        mean_error: (levels,) standard error of the mean, DN.
+        dark: (levels,) which are darks.
+    """
+
+    mean: Float[np.ndarray, " levels"]
+    variance: Float[np.ndarray, " levels"]
+    freedom: Float[np.ndarray, " levels"]
+    mean_error: Float[np.ndarray, " levels"]
+    dark: Bool[np.ndarray, " levels"]
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What was measured, for the pixels of the object, and how well the rig knows what made it.
 
     intensity x falloff is the irradiance on a surface that faces the light.
 
@@ -58,6 +87,7 @@ class ReflectanceObservation:
         rows: (pixels,) in images of `shape`.
         columns: (pixels,) in images of `shape`.
         shape: (h, w).
+        camera: of the rig, its sites levelled to one black.
         black: DN without light.
         white: DN of full scale above black.
         clip: DN from which a pixel is saturated.
@@ -68,6 +98,7 @@ class ReflectanceObservation:
         uncertain: (lights,) standard deviations by their key in the rig, 0 where exact.
         black_sd: DN, of the black level; 0 where exact.
         gamma_sd: of the encoding exponent; 0 where exact.
+        levels: uniform frames of each channel; None without any, or where none are asked for.
     """
 
     channels: tuple[str, ...]
@@ -84,6 +115,7 @@ class ReflectanceObservation:
     rows: Int[np.ndarray, " pixels"]
     columns: Int[np.ndarray, " pixels"]
     shape: tuple[int, int]
+    camera: SiteCamera
     black: float
     white: float
     clip: float
@@ -94,6 +126,7 @@ class ReflectanceObservation:
     uncertain: dict[str, Float[np.ndarray, " lights"]] = field(default_factory=dict)
     black_sd: float = 0.0
     gamma_sd: float = 0.0
+    levels: tuple[UniformLevels, ...] | None = None
 
     @property
     def saturated(self) -> Bool[np.ndarray, "channels lights pixels"]:
@@ -102,7 +135,7 @@ class ReflectanceObservation:
 
 def read_reflectance_observation(
     rig: Rig | str | os.PathLike[str], *, load: Load = read_image
-) -> ReflectanceObservation:
+) -> Photographs:
     """Reads and checks all that a rig's `[[light]]` and `[geometry]` entries name.
 
     Lights marked `held_out` are kept for testing; if none is and there are at least four, every
@@ -136,7 +169,7 @@ def read_reflectance_observation(
     camera = one_black(rig.camera)
     black = camera.black_level or 0.0
     held_out, how = _held_out(rig)
-    observation = ReflectanceObservation(
+    observation = Photographs(
         channels=("grey",) if len(frames) == 1 else ("red", "green", "blue"),
         files=tuple(light.file for light in rig.light),
         dn=frames[:, :, rows, columns],
@@ -151,6 +184,7 @@ def read_reflectance_observation(
         rows=rows,
         columns=columns,
         shape=shape,
+        camera=camera,
         black=black,
         white=camera.full_scale - black,
         clip=camera.clip_level,
@@ -359,7 +393,7 @@ def _assumptions(rig: Rig) -> tuple[str, ...]:
     return (ASSUMED_BLACK,)
 
 
-def _refuse_unusable(rig: Rig, observation: ReflectanceObservation) -> None:
+def _refuse_unusable(rig: Rig, observation: Photographs) -> None:
     lit = observation.cosine > 0
     for name, of_light in zip(observation.files, lit, strict=True):
         if not of_light.any():
@@ -378,7 +412,7 @@ def _refuse_unusable(rig: Rig, observation: ReflectanceObservation) -> None:
             )
 
 
-def lightless_images(observation: ReflectanceObservation) -> dict[int, str]:
+def lightless_images(observation: Photographs) -> dict[int, str]:
     """Images that show nothing of the object.
 
     Args:
@@ -398,7 +432,7 @@ def lightless_images(observation: ReflectanceObservation) -> dict[int, str]:
     return found
 
 
-def _dark(observation: ReflectanceObservation) -> Bool[np.ndarray, " lights"]:
+def _dark(observation: Photographs) -> Bool[np.ndarray, " lights"]:
     """Which images lie at the black level within their own noise, where the others' brightness
     lets one expect far more."""
     signal = (observation.dn - observation.black).mean(axis=0)
@@ -415,7 +449,7 @@ def _dark(observation: ReflectanceObservation) -> Bool[np.ndarray, " lights"]:
 
 
 def _refuse_clipped_or_dark(
-    rig: Rig, observation: ReflectanceObservation, channel: str, lit_dn: Float[np.ndarray, " lit"]
+    rig: Rig, observation: Photographs, channel: str, lit_dn: Float[np.ndarray, " lit"]
 ) -> None:
     clipped = float(np.mean(lit_dn >= observation.clip))
     if clipped > 0.9:

@@ -16,11 +16,11 @@ from jaxvision.hemisphere import local_frame, to_local
 from ..models import REFLECTANCES
 from ..names import Model
 from .model import Form, Invariants, Samples
-from .read import VIEW, ReflectanceObservation
+from .read import VIEW, Photographs
 
 
 def lobe_geometry(
-    observation: ReflectanceObservation, models: Iterable[Model], selection: "Selection"
+    observation: Photographs, models: Iterable[Model], selection: "Selection"
 ) -> dict[Model, Array | Invariants | None]:
     """What the lobes of models take.
 
@@ -88,7 +88,7 @@ class Selection:
 
 
 def select(
-    observation: ReflectanceObservation, *, held_out: bool, form: Form, minimum_cosine: float = 0.0
+    observation: Photographs, *, held_out: bool, form: Form, minimum_cosine: float = 0.0
 ) -> Selection:
     """Samples of the lights kept for testing, or of the others.
 
@@ -125,7 +125,7 @@ class Gathered:
         saturated: (samples,) of each channel; None where nothing clips in any.
     """
 
-    observation: ReflectanceObservation
+    observation: Photographs
     selection: Selection
     cosine: Array
     geometry: dict[Model, Array | Invariants | None]
@@ -161,7 +161,7 @@ class Gathered:
 
 
 def gather(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     selection: Selection,
     *,
     models: Iterable[Model],
@@ -197,7 +197,7 @@ def gather(
 
 
 def make_samples(
-    observation: ReflectanceObservation, channel: int, form: Form, selection: Selection
+    observation: Photographs, channel: int, form: Form, selection: Selection
 ) -> Samples:
     """The selected samples of one channel, their deviation still 1 DN.
 
@@ -215,8 +215,8 @@ def make_samples(
 
 
 def of_some_pixels(
-    observation: ReflectanceObservation, selection: Selection, step: int
-) -> tuple[ReflectanceObservation, Selection]:
+    observation: Photographs, selection: Selection, step: int
+) -> tuple[Photographs, Selection]:
     """Every so many pixels of an observation, and those of a selection.
 
     Args:

@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ...copies import Copies
 from ...inference.formatting import format_percent
-from .read import ReflectanceObservation, lightless_images
+from .read import Photographs, lightless_images
 
 LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
 OUTLYING, ROUNDS = 2.5, 8  # median absolute deviations beyond which a pixel is highlight; passes
@@ -35,7 +35,7 @@ CHANGES = {
 
 
 def directions_by_shading(
-    observation: ReflectanceObservation,
+    observation: Photographs,
 ) -> tuple[Float[np.ndarray, "lights 3"], Bool[np.ndarray, " lights"]]:
     """Direction of each light as its own image shows it.
 
@@ -80,7 +80,7 @@ def _direction(
     return toward, bool(kept.sum() > lit.sum() / 2) and explained
 
 
-def contradictions(observation: ReflectanceObservation, *, gamma: float | None = None) -> list[str]:
+def contradictions(observation: Photographs, *, gamma: float | None = None) -> list[str]:
     """What in the images speaks against the rig: copies, directions and outline, in sentences.
 
     Args:
@@ -95,7 +95,7 @@ def contradictions(observation: ReflectanceObservation, *, gamma: float | None =
     return [*_of_copies(observation), *_of_directions(observation), *_of_outline(observation)]
 
 
-def without_strangers(observation: ReflectanceObservation) -> ReflectanceObservation:
+def without_strangers(observation: Photographs) -> Photographs:
     """The images that belong together: not those that are dark or saturated wherever the object is
     lit, copies of another, and those whose shading shows the light far from where the rig has it
     while most agree. Where that would leave out more than half, or hardly any to fit, all stay.
@@ -145,14 +145,14 @@ def without_strangers(observation: ReflectanceObservation) -> ReflectanceObserva
     )
 
 
-def _stated(observation: ReflectanceObservation) -> Float[np.ndarray, "lights 3"]:
+def _stated(observation: Photographs) -> Float[np.ndarray, "lights 3"]:
     """Unit directions of the lights by the rig."""
     stated = observation.wi.mean(axis=1)
     return stated / np.linalg.norm(stated, axis=1, keepdims=True)
 
 
 def _odd(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     off: Float[np.ndarray, " lights"],
     told: Bool[np.ndarray, " lights"],
     median: float,
@@ -162,14 +162,14 @@ def _odd(
     return np.flatnonzero(told & (off > np.maximum(max(FAR, 4 * median), 4 * known)))
 
 
-def _copies(observation: ReflectanceObservation) -> Copies:
+def _copies(observation: Photographs) -> Copies:
     copies = Copies()
     for light, file in enumerate(observation.files):
         copies.add(file, observation.dn[:, light])
     return copies
 
 
-def _of_copies(observation: ReflectanceObservation) -> list[str]:
+def _of_copies(observation: Photographs) -> list[str]:
     """Images of equal numbers, which noise rules out for two exposures."""
     copies = _copies(observation)
     if not copies.found:
@@ -188,7 +188,7 @@ def _spread(normals: Float[np.ndarray, "pixels 3"]) -> float:
     return float(np.linalg.svd(normals, compute_uv=False)[2] / np.sqrt(len(normals)))
 
 
-def _of_directions(observation: ReflectanceObservation) -> list[str]:
+def _of_directions(observation: Photographs) -> list[str]:
     shown, told = directions_by_shading(observation)
     if told.sum() < 2:
         return []
@@ -218,7 +218,7 @@ def _of_directions(observation: ReflectanceObservation) -> list[str]:
 
 
 def _of_single_lights(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     angles: Float[np.ndarray, " lights"],
     told: Bool[np.ndarray, " lights"],
     median: float,
@@ -239,7 +239,7 @@ def _angles(
     return np.degrees(np.arccos(np.clip((one * other).sum(axis=1), -1, 1)))
 
 
-def _of_outline(observation: ReflectanceObservation) -> list[str]:
+def _of_outline(observation: Photographs) -> list[str]:
     """Pixels that stay dark under lights that they face."""
     signal = np.mean(observation.dn - observation.black, axis=0)
     facing = observation.cosine.max(axis=0) > SIDE

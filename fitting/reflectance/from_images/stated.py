@@ -33,7 +33,7 @@ from .model import (
     linear_signal,
     predicted_dn,
 )
-from .read import ReflectanceObservation
+from .read import Photographs
 from .samples import Selection
 from .turns import beyond_turns, shifts_of_turns
 
@@ -74,7 +74,7 @@ class StatedErrors:
 
 
 def stated_errors(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     channel: int,
     vector: Float[Array, " parameters"],
     samples: Samples,
@@ -154,7 +154,7 @@ def _squares(shifts: np.ndarray, deviation: np.ndarray) -> np.ndarray:
 
 
 def _shifts_of_all(
-    observation: ReflectanceObservation, vector: Array, samples: Samples
+    observation: Photographs, vector: Array, samples: Samples
 ) -> dict[str, np.ndarray]:
     """(1, samples) DN that each error of all images at once moves a prediction by."""
     found = {}
@@ -170,7 +170,7 @@ def _shifts_of_all(
 
 
 def _shifts_of_lights(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     channel: int,
     vector: Array,
     samples: Samples,

@@ -25,16 +25,14 @@ from jaxvision import as_array, as_vec
 from jaxvision.hemisphere import local_frame
 
 from .model import Samples, predicted_dn, residuals
-from .read import ReflectanceObservation, angles
+from .read import Photographs, angles
 from .samples import Selection, make_samples
 
 STEP = 0.5  # standard deviations to either side, of a slope
 TOLD = 1e-12  # least information of an image on a turn, in units of the prior's
 
 
-def turned(
-    observation: ReflectanceObservation, angles_across: Float[np.ndarray, "lights 2"]
-) -> ReflectanceObservation:
+def turned(observation: Photographs, angles_across: Float[np.ndarray, "lights 2"]) -> Photographs:
     """The lights elsewhere, by angles along two axes across them.
 
     Args:
@@ -56,7 +54,7 @@ def turned(
 
 
 def shifts_of_turns(
-    observation: ReflectanceObservation,
+    observation: Photographs,
     turns: Float[np.ndarray, "lights 2"],
     channel: int,
     vector: Float[Array, " parameters"],

@@ -146,7 +146,6 @@ ELSEWHERE = (
         """
             fitting.rig.*
             fitting.observation.*
-            fitting.photographs.*
             *.from_memory.*
             fitting.reflectance.paths.*
             fitting.reflectance.names.*
@@ -157,6 +156,7 @@ ELSEWHERE = (
         "test_photon_transfer test_joint test_response test_reflectance",
         """
             fitting.*.read.*
+            fitting.reflectance.from_images.uniform_frames.*
             fitting.noise.levels_table.*
             fitting.noise.usable.*
         """,
