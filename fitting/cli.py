@@ -123,8 +123,8 @@ def brdf(
         ),
     ] = None,
 ) -> None:
-    """Reflectance from images of a known shape, or of measured BRDFs, models compared on held-out
-    lights or angles."""
+    """Fit reflectance models to images of a known shape or to measured BRDFs, and compare them on
+    held-out lights or angles."""
     of_rigs = {
         "compare_all": compare_all,
         "ambient": ambient,
@@ -167,12 +167,12 @@ def brdf(
 def plan(
     options: Options,
     path: Annotated[Path, typer.Argument(help="Rig folder.", metavar="PATH", parser=typed_path)],
-    target: Annotated[str, typer.Option(help="Parameter to be known better, such as exponent.")],
+    target: Annotated[str, typer.Option(help="Parameter whose error to reduce, such as exponent.")],
     model: Annotated[Model, model_option("Model of the reflectance.")] = "phong",
     index: Annotated[float, INDEX_OPTION] = INDEX,
 ) -> None:
-    """What to photograph next: lights ranked by how far each would narrow a parameter of the
-    reflectance."""
+    """Rank the lights to photograph next, by how much each would reduce the error of a parameter
+    of the reflectance."""
 
     def plan_images(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "lights are ranked by Laplace's approximation")
@@ -203,8 +203,8 @@ def joint(
         bool, typer.Option("--fit-gamma", help="Fit the encoding exponent of the images.")
     ] = False,
 ) -> None:
-    """Surface, response, gain and noise in one posterior, from images of a known shape; what the
-    rig gives an _sd is uncertain."""
+    """Fit surface, response, gain and noise in one posterior, to images of a known shape. Numbers
+    with an _sd in the rig are uncertain."""
 
     def calibrate_joint(reporter: Reporter) -> folders.Found:
         check_index_of(model, index)
@@ -216,8 +216,8 @@ def joint(
 
 @command("jaxvision-fit demo --out demo")
 def demo(options: Options) -> None:
-    """Simulate a lab afternoon to files, calibrate from the files alone, compare with the truth;
-    in the folder jaxvision-demo, or the one of --out."""
+    """Simulate a lab afternoon to files, calibrate from the files alone, and compare with the
+    truth, in the folder jaxvision-demo or --out."""
     out = options.out or Path("jaxvision-demo")
     options = replace(options, out=out)
 
@@ -242,8 +242,8 @@ def init(
         Path, typer.Argument(help="Folder of images.", metavar="FOLDER", parser=typed_path)
     ],
 ) -> None:
-    """Write the rig.toml of a folder of images, from their names and heads (times, ISO, dates), and
-    say what they do not tell."""
+    """Write the rig.toml of a folder of images, from their names and metadata (times, ISO, dates),
+    and list missing values."""
     from .rig_from_folder import write_rig
 
     path, found = write_rig(folder)
@@ -276,8 +276,8 @@ def study(
     workers: Workers = 0,
     scheduler: Scheduler = "",
 ) -> None:
-    """Calibrate the folders of many cameras alike: a report of each, one table of all, and a page
-    that names outliers and drift. The same command resumes."""
+    """Calibrate the folders of many cameras: a report of each, one table of all, and a page that
+    names outliers and drift. The same command resumes."""
     keep_programs()
     from jaxvision.tasks import workers as workers_of
 
@@ -310,12 +310,12 @@ def check(
     kind: Annotated[
         Literal["brdf", "joint", "noise", "response"], typer.Argument(help="Fits to check.")
     ],
-    simulations: Annotated[int, typer.Option(help="Of each case.", min=2)] = 200,
+    simulations: Annotated[int, typer.Option(help="Simulations of each case.", min=2)] = 200,
     workers: Workers = 0,
     scheduler: Scheduler = "",
 ) -> None:
-    """Simulate data, fit them, count how often intervals hold the truth. With --out, fits are kept:
-    an interrupted check goes on from them, a finished one with more --simulations."""
+    """Simulate data, fit them, and count how often intervals contain the true value. With --out,
+    fits are kept: an interrupted check continues, a finished one with more --simulations."""
 
     def run_check(reporter: Reporter) -> folders.Found:
         refuse_mcmc(options, "the intervals checked are those of Laplace's approximation")
@@ -343,9 +343,9 @@ def accuracy(
     out: PageFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure error against time for each knob of a rig's fits: the cheapest settings for a tenth,
-    a hundredth and a thousandth of a standard error. An interrupt ends it and keeps what was
-    measured; --json prints one object, with a key for each fit."""
+    """Measure error against time for each approximation in a rig's fits: the cheapest settings for
+    a tenth, a hundredth and a thousandth of a standard error. An interrupt ends it and keeps the
+    measurements. --json prints one object, with a key for each fit."""
     begun = time.perf_counter()
     from .rig import load_rig
 
@@ -394,9 +394,8 @@ def accuracy(
 
 
 def start() -> None:
-    """Runs the command. Calibration needs double precision, so it is asked for here, never on
-    import of the package, and by the environment, since JAX itself is imported only where it is
-    needed."""
+    """Run the command in double precision, which calibration needs. The environment variable is
+    set here, because importing the package must not set it and JAX is imported later."""
     os.environ["JAX_ENABLE_X64"] = "1"
     keep_memory()
     app()

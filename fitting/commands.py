@@ -57,7 +57,7 @@ class Options:
     walkers: Annotated[
         int | None,
         typer.Option(
-            help="Walkers of --mcmc: twice the number of parameters and two more, or more "
+            help="Walkers of --mcmc: at least twice the number of parameters plus two "
             f"(default: {WALKERS}).",
             min=4,
         ),

@@ -64,7 +64,7 @@ def inspect(
         typer.Option("--out", help="Draw the figure to this PNG, PDF or SVG.", metavar="FIGURE"),
     ] = None,
     row: Annotated[
-        int | None, typer.Option("--row", help="Row of the scan line (default: that of --at).")
+        int | None, typer.Option("--row", help="Row of the scan line (default: the row of --at).")
     ] = None,
     at: Annotated[
         str, typer.Option("--at", help="Pixel to print (default: the middle).", metavar="ROW,COL")
@@ -149,7 +149,7 @@ def render(
         int | None, typer.Option(help="Samples a pixel (default: the scene's).")
     ] = None,
     depth: Annotated[
-        int | None, typer.Option(help="Longest path, in pieces (default: the scene's).")
+        int | None, typer.Option(help="Longest path, in segments (default: the scene's).")
     ] = None,
     gather: Annotated[
         int | None,
@@ -180,8 +180,8 @@ def render(
     tolerance: Annotated[
         str | None,
         typer.Option(
-            help="Leave out what changes no pixel by more than this, of the level of radiance "
-            "(default: leave out nothing).",
+            help="Leave out effects that change no pixel by more than this share of the level of "
+            "radiance (default: leave out nothing).",
             metavar="SHARE%",
         ),
     ] = None,
@@ -204,7 +204,7 @@ def render(
         ),
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Start again and discard what an earlier render left.")
+        bool, typer.Option("--fresh", help="Start again and discard an earlier render.")
     ] = False,
     workers: Workers = 0,
     scheduler: Scheduler = "",
@@ -296,9 +296,8 @@ def accuracy(
     out: PageFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure error against time for each knob of a scene: the cheapest settings for 10, 1 and
-    0.1 %, and of all knobs together, checked while there is time. An interrupt keeps what was
-    measured."""
+    """Measure error against time for each approximation of a scene: the cheapest settings for 10, 1
+    and 0.1 %, for each and for all together. An interrupt keeps the measurements."""
     begun = time.perf_counter()
     file = existing_file(scene, "scene")
     _prepare()
@@ -364,19 +363,20 @@ def effects(
     tolerance: Annotated[
         str | None,
         typer.Option(
-            help="Say what may be left out: 1% of the level, 0.5DN or 0.1sigma.", metavar="AMOUNT"
+            help="List effects that may be left out: 1% of the level, 0.5DN or 0.1sigma.",
+            metavar="AMOUNT",
         ),
     ] = None,
     place: Annotated[
         float | None,
         typer.Option(
-            help="Pixels by which anything may move (default: 0.1; 0 of a tolerance of 0)."
+            help="Displacement allowed, in pixels (default: 0.1; 0 for a tolerance of 0)."
         ),
     ] = None,
     free: Annotated[
         list[str] | None,
         typer.Option(
-            help="What a fit may change, and between which values; may be given again.",
+            help="Free parameter of a fit, with its range; may be given again.",
             metavar="NAME=LOW,HIGH",
         ),
     ] = None,
@@ -384,15 +384,15 @@ def effects(
         bool,
         typer.Option(
             "--estimates",
-            help="Also by estimates, which are no proof: probe what long paths add.",
+            help="Also estimate the light of long paths by sampling, without proof.",
         ),
     ] = False,
     timed: Annotated[
-        bool, typer.Option("--time", help="Measure what each takes of a picture's time.")
+        bool, typer.Option("--time", help="Measure the time that each effect takes.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
-    """Say what each effect of a scene and a camera can change in the picture, at most."""
+    """Bound the change that each effect of a scene and a camera makes in the picture."""
     file = existing_file(scene, "scene")
     camera_file = existing_file(camera, "camera") if camera else None
     _prepare()

@@ -32,7 +32,7 @@ _WORDS_BY_NAME = {"seconds": "SECONDS", "measure": "SECONDS"}
 # Options of every command that measures accuracy.
 KnobNames = Annotated[
     list[str] | None,
-    typer.Option(help="Measure this knob only; may be given again.", metavar="NAME"),
+    typer.Option(help="Measure this setting only; may be given again.", metavar="NAME"),
 ]
 PageFolder = Annotated[
     Path | None,
@@ -41,7 +41,7 @@ PageFolder = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 # Options of every command whose work is made of independent tasks.
 Workers = Annotated[
-    int, typer.Option(help="Processes of this machine to share the work; 0: this one.", min=0)
+    int, typer.Option(help="Number of worker processes on this machine; 0: none.", min=0)
 ]
 Scheduler = Annotated[
     str,
