@@ -10,12 +10,12 @@ from site_text import write
 
 from fitting.rig import Camera as RigCamera
 from fitting.rig import Dark, Exposure, Flat, Geometry, Light, SphereGeometry
-from jaxvision._types import members_of
-from jaxvision.record_files import Key, keys_of
+from jaxvision.core._types import members_of
+from jaxvision.files.records import Key, keys_of
+from jaxvision.files.scenes import tables as scene_tables
+from jaxvision.files.scenes.bands import Tabulated
+from jaxvision.files.scenes.schema import Grid, RenderEntry, SceneEntry
 from jaxvision.scene import AmbientLight
-from jaxvision.scene_files import tables as scene_tables
-from jaxvision.scene_files.bands import Tabulated
-from jaxvision.scene_files.schema import Grid, RenderEntry, SceneEntry
 
 
 def kinds_of(word, tables, beside=None):

@@ -18,26 +18,24 @@ import jaxvision
 ROOTS = jaxvision, fitting
 BASICS = "arrays"  # the page of what is defined at the root of `jaxvision`: types, vectors, norms
 GROUPS = {  # of the reference's front page; what no group names is machinery
-    "Scenes and surfaces": "scene geometry brdf lifted_scene rendering transport shading shadows "
-    "hemisphere hemisphere_integral effects scene_checks",
-    "Light": "lights spectra colour_data",
-    "Cameras and sensors": "shot cameras optics sensor colour_filters development",
-    "Pictures": "filters padding point_ops colour_spaces histogram compositing matting plots",
-    "Files and commands": "io image_settings raw_files scene_files scenes camera_files "
-    "material_files mesh_files gltf_files measured_files render_command",
+    "Scenes and surfaces": "scene geometry brdf rendering transport effects",
+    "Light": "lights spectra",
+    "Cameras and sensors": "shot optics sensor development",
+    "Pictures": "filters point_ops colour_spaces histogram matting plots",
+    "Files and commands": "files render_command tasks cli",
     "Accuracy": "accuracy",
     "Fitting": "fitting",
     "Machinery": "",
 }
 TOPICS = {  # of what `jaxvision` itself offers, by the module that defines it
-    "Scenes": "scene.shapes scene.surfaces geometry hemisphere lifted_scene",
+    "Scenes": "scene.shapes scene.surfaces geometry rendering.lifted_scene",
     "Materials": "brdf",
     "Lights": "lights scene.light",
-    "Rendering": "rendering transport shading shadows hemisphere_integral",
+    "Rendering": "rendering transport",
     "Views and lenses": "scene.views scene.lenses optics",
-    "Cameras and sensors": "scene.camera scene.sensors scene.noises sensor shot colour_filters",
+    "Cameras and sensors": "scene.camera scene.sensors scene.noises sensor shot",
     "Development and pictures": "scene.developments development point_ops",
-    "Files": "io camera_files material_files measured_files",
+    "Files": "files",
     "Arrays, vectors and machinery": "",
     "Problems and fits": "",
     "Modules": "",
@@ -89,7 +87,7 @@ def page_of(name, value):
     """The page of a thing: the package or module, just below the root, that defines it."""
     parts = (home(value) or name).split(".")
     below = parts[1] if len(parts) > 1 else BASICS
-    return f"{parts[0]}.{BASICS if below.startswith('_') else below}"
+    return f"{parts[0]}.{BASICS if below == 'core' else below}"
 
 
 def summary(thing):

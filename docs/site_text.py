@@ -4,7 +4,9 @@ import re
 import sys
 
 # What stands around names of types as they print themselves.
-OF_TYPES = re.compile(r"<class '|'>|~?\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\._vector)\.")
+OF_TYPES = re.compile(
+    r"<class '|'>|~?\b(?:jaxtyping|typing|jaxlib\._jax|jaxvision\.core\._vector)\."
+)
 NAMED = re.compile(r"(?<![\w.])(~?)((?:jaxvision|fitting)(?:\.\w+)*)\.([A-Z]\w*)(?![\w.])")
 
 

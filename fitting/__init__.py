@@ -5,6 +5,6 @@
 it is first used; `__init__.pyi` lists them.
 """
 
-from jaxvision.lazy_names import names_of
+from jaxvision.core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from jaxvision.interrupts import ending_on_interrupt
+from jaxvision.core.interrupts import ending_on_interrupt
 
 
 def main() -> None:

@@ -14,10 +14,17 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from jaxvision.command_line import AsJson, KnobNames, PageFolder, Scheduler, Workers, sub_command
+from jaxvision.cli.command_line import (
+    AsJson,
+    KnobNames,
+    PageFolder,
+    Scheduler,
+    Workers,
+    sub_command,
+)
+from jaxvision.core.interrupts import ending_on_interrupt, is_handled
+from jaxvision.core.memory import keep_memory
 from jaxvision.errors import InputError
-from jaxvision.interrupts import ending_on_interrupt, is_handled
-from jaxvision.memory import keep_memory
 from jaxvision.programs import keep_programs
 
 from . import folders

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from jaxvision.command_line import command_app, failures_as_sentences, leave, sub_command
+from jaxvision.cli.command_line import command_app, failures_as_sentences, leave, sub_command
 from jaxvision.errors import InputError
 from jaxvision.programs import compile_quickly, keep_programs
 
@@ -164,7 +164,7 @@ def run(
             raise InputError(f"{options.out}: is a file; give --out a folder.")
         with _folder(options.out):
             sections, images = calibrate(reporter)
-        from jaxvision.io import write_image
+        from jaxvision.files.images import write_image
 
         from .report.console import output, print_section
         from .report.page import as_json, write_report

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from jaxvision import ArrayLike
+from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
-from jaxvision.image_settings import read_settings
-from jaxvision.io import INTEGER_FORMATS, READ_ONLY_FORMATS, read_image
-from jaxvision.plain_arrays import plain_array
-from jaxvision.toml_files import checked
+from jaxvision.files.image_settings import read_settings
+from jaxvision.files.images import INTEGER_FORMATS, READ_ONLY_FORMATS, read_image
+from jaxvision.files.toml import checked
 
 from .inference.given import plain_numbers
 from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
@@ -174,7 +174,7 @@ def read_frame(
         >>> from fitting.rig import Camera
         >>> with TemporaryDirectory() as folder:
         ...     image = Path(folder) / "flat.tif"
-        ...     jv.io.write_image(image, np.full((2, 3), 2048, np.uint16))
+        ...     jv.write_image(image, np.full((2, 3), 2048, np.uint16))
         ...     print(read_frame(image, Camera(bits=12)))
         [[2048. 2048. 2048.]
          [2048. 2048. 2048.]]

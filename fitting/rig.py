@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from jaxvision.errors import InputError
-from jaxvision.toml_files import (
+from jaxvision.files.toml import (
     Count,
     Entry,
     Finite,
@@ -85,7 +85,7 @@ def _plain(value: Any) -> Any:
     parts = value if isinstance(value, list | tuple) else [value]
     if all(isinstance(part, of_a_file) for part in parts):
         return value
-    from jaxvision.plain_arrays import plain_array  # which needs NumPy
+    from jaxvision.core.plain_arrays import plain_array  # which needs NumPy
 
     try:
         value = plain_array("this", value)

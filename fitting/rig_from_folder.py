@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxvision.errors import InputError, check_utf8
-from jaxvision.image_settings import ImageSettings, read_settings
-from jaxvision.io import (
+from jaxvision.files.image_settings import ImageSettings, read_settings
+from jaxvision.files.images import (
     FLOAT_FORMATS,
     INTEGER_FORMATS,
     JPEG_FORMATS,
@@ -20,7 +20,7 @@ from jaxvision.io import (
     read_image,
     replaced_on_success,
 )
-from jaxvision.raw_files import FITS_FORMATS, RAW_FORMATS
+from jaxvision.files.raw import FITS_FORMATS, RAW_FORMATS
 
 from .codes import converter_of
 from .rig import RIG_FILE

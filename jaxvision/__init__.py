@@ -2,12 +2,14 @@
 processing that follows.
 
 The records, and the functions along the path of light, are here. Image processing is in modules of
-its own: `point_ops`, `colour_spaces`, `compositing`, `matting`, `histogram`, `filters`. Every name
-is loaded when it is first used; `__init__.pyi` lists them.
+its own: `point_ops`, `colour_spaces`, `matting`, `histogram`, `filters`. Every name is loaded when
+it is first used; `__init__.pyi` lists them.
 """
 
-from .lazy_names import names_of
+from .core._moved import find_modules_by_old_names
+from .core.lazy_names import names_of
 
 __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)
+find_modules_by_old_names()

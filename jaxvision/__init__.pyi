@@ -6,39 +6,27 @@ __version__: str
 from . import (
     accuracy as accuracy,
     brdf as brdf,
-    camera_files as camera_files,
-    colour_data as colour_data,
-    colour_filters as colour_filters,
     colour_spaces as colour_spaces,
-    compositing as compositing,
     development as development,
     effects as effects,
     errors as errors,
+    files as files,
     filters as filters,
     geometry as geometry,
-    hemisphere as hemisphere,
     histogram as histogram,
-    io as io,
     lights as lights,
     matting as matting,
-    material_files as material_files,
-    measured_files as measured_files,
-    mesh_files as mesh_files,
     optics as optics,
-    padding as padding,
     plots as plots,
     point_ops as point_ops,
     rendering as rendering,
     scene as scene,
-    scene_files as scene_files,
     sensor as sensor,
-    shading as shading,
-    shadows as shadows,
     spectra as spectra,
     tasks as tasks,
     transport as transport,
 )
-from ._numerics import (
+from .core._numerics import (
     angle_between as angle_between,
     dot as dot,
     log_cos_between as log_cos_between,
@@ -46,7 +34,7 @@ from ._numerics import (
     normalize as normalize,
     safe_sqrt as safe_sqrt,
 )
-from ._types import (
+from .core._types import (
     ArrayLike as ArrayLike,
     Colour as Colour,
     Image as Image,
@@ -58,7 +46,7 @@ from ._types import (
     as_float as as_float,
     as_optional_float as as_optional_float,
 )
-from ._vector import (
+from .core._vector import (
     Vec as Vec,
     Vec3 as Vec3,
     Vector as Vector,
@@ -127,14 +115,14 @@ from .brdf.rgl import (
 from .brdf.torrance_sparrow import (
     TorranceSparrow as TorranceSparrow,
 )
-from .camera_files import (
+from .files.cameras import (
     read_camera as read_camera,
     read_sensor as read_sensor,
     write_camera as write_camera,
     write_sensor as write_sensor,
     shipped_cameras as shipped_cameras,
 )
-from .colour_filters import (
+from .sensor.colour_filters import (
     bayer as bayer,
     mosaic as mosaic,
 )
@@ -162,19 +150,19 @@ from .geometry import (
     occluded as occluded,
     offset_origin as offset_origin,
 )
-from .hemisphere import (
+from .geometry.hemisphere import (
     Frame as Frame,
     local_frame as local_frame,
     to_local as to_local,
     to_world as to_world,
 )
-from .hemisphere_integral import (
+from .rendering.hemisphere_integral import (
     Estimate as Estimate,
     hemisphere_radiance as hemisphere_radiance,
     lit_radiance as lit_radiance,
     sampled_radiance as sampled_radiance,
 )
-from .lifted_scene import (
+from .rendering.lifted_scene import (
     lift_scene as lift_scene,
 )
 from .lights import (
@@ -206,15 +194,15 @@ from .lights.orders import (
 from .lights.polygon import (
     rectangle_irradiance as rectangle_irradiance,
 )
-from .material_files import (
+from .files.materials import (
     read_material as read_material,
     write_material as write_material,
 )
-from .measured_files import (
+from .files.measured import (
     read_measured as read_measured,
 )
-from .io import read_image as read_image, write_image as write_image
-from .memory import keep_memory as keep_memory
+from .files.images import read_image as read_image, write_image as write_image
+from .core.memory import keep_memory as keep_memory
 from .optics import (
     camera_ray as camera_ray,
     circle_of_confusion as circle_of_confusion,
@@ -311,10 +299,10 @@ from .sensor import (
     raw_image as raw_image,
     signal_variance as signal_variance,
 )
-from .shading import (
+from .rendering.shading import (
     outgoing_radiance as outgoing_radiance,
 )
-from .shadows import (
+from .rendering.shadows import (
     Leaving as Leaving,
     visibility as visibility,
 )

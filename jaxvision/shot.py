@@ -13,19 +13,19 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import takes_numbers, warn_caller
-from ._band_count import band_count
-from ._shown import Shown
-from ._types import Image, Key, Scalar, check_given, in_short, is_known, print_by_name
+from .core._arguments import takes_numbers, warn_caller
+from .core._shown import Shown
+from .core._types import Image, Key, Scalar, check_given, in_short, is_known, print_by_name
+from .core.in_notebooks import preview_png, with_picture
 from .development import develop
 from .effects import Certificate, Tolerance, prune
-from .in_notebooks import preview_png, with_picture
 from .lights import Rule
 from .optics import sensor_irradiance
 from .rendering import PixelSamples, render
+from .rendering.band_count import band_count
+from .rendering.shading import DEFAULT_RULE
 from .scene import Camera, PixelAperture, Scene, Sensor, View
 from .sensor import exposed, pixel_means, raw_image
-from .shading import DEFAULT_RULE
 from .transport import Paths, path_traced
 
 Motion = Callable[[Scene, View, Scalar], tuple[Scene, View]]
@@ -184,7 +184,7 @@ def _bands(scene: Scene) -> int:
     shining = [s.emission for s in scene.surfaces if s.emission is not None]
     if scene.ambient is not None:
         shining.append(scene.ambient.radiance)
-    return band_count(materials, scene.lights, shining)
+    return band_count(materials, scene.lights, spectra=shining)
 
 
 def _check_keys(key: Key | None, die_key: Key | None, camera: Camera, bands: int) -> None:

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arguments import in_range, takes_numbers, warn_caller
-from ._exponential import decay
-from ._numerics import difference_of_products, or_one
-from ._powers import exact
-from ._types import (
+from .core._arguments import in_range, takes_numbers, warn_caller
+from .core._exponential import decay
+from .core._numerics import difference_of_products, or_one
+from .core._powers import exact
+from .core._types import (
     AMOUNT,
     LONGEST_WAVE,
     Scalar,
@@ -257,8 +257,8 @@ def rgb_to_reflectance(
         (..., bands) in the unit of `rgb`.
 
     Example:
-        >>> grid = jv.colour_data.wavelength_grid(first=400e-9, last=700e-9, step=100e-9)
-        >>> basis = jv.colour_data.rgb_basis(grid)
+        >>> grid = jv.colour_spaces.wavelength_grid(first=400e-9, last=700e-9, step=100e-9)
+        >>> basis = jv.colour_spaces.rgb_basis(grid)
         >>> red = jv.spectra.rgb_to_reflectance(jnp.array([1.0, 0.0, 0.0]), basis)
         >>> print(*(f"{share:.2f}" for share in red))
         0.24 0.01 0.95 0.41

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import __version__
-from ._local_workers import LOOK, local_workers, replace_lost
+from .core._local_workers import LOOK, local_workers, replace_lost
 from .errors import InputError, install
 
 if TYPE_CHECKING:

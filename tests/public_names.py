@@ -11,65 +11,67 @@ from jaxvision import accuracy, effects
 
 # The edge (files, NumPy) and the stop-watch: neither is traced nor differentiated.
 EAGER = {
-    "jaxvision.interrupts",
-    "jaxvision.progress",
-    "jaxvision.in_notebooks",
-    "jaxvision.io",
-    "jaxvision.raw_files",
-    "jaxvision.image_settings",
+    "jaxvision.core.interrupts",
+    "jaxvision.core.progress",
+    "jaxvision.core.in_notebooks",
+    "jaxvision.files.images",
+    "jaxvision.files.raw",
+    "jaxvision.files.image_settings",
     "jaxvision.plots.estimates",
     "jaxvision.plots.images",
     "jaxvision.plots.inline",
     "jaxvision.plots.inspection",
+    "jaxvision.plots.legible_axes",
     "jaxvision.plots.light",
     "jaxvision.plots.summary",
     "jaxvision.errors",
-    "jaxvision.plain_arrays",
-    "jaxvision.lazy_names",
-    "jaxvision.memory",
+    "jaxvision.core.plain_arrays",
+    "jaxvision.core.lazy_names",
+    "jaxvision.core.memory",
     "jaxvision.programs",
-    "jaxvision.side_by_side",
+    "jaxvision.core.side_by_side",
     "jaxvision.tasks",
-    "jaxvision.camera_files",
-    "jaxvision.material_files",
-    "jaxvision.record_files",
-    "jaxvision.gltf_files",
-    "jaxvision.mesh_files",
+    "jaxvision.files.cameras",
+    "jaxvision.files.materials",
+    "jaxvision.files.records",
+    "jaxvision.files.gltf",
+    "jaxvision.files.meshes",
     "jaxvision.render_command",
     "jaxvision.render_command.job",
     "jaxvision.render_command.integrators",
     "jaxvision.render_command.pruning",
     "jaxvision.render_command.tiles",
-    "jaxvision.scene_checks",
-    "jaxvision.scene_files",
-    "jaxvision.scene_files.bands",
-    "jaxvision.scene_files.spectrum_tables",
-    "jaxvision.scene_files.mitsuba",
-    "jaxvision.scene_files.mitsuba.document",
-    "jaxvision.scene_files.mitsuba.transforms",
-    "jaxvision.scene_files.mitsuba.shapes",
-    "jaxvision.scene_files.mitsuba.spectra",
-    "jaxvision.scene_files.mitsuba.materials",
-    "jaxvision.scene_files.mitsuba.lights",
-    "jaxvision.scene_files.mitsuba.camera",
-    "jaxvision.scene_files.gltf",
-    "jaxvision.scene_files.gltf.contents",
-    "jaxvision.scene_files.gltf.materials",
-    "jaxvision.scene_files.gltf.nodes",
-    "jaxvision.scene_files.schema",
-    "jaxvision.scene_files.tables",
-    "jaxvision.scene_files.folder",
+    "jaxvision.rendering.scene_checks",
+    "jaxvision.files.shipped",
+    "jaxvision.files.scenes",
+    "jaxvision.files.scenes.bands",
+    "jaxvision.files.scenes.spectrum_tables",
+    "jaxvision.files.scenes.mitsuba",
+    "jaxvision.files.scenes.mitsuba.document",
+    "jaxvision.files.scenes.mitsuba.transforms",
+    "jaxvision.files.scenes.mitsuba.shapes",
+    "jaxvision.files.scenes.mitsuba.spectra",
+    "jaxvision.files.scenes.mitsuba.materials",
+    "jaxvision.files.scenes.mitsuba.lights",
+    "jaxvision.files.scenes.mitsuba.camera",
+    "jaxvision.files.scenes.gltf",
+    "jaxvision.files.scenes.gltf.contents",
+    "jaxvision.files.scenes.gltf.materials",
+    "jaxvision.files.scenes.gltf.nodes",
+    "jaxvision.files.scenes.schema",
+    "jaxvision.files.scenes.tables",
+    "jaxvision.files.scenes.folder",
     "jaxvision.geometry.checks",
-    "jaxvision.colour_data",
-    "jaxvision.lifted_scene",
-    "jaxvision.command_line",
-    "jaxvision.toml_files",
-    "jaxvision.measured_files",
-    "jaxvision.measured_files.by_suffix",
-    "jaxvision.measured_files.cornell",
-    "jaxvision.measured_files.merl",
-    "jaxvision.measured_files.rgl",
-    "jaxvision.measured_files.scattered",
+    "jaxvision.colour_spaces.colour_data",
+    "jaxvision.rendering.lifted_scene",
+    "jaxvision.cli.command_line",
+    "jaxvision.files.toml",
+    "jaxvision.files.measured",
+    "jaxvision.files.measured.by_suffix",
+    "jaxvision.files.measured.cornell",
+    "jaxvision.files.measured.merl",
+    "jaxvision.files.measured.rgl",
+    "jaxvision.files.measured.scattered",
     "jaxvision.filters.kernels",
     "jaxvision.filters.matrix",
     "jaxvision.filters.scipy_operators",
@@ -90,9 +92,9 @@ STATIC = {
     "jaxvision.geometry.flat.disc_hit",
     "jaxvision.geometry.flat.quad_hit",
     "jaxvision.geometry.box.box_hit",
-    "jaxvision.shadows.clear",
-    "jaxvision.shading.lighting",
-    "jaxvision.shading.reflected_radiance",
+    "jaxvision.rendering.shadows.clear",
+    "jaxvision.rendering.shading.lighting",
+    "jaxvision.rendering.shading.reflected_radiance",
     "jaxvision.rendering.direct.direct_along",
     "jaxvision.rendering.direct.sorted_scene",
     "jaxvision.rendering.pixel_loop.each",
@@ -105,7 +107,7 @@ STATIC = {
     "jaxvision.transport.radiosity.gather.radiosity_rays",
     "jaxvision.optics.views.opencv_view",
     "jaxvision.transport.missing.missing_light",
-    "jaxvision.hemisphere.product_nodes",
+    "jaxvision.geometry.hemisphere.product_nodes",
     "jaxvision.transport.radiosity.patches.plan_patches",
     "jaxvision.transport.radiosity.solve.shoot",
 }
@@ -120,19 +122,24 @@ STATIC |= {
 }
 STATIC |= {f"jaxvision.lights._registry.{name}" for name in ("kinds", "kind_of")}
 STATIC |= {"jaxvision.sensor._registry.stage_of"}
-STATIC |= {"jaxvision.lights._registry.register_extended"}
+STATIC |= {
+    "jaxvision.lights._registry.register_extended",
+    "jaxvision.rendering.band_count.band_count",
+}
 STATIC |= {"jaxvision.geometry._places.has_area", "jaxvision.lights._registry.can_be_seen"}
-STATIC |= {"jaxvision._quadrature.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
+STATIC |= {"jaxvision.core._quadrature.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
 STATIC |= {"jaxvision.rendering.pixel_loop.check_lens", "jaxvision.filters.convolution.summed"}
 STATIC |= {  # which rule each light has
     f"jaxvision.lights._samples.{name}"
     for name in ("lights_by_rule", "rule_for", "rule_of_each", "rules_of", "split_by_rule")
 }
 STATIC |= {
-    f"jaxvision.colour_filters.{name}" for name in ("as_pattern", "bayer", "check_pattern", "sites")
+    f"jaxvision.sensor.colour_filters.{name}"
+    for name in ("as_pattern", "bayer", "check_pattern", "sites")
 }
 STATIC |= {
-    f"jaxvision.padding.{name}" for name in ("as_planes", "check_border", "check_picture", "ghosts")
+    f"jaxvision.filters.padding.{name}"
+    for name in ("as_planes", "check_border", "check_picture", "ghosts")
 }
 
 
@@ -241,9 +248,9 @@ LONG = {
     "lights.polygon.rectangle_irradiance",
     "matting.closed_form.closed_form_matte",
     "matting.foreground.estimate_foreground",
-    "hemisphere_integral.hemisphere_radiance",
-    "hemisphere_integral.lit_radiance",
-    "hemisphere_integral.sampled_radiance",
+    "rendering.hemisphere_integral.hemisphere_radiance",
+    "rendering.hemisphere_integral.lit_radiance",
+    "rendering.hemisphere_integral.sampled_radiance",
     "transport.light_paths.light_traced",
     "transport.paths.path_radiance",
     "transport.paths.path_traced",

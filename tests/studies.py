@@ -3,7 +3,7 @@
 import numpy as np
 import tomli_w
 
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 
 def write_camera(folder, *, seed, gain=0.25, read_noise=3.0, levels=8, side=48, **camera):

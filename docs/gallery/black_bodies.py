@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
 import jaxvision as jv
-from jaxvision.colour_data import observer, wavelength_grid
-from jaxvision.colour_spaces import xyz_to_rgb
+from jaxvision.colour_spaces import observer, wavelength_grid, xyz_to_rgb
 from jaxvision.spectra import blackbody, spectrum_to_xyz
 
 wavelengths = wavelength_grid()

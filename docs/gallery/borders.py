@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 from matplotlib.patches import Rectangle
 from skimage import data
 
-from jaxvision.padding import BORDERS, pad
+from jaxvision.filters import BORDERS, pad
 
 eye = jnp.asarray(data.astronaut()[80:144, 190:254] / 255)
 figure, axes = plt.subplots(2, 4, figsize=(5.6, 3.1))

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
 import jaxvision as jv
+from jaxvision.files import read_scene
 from jaxvision.render_command import with_resolution
-from jaxvision.scene_files import read_scene
 
 table = read_scene("glass_and_mirror")
 scene, view = jv.as_dtype((table.scene, with_resolution(table.view, (270, 480))), jnp.float32)

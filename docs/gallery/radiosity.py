@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 
 import jaxvision as jv
 from jaxvision.colour_spaces import luminance
+from jaxvision.files import read_scene
 from jaxvision.render_command import with_resolution
-from jaxvision.scene_files import read_scene
 from jaxvision.transport.radiosity import plan_patches, radiosity, radiosity_image
 
 box = read_scene("cornell_box")

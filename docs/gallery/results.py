@@ -20,7 +20,7 @@ plots.picture(light, axes=axes[0, 0])
 plots.false_colour(light[..., 0], unit="W m$^{-2}$ sr$^{-1}$", axes=axes[0, 1])
 plots.histogram(np.uint8(255 * jv.srgb_encode(light / light.max())), axes=axes[1, 0])
 grid = np.linspace(380e-9, 780e-9, 81)
-lamps = {name: jv.colour_data.illuminant(name, grid) for name in ("D65", "A", "FL2")}
+lamps = {name: jv.colour_spaces.illuminant(name, grid) for name in ("D65", "A", "FL2")}
 plots.spectrum(grid, lamps, label="relative power", axes=axes[1, 1])
 code = np.linspace(0, 1, 50)
 found, sd = code**2.17, 0.02 + 0.03 * code

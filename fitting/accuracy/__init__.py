@@ -10,6 +10,6 @@ Results are ends and middles of intervals in units of the standard error of the 
 of 10 % is a tenth of a standard error. Curves, choice and pages are those of `jaxvision.accuracy`.
 """
 
-from jaxvision.lazy_names import names_of
+from jaxvision.core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

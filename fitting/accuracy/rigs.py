@@ -14,7 +14,7 @@ from jaxvision.accuracy.deadlines import OutOfTime, in_time
 from jaxvision.accuracy.knobs_in_turn import asked_knobs, in_turn
 from jaxvision.accuracy.session import Clock
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 from ..observation import Load
 from ..rig import NEEDED, Purpose, Rig, require_images

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxvision.core.in_notebooks import record_html
 from jaxvision.errors import InputError
-from jaxvision.in_notebooks import record_html
 
 from ..fits.solve import Method, fit, method_of
 from ..inference.given import require_seed, require_whole

@@ -10,7 +10,7 @@ from scipy.stats import t
 from threadpoolctl import threadpool_limits
 
 from jaxvision.errors import InputError
-from jaxvision.io import replaced_on_success
+from jaxvision.files.images import replaced_on_success
 from jaxvision.tasks import PROGRAMS, in_order
 
 from ..inference.parameters import names, to_unconstrained

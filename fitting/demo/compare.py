@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxvision.side_by_side import side_by_side
+from jaxvision.core.side_by_side import side_by_side
 
 from ..inference.emcee_run import Progress
 from ..inference.estimates import Estimate, find

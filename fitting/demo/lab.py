@@ -20,8 +20,9 @@ import tomli_w
 
 from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.phong import Phong
+from jaxvision.core.side_by_side import side_by_side
 from jaxvision.development import to_integers
-from jaxvision.io import replaced_on_success, write_image
+from jaxvision.files.images import replaced_on_success, write_image
 from jaxvision.lights import DirectionalLight, PointLight
 from jaxvision.optics import look_at
 from jaxvision.scene import (
@@ -40,7 +41,6 @@ from jaxvision.scene import (
 )
 from jaxvision.sensor import raw_image
 from jaxvision.shot import capture
-from jaxvision.side_by_side import side_by_side
 
 from ..inference.emcee_run import Progress
 from ..rig import RIG_FILE

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.core.in_notebooks import record_html
 from jaxvision.errors import InputError, nearest
-from jaxvision.in_notebooks import record_html
 
 from ..inference.candidates import whole_name
 from ..inference.formatting import format_with_error

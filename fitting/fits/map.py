@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from jaxvision.in_notebooks import figure_png, record_html, with_picture
-from jaxvision.io import replaced_on_success, write_image
+from jaxvision.core.in_notebooks import figure_png, record_html, with_picture
+from jaxvision.files.images import replaced_on_success, write_image
 
 from ..inference.formatting import format_spread, format_unit
 from ..inference.misfit import CHANCE

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from jaxvision.core.plain_arrays import plain_array
+from jaxvision.core.progress import progress_bar
 from jaxvision.errors import InputError
-from jaxvision.plain_arrays import plain_array
-from jaxvision.progress import progress_bar
 
 from ..inference.estimates import QUANTILES
 from ..inference.given import plain_numbers, require_kind, require_seed, require_whole

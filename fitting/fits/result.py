@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxvision.core.in_notebooks import record_html
 from jaxvision.effects.certificate import Certificate, summary
 from jaxvision.errors import InputError, nearest
-from jaxvision.in_notebooks import record_html
 
 from ..inference.candidates import Choice
 from ..inference.design import Plan

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxvision.core.progress import progress_bar
 from jaxvision.errors import InputError
-from jaxvision.progress import progress_bar
 
 from ..inference.candidates import Choice, numbers_of, price, squared_ratios, weakest
 from ..inference.clustering import curvature_stretch

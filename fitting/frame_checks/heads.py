@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxvision.errors import InputError
-from jaxvision.image_settings import ImageSettings, read_settings
+from jaxvision.files.image_settings import ImageSettings, read_settings
 
 from .frame import Odd
 

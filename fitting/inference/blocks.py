@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
-from jaxvision.io import read_arrays, replaced_on_success
+from jaxvision.files.images import read_arrays, replaced_on_success
 
 from .on_host import on_host
 

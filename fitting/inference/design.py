@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxvision.in_notebooks import record_html
+from jaxvision.core.in_notebooks import record_html
 
 from .formatting import format_with_error
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
-from jaxvision.in_notebooks import record_html
+from jaxvision.core.in_notebooks import record_html
 
 from .formatting import format_interval, format_name, format_unit, format_value
 

@@ -10,8 +10,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Int
 
+from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
-from jaxvision.plain_arrays import plain_array
 
 from .on_host import on_host
 

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxvision.core.plain_arrays import plain_array, within_integers
 from jaxvision.errors import InputError, nearest
-from jaxvision.plain_arrays import plain_array, within_integers
 
 from .candidates import Candidate
 from .given import plain_numbers

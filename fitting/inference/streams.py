@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
-from jaxvision.plain_arrays import plain_array
 
 from .given import plain_numbers, require_whole
 from .likelihoods import Clustered, check_data

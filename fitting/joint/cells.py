@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxvision import Vec, as_array, as_vec
-from jaxvision.hemisphere import local_frame, to_local
+from jaxvision.geometry.hemisphere import local_frame, to_local
 
 from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.read import VIEW, Photographs

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxvision.side_by_side import side_by_side
+from jaxvision.core.side_by_side import side_by_side
 
 from ..inference.clustering import Robustness
 from ..inference.parameters import names, to_natural

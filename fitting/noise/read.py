@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision import PoissonShotNoise, Sensor
-from jaxvision.camera_files import write_sensor
+from jaxvision.files.cameras import write_sensor
 
 from ..inference.parameters import names
 from .brighter_fatter import fitted_effect, fitted_kernel

@@ -1,5 +1,5 @@
 """Reflectance of surfaces, from images or from files of measured BRDFs."""
 
-from jaxvision.lazy_names import names_of
+from jaxvision.core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

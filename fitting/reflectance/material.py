@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.brdf.lambert import Lambert
-from jaxvision.material_files import write_material
+from jaxvision.files.materials import write_material
 from jaxvision.scene import Material
 
 from ..inference.parameters import names

@@ -15,8 +15,8 @@ from scipy.special import ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
 from jaxvision import ArrayLike
+from jaxvision.core.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.errors import InputError
-from jaxvision.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.plots import pictures
 
 from ..copies import Copies

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from jaxvision.io import replaced_on_success
+from jaxvision.files.images import replaced_on_success
 from jaxvision.plots import trace
 
 from ..inference.formatting import format_axis

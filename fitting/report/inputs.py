@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 from ..inference.formatting import format_cell, format_unit
 from ..rig import NEEDED, Dark, Exposure, Flat, Geometry, Light, Purpose, Rig

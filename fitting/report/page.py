@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from jaxvision import __version__
-from jaxvision.io import replaced_on_success
+from jaxvision.files.images import replaced_on_success
 from jaxvision.plots.inline import figure_strips
 
 from ..inference.estimates import Estimate

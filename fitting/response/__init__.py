@@ -1,5 +1,5 @@
 """The response of a camera from an exposure stack: curve, gamma and radiance map."""
 
-from jaxvision.lazy_names import names_of
+from jaxvision.core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

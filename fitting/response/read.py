@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt16
 
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 from ..codes import Converter, converter_of
 from ..frame_checks.exposures import blank_images, odd_exposures

@@ -7,6 +7,6 @@ page       the comparison as a page with links to each report
 run        from paths to all of these, on one process or many
 """
 
-from jaxvision.lazy_names import names_of
+from jaxvision.core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

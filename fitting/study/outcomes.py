@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxvision import __version__
 from jaxvision.errors import InputError
-from jaxvision.io import replaced_on_success, write_image
+from jaxvision.files.images import replaced_on_success, write_image
 from jaxvision.tasks import PROGRAMS
 
 from .. import folders

@@ -7,7 +7,7 @@ from pathlib import Path
 import xarray as xr
 
 from jaxvision.errors import InputError
-from jaxvision.io import replaced_on_success
+from jaxvision.files.images import replaced_on_success
 from jaxvision.tasks import in_order
 
 from ..report.progress import Progress

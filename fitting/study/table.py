@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from jaxvision.io import replaced_on_success
+from jaxvision.files.images import replaced_on_success
 
 from ..inference.estimates import Estimate
 from .outcomes import Outcome

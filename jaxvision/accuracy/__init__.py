@@ -12,6 +12,6 @@ cheapest settings that suffice.
 Timing is eager and stays outside pure functions: measure, choose, then call.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..core.interrupts import is_handled, raised_interrupts
 from ..errors import InputError
-from ..interrupts import is_handled, raised_interrupts
 from .deadlines import OutOfTime
 from .fitted import fit_order
 from .knobs import knob_named

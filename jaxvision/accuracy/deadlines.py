@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ..core.interrupts import leaves_work_behind
+from ..core.side_by_side import for_any_thread
 from ..errors import InputError
-from ..interrupts import leaves_work_behind
-from ..side_by_side import for_any_thread
 
 TICK = 0.1  # s, between two looks at the time
 

@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from ..core.interrupts import is_handled, raised_interrupts
 from ..errors import InputError
-from ..interrupts import is_handled, raised_interrupts
 from .curves import LEAST
 from .records import Curve
 from .session import Clock

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .. import __version__
-from ..io import replaced_on_success
+from ..files.images import replaced_on_success
 from ..plots.inline import figure_svg
 from .plots import front, plot
 from .records import Curve, Problem

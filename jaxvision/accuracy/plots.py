@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._legible_axes import BLUE, PURPLE, RED, few_ticks, name_points
+from ..plots.legible_axes import BLUE, PURPLE, RED, few_ticks, name_points
 from .records import Curve, Trial
 
 if TYPE_CHECKING:

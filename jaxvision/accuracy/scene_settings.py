@@ -16,13 +16,13 @@ import jax
 import numpy as np
 
 from .. import __version__
+from ..core.side_by_side import cores
 from ..effects import Pruned
 from ..errors import InputError
-from ..io import replaced_on_success
+from ..files.images import replaced_on_success
+from ..files.scenes import SceneFile
+from ..files.scenes.schema import RenderEntry
 from ..render_command import left_of, pruned_for
-from ..scene_files import SceneFile
-from ..scene_files.schema import RenderEntry
-from ..side_by_side import cores
 from .checks import settled
 from .curves import LEAST, curve
 from .deadlines import OutOfTime, TooLittleTime, in_time

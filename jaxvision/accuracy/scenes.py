@@ -9,10 +9,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from .._types import as_dtype
-from ..colour_data import white_point
 from ..colour_spaces import rgb_to_xyz, xyz_to_lab
+from ..colour_spaces.colour_data import white_point
+from ..core._types import as_dtype
 from ..errors import InputError
+from ..files.scenes import SceneFile
+from ..files.scenes.schema import RenderEntry
 from ..lights import DirectionalLight, PointLight, SmallLight
 from ..render_command import (
     lacking,
@@ -21,8 +23,6 @@ from ..render_command import (
     seeded_pixels_of,
     with_resolution,
 )
-from ..scene_files import SceneFile
-from ..scene_files.schema import RenderEntry
 from .deadlines import OutOfTime, TooLittleTime, in_time
 from .records import Compute, Problem
 from .session import Clock

@@ -5,9 +5,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..core.interrupts import is_handled, raised_interrupts
 from ..errors import InputError
-from ..interrupts import is_handled, raised_interrupts
-from ..scene_files import SceneFile
+from ..files.scenes import SceneFile
 from .checks import settled
 from .knobs_in_turn import asked_knobs
 from .records import Curve, Problem

@@ -16,6 +16,6 @@ Mirrors and glass are delta functions, which no density describes: `register_del
 families, whose `Specular` says where a ray goes on.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -16,10 +16,10 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._bands import by_band
-from .._bounds import Reflection
-from .._types import Colour, Scalar
-from .._vector import Direction, Vec, as_vec
+from ..core._bounds import Reflection
+from ..core._loops.bands import by_band
+from ..core._types import Colour, Scalar
+from ..core._vector import Direction, Vec, as_vec
 from ._lobe import choose, diffuse_share, divisor, mixed_pdf, where_seen
 from ._registry import register
 

@@ -9,9 +9,9 @@ Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and Rend
 
 import jax.numpy as jnp
 
-from .._numerics import arctan2, dot, safe_sqrt
-from .._types import Scalar, Scalars
-from .._vector import Vec
+from ..core._numerics import arctan2, dot, safe_sqrt
+from ..core._types import Scalar, Scalars
+from ..core._vector import Vec
 from ._warp import Square
 
 

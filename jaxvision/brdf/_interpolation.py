@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalar
+from ..core._types import Scalar
 
 Place = list[tuple[Int[Array, ""], Scalar]]
 

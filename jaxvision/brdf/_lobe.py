@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import (
+from ..core._numerics import (
     arctan2,
     log1p,
     or_one,
@@ -17,10 +17,10 @@ from .._numerics import (
     safe_sqrt,
     smallest_divisor,
 )
-from .._quadrature import gauss_legendre
-from .._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
-from .._vector import Direction, Vec, Vector, as_vec, where
-from ..hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
+from ..core._quadrature import gauss_legendre
+from ..core._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
+from ..core._vector import Direction, Vec, Vector, as_vec, where
+from ..geometry.hemisphere import cosine_direction, cosine_pdf, direction_at, local_frame, to_world
 from ..scene import Material
 
 ColourOrNeutral = Colour | Float[Array, "1"]

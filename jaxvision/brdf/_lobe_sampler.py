@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._bounds import Ends, Reflection, numbers
-from .._numerics import divide, normalize, smallest_divisor
-from .._types import Colour, Scalar
-from .._vector import Direction, Vec, as_vec
-from ..hemisphere import cosine_direction, cosine_pdf
+from ..core._bounds import Ends, Reflection, numbers
+from ..core._numerics import divide, normalize, smallest_divisor
+from ..core._types import Colour, Scalar
+from ..core._vector import Direction, Vec, as_vec
+from ..geometry.hemisphere import cosine_direction, cosine_pdf
 from ._half_vector import (
     azimuth,
     elevation,

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Reflection
-from .._kinds import Table, table_for
-from .._types import Colour, Scalar
-from .._vector import Direction, Vec, Vector, as_vec
-from ..hemisphere import cosine_direction, cosine_pdf, product_nodes
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Reflection
+from ..core._kinds import Table, table_for
+from ..core._types import Colour, Scalar
+from ..core._vector import Direction, Vec, Vector, as_vec
+from ..geometry.hemisphere import cosine_direction, cosine_pdf, product_nodes
 from ..scene import Material
 from ._lobe import where_above
 from ._specular import Specular, one_way

@@ -16,10 +16,10 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from .._numerics import reciprocal
-from .._shown import Shown
-from .._types import Colour, Scalar
-from .._vector import Vec, where
+from ..core._numerics import reciprocal
+from ..core._shown import Shown
+from ..core._types import Colour, Scalar
+from ..core._vector import Vec, where
 from ._lobe import diffuse_share
 
 Carries = Literal["radiance", "light"]

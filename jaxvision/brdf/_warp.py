@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics import divide, running_sum, safe_sqrt
-from .._staging import one_program
-from .._types import Scalar
+from ..core._loops.fusion import one_program
+from ..core._numerics import divide, running_sum, safe_sqrt
+from ..core._types import Scalar
 from ._interpolation import among, in_unit
 
 Slices = list[tuple[tuple[Int[Array, ""], Int[Array, ""]], Scalar]]

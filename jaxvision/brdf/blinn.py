@@ -20,14 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Angles, Ends, Reflection, least, peak, power_of
-from .._bounds import Lobe as LargestLobe
-from .._bounds import most as largest
-from .._numerics import arctan2, dot, log1p, or_one, smallest_divisor
-from .._types import Scalar, Scalars
-from .._vector import Direction, Vec, as_vec
-from ..hemisphere import direction_at
+from ..core._arguments import takes_numbers
+from ..core._bounds import Angles, Ends, Reflection, least, peak, power_of
+from ..core._bounds import Lobe as LargestLobe
+from ..core._bounds import most as largest
+from ..core._numerics import arctan2, dot, log1p, or_one, smallest_divisor
+from ..core._types import Scalar, Scalars
+from ..core._vector import Direction, Vec, as_vec
+from ..geometry.hemisphere import direction_at
 from ..scene import Material
 from ._conventions import Convention, Lobe, register_lobe
 from ._lobe import PowerLobe, circles, log_cosine

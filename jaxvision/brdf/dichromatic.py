@@ -18,11 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Reflection, peak
-from .._numerics import or_one
-from .._types import AMOUNT, Colour, Scalar, as_float, check_fields, print_by_name
-from .._vector import Direction, Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Reflection, peak
+from ..core._numerics import or_one
+from ..core._types import AMOUNT, Colour, Scalar, as_float, check_fields, print_by_name
+from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._lobe import ColourOrNeutral, diffuse_share
 from ._registry import family, is_delta, register, suprema

@@ -27,10 +27,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._arguments import takes_numbers, warn_caller
-from .._numerics import divide, or_one, running_sum, safe_sqrt, smallest_divisor
-from .._shown import Shown
-from .._types import Colour, Scalar, check_shape, print_by_name
+from ..core._arguments import takes_numbers, warn_caller
+from ..core._numerics import divide, or_one, running_sum, safe_sqrt, smallest_divisor
+from ..core._shown import Shown
+from ..core._types import Colour, Scalar, check_shape, print_by_name
 
 Pixels = Float[Array, "... channels"]
 Mask = Bool[Array, "..."]

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._types import Colour, Scalar, check_range, check_shape
-from .._vector import Direction, Vec, Vector, as_array, as_vec
-from ..hemisphere import direction_at, local_frame, to_local
+from ..core._arguments import takes_numbers
+from ..core._types import Colour, Scalar, check_range, check_shape
+from ..core._vector import Direction, Vec, Vector, as_array, as_vec
+from ..geometry.hemisphere import direction_at, local_frame, to_local
 from ..scene import Material
 from ._lobe import where_above
 from ._registry import family

@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._arguments import in_range, takes_numbers
-from .._bounds import Ends, numbers
-from .._numerics import divide, or_one, polynomial, safe_sqrt, smallest_divisor
-from .._shown import Shown
-from .._types import AMOUNT, DIVISOR, Colour, Range, Scalar, as_float, check_fields
+from ..core._arguments import in_range, takes_numbers
+from ..core._bounds import Ends, numbers
+from ..core._numerics import divide, or_one, polynomial, safe_sqrt, smallest_divisor
+from ..core._shown import Shown
+from ..core._types import AMOUNT, DIVISOR, Colour, Range, Scalar, as_float, check_fields
 
 
 class Dielectric(Shown):

@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Angles, Ends, Reflection, least, peak
-from .._bounds import Lobe as LargestLobe
-from .._bounds import most as largest
-from .._numerics import dot, log1p, polynomial, safe_sqrt, smallest_divisor
-from .._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
-from .._vector import Direction, Vec, Vector
+from ..core._arguments import takes_numbers
+from ..core._bounds import Angles, Ends, Reflection, least, peak
+from ..core._bounds import Lobe as LargestLobe
+from ..core._bounds import most as largest
+from ..core._numerics import dot, log1p, polynomial, safe_sqrt, smallest_divisor
+from ..core._types import AMOUNT, Colour, Scalar, Scalars, as_float, as_optional_float, check_fields
+from ..core._vector import Direction, Vec, Vector
 from ..geometry import mirror_direction
 from ..scene import Material
 from ._conventions import Convention, Lobe, register_lobe

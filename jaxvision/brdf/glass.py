@@ -15,11 +15,19 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Reflection, least, most
-from .._numerics import or_one, safe_sqrt
-from .._types import AMOUNT, POSITIVE, Colour, Scalar, as_float, as_optional_float, check_fields
-from .._vector import Vec, Vector, as_vec
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Reflection, least, most
+from ..core._numerics import or_one, safe_sqrt
+from ..core._types import (
+    AMOUNT,
+    POSITIVE,
+    Colour,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_fields,
+)
+from ..core._vector import Vec, Vector, as_vec
 from ..scene import Material
 from ._lobe import mirrored
 from ._registry import register_delta

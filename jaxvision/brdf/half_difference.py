@@ -20,12 +20,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._kinds import Measured
-from .._numerics import dot, normalize, or_one, safe_sqrt
-from .._shown import Shown
-from .._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
-from .._vector import Direction, Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._kinds import Measured
+from ..core._numerics import dot, normalize, or_one, safe_sqrt
+from ..core._shown import Shown
+from ..core._types import Colour, Scalar, as_float, as_optional_float, check_choice, check_fields
+from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, elevation_to_unit, spherical
 from ._interpolation import in_bin, in_bins, multilinear

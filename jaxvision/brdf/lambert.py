@@ -3,11 +3,11 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._bounds import Reflection, peak
-from .._numerics import dot
-from .._types import AMOUNT, Colour, as_float, as_optional_float, check_fields
-from .._vector import Direction
+from ..core._arguments import takes_numbers
+from ..core._bounds import Reflection, peak
+from ..core._numerics import dot
+from ..core._types import AMOUNT, Colour, as_float, as_optional_float, check_fields
+from ..core._vector import Direction
 from ..scene import Material
 from ._lobe import where_seen
 from ._registry import register

@@ -19,10 +19,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._shown import Shown
-from .._types import Colour, as_float, as_optional_float, check_choice, check_fields
-from .._vector import Direction, Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._shown import Shown
+from ..core._types import Colour, as_float, as_optional_float, check_choice, check_fields
+from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import azimuth, elevation, spherical
 from ._interpolation import Place, among, around_circle, multilinear

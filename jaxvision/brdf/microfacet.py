@@ -14,11 +14,19 @@ import jax.numpy as jnp
 from jax.lax import erfc
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, dot, log_of_zero, normalize, or_one, safe_sqrt, smallest_divisor
-from .._types import Scalar, print_by_name
-from .._vector import Direction, Vec, Vector, as_vec
-from ..hemisphere import cross
+from ..core._arguments import takes_numbers
+from ..core._numerics import (
+    divide,
+    dot,
+    log_of_zero,
+    normalize,
+    or_one,
+    safe_sqrt,
+    smallest_divisor,
+)
+from ..core._types import Scalar, print_by_name
+from ..core._vector import Direction, Vec, Vector, as_vec
+from ..geometry.hemisphere import cross
 from ._lobe import divisor
 
 Distribution = Literal["beckmann", "ggx"]

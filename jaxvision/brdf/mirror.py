@@ -7,9 +7,9 @@ Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i) with s 
 import equinox as eqx
 import numpy as np
 
-from .._bounds import Ends, Reflection, peak
-from .._types import AMOUNT, Colour, as_float, check_fields
-from .._vector import Vec
+from ..core._bounds import Ends, Reflection, peak
+from ..core._types import AMOUNT, Colour, as_float, check_fields
+from ..core._vector import Vec
 from ..scene import Material
 from ._lobe import mirrored, where_above
 from ._registry import register_delta

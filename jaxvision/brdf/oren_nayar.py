@@ -18,10 +18,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Reflection, least, most, peak
-from .._numerics import arctan2, safe_sqrt, smallest_divisor
-from .._types import (
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Reflection, least, most, peak
+from ..core._numerics import arctan2, safe_sqrt, smallest_divisor
+from ..core._types import (
     AMOUNT,
     NOT_NEGATIVE,
     Colour,
@@ -32,7 +32,7 @@ from .._types import (
     check_choice,
     check_fields,
 )
-from .._vector import Direction, as_vec
+from ..core._vector import Direction, as_vec
 from ..scene import Material
 from ._lobe import divisor, where_seen
 from ._registry import register

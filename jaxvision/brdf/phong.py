@@ -21,13 +21,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Angles, Ends, Reflection, least, peak, power_of
-from .._bounds import Lobe as LargestLobe
-from .._bounds import most as largest
-from .._numerics import dot, log1p, log_cos_between, log_of_zero
-from .._types import Colour, Scalar, Scalars, check_range
-from .._vector import Direction, Vec, Vector, as_vec
+from ..core._arguments import takes_numbers
+from ..core._bounds import Angles, Ends, Reflection, least, peak, power_of
+from ..core._bounds import Lobe as LargestLobe
+from ..core._bounds import most as largest
+from ..core._numerics import dot, log1p, log_cos_between, log_of_zero
+from ..core._types import Colour, Scalar, Scalars, check_range
+from ..core._vector import Direction, Vec, Vector, as_vec
 from ..geometry import mirror_direction
 from ..scene import Material
 from ._conventions import Convention, Lobe, register_lobe

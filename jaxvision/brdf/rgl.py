@@ -24,11 +24,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Reflection
-from .._numerics import divide, dot, normalize, or_one, smallest_divisor
-from .._types import Colour, Scalar, as_float, as_optional_float, check_fields, check_shape
-from .._vector import Direction, Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Reflection
+from ..core._numerics import divide, dot, normalize, or_one, smallest_divisor
+from ..core._types import Colour, Scalar, as_float, as_optional_float, check_fields, check_shape
+from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import (
     azimuth,

@@ -21,11 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Angles, Ends, Reflection, numbers, peak
-from .._bounds import Lobe as LargestLobe
-from .._bounds import most as largest
-from .._numerics import (
+from ..core._arguments import takes_numbers
+from ..core._bounds import Angles, Ends, Reflection, numbers, peak
+from ..core._bounds import Lobe as LargestLobe
+from ..core._bounds import most as largest
+from ..core._numerics import (
     arctan2,
     divide,
     dot,
@@ -36,8 +36,8 @@ from .._numerics import (
     safe_sqrt,
     smallest_divisor,
 )
-from .._quadrature import gauss_legendre
-from .._types import (
+from ..core._quadrature import gauss_legendre
+from ..core._types import (
     AMOUNT,
     POSITIVE,
     Colour,
@@ -48,7 +48,7 @@ from .._types import (
     check_fields,
     is_known,
 )
-from .._vector import Direction, Vec, as_vec
+from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
 from ._half_vector import reflected
 from ._lobe import (

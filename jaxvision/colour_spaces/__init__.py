@@ -14,6 +14,6 @@ and HSL. A last axis other than 3 and integer codes are a `ValueError`. Matrices
 three.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -1,6 +1,21 @@
 # What `jaxvision.colour_spaces` offers, each name where it is defined; see
 # `jaxvision/__init__.pyi`.
 
+from . import colour_data as colour_data
+from .colour_data import (
+    camera_sensitivities as camera_sensitivities,
+    chart_reflectances as chart_reflectances,
+    cone_matrix as cone_matrix,
+    daylight_basis as daylight_basis,
+    illuminant as illuminant,
+    luma_weights as luma_weights,
+    nanometres as nanometres,
+    observer as observer,
+    rgb_basis as rgb_basis,
+    rgb_to_xyz_matrix as rgb_to_xyz_matrix,
+    wavelength_grid as wavelength_grid,
+    white_point as white_point,
+)
 from ._components import Colours as Colours
 from .chromaticity import (
     xyy_to_xyz as xyy_to_xyz,

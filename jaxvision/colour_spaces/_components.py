@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._numerics import arctan2, divide, norm, smallest_divisor
-from .._powers import power_of_two_in
-from .._types import Scalars, as_relative, print_by_name
-from .._vector import Vec
+from ..core._numerics import arctan2, divide, norm, smallest_divisor
+from ..core._powers import power_of_two_in
+from ..core._types import Scalars, as_relative, print_by_name
+from ..core._vector import Vec
 
 Colours = Float[Array, "... 3"]
 print_by_name(globals(), "Colours")

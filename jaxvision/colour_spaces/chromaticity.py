@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
+from ..core._arguments import takes_numbers
 from ._components import Colours, joined, of_unit_size, over, parts, reciprocal, vanishes
 
 

@@ -4,8 +4,8 @@ from 0 to 2 pi rad."""
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._types import Scalars, refuse_codes
+from ..core._arguments import takes_numbers
+from ..core._types import Scalars, refuse_codes
 from ._components import (
     Colours,
     chroma_of,

@@ -2,10 +2,10 @@
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._numerics import divide, norm, normalize, or_one, safe_sqrt
-from .._types import Scalars
-from .._vector import Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, norm, normalize, or_one, safe_sqrt
+from ..core._types import Scalars
+from ..core._vector import Vec, as_vec
 from ._components import Colours, chroma_of, hue_angle, parts, vanishes
 
 

@@ -2,8 +2,8 @@
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._types import Scalars, refuse_codes
+from ..core._arguments import takes_numbers
+from ..core._types import Scalars, refuse_codes
 from ._components import Colours, joined, of_unit_size, over, parts, to_unit_size, within
 
 

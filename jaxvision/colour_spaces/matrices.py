@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._types import Scalars, refuse_codes
-from ..colour_data import cone_matrix, rgb_to_xyz_matrix
+from ..core._arguments import takes_numbers
+from ..core._types import Scalars, refuse_codes
 from ._components import Colours, by_constant, checked, joined, multiplied, parts
+from .colour_data import cone_matrix, rgb_to_xyz_matrix
 
 
 @takes_numbers

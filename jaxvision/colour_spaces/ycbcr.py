@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 import numpy as np
 
-from .._arguments import takes_numbers
-from .._types import check_choice, check_count, refuse_codes
-from ..colour_data import luma_weights
+from ..core._arguments import takes_numbers
+from ..core._types import check_choice, check_count, refuse_codes
 from ._components import Colours, by_constant, checked
+from .colour_data import luma_weights
 
 
 @takes_numbers

@@ -1,5 +1,5 @@
 """Development: from the raw data of a sensor to the picture of a file."""
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._shown import Shown
-from .._types import Spectrum, as_float, check_fields, check_range, is_known
 from ..colour_spaces import adapt, xyz_to_rgb
+from ..core._arguments import takes_numbers
+from ..core._shown import Shown
+from ..core._types import Spectrum, as_float, check_fields, check_range, is_known
 from ..spectra import Responses, Wavelengths, reflectance_to_xyz, spectrum_to_camera
 from .white_balancing import neutral_gains
 
@@ -128,9 +128,9 @@ def camera_colour(
     Example:
         A camera that sees as the standard observer does, from white (1, 1, 1) to linear sRGB.
 
-        >>> grid = jv.colour_data.wavelength_grid(first=400e-9, last=700e-9, step=10e-9)
-        >>> eye, light = jv.colour_data.observer(grid), jv.colour_data.illuminant("D65", grid)
-        >>> white = jv.colour_data.white_point("D65")
+        >>> grid = jv.colour_spaces.wavelength_grid(first=400e-9, last=700e-9, step=10e-9)
+        >>> eye, light = jv.colour_spaces.observer(grid), jv.colour_spaces.illuminant("D65", grid)
+        >>> white = jv.colour_spaces.white_point("D65")
         >>> found = jv.camera_colour(eye, light, jnp.eye(4, 31), grid, eye, white)
         >>> [round(float(x), 2) for x in found.matrix[0]]  # 3.2405 x 0.9505 first
         [3.08, -1.54, -0.54]

@@ -20,13 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from .._arguments import takes_numbers
-from .._staging import stored
-from .._types import as_float, check_choice, print_by_name
-from ..colour_filters import Pattern, as_pattern, check_pattern, sites
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import stored
+from ..core._types import as_float, check_choice, print_by_name
 from ..filters import correlate_separable
-from ..padding import pad
+from ..filters.padding import pad
 from ..scene.developments import DEMOSAICINGS
+from ..sensor.colour_filters import Pattern, as_pattern, check_pattern, sites
 
 Mosaic = Shaped[Array | np.ndarray, "*mosaic"]
 Picture = Float[Array, "*batch h w bands"]

@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._arguments import takes_numbers, warn_caller
-from .._numerics import with_gradient_of
-from .._staging import stored
-from .._types import Image, Scalar, as_float, as_relative, check_choice, is_known
-from ..padding import Picture
+from ..core._arguments import takes_numbers, warn_caller
+from ..core._loops.fusion import stored
+from ..core._numerics import with_gradient_of
+from ..core._types import Image, Scalar, as_float, as_relative, check_choice, is_known
+from ..filters.padding import Picture
 from ..scene.developments import ROUNDINGS, SUBSAMPLINGS
 
 Plane = Float[Array, "h w"]

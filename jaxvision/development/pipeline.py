@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 from jaxtyping import Array, UInt
 
-from .._arguments import takes_numbers
-from .._types import Image, Scalars
 from ..colour_spaces import apply_matrix
+from ..core._arguments import takes_numbers
+from ..core._types import Image, Scalars
 from ..filters import bilateral_filter, nonlocal_means_filter, unsharp_mask
 from ..scene import (
     Bilateral,

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import smallest_divisor
-from .._types import Scalars, as_relative, is_known, print_by_name, refuse_codes
+from ..core._arguments import takes_numbers
+from ..core._numerics import smallest_divisor
+from ..core._types import Scalars, as_relative, is_known, print_by_name, refuse_codes
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
 from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
 

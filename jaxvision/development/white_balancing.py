@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import in_range, takes_numbers
-from .._numerics import divide, or_one, power, smallest_divisor
-from .._types import Image, Range, Scalar, Spectrum, as_relative, print_by_name
+from ..core._arguments import in_range, takes_numbers
+from ..core._numerics import divide, or_one, power, smallest_divisor
+from ..core._types import Image, Range, Scalar, Spectrum, as_relative, print_by_name
 
 Gains = Float[Array, "*images bands"]
 Picture = Float[Array, "..."]

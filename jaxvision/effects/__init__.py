@@ -13,6 +13,6 @@
 NumPy in float64, outside `jit`: records with traced numbers are refused.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -6,7 +6,7 @@ rad, lengths in m.
 
 import numpy as np
 
-from .._bounds import Angles, angle, unit
+from ..core._bounds import Angles, angle, unit
 from .cells import Cells, Eye
 
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from .._bounds import Ends, once
+from ..core._bounds import Ends, once
 from ..scene import Box, Sphere, Surface, TriangleMesh
 from ..scene.shapes import Shape
 from .bodies import (

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._bounds import SIGNS, Ends, box_about, numbers, once, unit
+from ..core._bounds import SIGNS, Ends, box_about, numbers, once, unit
 from ..scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
 from ..scene.shapes import Shape
 

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .._types import is_known
+from ..core._types import is_known
 from ..errors import InputError, nearest
 from ..scene import Camera, Scene
 from .stages import Draft, Ends

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._bounds import Ends, once
+from ..core._bounds import Ends, once
 from ..optics.views import focus_vergence, sensor_vergence
 from ..scene import (
     Box,

@@ -17,8 +17,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from ..core.in_notebooks import record_html
 from ..errors import InputError
-from ..in_notebooks import record_html
 from ..scene import Camera, Scene, View
 
 Rank = Literal["exact", "bound", "estimate"]

@@ -16,7 +16,7 @@ ends at a horizon which can cross the lamp. Lengths in m.
 
 import numpy as np
 
-from .._bounds import Ends, Source
+from ..core._bounds import Ends, Source
 from ..scene import Light
 from .cells import Cells
 from .illumination import source_of, times

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._bounds import Angles, Ends, Lobe, angle, numbers, unit
-from .._bounds import Source as Source
+from ..core._bounds import Angles, Ends, Lobe, angle, numbers, unit
+from ..core._bounds import Source as Source
 from ..lights import kinds
 from ..scene import Light
 from .angles import cosine, half_width, lobe_angles

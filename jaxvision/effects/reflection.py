@@ -7,10 +7,10 @@ bounded, and what depends on it is kept. No units but sr^-1.
 
 from typing import Any
 
-from .._bounds import Lobe as Lobe
-from .._bounds import Reflection as Reflection
 from ..brdf import families
 from ..brdf import suprema as reflection_of  # noqa: F401
+from ..core._bounds import Lobe as Lobe
+from ..core._bounds import Reflection as Reflection
 
 
 def fills(material: Any) -> bool:

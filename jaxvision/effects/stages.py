@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._bounds import Ends as Ends
+from ..core._bounds import Ends as Ends
 from ..scene import AmbientLight, Camera, Light, Surface
 from .certificate import Effect
 

@@ -4,6 +4,6 @@ to picture and kernel; shift-variant filters; filters as matrices; and non-linea
 Every name is loaded when it is first used, and scipy with the matrix forms only.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

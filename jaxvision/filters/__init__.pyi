@@ -1,5 +1,6 @@
 # What `jaxvision.filters` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
 
+from . import padding as padding
 from .bilateral import (
     bilateral_filter as bilateral_filter,
     joint_bilateral_filter as joint_bilateral_filter,
@@ -42,6 +43,7 @@ from .matrix import (
 from .median import median_filter as median_filter
 from .nonlocal_means import nonlocal_means_filter as nonlocal_means_filter
 from .operators import adjoint as adjoint, impulse_response as impulse_response
+from .padding import BORDERS as BORDERS, continued as continued, pad as pad
 from .pyramid import (
     blend_by_pyramid as blend_by_pyramid,
     collapse_laplacian as collapse_laplacian,

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._staging import bilinear
+from ..core._loops.fusion import bilinear
 from ._methods import METHODS, Anchor, Kernel, Result, Stack, padded
 
 # Inner products, one a tap, up to this many; a transform beyond.

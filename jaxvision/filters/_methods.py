@@ -14,9 +14,9 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
-from .._staging import PLAIN, stored
-from ..padding import continued, ghosts
+from ..core._loops.fusion import PLAIN, stored
 from ..programs import on_processor
+from .padding import continued, ghosts
 
 Stack = Float[Array, "n h w c"]
 Result = Float[Array, "n _ _ c"]

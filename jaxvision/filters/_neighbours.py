@@ -12,9 +12,9 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from .._numerics import smallest_divisor
-from .._types import Scalars, print_by_name
-from ..padding import as_planes, pad
+from ..core._numerics import smallest_divisor
+from ..core._types import Scalars, print_by_name
+from .padding import as_planes, pad
 
 # Pictures in one call may differ in size or bands, so their axes have no names to agree on.
 AnyPicture = Shaped[Array | np.ndarray, "..."]

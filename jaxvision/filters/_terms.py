@@ -15,13 +15,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Shaped
 
-from .._arguments import warn_of_idle_fill
-from .._numerics import divide, smallest_divisor
-from .._types import print_by_name
-from ..padding import Filtered, Picture, as_planes, ghosts
+from ..core._arguments import warn_of_idle_fill
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import print_by_name
 from ..programs import on_processor
 from ._bilinear import correlate_stack
 from ._methods import Anchor, Kernel, Stack
+from .padding import Filtered, Picture, as_planes, ghosts
 
 Fill = Float[Array | np.ndarray, "..."] | float  # () or (bands,)
 AnyKernel = Shaped[Array | np.ndarray, "..."]  # (kh, kw) or (kh, kw, bands)

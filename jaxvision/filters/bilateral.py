@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from .._arguments import takes_numbers
-from .._numerics import log_of_zero
-from .._types import Scalars, check_choice, check_count
-from ..padding import check_border
+from ..core._arguments import takes_numbers
+from ..core._numerics import log_of_zero
+from ..core._types import Scalars, check_choice, check_count
 from ._neighbours import AnyPicture, Floats, Plane, Planes, inverse, planes_of, weighted_mean
+from .padding import check_border
 
 
 @takes_numbers

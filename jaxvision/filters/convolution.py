@@ -44,12 +44,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from .._arguments import takes_numbers
-from .._types import check_choice
-from ..padding import Filtered, Picture, check_border, check_picture
+from ..core._arguments import takes_numbers
+from ..core._types import check_choice
 from ..programs import on_processor
 from ._methods import METHODS, Anchor
 from ._terms import AnyKernel, AnyTaps, Fill, Separable, Settings, Terms, filtered
+from .padding import Filtered, Picture, check_border, check_picture
 
 Numbers = Sequence[Any]
 

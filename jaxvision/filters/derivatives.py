@@ -7,11 +7,11 @@ exact for parabolas. Pictures, borders and methods as in `convolution`, except t
 
 from typing import NamedTuple
 
-from .._arguments import takes_numbers
-from ..padding import Filtered, Picture
+from ..core._arguments import takes_numbers
 from ._terms import Fill
 from .convolution import _check_weighs, correlate, correlate_separable
 from .kernels import derivative_kernels, laplacian_kernel
+from .padding import Filtered, Picture
 
 
 class Gradient(NamedTuple):

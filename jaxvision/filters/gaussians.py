@@ -25,12 +25,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.polynomial.legendre import leggauss
 
-from .._arguments import takes_numbers, warn_caller, warn_of_idle_fill
-from .._types import Scalar, as_float, check_choice, check_count, print_by_name
-from ..padding import Filtered, Picture
+from ..core._arguments import takes_numbers, warn_caller, warn_of_idle_fill
+from ..core._types import Scalar, as_float, check_choice, check_count, print_by_name
 from ._terms import Fill
 from .convolution import _check_weighs, correlate_separable
 from .kernels import gaussian_size
+from .padding import Filtered, Picture
 
 Sigma = Float[Array, ""] | Float[Array, "2"] | float
 print_by_name(globals(), "Sigma")

@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._arguments import takes_numbers
-from .._shown import Shown
-from .._types import as_float
-from ..padding import Picture, check_picture
+from ..core._arguments import takes_numbers
+from ..core._shown import Shown
+from ..core._types import as_float
+from .padding import Picture, check_picture
 
 Pair = tuple[Array, Array]
 

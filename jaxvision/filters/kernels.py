@@ -11,7 +11,7 @@ from numbers import Integral
 
 import numpy as np
 
-from .._types import check_choice
+from ..core._types import check_choice
 
 # Smoothing across the derivative, and its name.
 SMOOTHING = {

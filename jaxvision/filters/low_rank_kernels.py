@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._shown import Shown
-from .._types import as_float
-from ..padding import Filtered, Picture, check_border, check_picture
+from ..core._arguments import takes_numbers
+from ..core._shown import Shown
+from ..core._types import as_float
 from ._terms import Fill, Separable, Settings, filtered
 from .convolution import _anchor
+from .padding import Filtered, Picture, check_border, check_picture
 
 
 class LowRank(Shown):

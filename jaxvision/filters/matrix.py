@@ -16,12 +16,12 @@ import numpy as np
 from jax.experimental.sparse import BCOO
 from jaxtyping import Array, Float
 
-from .._numerics import divide, smallest_divisor
-from .._shown import Shown
-from .._types import as_float, as_optional_float, print_by_name
-from ..padding import check_border, ghosts
+from ..core._numerics import divide, smallest_divisor
+from ..core._shown import Shown
+from ..core._types import as_float, as_optional_float, print_by_name
 from ._terms import Fill, Settings, filtered
 from .convolution import _anchor
+from .padding import check_border, ghosts
 
 Kernel = Float[Array | np.ndarray, "kh kw"] | Float[Array | np.ndarray, " k"]
 print_by_name(globals(), "Kernel")

@@ -17,9 +17,9 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Shaped
 
-from .._arguments import takes_numbers
-from ..padding import Picture, as_planes, check_border, pad
+from ..core._arguments import takes_numbers
 from .kernels import _both_ways
+from .padding import Picture, as_planes, check_border, pad
 
 Offsets = tuple[tuple[int, int], ...]
 Comparators = tuple[tuple[int, int], ...]

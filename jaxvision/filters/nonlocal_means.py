@@ -16,11 +16,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int
 
-from .._arguments import takes_numbers
-from .._numerics import log_of_zero
-from .._types import Scalars, check_choice, check_count
-from ..padding import Filtered, Picture, check_border
+from ..core._arguments import takes_numbers
+from ..core._numerics import log_of_zero
+from ..core._types import Scalars, check_choice, check_count
 from ._neighbours import Plane, Planes, inverse, planes_of, weighted_mean
+from .padding import Filtered, Picture, check_border
 
 
 @takes_numbers

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._types import as_float, check_shape, is_known
-from ..padding import Filtered
+from ..core._arguments import takes_numbers
+from ..core._types import as_float, check_shape, is_known
+from .padding import Filtered
 
 
 def impulse_response(

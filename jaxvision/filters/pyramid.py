@@ -16,11 +16,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._staging import stored
-from .._types import as_float, check_count
-from ..padding import as_planes, check_border, check_picture, continued
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import stored
+from ..core._types import as_float, check_count
 from ._neighbours import AnyPicture, Floats
+from .padding import as_planes, check_border, check_picture, continued
 
 ROWS, COLUMNS = 1, 2  # of a stack of images
 Stack = Float[Array, "images _ _ bands"]

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float
 
-from .._arguments import takes_numbers, warn_of_idle_fill
-from .._types import check_choice, check_count, check_shape
-from ..padding import as_planes
+from ..core._arguments import takes_numbers, warn_of_idle_fill
+from ..core._types import check_choice, check_count, check_shape
 from ._neighbours import AnyPicture, Floats
+from .padding import as_planes
 
 _NOTHING = 1e-12  # what rounding in double precision leaves of a weight of 0
 METHODS = ("nearest", "linear", "cubic", "lanczos3", "lanczos5")

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.sparse import BCOO
 
-from ..padding import Filtered
 from .matrix import MatrixForm
 from .operators import _check_no_offset
+from .padding import Filtered
 
 if TYPE_CHECKING:
     import scipy.sparse

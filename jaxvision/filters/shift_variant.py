@@ -20,11 +20,16 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers, warn_of_idle_fill
-from .._numerics import divide, smallest_divisor
-from .._staging import stored
-from .._types import as_float, check_count, print_by_name
-from ..padding import (
+from ..core._arguments import takes_numbers, warn_of_idle_fill
+from ..core._loops.fusion import stored
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import as_float, check_count, print_by_name
+from ._methods import Anchor
+from ._terms import Fill
+from .convolution import _anchor, correlate
+from .gaussians import _SMALLEST_SIGMA, gaussian
+from .kernels import gaussian_size
+from .padding import (
     Filtered,
     Picture,
     Widths,
@@ -33,11 +38,6 @@ from ..padding import (
     check_picture,
     pad,
 )
-from ._methods import Anchor
-from ._terms import Fill
-from .convolution import _anchor, correlate
-from .gaussians import _SMALLEST_SIGMA, gaussian
-from .kernels import gaussian_size
 
 Kernels = Float[Array, "..."]  # (kh, kw, h, w)
 ScaleMap = Float[Array, "..."]  # (h, w)

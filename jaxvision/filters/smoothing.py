@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, smallest_divisor
-from .._types import Scalar, as_float
-from ..padding import Filtered, Picture, check_picture
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import Scalar, as_float
 from ._terms import Fill
 from .convolution import correlate_separable
 from .gaussians import Sigma, gaussian
 from .kernels import _both_ways, binomial_kernel, box_kernel
+from .padding import Filtered, Picture, check_picture
 
 
 @takes_numbers

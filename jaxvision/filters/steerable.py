@@ -12,13 +12,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import safe_sqrt
-from .._types import Scalar, as_float, check_count, print_by_name
-from ..padding import Filtered, Picture
+from ..core._arguments import takes_numbers
+from ..core._numerics import safe_sqrt
+from ..core._types import Scalar, as_float, check_count, print_by_name
 from ._terms import Fill
 from .convolution import _check_weighs, correlate_separable
 from .gaussians import Sigma, gaussian
+from .padding import Filtered, Picture
 
 Angle = Float[Array, ""] | Float[Array, "h w"]
 print_by_name(globals(), "Angle")

@@ -5,6 +5,6 @@ distance inf, a zero normal, and gradients of zero. Each shape has a file; `near
 first of many and what lies in between.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -1,5 +1,6 @@
 # What `jaxvision.geometry` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
 
+from . import hemisphere as hemisphere
 from ._bounds import Ball as Ball, ball_around as ball_around
 from ._mesh import intersect_mesh as intersect_mesh
 from ._places import (

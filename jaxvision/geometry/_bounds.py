@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import norm
-from .._shown import Shown
-from .._types import Scalar
+from ..core._numerics import norm
+from ..core._shown import Shown
+from ..core._types import Scalar
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
 

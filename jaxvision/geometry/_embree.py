@@ -21,10 +21,10 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Int
 
-from .._types import Scalar
-from .._vector import as_array
+from ..core._types import Scalar
+from ..core._vector import as_array
+from ..core.side_by_side import cores
 from ..scene import TriangleMesh
-from ..side_by_side import cores
 from .rays import Ray
 
 Query = Callable[..., np.ndarray]  # of a scene and rays

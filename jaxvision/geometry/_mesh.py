@@ -7,7 +7,7 @@ from functools import cache
 import jax
 from jaxtyping import Array, Bool, Int
 
-from .._types import Scalar
+from ..core._types import Scalar
 from ..errors import install
 from ..programs import on_processor
 from ..scene import TriangleMesh

@@ -7,14 +7,14 @@ in m, areas in m^2, normals unit. For ONE point; the caller vmaps.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, norm, normalize, running_sum, safe_sqrt
-from .._shown import Shown
-from .._types import Scalar
-from .._vector import Vec, as_vec, scaled
-from ..hemisphere import cross, direction_at, local_frame, to_world
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, norm, normalize, running_sum, safe_sqrt
+from ..core._shown import Shown
+from ..core._types import Scalar
+from ..core._vector import Vec, as_vec, scaled
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._triangle import corners
+from .hemisphere import cross, direction_at, local_frame, to_world
 
 
 class SurfacePoint(Shown):

@@ -6,9 +6,9 @@ from functools import reduce
 import jax
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._types import Scalar
-from .._vector import Vec3, as_vec
+from ..core._arguments import takes_numbers
+from ..core._types import Scalar
+from ..core._vector import Vec3, as_vec
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
 # A point is moved off its surface by this many roundings of its largest length: the errors of the

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics import divide, dot, normalize, or_one, smallest_divisor
-from .._staging import stored
-from .._types import Scalar
-from .._vector import Vec, as_vec, masked, where
-from ..hemisphere import Frame, cross, local_frame
+from ..core._loops.fusion import stored
+from ..core._numerics import divide, dot, normalize, or_one, smallest_divisor
+from ..core._types import Scalar
+from ..core._vector import Vec, as_vec, masked, where
 from ..scene import TriangleMesh
 from ._size import largest_component
+from .hemisphere import Frame, cross, local_frame
 from .rays import Hit, Ray
 
 _CHUNK = 8  # triangles a turn of the loop: one does not fill the vector units

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from .._numerics import divide, dot, smallest_divisor, with_gradient_of
-from .._staging import stored
-from .._types import Scalar
-from .._vector import Vec, as_vec, where
+from ..core._loops.fusion import stored
+from ..core._numerics import divide, dot, smallest_divisor, with_gradient_of
+from ..core._types import Scalar
+from ..core._vector import Vec, as_vec, where
 from ..scene import Box
 from ._size import size_of
 from .rays import Hit, Ray

@@ -11,15 +11,15 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._arguments import takes_numbers
-from .._numerics import divide, dot, exact_cross, normalize, smallest_divisor
-from .._shown import Shown
-from .._staging import stored
-from .._types import Scalar
-from .._vector import Vec, Vector, as_vec, masked
-from ..hemisphere import cross
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import stored
+from ..core._numerics import divide, dot, exact_cross, normalize, smallest_divisor
+from ..core._shown import Shown
+from ..core._types import Scalar
+from ..core._vector import Vec, Vector, as_vec, masked
 from ..scene import Disc, Plane, Quad
 from ._size import largest_component, size_of
+from .hemisphere import cross
 from .rays import Hit, Ray
 
 

@@ -15,13 +15,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from .._arguments import takes_numbers
-from .._groups import group_by_structure, take
-from .._numerics import dot, or_one
-from .._shown import Shown
-from .._staging import at_once, stored, together
-from .._types import Scalar, check_kind
-from .._vector import Direction, Vec, Vector, as_vec, where
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import at_once, stored, together
+from ..core._loops.groups import group_by_structure, take
+from ..core._numerics import dot, or_one
+from ..core._shown import Shown
+from ..core._types import Scalar, check_kind
+from ..core._vector import Direction, Vec, Vector, as_vec, where
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
 from ._size import largest_component, offset_length, size_of

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from .._arguments import check_unit, takes_numbers
-from .._numerics import angle_between as angle_between
-from .._numerics import dot
-from .._numerics import log_cos_between as log_cos_between
-from .._shown import Shown
-from .._types import Scalar, is_known
-from .._vector import Direction, Directions, Vec, Vec3, Vector, as_vec, scaled, vector_field
+from ..core._arguments import check_unit, takes_numbers
+from ..core._numerics import angle_between as angle_between
+from ..core._numerics import dot
+from ..core._numerics import log_cos_between as log_cos_between
+from ..core._shown import Shown
+from ..core._types import Scalar, is_known
+from ..core._vector import Direction, Directions, Vec, Vec3, Vector, as_vec, scaled, vector_field
 from ._size import largest_component, offset_length
 
 

@@ -4,11 +4,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._arguments import takes_numbers
-from .._numerics import divide, dot, norm, or_one, safe_sqrt, smallest_divisor, with_gradient_of
-from .._staging import stored
-from .._types import Scalar
-from .._vector import Vec, as_vec, where
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import stored
+from ..core._numerics import (
+    divide,
+    dot,
+    norm,
+    or_one,
+    safe_sqrt,
+    smallest_divisor,
+    with_gradient_of,
+)
+from ..core._types import Scalar
+from ..core._vector import Vec, as_vec, where
 from ..scene import Sphere
 from ._size import size_of
 from .rays import Hit, Ray

@@ -6,6 +6,6 @@ of its own. `uint8` and `uint16` images are counted code by code and exactly. Fl
 relative values, counted in equal bins of a stated range. NaN is never counted.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

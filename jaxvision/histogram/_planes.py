@@ -14,8 +14,8 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._numerics import divide
-from .._types import is_known, print_by_name
+from ..core._numerics import divide
+from ..core._types import is_known, print_by_name
 
 Pixels = Shaped[Array, "..."] | Shaped[np.ndarray, "..."]
 Stack = Shaped[Array, "n _ _ bands"]

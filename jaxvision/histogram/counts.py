@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._arguments import in_range, takes_numbers
-from .._numerics import divide
-from .._shown import Shown
-from .._types import SHARE, Scalar, as_float, check_choice
+from ..core._arguments import in_range, takes_numbers
+from ..core._numerics import divide
+from ..core._shown import Shown
+from ..core._types import SHARE, Scalar, as_float, check_choice
 from ._planes import (
     Binning,
     Pixels,

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._arguments import takes_numbers, warn_caller
-from .._staging import stored
-from .._types import Scalars
+from ..core._arguments import takes_numbers, warn_caller
+from ..core._loops.fusion import stored
+from ..core._types import Scalars
 from ._planes import (
     Binning,
     Pixels,

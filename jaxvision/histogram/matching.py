@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
-from .._arguments import takes_numbers
-from .._staging import stored
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import stored
 from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, plane_numbers
 
 

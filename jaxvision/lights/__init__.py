@@ -6,6 +6,6 @@ sum over the samples is the light. For ONE point; the caller vmaps. A new kind t
 which ends in `register` or `register_extended`; a user's own file may do the same.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

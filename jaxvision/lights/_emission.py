@@ -7,12 +7,12 @@ whole light contributes. Flux in W, lengths in m. For ONE ray; the caller vmaps.
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._arguments import takes_numbers
-from .._numerics import safe_sqrt
-from .._types import Colour
-from .._vector import Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._numerics import safe_sqrt
+from ..core._types import Colour
+from ..core._vector import Vec, as_vec
 from ..geometry import Ball, Ray, point_on, surface_area
-from ..hemisphere import cosine_direction, direction_at, local_frame, to_world
+from ..geometry.hemisphere import cosine_direction, direction_at, local_frame, to_world
 from ..scene import Light, Shape
 from ._registry import Discrete, Emitted, Incident, kind_of
 

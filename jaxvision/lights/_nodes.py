@@ -7,9 +7,9 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._quadrature import KRONECKER_STEPS, gauss_legendre
-from .._types import Key
+from ..core._arguments import takes_numbers
+from ..core._quadrature import KRONECKER_STEPS, gauss_legendre
+from ..core._types import Key
 
 
 def product(

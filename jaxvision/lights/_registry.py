@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._bounds import Ends, Source
-from .._kinds import Table, table_for
-from .._shown import Shown
-from .._types import Colour, Scalar
-from .._vector import Direction, Vec
+from ..core._bounds import Ends, Source
+from ..core._kinds import Table, table_for
+from ..core._shown import Shown
+from ..core._types import Colour, Scalar
+from ..core._vector import Direction, Vec
 from ..geometry import Ray
 from ..scene import Light
 from ._nodes import square_nodes

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Integer
 
-from .._arguments import takes_numbers
-from .._groups import group_by_structure
-from .._types import Scalar, check_kind
-from .._vector import Vector
+from ..core._arguments import takes_numbers
+from ..core._loops.groups import group_by_structure
+from ..core._types import Scalar, check_kind
+from ..core._vector import Vector
 from ..scene import Light, Scene
 from ._nodes import shifted_lattice
 from ._registry import Discrete, Incident, kind_of

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._arguments import takes_numbers
-from .._numerics import dot, or_one
-from .._staging import one_program
-from .._types import Scalars
-from .._vector import Vec, Vec3, as_vec
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import one_program
+from ..core._numerics import dot, or_one
+from ..core._types import Scalars
+from ..core._vector import Vec, Vec3, as_vec
 from .polygon import nodes_integral, rectangle_irradiance
 from .rectangle import RectangleLight, _from_nearest
 

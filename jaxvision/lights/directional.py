@@ -4,11 +4,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Source, angle, box_about, numbers, peak, unit
-from .._numerics import normalize
-from .._types import AMOUNT, Colour, as_float, check_direction, check_fields
-from .._vector import Vector
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Source, angle, box_about, numbers, peak, unit
+from ..core._numerics import normalize
+from ..core._types import AMOUNT, Colour, as_float, check_direction, check_fields
+from ..core._vector import Vector
 from ..scene import Light
 from ._registry import Incident, register
 

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Source, numbers
-from .._kinds import Picture
-from .._numerics import arctan2, divide, safe_sqrt
-from .._types import AMOUNT, NOT_NEGATIVE, Colour, Scalar, as_float, check_fields, check_shape
-from .._vector import Direction, Vec, Vector, as_array, as_vec
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Source, numbers
+from ..core._kinds import Picture
+from ..core._numerics import arctan2, divide, safe_sqrt
+from ..core._types import AMOUNT, NOT_NEGATIVE, Colour, Scalar, as_float, check_fields, check_shape
+from ..core._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light
 from ._nodes import gauss_legendre, product

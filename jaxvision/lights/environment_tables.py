@@ -11,8 +11,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from .._numerics import divide, running_sum
-from .._types import as_float, check_range, check_shape
+from ..core._numerics import divide, running_sum
+from ..core._types import as_float, check_range, check_shape
 from .environment import EnvironmentMap
 
 # Steps of the resolution that every pixel with light gets at least. Running sums err by less than

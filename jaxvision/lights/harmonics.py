@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._types import Colour
-from .._vector import Direction, Directions, Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._types import Colour
+from ..core._vector import Direction, Directions, Vec, as_vec
 from .environment import EnvironmentMap, _to_map
 
 # The clamped cosine's coefficients A_l: pi, 2 pi / 3, pi / 4, for each (l, m).

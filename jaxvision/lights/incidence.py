@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import dot
-from .._types import Colour, Scalar, common_dtype
-from .._vector import Direction, Vector
+from ..core._arguments import takes_numbers
+from ..core._numerics import dot
+from ..core._types import Colour, Scalar, common_dtype
+from ..core._vector import Direction, Vector
 from ..geometry import Ray
 from ..scene import Light
 from ._registry import Extended, Incident, Seen, can_be_seen, extended_kind, kind_of

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import dot, norm, normalize, reciprocal
-from .._types import AMOUNT, Colour, Scalar, as_float, check_fields, is_known
-from .._vector import Direction, Vec, Vector, as_array, as_vec
+from ..core._arguments import takes_numbers
+from ..core._numerics import dot, norm, normalize, reciprocal
+from ..core._types import AMOUNT, Colour, Scalar, as_float, check_fields, is_known
+from ..core._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
-from ..hemisphere import cross
+from ..geometry.hemisphere import cross
 from ..scene import Light
 from ._nodes import square_nodes
 from ._registry import Emitted, Incident, Seen, register_extended

@@ -5,9 +5,9 @@ import math
 
 import jax.numpy as jnp
 
-from .._numerics import norm
-from .._types import Scalars
-from .._vector import Vec3, as_vec
+from ..core._numerics import norm
+from ..core._types import Scalars
+from ..core._vector import Vec3, as_vec
 from ..errors import InputError
 from .rectangle import RectangleLight, _from_nearest
 

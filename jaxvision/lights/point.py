@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bands import by_band
-from .._bounds import Ends, Source, box_about, numbers, peak
-from .._numerics import dot, or_one, smallest_divisor
-from .._types import AMOUNT, Colour, Scalar, as_float, check_fields
-from .._vector import Vector, as_vec
-from ..hemisphere import direction_at
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Source, box_about, numbers, peak
+from ..core._loops.bands import by_band
+from ..core._numerics import dot, or_one, smallest_divisor
+from ..core._types import AMOUNT, Colour, Scalar, as_float, check_fields
+from ..core._vector import Vector, as_vec
+from ..geometry.hemisphere import direction_at
 from ..scene import Light
 from ._emission import emitted_from_point
 from ._registry import Emitted, Incident, register

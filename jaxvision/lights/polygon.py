@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._arguments import takes_numbers
-from .._numerics import divide, dot, or_one, polynomial, smallest_divisor
-from .._staging import together
-from .._types import Colour, Scalar, Scalars
-from .._vector import Direction, Vec, Vector, as_vec, masked, where
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import together
+from ..core._numerics import divide, dot, or_one, polynomial, smallest_divisor
+from ..core._types import Colour, Scalar, Scalars
+from ..core._vector import Direction, Vec, Vector, as_vec, masked, where
 from ..geometry import reach_of
-from ..hemisphere import cross
+from ..geometry.hemisphere import cross
 from ._nodes import square_nodes
 from .rectangle import RectangleLight
 

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Source, numbers
-from .._numerics import dot, reciprocal
-from .._types import AMOUNT, Colour, Scalar, as_float, check_direction, check_fields, is_known
-from .._vector import Direction, Vec, Vector, as_array, as_vec
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Source, numbers
+from ..core._numerics import dot, reciprocal
+from ..core._types import AMOUNT, Colour, Scalar, as_float, check_direction, check_fields, is_known
+from ..core._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light, Quad
 from ._emission import emitted_from_surface

@@ -7,8 +7,8 @@ which is the knob of accuracy.
 
 import equinox as eqx
 
-from .._shown import Shown
-from .._types import Key, check_count, check_key, print_by_name
+from ..core._shown import Shown
+from ..core._types import Key, check_count, check_key, print_by_name
 
 
 class Quadrature(Shown):

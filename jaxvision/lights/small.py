@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bands import by_band
-from .._bounds import Ends, Source, numbers, unit
-from .._numerics import dot, normalize
-from .._types import AMOUNT, Colour, as_float, check_fields
-from .._vector import Vector, as_vec
-from ..hemisphere import cosine_direction, local_frame, to_world
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Source, numbers, unit
+from ..core._loops.bands import by_band
+from ..core._numerics import dot, normalize
+from ..core._types import AMOUNT, Colour, as_float, check_fields
+from ..core._vector import Vector, as_vec
+from ..geometry.hemisphere import cosine_direction, local_frame, to_world
 from ..scene import Light
 from ._emission import emitted_from_point
 from ._registry import Emitted, Incident, register

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._bounds import Ends, Source, box_about, numbers, peak, unit
-from .._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
-from .._shown import Shown
-from .._types import Scalar, as_float, check_fields
-from .._vector import Direction, Vec, Vector, as_vec
+from ..core._arguments import takes_numbers
+from ..core._bounds import Ends, Source, box_about, numbers, peak, unit
+from ..core._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
+from ..core._shown import Shown
+from ..core._types import Scalar, as_float, check_fields
+from ..core._vector import Direction, Vec, Vector, as_vec
 from ..geometry import Ray
 from ..geometry.flat import flat_quad, line_crossing
-from ..hemisphere import cross
+from ..geometry.hemisphere import cross
 from ..scene import Quad
 
 

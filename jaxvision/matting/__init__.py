@@ -7,6 +7,6 @@ relative. An alpha is (..., 1) in [0, 1]; a foreground comes as a layer of `comp
 premultiplied light, then alpha.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -1,5 +1,18 @@
 # What `jaxvision.matting` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
 
+from . import compositing as compositing
+from .compositing import (
+    checked_alpha as checked_alpha,
+    composite as composite,
+    darken as darken,
+    dissolve as dissolve,
+    flatten as flatten,
+    layer_from_srgb as layer_from_srgb,
+    layer_to_srgb as layer_to_srgb,
+    over as over,
+    premultiply as premultiply,
+    unpremultiply as unpremultiply,
+)
 from .closed_form import Matte as Matte, closed_form_matte as closed_form_matte
 from .foreground import estimate_foreground as estimate_foreground
 from .keying import (

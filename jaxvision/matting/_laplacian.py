@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalar, Scalars
+from ..core._types import Scalar, Scalars
 
 Stencil = Float[Array, "5 5 h w"]
 Plane = Float[Array, "h w"]

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._arguments import takes_numbers
-from .._shown import Shown
-from .._types import Scalar, as_relative, is_known
+from ..core._arguments import takes_numbers
+from ..core._shown import Shown
+from ..core._types import Scalar, as_relative, is_known
 from ..errors import InputError
 from ._laplacian import apply_stencil, matting_laplacian, restricted_to
 from ._multigrid import coarsened, v_cycle

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._arguments import takes_numbers
-from .._types import Scalar, as_relative, print_by_name
-from ..compositing import checked_alpha
+from ..core._arguments import takes_numbers
+from ..core._types import Scalar, as_relative, print_by_name
+from .compositing import checked_alpha
 
 Picture = Float[Array, "h w bands"]
 Alpha = Float[Array, "h w 1"]

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars, as_relative, check_choice, is_known, print_by_name
-from ..compositing import checked_alpha
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, safe_sqrt, smallest_divisor
+from ..core._types import Scalar, Scalars, as_relative, check_choice, is_known, print_by_name
 from ..point_ops import clip
+from .compositing import checked_alpha
 
 Picture = Float[Array, "... bands"]
 Alpha = Float[Array, "... 1"]
@@ -238,7 +238,7 @@ def lift(image: Picture, alpha: Alpha, background: Picture) -> Layer:
 
     Example:
         >>> layer = jv.matting.lift([0.5, 0.4], [0.25], [0.4, 0.4])
-        >>> print(np.asarray(layer).round(3), jv.compositing.over(layer, [0.4, 0.4, 1.0])[:2])
+        >>> print(np.asarray(layer).round(3), jv.matting.over(layer, [0.4, 0.4, 1.0])[:2])
         [0.2  0.1  0.25] [0.5 0.4]
     """
     return _lifted(as_relative(image), checked_alpha(alpha), as_relative(background))

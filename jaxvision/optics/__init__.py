@@ -3,6 +3,6 @@
 Projection, focus, apertures, diffraction, vignetting, distortion and chromatic aberrations.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -10,8 +10,8 @@ in (8 / x)^2 (Abramowitz and Stegun, Handbook of Mathematical Functions, 9.2.5).
 
 import jax.numpy as jnp
 
-from .._chebyshev import chebyshev
-from .._types import Scalars
+from ..core._chebyshev import chebyshev
+from ..core._types import Scalars
 
 _NEAR = (
     0.16208969265131623,

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, or_one, safe_sqrt, smallest_divisor
-from .._types import Scalar, check_count
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, or_one, safe_sqrt, smallest_divisor
+from ..core._types import Scalar, check_count
 from ..scene import (
     AnnularAperture,
     Aperture,

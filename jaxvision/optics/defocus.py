@@ -32,9 +32,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, smallest_divisor
-from .._types import Scalar, Scalars, check_count, print_by_name
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import Scalar, Scalars, check_count, print_by_name
 from ..filters import adjoint, correlate, correlate_bank, disk_profile, radial_blur
 from ..scene import CircularAperture, ThinLens
 from .aperture import aperture_kernel

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import in_range, takes_numbers
-from .._numerics import divide
-from .._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count
+from ..core._arguments import in_range, takes_numbers
+from ..core._numerics import divide
+from ..core._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count
 from ..filters import correlate
 from ..scene import Diffraction, ThinLens
 from ._bessel import jinc

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from .._arguments import takes_numbers
-from .._numerics import divide, smallest_divisor
-from .._staging import one_program
-from .._types import Scalar
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import one_program
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import Scalar
 from ..scene import Distortion
 
 _MOST_STEPS = 60

@@ -14,9 +14,9 @@ Source:
 import jax
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._numerics import divide, smallest_divisor
-from .._types import Colour, Image, Scalar, as_float
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import Colour, Image, Scalar, as_float
 from ..scene import Orthographic, ThinLens, View
 from .aperture import aperture_area
 from .diffraction import diffracted

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import arctan2, or_one, safe_sqrt, smallest_divisor
-from .._types import Scalar, Scalars
+from ..core._arguments import takes_numbers
+from ..core._numerics import arctan2, or_one, safe_sqrt, smallest_divisor
+from ..core._types import Scalar, Scalars
 
 
 @takes_numbers

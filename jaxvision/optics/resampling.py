@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._types import Image, Scalars, check_choice, print_by_name
+from ..core._arguments import takes_numbers
+from ..core._types import Image, Scalars, check_choice, print_by_name
 from ..scene import Pinhole, ThinLens
 from .distortion import distort, undistort
 from .views import pixel_grid, pixel_offset, sensor_vergence

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from .._arguments import in_range, takes_numbers
-from .._numerics import divide, or_one, smallest_divisor
-from .._types import AMOUNT, Scalars, is_known
+from ..core._arguments import in_range, takes_numbers
+from ..core._numerics import divide, or_one, smallest_divisor
+from ..core._types import AMOUNT, Scalars, is_known
 
 LONGEST = 10.0  # m: lenses as weak as this are not made, telescopes look at what is far
 NARROWEST_BLUR = 1e-6  # rad: what is said to be less was meant in another unit

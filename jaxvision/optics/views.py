@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, norm, normalize
-from .._types import Scalar, check_kind, is_known
-from .._vector import Vec, as_array, as_vec
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, norm, normalize
+from ..core._types import Scalar, check_kind, is_known
+from ..core._vector import Vec, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Distortion, Orthographic, Pinhole, ThinLens, View
 from .aperture import aperture_point

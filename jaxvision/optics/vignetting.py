@@ -8,9 +8,9 @@ t the slope of the chief ray. Seen from the pixel, the aperture is therefore a d
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._numerics import safe_sqrt
-from .._types import Scalar
+from ..core._arguments import takes_numbers
+from ..core._numerics import safe_sqrt
+from ..core._types import Scalar
 from ..scene import AnnularAperture, CircularAperture, ThinLens
 from .aperture import aperture_area, aperture_corners
 from .overlap import overlap_of_disc_and_polygon, overlap_of_discs

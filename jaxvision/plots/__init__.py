@@ -14,6 +14,6 @@ where a figure is returned; for a window give the axes of pyplot:
     axes = jv.plots.lobe(material, axes=plt.subplot(projection="polar")); plt.show()
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

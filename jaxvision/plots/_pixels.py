@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from ..core.plain_arrays import plain_array
 from ..errors import InputError
-from ..plain_arrays import plain_array
 
 
 def checked(image: np.ndarray) -> np.ndarray:

@@ -5,7 +5,10 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from .._legible_axes import (
+from ..core.plain_arrays import plain_array
+from ..errors import InputError
+from ._axes import new_axes, tidy
+from .legible_axes import (
     BLUE,
     GREEN,
     GREY,
@@ -17,9 +20,6 @@ from .._legible_axes import (
     few_ticks,
     name_points,
 )
-from ..errors import InputError
-from ..plain_arrays import plain_array
-from ._axes import new_axes, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._types import require_metres
 from ..brdf import evaluate, is_delta
+from ..core._types import require_metres
+from ..core.plain_arrays import plain_array
 from ..errors import InputError
-from ..plain_arrays import plain_array
 from ..scene import Material
 from ._axes import new_axes, tidy
 from ._refined import refined
@@ -48,7 +48,7 @@ def spectrum(
 
     Example:
         >>> grid = np.linspace(400e-9, 700e-9, 31)
-        >>> axes = jv.plots.spectrum(grid, {"D65": jv.colour_data.illuminant("D65", grid)})
+        >>> axes = jv.plots.spectrum(grid, {"D65": jv.colour_spaces.illuminant("D65", grid)})
         >>> print(axes.get_xlabel(), axes.get_xlim()[1] > 690)
         wavelength [nm] True
     """

@@ -8,6 +8,6 @@ of these operators is a single pass over the picture. For linear light and super
 Szeliski, Computer Vision, section 3.1.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

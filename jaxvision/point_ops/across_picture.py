@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import in_range, takes_numbers
-from .._numerics import divide, smallest_divisor
-from .._types import AMOUNT, Scalar, as_relative, print_by_name
+from ..core._arguments import in_range, takes_numbers
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import AMOUNT, Scalar, as_relative, print_by_name
 
 Picture = Float[Array, "..."]
 print_by_name(globals(), "Picture")

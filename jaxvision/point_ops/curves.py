@@ -4,9 +4,9 @@ from fractions import Fraction
 
 import jax.numpy as jnp
 
-from .._arguments import in_range, takes_numbers
-from .._numerics import smallest_divisor
-from .._powers import (
+from ..core._arguments import in_range, takes_numbers
+from ..core._numerics import smallest_divisor
+from ..core._powers import (
     Exponent,
     exact,
     exact_inverse,
@@ -15,7 +15,7 @@ from .._powers import (
     power_in_parts,
     power_of_sum,
 )
-from .._types import DIVISOR, Scalars, as_relative, check_choice, refuse_codes
+from ..core._types import DIVISOR, Scalars, as_relative, check_choice, refuse_codes
 
 
 @takes_numbers

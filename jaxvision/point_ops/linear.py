@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._powers import times_exp2
-from .._types import Scalars, as_relative, map_beside
+from ..core._arguments import takes_numbers
+from ..core._powers import times_exp2
+from ..core._types import Scalars, as_relative, map_beside
 
 
 @takes_numbers

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt
 
-from .._arguments import takes_numbers
-from .._types import Scalars, as_relative
+from ..core._arguments import takes_numbers
+from ..core._types import Scalars, as_relative
 from .linear import blend
 
 

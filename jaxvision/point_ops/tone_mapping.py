@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import in_range, takes_numbers
-from .._numerics import divide, log1p, or_one, polynomial, safe_log, smallest_divisor
-from .._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
+from ..core._arguments import in_range, takes_numbers
+from ..core._numerics import divide, log1p, or_one, polynomial, safe_log, smallest_divisor
+from ..core._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
 
 
 @takes_numbers

@@ -14,15 +14,15 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._types import Image, Key
 from ..brdf.lambert import Lambert
+from ..core._types import Image, Key
 from ..errors import InputError
+from ..files.scenes import SceneFile
+from ..files.scenes.schema import RenderEntry
 from ..lights import Balanced, MonteCarlo, Quadrature, Rule
 from ..rendering import Along, PixelSamples, direct_along, photograph
+from ..rendering.scene_checks import idle_lamps
 from ..scene import Scene, ThinLens, View
-from ..scene_checks import idle_lamps
-from ..scene_files import SceneFile
-from ..scene_files.schema import RenderEntry
 from ..transport import Paths, light_traced, missing_light, path_along, ray_tree_along
 from ..transport.radiosity import (
     Plan,

@@ -23,15 +23,15 @@ from jaxtyping import Float
 
 from .. import __version__
 from ..colour_spaces import luminance
+from ..core.interrupts import say_if_interrupted
 from ..effects import Pruned, explain
 from ..errors import InputError
-from ..interrupts import say_if_interrupted
-from ..io import check_writable, write_exr, write_image
+from ..files.images import check_writable, write_exr, write_image
+from ..files.scenes import SceneFile
+from ..files.scenes.bands import colours_of
+from ..files.scenes.schema import RenderEntry
 from ..point_ops import srgb_encode
 from ..scene import View
-from ..scene_files import SceneFile
-from ..scene_files.bands import colours_of
-from ..scene_files.schema import RenderEntry
 from ..tasks import PROGRAMS, in_order
 from .integrators import BY_PIXEL, lacking, passes_of, pixels_of
 from .pruning import left_of

@@ -11,13 +11,13 @@ import jax
 import numpy as np
 
 from .. import effects
-from .._band_count import band_count
 from ..effects import Effect, Pruned, Tolerance
 from ..errors import InputError
+from ..files.scenes import SceneFile
+from ..files.scenes.schema import RenderEntry
 from ..rendering import PixelSamples
+from ..rendering.band_count import band_count
 from ..scene import Camera, View
-from ..scene_files import SceneFile
-from ..scene_files.schema import RenderEntry
 from .integrators import in_words_of
 
 CUT = "path", "light"  # integrators whose paths may be cut to fewer pieces

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..errors import InputError
-from ..io import replaced_on_success
+from ..files.images import replaced_on_success
 
 _CHECKSUM = 4  # bytes
 

@@ -5,6 +5,6 @@ direct       what a ray sees by direct light, and the picture of it
 light_field  the same along all lines through two windows
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

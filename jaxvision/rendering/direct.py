@@ -10,18 +10,18 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Int
 
-from .._groups import group_by_structure, take
-from .._numerics import dot
-from .._random import Stream
-from .._staging import together
-from .._types import Colour, Image, check_given
-from .._vector import Vec, where
+from ..core._loops.fusion import together
+from ..core._loops.groups import group_by_structure, take
+from ..core._numerics import dot
+from ..core._random import Stream
+from ..core._types import Colour, Image, check_given
+from ..core._vector import Vec, where
 from ..geometry import Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
 from ..lights import Rule, can_be_seen, nearest_seen, rules_of
 from ..scene import Scene, Surface, TriangleMesh, View
-from ..shading import lighting, reflected_radiance
-from ..shadows import DEFAULT_RULE, TRACED, Leaving
 from .pixel_loop import Along, PixelSamples, each, numbers_of, photograph
+from .shading import lighting, reflected_radiance
+from .shadows import DEFAULT_RULE, TRACED, Leaving
 
 _LARGEST = 256  # numbers in an array of a material that are gathered by each pixel
 

@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt32
 
-from .._random import Stream
-from .._staging import one_program
+from ..core._loops.fusion import one_program
+from ..core._random import Stream
 from ..lights import LightFieldLight, Rule, Window
 from ..lights.light_field import light_field_ray
 from ..scene import Scene
-from ..shadows import DEFAULT_RULE
 from .direct import direct_along
 from .pixel_loop import in_blocks
+from .shadows import DEFAULT_RULE
 
 
 def render_light_field(

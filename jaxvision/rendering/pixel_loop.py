@@ -16,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt32
 
-from .._arguments import takes_numbers
-from .._numerics import safe_sqrt
-from .._random import Stream, Word, lattice_point, seed_of
-from .._shown import Shown
-from .._staging import LANES, at_a_time
-from .._types import Key, Scalar, Spectrum, check_count, check_given, check_key, is_known
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import LANES, at_a_time
+from ..core._numerics import safe_sqrt
+from ..core._random import Stream, Word, lattice_point, seed_of
+from ..core._shown import Shown
+from ..core._types import Key, Scalar, Spectrum, check_count, check_given, check_key, is_known
+from ..core.in_notebooks import preview_png, with_picture
 from ..geometry import Ray
-from ..in_notebooks import preview_png, with_picture
 from ..optics import view_ray
 from ..point_ops import srgb_encode
 from ..scene import ThinLens, View

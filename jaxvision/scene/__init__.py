@@ -8,6 +8,6 @@ docstrings are those of one record: a batch is a record whose leaves are stacked
 axis, for `vmap`. A wrong shape raises `ValueError`.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -1,7 +1,7 @@
 """A camera: view, sensor and development."""
 
-from .._shown import Shown
-from .._types import check_fields
+from ..core._shown import Shown
+from ..core._types import check_fields
 from .developments import Development
 from .sensors import Sensor
 from .views import View

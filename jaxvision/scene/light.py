@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from .._shown import Shown
-from .._types import AMOUNT, Colour, as_float, check_fields
+from ..core._shown import Shown
+from ..core._types import AMOUNT, Colour, as_float, check_fields
 
 
 class Light(Shown):

@@ -6,8 +6,16 @@ field, the value and the allowed range. Traced values pass unchecked and have a 
 
 import equinox as eqx
 
-from .._shown import Shown
-from .._types import FRACTION, NOT_NEGATIVE, POSITIVE, Scalar, as_float, check_fields, print_by_name
+from ..core._shown import Shown
+from ..core._types import (
+    FRACTION,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Scalar,
+    as_float,
+    check_fields,
+    print_by_name,
+)
 
 _OF_TEMPERATURE = {
     "rate": NOT_NEGATIVE,

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._shown import Shown
-from .._types import (
+from ..core._shown import Shown
+from ..core._types import (
     FINITE,
     FRACTION,
     NOT_NEGATIVE,

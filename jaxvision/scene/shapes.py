@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._shown import Shown
-from .._types import (
+from ..core._shown import Shown
+from ..core._types import (
     AMOUNT,
     Scalar,
     as_float,

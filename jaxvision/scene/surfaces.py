@@ -5,8 +5,8 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from .._shown import Shown
-from .._types import AMOUNT, Colour, as_optional_float, check_count, check_fields, check_kind
+from ..core._shown import Shown
+from ..core._types import AMOUNT, Colour, as_optional_float, check_count, check_fields, check_kind
 from .light import AmbientLight, Light
 from .shapes import Shape
 

@@ -4,8 +4,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._shown import Shown
-from .._types import (
+from ..core._shown import Shown
+from ..core._types import (
     FINITE,
     POSITIVE,
     Range,

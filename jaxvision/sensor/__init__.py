@@ -16,6 +16,6 @@ level where the noise exceeds a DN. Each stage says what its gradient leaves out
 "Gradients of noise" has the figures.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -1,5 +1,6 @@
 # What `jaxvision.sensor` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
 
+from . import colour_filters as colour_filters
 from ._registry import register as register, stage_of as stage_of
 from .adc import digitise as digitise
 from .brighter_fatter import (

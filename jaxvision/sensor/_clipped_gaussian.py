@@ -18,9 +18,9 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Bool
 
-from .._chebyshev import chebyshev
-from .._numerics import difference_of_products
-from .._types import Scalars
+from ..core._chebyshev import chebyshev
+from ..core._numerics import difference_of_products
+from ..core._types import Scalars
 
 _ONCE = (
     1.1838578106672012,

@@ -15,9 +15,9 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, UInt32
 
-from .._numerics import polynomial
-from .._random import seed_of
-from .._types import Key, Scalars
+from ..core._numerics import polynomial
+from ..core._random import seed_of
+from ..core._types import Key, Scalars
 
 Words = UInt32[Array, "..."]
 Shape = tuple[int, ...]

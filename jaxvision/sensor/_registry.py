@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import jax
 
-from .._bounds import Ends
-from .._types import Key, Scalars
+from ..core._bounds import Ends
+from ..core._types import Key, Scalars
 from ..scene import SensorEffect
 
 Bound = Callable[[Ends, float], tuple[float, float]]

@@ -2,10 +2,10 @@
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._numerics import with_gradient_of
-from .._powers import exp2
-from .._types import Key, Scalar, Scalars, Spectrum, check_range
+from ..core._arguments import takes_numbers
+from ..core._numerics import with_gradient_of
+from ..core._powers import exp2
+from ..core._types import Key, Scalar, Scalars, Spectrum, check_range
 from ..scene import Sensor
 from .fixed_pattern import column_gains
 

@@ -25,10 +25,10 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import polynomial
-from .._staging import one_program
-from .._types import Key, Scalar, Scalars
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import one_program
+from ..core._numerics import polynomial
+from ..core._types import Key, Scalar, Scalars
 from ..filters.convolution import Settings, Terms, filtered, summed
 from ..scene import BrighterFatter, ShotNoise
 from ._draws import Frame, check_image, needed

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import log1p, safe_sqrt
-from .._types import Key, Scalar
+from ..core._arguments import takes_numbers
+from ..core._numerics import log1p, safe_sqrt
+from ..core._types import Key, Scalar
 from ..scene import ChargeTransfer
 from ._draws import Frame, check_image, gaussian
 from .exposure import Counts

@@ -2,8 +2,8 @@
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._types import Scalar
+from ..core._arguments import takes_numbers
+from ..core._types import Scalar
 from ..scene import ArrheniusDarkCurrent, DarkCurrent, DoublingDarkCurrent
 
 BOLTZMANN = 1.380649e-23  # J K^-1, exact in the SI since 2019

@@ -39,9 +39,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide, smallest_divisor, with_gradient_of
-from .._types import Key, Scalars, check_choice, check_count
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, smallest_divisor, with_gradient_of
+from ..core._types import Key, Scalars, check_choice, check_count
 from ..scene import PoissonShotNoise
 from ._draws import Shape
 from .shot_noise import count

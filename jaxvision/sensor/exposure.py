@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from .._arguments import takes_numbers
-from .._types import (
+from ..core._arguments import takes_numbers
+from ..core._types import (
     Image,
     Scalars,
     Spectrum,
@@ -23,9 +23,9 @@ from .._types import (
     is_known,
     print_by_name,
 )
-from ..colour_filters import check_pattern, mosaic
 from ..scene import ColourFilter, Sensor
 from ._draws import check_image
+from .colour_filters import check_pattern, mosaic
 from .dark import dark_rate
 from .sampling import light_share
 

@@ -8,9 +8,9 @@ s^-1. Each raises `ValueError` where it draws and `die_key` is None.
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from .._arguments import takes_numbers
-from .._numerics import divide
-from .._types import Key, Scalars
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide
+from ..core._types import Key, Scalars
 from ..scene import HotPixels, Sensor
 from ._draws import (
     Die,

@@ -20,8 +20,8 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Bool
 
-from .._arguments import takes_numbers
-from .._types import Scalar, Scalars, is_known
+from ..core._arguments import takes_numbers
+from ..core._types import Scalar, Scalars, is_known
 from ..scene import FastPoissonShotNoise, PoissonShotNoise, Sensor
 from ._clipped_gaussian import (
     in_narrow_window,

@@ -8,8 +8,8 @@ are shared along them. Frames of one die are a `vmap` over keys.
 
 import jax.numpy as jnp
 
-from .._arguments import takes_numbers
-from .._types import Key, Scalar
+from ..core._arguments import takes_numbers
+from ..core._types import Key, Scalar
 from ..scene import Sensor
 from ._draws import Frame, needed
 from ._registry import affected

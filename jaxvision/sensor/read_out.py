@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from .._arguments import takes_numbers
-from .._numerics import safe_sqrt
-from .._types import Key, Scalar, Scalars
+from ..core._arguments import takes_numbers
+from ..core._numerics import safe_sqrt
+from ..core._types import Key, Scalar, Scalars
 from ..scene import Banding, HeavyTailedReadNoise, ResetNoise, Sensor, TelegraphNoise
 from ._draws import Die, Frame, Shape, along_rows, check_image, gaussian, uniform, words
 from .dark import BOLTZMANN, ELEMENTARY_CHARGE

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import safe_sqrt, sine_cosine, smallest_divisor
-from .._types import Image, Scalar, Scalars
+from ..core._arguments import takes_numbers
+from ..core._numerics import safe_sqrt, sine_cosine, smallest_divisor
+from ..core._types import Image, Scalar, Scalars
 from ..scene import PixelAperture
 
 

@@ -30,11 +30,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, UInt32
 
-from .._arguments import takes_numbers
-from .._numerics import divide, polynomial, safe_sqrt, smallest_divisor, with_gradient_of
-from .._random import seed_of
-from .._staging import one_program
-from .._types import Key, Scalars, as_float, is_known
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import one_program
+from ..core._numerics import divide, polynomial, safe_sqrt, smallest_divisor, with_gradient_of
+from ..core._random import seed_of
+from ..core._types import Key, Scalars, as_float, is_known
 from ..scene import FastPoissonShotNoise, GaussianShotNoise, ShotNoise
 from ._draws import (
     Frame,

@@ -17,9 +17,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arguments import takes_numbers
-from .._numerics import divide
-from .._types import Scalar, check_count, is_known
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide
+from ..core._types import Scalar, check_count, is_known
 from ..scene import RollingShutter
 
 Pictures = TypeVar("Pictures")

@@ -10,6 +10,6 @@
 Each has its own reach and cost, which its file states.
 """
 
-from ..lazy_names import names_of
+from ..core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -16,12 +16,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._bands import Bands, apart, plus, times
-from .._groups import Tree, group_by_structure, of_member, row
-from .._numerics import divide, dot, or_one, reciprocal, safe_sqrt, smallest_divisor
-from .._staging import stored
-from .._types import Colour, Scalar
-from .._vector import Vec, as_vec
+from ..core._loops.bands import Bands, apart, plus, times
+from ..core._loops.fusion import stored
+from ..core._loops.groups import Tree, group_by_structure, of_member, row
+from ..core._numerics import divide, dot, or_one, reciprocal, safe_sqrt, smallest_divisor
+from ..core._types import Colour, Scalar
+from ..core._vector import Vec, as_vec
 from ..geometry import Ray, has_area, largest_size, offset_length, point_on, surface_area
 from ..lights import (
     Incident,

@@ -21,13 +21,13 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import brdf
-from .._bands import Bands, apart
-from .._groups import group_by_structure, take
-from .._numerics import divide, dot, reciprocal, select, smallest_divisor
-from .._staging import searched, together
-from .._types import Colour, Scalar, common_dtype
-from .._vector import Vec, as_vec, where
 from ..brdf import Carries, Specular, is_body, is_delta, one_way, passing
+from ..core._loops.bands import Bands, apart
+from ..core._loops.fusion import searched, together
+from ..core._loops.groups import group_by_structure, take
+from ..core._numerics import divide, dot, reciprocal, select, smallest_divisor
+from ..core._types import Colour, Scalar, common_dtype
+from ..core._vector import Vec, as_vec, where
 from ..geometry import (
     Hit,
     Ray,
@@ -38,7 +38,7 @@ from ..geometry import (
     offset_origin,
     sorted_shapes,
 )
-from ..hemisphere import Frame, local_frame, to_local, to_world
+from ..geometry.hemisphere import Frame, local_frame, to_local, to_world
 from ..scene import Material, Scene
 from ._emitters import LARGEST
 

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from .._band_count import band_count
+from ..rendering.band_count import band_count
 from ..scene import Scene
 from ._emitters import Emitters, emitters_of
 from ._vertices import Surfaces, surfaces_of
@@ -21,4 +21,4 @@ def world_of(scene: Scene) -> World:
     surfaces, emitters = surfaces_of(scene), emitters_of(scene)
     emissions = [surface.emission for surface in scene.surfaces if surface.emission is not None]
     materials = [surface.material for surface in scene.surfaces]
-    return World(surfaces, emitters, band_count(materials, scene.lights, emissions))
+    return World(surfaces, emitters, band_count(materials, scene.lights, spectra=emissions))

@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._arguments import takes_numbers
-from .._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
-from .._random import Stream, seed_of, uniforms
-from .._staging import TILE, at_a_time, one_program, together
-from .._types import Key, Scalar, check_count, check_given
-from .._vector import Vec, as_vec
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import TILE, at_a_time, one_program, together
+from ..core._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
+from ..core._random import Stream, seed_of, uniforms
+from ..core._types import Key, Scalar, check_count, check_given
+from ..core._vector import Vec, as_vec
 from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
 from ..lights import nearest_seen
 from ..optics import (

@@ -23,9 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._numerics import norm, normalize
-from .._types import check_choice, common_dtype
-from .._vector import as_array, as_vec, where
 from ..brdf import evaluate, is_body, is_delta
 from ..brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
 from ..brdf.dichromatic import Dichromatic
@@ -35,6 +32,9 @@ from ..brdf.measured import AnisotropicTable, IsotropicTable
 from ..brdf.phong import NormalisedPhong, Phong, PhongBRDF
 from ..brdf.rgl import RGL
 from ..brdf.torrance_sparrow import TorranceSparrow
+from ..core._numerics import norm, normalize
+from ..core._types import check_choice, common_dtype
+from ..core._vector import as_array, as_vec, where
 from ..geometry import Ray, ball_around, has_area, surface_area
 from ..lights import (
     EnvironmentMap,
@@ -48,8 +48,8 @@ from ..lights import (
 )
 from ..lights.environment import environment_node
 from ..optics import view_ray
+from ..rendering.shadows import DEFAULT_RULE
 from ..scene import Light, Material, Plane, Quad, Scene, Shape, Surface, TriangleMesh, View
-from ..shadows import DEFAULT_RULE
 from ._vertices import Surfaces, branches, leave, meet, surfaces_of
 from .ray_tree import DEFAULT_RULE as RULE_OF_RAYS
 

@@ -28,14 +28,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from .._arguments import takes_numbers
-from .._bands import Bands, apart, plus, times
-from .._numerics import divide, dot
-from .._random import Stream, Word, seed_of, uniforms
-from .._shown import Shown
-from .._staging import at_a_time, one_program, stored
-from .._types import Colour, Key, Scalar, Scalars, check_choice, check_count, check_given
 from ..brdf import is_delta
+from ..core._arguments import takes_numbers
+from ..core._loops.bands import Bands, apart, plus, times
+from ..core._loops.fusion import at_a_time, one_program, stored
+from ..core._numerics import divide, dot
+from ..core._random import Stream, Word, seed_of, uniforms
+from ..core._shown import Shown
+from ..core._types import Colour, Key, Scalar, Scalars, check_choice, check_count, check_given
 from ..geometry import Ray
 from ..rendering import Along, PixelSamples, Traced, photograph
 from ..rendering.pixel_loop import mean_of_samples

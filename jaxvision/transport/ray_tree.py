@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics import dot
-from .._staging import TILE, at_a_time, one_program
-from .._types import Colour, Image, check_count, check_given
-from .._vector import Vec, as_array
 from ..brdf import is_delta
+from ..core._loops.fusion import TILE, at_a_time, one_program
+from ..core._numerics import dot
+from ..core._types import Colour, Image, check_count, check_given
+from ..core._vector import Vec, as_array
 from ..geometry import Ray
 from ..lights import Quadrature, rules_of
 from ..rendering import Along, PixelSamples, photograph

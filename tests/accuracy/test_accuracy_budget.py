@@ -20,7 +20,7 @@ from jaxvision.accuracy.scenes import scene_problem
 from jaxvision.accuracy.tables import as_dict, notes, rows
 from jaxvision.cli import app
 from jaxvision.errors import InputError
-from jaxvision.scene_files import read_scene
+from jaxvision.files.scenes import read_scene
 
 KNOB = Knob("n", "nodes", "", (1, 2, 3, 4, 5), (6, 8))
 DRAWS = replace(KNOB, random=True, order=-0.5)
@@ -316,7 +316,7 @@ def test_a_command_ends_without_what_it_left_behind(end):
     """With its own status; the thread would go on for an hour."""
     script = f"""
 import sys, threading
-from jaxvision.interrupts import ending_on_interrupt, leaves_work_behind
+from jaxvision.core.interrupts import ending_on_interrupt, leaves_work_behind
 def work():
     threading.Thread(target=threading.Event().wait, args=(3600,)).start()
     leaves_work_behind()

@@ -23,7 +23,8 @@ ANYWHERE = set(words("rule dtype split slots gather truncate shot_noise interpol
 # what takes no less time when it is turned down.
 OTHER = words("""
 *.gaussians.*.order *.gaussian_kernel.order *.defocus.*.depth *.defocus.*.members *.Sorted.members
-*.split_by_rule.members *.scene_files.* *.record_files.* *.bounce.count *.rules_of.* *.colour_data.*
+*.split_by_rule.members *.files.scenes.* *.files.records.* *.bounce.count *.rules_of.*
+*.colour_data.*
 *.adapt.method *.demosaic.method *.Demosaicing.method *.interpolate_spectrum.method *.resize.method
 *.mean_of_samples.* *.IsotropicTable.azimuths *.measured.sample_directions.samples
 *.write_cornell.samples *.table_of_samples.samples *.path*.method *.shifted_lattice.*

@@ -19,7 +19,7 @@ from jaxvision.accuracy.tables import as_dict, choice_in_words, notes, rows
 from jaxvision.accuracy.together import Together, all_together
 from jaxvision.cli import app
 from jaxvision.errors import InputError
-from jaxvision.scene_files import read_scene
+from jaxvision.files.scenes import read_scene
 
 SIZE = 400
 DRAWS = Knob("n", "draws", "", (4, 16, 64, 256), (1024, 4096), -0.5, random=True, whole=True)
@@ -314,7 +314,7 @@ def test_an_axis_of_one_point_has_labels_that_differ():
 def test_times_below_a_second_are_written_in_ms(seconds, unit):
     from matplotlib.figure import Figure
 
-    from jaxvision._legible_axes import few_ticks
+    from jaxvision.plots.legible_axes import few_ticks
 
     axes = Figure().add_subplot()
     axes.loglog([seconds / 10, seconds], [1.0, 100.0])

@@ -40,9 +40,9 @@ from jaxvision.accuracy.examples import cameras, example, examples, light, pictu
 from jaxvision.accuracy.scene_settings import machine
 from jaxvision.accuracy.tables import rows
 from jaxvision.errors import InputError
+from jaxvision.files.scenes import read_scene
+from jaxvision.files.scenes.schema import overridden
 from jaxvision.render_command import with_resolution
-from jaxvision.scene_files import read_scene
-from jaxvision.scene_files.schema import overridden
 
 STYLE = (
     "<style>svg{color:#1b1f24;background:#fff}@media (prefers-color-scheme:dark)"

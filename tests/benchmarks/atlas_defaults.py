@@ -17,11 +17,11 @@ from jaxvision.accuracy import Curve
 from jaxvision.accuracy.records import Trial
 from jaxvision.accuracy.tables import in_percent
 from jaxvision.brdf.measured import tabulate_sampler
+from jaxvision.files.scenes.schema import RenderEntry
 from jaxvision.filters import gaussian
-from jaxvision.hemisphere_integral import hemisphere_radiance
 from jaxvision.lights.adaptive import adaptive_irradiance
 from jaxvision.matting import estimate_foreground
-from jaxvision.scene_files.schema import RenderEntry
+from jaxvision.rendering.hemisphere_integral import hemisphere_radiance
 from jaxvision.transport import Paths
 from jaxvision.transport.radiosity import form_factor_table, polygon_to_polygon
 from jaxvision.transport.radiosity.solve import shoot

@@ -21,7 +21,7 @@ seconds = float(sys.argv[1])
 CORNELL_BOX = """
 from jaxvision.accuracy import settings
 from jaxvision.errors import InputError
-from jaxvision.scene_files import read_scene
+from jaxvision.files.scenes import read_scene
 scene = read_scene("cornell_box")
 begun = time.perf_counter()
 try:

@@ -38,8 +38,8 @@ from jaxvision import (
     look_at,
     render,
 )
-from jaxvision._staging import TILE, together
-from jaxvision._vector import as_array
+from jaxvision.core._loops.fusion import TILE, together
+from jaxvision.core._vector import as_array
 from jaxvision.lights.adaptive import adaptive_irradiance
 from jaxvision.lights.polygon import rectangle_irradiance
 from jaxvision.optics import pixel_grid

@@ -16,7 +16,6 @@ import pytest
 from turns import in_turns
 
 from jaxvision import brdf
-from jaxvision._vector import Vec
 from jaxvision.brdf.blinn import NormalisedBlinn
 from jaxvision.brdf.fresnel import Conductor, Dielectric
 from jaxvision.brdf.gaussian_lobe import GaussianLobeBRDF
@@ -24,6 +23,7 @@ from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import NormalisedPhong
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
+from jaxvision.core._vector import Vec
 
 COUNT, ROUNDS = 1_000_000, 7
 BYTES = 28 * COUNT

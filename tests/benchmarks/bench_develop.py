@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 from turns import in_turns
 
-from jaxvision.colour_filters import bayer, mosaic
 from jaxvision.development import demosaic, jpeg
+from jaxvision.sensor.colour_filters import bayer, mosaic
 
 ROUNDS = 9
 PATTERN = bayer("RGGB")

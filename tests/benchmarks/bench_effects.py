@@ -158,12 +158,12 @@ def test_inspection_is_quick(surfaces, allowed):
 
 
 def shipped(name):
-    source = jv.scene_files.read_scene(name)
+    source = jv.files.scenes.read_scene(name)
     return source.scene, source.view
 
 
 SCENES = {
-    **{name: partial(shipped, name) for name in jv.scene_files.shipped_scenes()},
+    **{name: partial(shipped, name) for name in jv.files.scenes.shipped_scenes()},
     "cornell box whose lamp emits": lambda: (
         jv.as_dtype(cornell_box.scene(emissive_surface=True), jnp.float32),
         shipped("cornell_box")[1],
@@ -212,10 +212,10 @@ def test_what_is_pruned_is_never_slower(name):
         assert seconds[tolerance] <= 1.03 * seconds["with"]
 
 
-@pytest.mark.parametrize("name", jv.scene_files.shipped_scenes())
+@pytest.mark.parametrize("name", jv.files.scenes.shipped_scenes())
 def test_paths_of_a_shipped_scene_are_followed_by_the_same_program(name):
     """As its file asks for them: nothing of it can go at 1 %, so that nothing is slower."""
-    source = jv.scene_files.read_scene(name)
+    source = jv.files.scenes.read_scene(name)
     depth = source.render.depth
     pruned = effects.prune(source.scene, source.view, "1%", level=1.0, depth=depth)
     assert pruned.depth == depth

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from jaxvision import Vec, as_dtype, brdf
-from jaxvision import measured_files as files
 from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.measured import AnisotropicTable, IsotropicTable, tabulate_sampler
+from jaxvision.files import measured as files
 
 COUNT, ROUNDS = 1_000_000, 5
 

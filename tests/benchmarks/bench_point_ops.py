@@ -14,7 +14,7 @@ import pytest
 from turns import in_turns
 
 from jaxvision.colour_spaces import apply_matrix, rgb_to_ycbcr
-from jaxvision.compositing import over
+from jaxvision.matting.compositing import over
 from jaxvision.point_ops import blend, clip, exposure, gain_bias, gamma_encode
 
 ROUNDS = 15

@@ -24,9 +24,9 @@ from fitting.checks.simulations import simulated
 from fitting.study.outcomes import Settings
 from fitting.study.run import study
 from jaxvision import tasks
+from jaxvision.files.scenes import read_scene
 from jaxvision.programs import keep_programs
 from jaxvision.render_command import render_to_file, with_resolution
-from jaxvision.scene_files import read_scene
 
 
 def one_round(number: int, cameras: list[Path], folder: Path) -> None:

@@ -9,7 +9,6 @@ from jax.test_util import check_grads
 from oracles import exact
 
 from jaxvision import as_dtype
-from jaxvision._numerics import log_of_zero
 from jaxvision.brdf import at_angles, evaluate, reflect
 from jaxvision.brdf.gaussian_lobe import (
     GaussianLobe,
@@ -19,6 +18,7 @@ from jaxvision.brdf.gaussian_lobe import (
 )
 from jaxvision.brdf.lambert import Lambert, lambert_shading
 from jaxvision.brdf.phong import NormalisedPhong, Phong, phong_lobe, phong_shading
+from jaxvision.core._numerics import log_of_zero
 
 RNG = np.random.default_rng(11)
 Z = jnp.asarray([0.0, 0.0, 1.0])

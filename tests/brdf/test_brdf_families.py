@@ -28,7 +28,6 @@ from jaxvision import (
     outgoing_radiance,
     render,
 )
-from jaxvision._numerics import dot
 from jaxvision.brdf import microfacet
 from jaxvision.brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
 from jaxvision.brdf.dichromatic import Dichromatic
@@ -39,7 +38,8 @@ from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import NormalisedPhong, Phong, PhongBRDF, power_integrals
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
-from jaxvision.hemisphere import local_frame, product_nodes, to_world
+from jaxvision.core._numerics import dot
+from jaxvision.geometry.hemisphere import local_frame, product_nodes, to_world
 from jaxvision.scene import Material
 
 RNG = np.random.default_rng(17)

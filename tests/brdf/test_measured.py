@@ -26,7 +26,7 @@ from jaxvision.brdf.measured import (
     samples_of,
     tabulate_sampler,
 )
-from jaxvision.hemisphere import product_nodes
+from jaxvision.geometry.hemisphere import product_nodes
 
 evaluate = jax.jit(jax.vmap(brdf.evaluate, (None, 0, 0)))
 pdf = jax.jit(jax.vmap(brdf.pdf, (None, 0, None)))

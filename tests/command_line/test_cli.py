@@ -20,7 +20,7 @@ import jaxvision.cli
 from fitting.cli import app
 from fitting.report.page import as_json
 from jaxvision.errors import InputError
-from jaxvision.io import read_image, write_image
+from jaxvision.files.images import read_image, write_image
 
 run = partial(called, app)
 
@@ -366,7 +366,7 @@ def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
     """As of `| head -1`: no sentence about a full disc, no traceback at the end."""
     script = (
         "import sys\n"
-        "from jaxvision.command_line import command_app, failures_as_sentences\n"
+        "from jaxvision.cli.command_line import command_app, failures_as_sentences\n"
         "app = command_app('jaxvision', 'about')\n"
         "@app.command()\n"
         "@failures_as_sentences('jaxvision')\n"

@@ -11,7 +11,7 @@ import jaxvision
 from jaxvision import plots
 from jaxvision.cli import app
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 RNG = np.random.default_rng(12)
 CODES = RNG.integers(1, 255, size=(20, 30, 3), dtype=np.uint8)

@@ -12,7 +12,7 @@ from fuzz.seeds import TABLE
 HEAD = """
 import signal, sys, time
 from pathlib import Path
-from jaxvision.interrupts import (
+from jaxvision.core.interrupts import (
     ending_on_interrupt, is_handled, raised_interrupts, removed_if_interrupted, say_if_interrupted
 )
 def ready():

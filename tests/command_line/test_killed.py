@@ -13,7 +13,7 @@ from killed import Job
 import fitting.cli
 import jaxvision
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 from jaxvision.render_command.tiles import PartialImage, PartialSum
 
 

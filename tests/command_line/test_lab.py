@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.demo.lab import simulate_lab
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 
 class EnoughError(Exception):

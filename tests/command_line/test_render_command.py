@@ -16,12 +16,12 @@ from commands import called
 
 from jaxvision.cli import app
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
+from jaxvision.files.scenes import read_scene
+from jaxvision.files.scenes.schema import overridden
 from jaxvision.render_command import job
 from jaxvision.render_command.tiles import PartialImage, PartialSum
 from jaxvision.rendering import PixelSamples, render
-from jaxvision.scene_files import read_scene
-from jaxvision.scene_files.schema import overridden
 
 K = {"scene": "a", "seed": 1}
 SCENE = """

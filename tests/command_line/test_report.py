@@ -49,7 +49,7 @@ from fitting.report.sentences import Finding, said, said_once
 from fitting.report.sheet import sheet
 from fitting.rig import Rig
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 X = Parameter("x", symbol="x", unit="1")
 SPACE = (

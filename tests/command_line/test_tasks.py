@@ -23,13 +23,14 @@ import jaxvision as jv
 from fitting.checks import noise
 from fitting.study.outcomes import Settings, memory_of
 from fitting.study.run import study
-from jaxvision import _local_workers, tasks
-from jaxvision._local_workers import replace_lost
+from jaxvision import tasks
 from jaxvision.cli import app
+from jaxvision.core import _local_workers
+from jaxvision.core._local_workers import replace_lost
 from jaxvision.errors import InputError
+from jaxvision.files.scenes import read_scene
+from jaxvision.files.scenes.schema import overridden
 from jaxvision.render_command import render_to_file
-from jaxvision.scene_files import read_scene
-from jaxvision.scene_files.schema import overridden
 
 distributed = pytest.importorskip("distributed")
 system = pytest.importorskip("distributed.system")

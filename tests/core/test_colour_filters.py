@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision.colour_filters import BAYER_PHASES, bayer, check_pattern, mosaic, sites
+from jaxvision.sensor.colour_filters import BAYER_PHASES, bayer, check_pattern, mosaic, sites
 
 XTRANS = tuple(
     tuple("RGB".index(letter) for letter in row)

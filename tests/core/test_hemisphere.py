@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxvision import hemisphere as hs
-from jaxvision._vector import Vec, as_array, as_vec
+from jaxvision.core._vector import Vec, as_array, as_vec
+from jaxvision.geometry import hemisphere as hs
 
 RNG = np.random.default_rng(8)
 

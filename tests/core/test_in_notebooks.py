@@ -20,8 +20,8 @@ from fitting.fits.budget import Budget, Share
 from fitting.fits.map import FitMap
 from fitting.inference.design import Candidate, Plan
 from fitting.reflectance import photometric_stereo
-from jaxvision.in_notebooks import record_html
-from jaxvision.scene_files import read_scene
+from jaxvision.core.in_notebooks import record_html
+from jaxvision.files.scenes import read_scene
 from jaxvision.transport import Traced
 
 ODD = "<script>&a</script>"  # a name that would be markup

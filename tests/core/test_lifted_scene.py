@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
-from jaxvision import InputError, colour_data, spectra
+from jaxvision import InputError, spectra
+from jaxvision.colour_spaces import colour_data
 
 GRID = colour_data.nanometres(np.arange(380, 785, 5.0))
 CAMERA = colour_data.nanometres(np.arange(400, 705, 10.0))

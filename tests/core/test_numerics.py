@@ -10,8 +10,8 @@ import pytest
 from oracles import exact
 from precisions import both_precisions
 
-from jaxvision import _numerics as num
-from jaxvision._vector import as_array, as_vec, masked, scaled
+from jaxvision.core import _numerics as num
+from jaxvision.core._vector import as_array, as_vec, masked, scaled
 from jaxvision.geometry._places import _pick
 
 RNG = np.random.default_rng(20240501)

@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from jaxvision import filters
-from jaxvision.padding import BORDERS, ghosts, pad
+from jaxvision.filters.padding import BORDERS, ghosts, pad
 
 RNG = np.random.default_rng(4)
 NUMPY = {

@@ -171,7 +171,7 @@ def test_calibrations_refuse_what_they_would_lose(kind):
     ],
 )
 def test_a_unit_below_a_mask_or_in_a_list_is_refused(value, words):
-    assert re.search(words, refusal(lambda: jv.plain_arrays.plain_array("x", value)))
+    assert re.search(words, refusal(lambda: jv.core.plain_arrays.plain_array("x", value)))
     refusal(lambda: jv.as_float(value))
 
 
@@ -257,7 +257,7 @@ def test_plots_draw_no_masked_number():
 def test_plain_numbers_pass_as_they_are():
     numbers = [1.0, 2.0]
     for value in (numbers, np.ones(2), jnp.ones(2), 1, None, "one", np.float32(1)):
-        assert jv.plain_arrays.plain_array("x", value) is value
+        assert jv.core.plain_arrays.plain_array("x", value) is value
 
 
 LARGE = 3_000_000_000  # beyond 32 bits

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxvision._random import Stream, lattice_point, seed_of, uniforms
+from jaxvision.core._random import Stream, lattice_point, seed_of, uniforms
 
 SEED = seed_of(jax.random.key(11))
 

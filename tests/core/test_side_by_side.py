@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fitting.inference.in_blocks import mapped, summed
-from jaxvision.side_by_side import cores, side_by_side
+from jaxvision.core.side_by_side import cores, side_by_side
 
 
 def test_results_keep_the_order_of_the_pieces_and_progress_counts_them():

@@ -9,7 +9,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from jaxvision import InputError, colour_data, spectra
+from jaxvision import InputError, spectra
+from jaxvision.colour_spaces import colour_data
 
 NM = np.arange(380, 785, 5.0)
 GRID = colour_data.nanometres(NM)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision._staging import searched, together
+from jaxvision.core._loops.fusion import searched, together
 
 X, Y = jnp.linspace(0.1, 1.3, 6), jnp.linspace(2.0, -1.0, 6)
 

@@ -8,14 +8,14 @@ import pytest
 from undecided import disagreements
 
 import jaxvision as jv
-from jaxvision import _numerics
 from jaxvision.brdf._lobe import diffuse_share, log_cosine
 from jaxvision.brdf.fresnel import fresnel_conductor, fresnel_dielectric
 from jaxvision.brdf.gaussian_lobe import squared_angle_between
 from jaxvision.brdf.microfacet import normal_distribution
+from jaxvision.core import _numerics
 from jaxvision.development.tone import _monotone_slopes
 from jaxvision.geometry._triangle import triangle_distance
-from jaxvision.hemisphere import local_frame
+from jaxvision.geometry.hemisphere import local_frame
 from jaxvision.lights.polygon import _slopes
 from jaxvision.lights.window import _spread
 from jaxvision.optics import aperture, overlap

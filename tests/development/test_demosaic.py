@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision.colour_filters import BAYER_PHASES, bayer, mosaic
 from jaxvision.development import (
     demosaic,
     demosaic_bilinear,
@@ -15,6 +14,7 @@ from jaxvision.development import (
     demosaic_menon,
     demosaic_normalised,
 )
+from jaxvision.sensor.colour_filters import BAYER_PHASES, bayer, mosaic
 
 peers = pytest.importorskip("colour_demosaicing")
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jaxvision import scene as s
-from jaxvision.colour_filters import bayer, mosaic
 from jaxvision.development import (
     camera_colour,
     demosaic,
@@ -23,6 +22,7 @@ from jaxvision.development import (
 )
 from jaxvision.development.demosaicing import METHODS
 from jaxvision.filters import bilateral_filter, nonlocal_means_filter, unsharp_mask
+from jaxvision.sensor.colour_filters import bayer, mosaic
 
 RNG = np.random.default_rng(9)
 RAW = jnp.asarray([[54.0, 64.0, 564.0, 1064.0]])
@@ -155,7 +155,7 @@ def test_white_balance_refuses_other_bands():
 def chart():
     """24 patches, their light, the observer, and a measured camera."""
     pytest.importorskip("colour")
-    from jaxvision import colour_data
+    from jaxvision.colour_spaces import colour_data
 
     wavelengths = colour_data.wavelength_grid()
     return {

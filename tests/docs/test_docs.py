@@ -125,10 +125,15 @@ def internals(code):
 
 
 def test_the_reader_of_internals_reads():
-    code = "import jaxvision as jv\nfrom jaxvision.io import write_image\nfrom fitting import fit"
+    code = (
+        "import jaxvision as jv\nfrom jaxvision.files import write_image\nfrom fitting import fit"
+    )
     assert not list(internals(code))
-    code = "from fitting.joint.prediction import predict\nfrom jaxvision._types import Vec"
-    assert list(internals(code)) == ["fitting.joint.prediction.predict", "jaxvision._types.Vec"]
+    code = "from fitting.joint.prediction import predict\nfrom jaxvision.core._types import Vec"
+    assert list(internals(code)) == [
+        "fitting.joint.prediction.predict",
+        "jaxvision.core._types.Vec",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -246,7 +251,8 @@ def test_the_page_on_installing_agrees_with_the_project():
     ],
 )
 def test_types_are_written_as_code_does(text, plain):
-    from jaxvision import padding, scene
+    from jaxvision import scene
+    from jaxvision.filters import padding
 
     names = vars(padding) | {"View": scene.View}
     entries = {id(scene.View): "jaxvision.scene.View", id(scene.Scene): "jaxvision.Scene"}

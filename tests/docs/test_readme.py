@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import fitting.cli
 import jaxvision.cli
-from jaxvision.io import write_image
+from jaxvision.files import write_image
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

@@ -11,7 +11,7 @@ from scene_texts import BALL
 
 from jaxvision.cli import app
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 FAR_LAMP = """
 [[light]]

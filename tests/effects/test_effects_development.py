@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from jaxvision import scene as s
-from jaxvision.colour_filters import bayer
 from jaxvision.development import develop
 from jaxvision.effects.development import BOUNDS, FILMIC_SLOPE, development_stage, lipschitz
 from jaxvision.effects.stages import Draft, Ends
+from jaxvision.sensor.colour_filters import bayer
 
 MATRIX = [[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]]
 STEPS = {

@@ -13,11 +13,11 @@ import jaxvision as jv
 from jaxvision.effects import explain
 from jaxvision.effects.certificate import summary
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
+from jaxvision.files.scenes import SceneFile
+from jaxvision.files.scenes.schema import RenderEntry
 from jaxvision.render_command import pruned_for, render_to_file
 from jaxvision.render_command.pruning import left_of
-from jaxvision.scene_files import SceneFile
-from jaxvision.scene_files.schema import RenderEntry
 from jaxvision.transport import light_traced
 
 SETTINGS = RenderEntry.model_validate({"dtype": "float64"})

@@ -75,7 +75,7 @@ def test_of_probes_where_light_falls_by_one_factor():
 @pytest.mark.slow
 def test_long_paths_go_by_an_estimate_that_is_no_proof():
     """In the Cornell box, by a picture of other paths; the proof alone keeps more pieces."""
-    source = jv.scene_files.read_scene("cornell_box")
+    source = jv.files.scenes.read_scene("cornell_box")
     whole = effects.prune(source.scene, source.view, "5%", depth=40, estimates=True)
     assert whole.certificate.estimated > 0
     assert whole.certificate.total == 0

@@ -6,8 +6,8 @@ from dataclasses import fields
 import pytest
 
 import jaxvision as jv
-from jaxvision._types import members_of
 from jaxvision.brdf import _registry as materials
+from jaxvision.core._types import members_of
 from jaxvision.effects import bodies
 from jaxvision.lights import _registry as lights
 from jaxvision.scene import shapes

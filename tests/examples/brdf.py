@@ -14,7 +14,7 @@ from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import Phong
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
-from jaxvision.hemisphere import local_frame
+from jaxvision.geometry.hemisphere import local_frame
 
 RNG = np.random.default_rng(5)
 
@@ -110,13 +110,13 @@ EXAMPLES = {
     "brdf.dichromatic_separation.body_colour": ((COLOURS, LIGHT), {}),
     "brdf.dichromatic_separation.plane_normal": ((COLOURS,), {}),
     "brdf.dichromatic_separation.illuminant_from_planes": ((PLANES,), {}),
-    "hemisphere.cross": ((WI, WO), {}),
-    "hemisphere.local_frame": ((N,), {"tangent": WI}),
-    "hemisphere.to_local": ((FRAME, WI), {}),
-    "hemisphere.to_world": ((FRAME, WI), {}),
-    "hemisphere.direction_at": ((COS, TWO), {}),
-    "hemisphere.cosine_direction": ((U[:2],), {}),
-    "hemisphere.cosine_pdf": ((WI,), {}),
-    "hemisphere.uniform_direction": ((U[:2],), {}),
-    "hemisphere.uniform_pdf": ((WI,), {}),
+    "geometry.hemisphere.cross": ((WI, WO), {}),
+    "geometry.hemisphere.local_frame": ((N,), {"tangent": WI}),
+    "geometry.hemisphere.to_local": ((FRAME, WI), {}),
+    "geometry.hemisphere.to_world": ((FRAME, WI), {}),
+    "geometry.hemisphere.direction_at": ((COS, TWO), {}),
+    "geometry.hemisphere.cosine_direction": ((U[:2],), {}),
+    "geometry.hemisphere.cosine_pdf": ((WI,), {}),
+    "geometry.hemisphere.uniform_direction": ((U[:2],), {}),
+    "geometry.hemisphere.uniform_pdf": ((WI,), {}),
 }

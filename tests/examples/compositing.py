@@ -8,14 +8,14 @@ FRONT, BACK, THIRD = (jnp.asarray(RNG.uniform(0.1, 0.9, size=(2, 2, 3))) for _ i
 ONE = jnp.asarray(0.7)
 
 EXAMPLES = {
-    "compositing.over": ((FRONT, BACK), {}),
-    "compositing.composite": ((FRONT, BACK), {"operator": "xor"}),
-    "compositing.flatten": ((jnp.stack([FRONT, BACK, THIRD]),), {}),
-    "compositing.dissolve": ((FRONT, ONE), {}),
-    "compositing.darken": ((FRONT, ONE), {}),
-    "compositing.premultiply": ((FRONT[..., :2], BACK[..., -1:]), {}),
-    "compositing.unpremultiply": ((FRONT,), {}),
-    "compositing.layer_from_srgb": ((FRONT,), {}),
-    "compositing.layer_to_srgb": ((FRONT * 0.9,), {}),
-    "compositing.checked_alpha": ((ONE,), {}),
+    "matting.compositing.over": ((FRONT, BACK), {}),
+    "matting.compositing.composite": ((FRONT, BACK), {"operator": "xor"}),
+    "matting.compositing.flatten": ((jnp.stack([FRONT, BACK, THIRD]),), {}),
+    "matting.compositing.dissolve": ((FRONT, ONE), {}),
+    "matting.compositing.darken": ((FRONT, ONE), {}),
+    "matting.compositing.premultiply": ((FRONT[..., :2], BACK[..., -1:]), {}),
+    "matting.compositing.unpremultiply": ((FRONT,), {}),
+    "matting.compositing.layer_from_srgb": ((FRONT,), {}),
+    "matting.compositing.layer_to_srgb": ((FRONT * 0.9,), {}),
+    "matting.compositing.checked_alpha": ((ONE,), {}),
 }

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxvision import scene as s
-from jaxvision.colour_filters import bayer
+from jaxvision.sensor.colour_filters import bayer
 
 RNG = np.random.default_rng(5)
 
@@ -36,7 +36,7 @@ DEVELOPMENT = s.Development(
 )
 
 EXAMPLES = {
-    "colour_filters.mosaic": ((PICTURE,), {"pattern": PATTERN}),
+    "sensor.colour_filters.mosaic": ((PICTURE,), {"pattern": PATTERN}),
     "development.colour_matrix.camera_colour": (
         (SENSITIVITIES, ILLUMINANT, REFLECTANCES, WAVELENGTHS, OBSERVER, WHITE),
         {},

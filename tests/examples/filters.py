@@ -26,8 +26,8 @@ def blur(picture):
 
 
 EXAMPLES = {
-    "padding.pad": ((X,), {"widths": ((1, 2), (5, 0)), "border": "extend"}),
-    "padding.continued": (
+    "filters.padding.pad": ((X,), {"widths": ((1, 2), (5, 0)), "border": "extend"}),
+    "filters.padding.continued": (
         (X[None],),
         {"axis": 2, "before": 1, "after": 5, "border": "extend", "outside": ONE},
     ),

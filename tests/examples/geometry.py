@@ -7,7 +7,7 @@ from jaxvision import PointLight, Vec
 from jaxvision import scene as s
 from jaxvision.geometry import Encounter, Ray
 from jaxvision.geometry.flat import flat_quad
-from jaxvision.shadows import Leaving
+from jaxvision.rendering.shadows import Leaving
 
 
 def unit(*v):
@@ -33,17 +33,17 @@ LAMPS = [PointLight([1, 2, -3], [0.3, 0.2]), PointLight([-1, 2, -2], [0.1, 0.4])
 
 
 EXAMPLES = {
-    "_numerics.angle_between": ((N, W), {}),
-    "_numerics.log_cos_between": ((N, W), {}),
-    "_numerics.dot": ((N, POINT), {}),
-    "_numerics.norm": ((POINT,), {}),
-    "_numerics.normalize": ((POINT,), {}),
-    "_numerics.safe_sqrt": ((FAR,), {}),
-    "_types.as_dtype": ((SPHERE,), {"dtype": np.float64}),
-    "_types.as_float": ((FAR,), {}),
-    "_types.as_optional_float": ((FAR,), {}),
-    "_vector.as_array": ((Vec(FAR, -FAR, 2 * FAR),), {}),
-    "_vector.as_vec": ((POINT,), {}),
+    "core._numerics.angle_between": ((N, W), {}),
+    "core._numerics.log_cos_between": ((N, W), {}),
+    "core._numerics.dot": ((N, POINT), {}),
+    "core._numerics.norm": ((POINT,), {}),
+    "core._numerics.normalize": ((POINT,), {}),
+    "core._numerics.safe_sqrt": ((FAR,), {}),
+    "core._types.as_dtype": ((SPHERE,), {"dtype": np.float64}),
+    "core._types.as_float": ((FAR,), {}),
+    "core._types.as_optional_float": ((FAR,), {}),
+    "core._vector.as_array": ((Vec(FAR, -FAR, 2 * FAR),), {}),
+    "core._vector.as_vec": ((POINT,), {}),
     "geometry._mesh.intersect_mesh": ((RAY, MESH), {}),
     "geometry._places.point_on": ((BOX, jnp.asarray([0.3, 0.6])), {}),
     "geometry._places.surface_area": ((MESH,), {}),
@@ -70,6 +70,6 @@ EXAMPLES = {
         (RAY, SHAPES, Encounter(jnp.asarray(1), jnp.asarray(-1))),
         {},
     ),
-    "shadows.visibility": ((LAMPS, POINT, SHAPES, Leaving(N)), {}),
+    "rendering.shadows.visibility": ((LAMPS, POINT, SHAPES, Leaving(N)), {}),
     "geometry.nearest.occluded": ((POINT, N, W, FAR, SHAPES), {}),
 }

@@ -55,5 +55,8 @@ EXAMPLES = {
     "point_ops.curves.gamma_decode": ((X, TWO), {}),
     "point_ops.curves.srgb_encode": ((X,), {}),
     "point_ops.curves.srgb_decode": ((X,), {}),
-    "shading.outgoing_radiance": ((PHONG, [LAMP, SUN], POINT, N, WO), {"ambient": AMBIENT}),
+    "rendering.shading.outgoing_radiance": (
+        (PHONG, [LAMP, SUN], POINT, N, WO),
+        {"ambient": AMBIENT},
+    ),
 }

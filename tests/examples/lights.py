@@ -112,7 +112,13 @@ EXAMPLES = {
     "lights.window.hit_window": ((RAY, WINDOW), {}),
     "lights.window.window_pdf": ((WINDOW, POINT, UP), {}),
     "lights.window.window_sample": ((WINDOW, POINT, U), {}),
-    "hemisphere_integral.hemisphere_radiance": ((PHONG,), OPTIONS | {"polar": 4, "azimuths": 8}),
-    "hemisphere_integral.lit_radiance": ((KEY, PHONG, RECTANGLE, POINT, N, WO), {"samples": 3}),
-    "hemisphere_integral.sampled_radiance": ((KEY, PHONG), OPTIONS | {"samples": 3}),
+    "rendering.hemisphere_integral.hemisphere_radiance": (
+        (PHONG,),
+        OPTIONS | {"polar": 4, "azimuths": 8},
+    ),
+    "rendering.hemisphere_integral.lit_radiance": (
+        (KEY, PHONG, RECTANGLE, POINT, N, WO),
+        {"samples": 3},
+    ),
+    "rendering.hemisphere_integral.sampled_radiance": ((KEY, PHONG), OPTIONS | {"samples": 3}),
 }

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxvision import Lambert, MonteCarlo, Pinhole, Ray, RectangleLight, Scene, Surface
-from jaxvision._vector import Vec
+from jaxvision.core._vector import Vec
 from jaxvision.scene import Quad
 from jaxvision.transport.radiosity import Solution, patches_of, plan_patches
 

@@ -8,8 +8,8 @@ import numpy as np
 from oracles.sensors import EVERY_EFFECT
 
 from jaxvision import scene as s
-from jaxvision.colour_filters import bayer
 from jaxvision.sensor import Moments
+from jaxvision.sensor.colour_filters import bayer
 
 RNG = np.random.default_rng(4)
 KEY, DIE = jax.random.split(jax.random.key(1))

@@ -6,9 +6,9 @@ import numpy as np
 
 from jaxvision import Lambert, Mirror, PointLight, RectangleLight
 from jaxvision import scene as s
-from jaxvision._random import Stream
-from jaxvision._vector import as_vec
 from jaxvision.brdf.glass import Glass
+from jaxvision.core._random import Stream
+from jaxvision.core._vector import as_vec
 from jaxvision.geometry import Ray
 from jaxvision.transport import Paths
 

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision import Lambert, colour_data
+from jaxvision import Lambert
 from jaxvision import scene as s
-from jaxvision.camera_files import read_camera, shipped_cameras
+from jaxvision.colour_spaces import colour_data
 from jaxvision.errors import InputError
+from jaxvision.files.cameras import read_camera, shipped_cameras
 from jaxvision.sensor import expected_signal, mean_photoelectrons
 from jaxvision.shot import capture
 

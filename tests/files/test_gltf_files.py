@@ -12,8 +12,8 @@ from gltf_contents import LAMP, content, matt
 
 import jaxvision as jv
 from jaxvision.errors import InputError
-from jaxvision.mesh_files import read_mesh
-from jaxvision.scene_files import read_scene
+from jaxvision.files.meshes import read_mesh
+from jaxvision.files.scenes import read_scene
 
 
 def read(folder, *, quietly=True, **parts):

@@ -5,10 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxvision import io
-from jaxvision._png_chunks import png_chunks
 from jaxvision.errors import InputError
-from jaxvision.io import LONGEST_REASON, check_writable, read_image, write_exr, write_image
+from jaxvision.files import images as io
+from jaxvision.files._png_chunks import png_chunks
+from jaxvision.files.images import (
+    LONGEST_REASON,
+    check_writable,
+    read_image,
+    write_exr,
+    write_image,
+)
 
 RNG = np.random.default_rng(3)
 

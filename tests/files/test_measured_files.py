@@ -11,9 +11,9 @@ import pytest
 from oracles import measured as oracle
 
 from jaxvision import InputError, brdf
-from jaxvision import measured_files as files
 from jaxvision.brdf.half_difference import HalfDifferenceTable, bin_angles, half_difference
 from jaxvision.brdf.measured import BRDFSamples, sample_directions
+from jaxvision.files import measured as files
 
 SHAPE = (12, 10, 8)
 

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from jaxvision.errors import InputError
+from jaxvision.files.meshes import read_mesh
 from jaxvision.geometry import problems
-from jaxvision.mesh_files import read_mesh
 
 CUBE = trimesh.creation.box((2, 4, 6))
 PLY = """ply

@@ -7,10 +7,10 @@ import pytest
 from oracles import mitsuba_pictures
 
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
+from jaxvision.files.scenes import read_scene
 from jaxvision.render_command.integrators import pixels_of
 from jaxvision.scene import Box, Disc, Orthographic, Quad, Sphere
-from jaxvision.scene_files import read_scene
 
 SENSOR = mitsuba_pictures.camera("perspective", '<float name="fov" value="40"/>')
 BALL = '<shape type="sphere" id="ball"/><emitter type="constant"/>'

@@ -10,8 +10,8 @@ from raw_contents import dng
 
 from fitting.rig_from_folder import rig_of
 from jaxvision.errors import InputError
-from jaxvision.image_settings import read_settings
-from jaxvision.io import read_image
+from jaxvision.files.image_settings import read_settings
+from jaxvision.files.images import read_image
 
 
 @pytest.fixture

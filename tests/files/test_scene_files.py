@@ -11,14 +11,16 @@ from oracles import cornell_box
 from scipy.constants import c, h, k
 
 import jaxvision as jv
-from jaxvision import scene, scene_checks
+from jaxvision import scene
 from jaxvision.brdf import blinn, fresnel, gaussian_lobe, lambert, mirror, oren_nayar, phong
 from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
-from jaxvision.camera_files import read_camera
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.cameras import read_camera
+from jaxvision.files.images import write_image
+from jaxvision.files.measured import write_merl
+from jaxvision.files.scenes import read_scene, shipped_scenes
 from jaxvision.lights import (
     DirectionalLight,
     PointLight,
@@ -26,9 +28,8 @@ from jaxvision.lights import (
     SmallLight,
     radiance_from,
 )
-from jaxvision.measured_files import write_merl
 from jaxvision.optics import camera_ray, pixel_offset
-from jaxvision.scene_files import read_scene, shipped_scenes
+from jaxvision.rendering import scene_checks
 
 CAMERA = """
 [camera]

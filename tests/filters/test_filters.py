@@ -9,9 +9,10 @@ import pytest
 from jax.test_util import check_grads
 from scipy import ndimage
 
-from jaxvision import _staging, filters
+from jaxvision import filters
+from jaxvision.core._loops import fusion
 from jaxvision.filters.convolution import CHOICES
-from jaxvision.padding import BORDERS
+from jaxvision.filters.padding import BORDERS
 
 RNG = np.random.default_rng(8)
 PLANE, IMAGE = RNG.normal(size=(9, 7)), RNG.normal(size=(9, 7, 3))
@@ -25,7 +26,7 @@ SCIPY = {
 KERNELS = {size: RNG.normal(size=size) for size in [(3, 3), (4, 3), (1, 6), (5, 4)]}
 SMALL = PLANE[:4, :3]  # smaller than the largest kernel
 LINEAR = sorted(set(BORDERS) - {"constant"})
-counts_our_primitive = pytest.mark.skipif(_staging.PLAIN, reason="plain JAX has no such primitive")
+counts_our_primitive = pytest.mark.skipif(fusion.PLAIN, reason="plain JAX has no such primitive")
 
 
 def by_hand(plane, kernel, anchor, border, fill=0.0):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxvision import filters
-from jaxvision.padding import BORDERS
+from jaxvision.filters.padding import BORDERS
 
 RNG = np.random.default_rng(21)
 H, W = 7, 6

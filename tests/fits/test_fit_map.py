@@ -10,7 +10,7 @@ from scipy import stats
 from fitting import Censored, Gaussian, Parameter, Problem, fit, fit_map
 from fitting.inference.pixelwise import fit_side_by_side
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 ANGLES = np.linspace(0.05, 1.2, 12)  # of 12 lights
 RNG = np.random.default_rng(5)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxvision.errors import InputError
-from jaxvision.image_settings import read_settings
-from jaxvision.io import read_image
+from jaxvision.files.image_settings import read_settings
+from jaxvision.files.images import read_image
 
 fits = pytest.importorskip("astropy.io.fits")
 RGGB = np.array([["R", "G"], ["G", "B"]])

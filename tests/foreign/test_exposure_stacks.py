@@ -30,7 +30,7 @@ from fitting.response.section import _curve_table, section
 from fitting.response.shape import shapes
 from fitting.rig_from_folder import rig_of
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 FIVE = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1.0)
 BRACKET = (1 / 64, 1 / 8, 1.0)

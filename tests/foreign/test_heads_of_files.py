@@ -8,8 +8,8 @@ import pytest
 from raw_contents import dng
 
 from jaxvision.errors import InputError
-from jaxvision.image_settings import read_settings
-from jaxvision.io import read_image
+from jaxvision.files.image_settings import read_settings
+from jaxvision.files.images import read_image
 
 CODES = (np.arange(12).reshape(3, 4) * 300 + 7).astype(">u2")
 

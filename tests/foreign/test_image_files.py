@@ -13,12 +13,12 @@ from fitting.noise import read_photon_transfer
 from fitting.observation import read_frame, read_mask
 from fitting.rig import Camera
 from fitting.rig_from_folder import rig_of
-from jaxvision.camera_files import read_camera
 from jaxvision.errors import InputError
-from jaxvision.image_settings import read_settings
-from jaxvision.io import read_channels, read_environment, read_image, write_image
-from jaxvision.io import write_exr as write_blocks
-from jaxvision.mesh_files import read_mesh
+from jaxvision.files.cameras import read_camera
+from jaxvision.files.image_settings import read_settings
+from jaxvision.files.images import read_channels, read_environment, read_image, write_image
+from jaxvision.files.images import write_exr as write_blocks
+from jaxvision.files.meshes import read_mesh
 
 oiio = pytest.importorskip("OpenImageIO")
 

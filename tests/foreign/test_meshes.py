@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxvision.errors import InputError
-from jaxvision.mesh_files import read_mesh
+from jaxvision.files.meshes import read_mesh
 
 PLY = (
     "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"

@@ -23,7 +23,7 @@ from fitting.noise.quantised import quantised_moments, window_for
 from fitting.noise.raw_frames import combs, processing_in_words
 from fitting.noise.section import section
 from fitting.noise.sensor import fitted_sensor
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 K, QE, SHAPE, PHOTONS = 0.25, 0.5, (64, 64), np.linspace(300, 28_000, 8)
 

@@ -7,7 +7,7 @@ import pytest
 
 import jaxvision as jv
 from jaxvision import filters
-from jaxvision.padding import pad
+from jaxvision.filters.padding import pad
 
 PICTURE = np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4)
 CODES = np.arange(12, dtype=np.uint8).reshape(3, 4)

@@ -23,7 +23,9 @@ def test_a_bayer_phase_is_a_pattern_everywhere():
         demosaic = getattr(jv.development, f"demosaic_{method}")
         np.testing.assert_array_equal(demosaic(GREY, "RGGB"), demosaic(GREY, pattern))
     masks = zip(
-        jv.colour_filters.sites("RGGB", 4, 4), jv.colour_filters.sites(pattern, 4, 4), strict=True
+        jv.sensor.colour_filters.sites("RGGB", 4, 4),
+        jv.sensor.colour_filters.sites(pattern, 4, 4),
+        strict=True,
     )
     assert all((a == b).all() for a, b in masks)
 
@@ -48,7 +50,7 @@ def test_grey_pictures_are_pictures_of_one_band(operator):
         lambda f, m: jv.gain_bias(f, m, m),
         lambda f, m: jv.point_ops.contrast_brightness(f, m, m, pivot=m),
         lambda f, m: jv.point_ops.exposure(f, m),
-        lambda f, m: jv.compositing.dissolve(f, m),
+        lambda f, m: jv.matting.dissolve(f, m),
     ],
 )
 def test_a_map_of_pixels_lies_beside_a_picture_of_bands(operator):
@@ -73,7 +75,7 @@ def test_the_blur_of_a_soft_cutout_has_the_colours_of_the_cutout():
     light = np.array([0.2, 0.5, 0.9])
     layer = np.concatenate([light * alpha, alpha], axis=-1)
     blurred = jv.filters.gaussian(layer, 2.0, border="zero")
-    colour = jv.compositing.unpremultiply(blurred)
+    colour = jv.matting.unpremultiply(blurred)
     np.testing.assert_allclose(colour[8, 8], light, rtol=1e-6)
     np.testing.assert_allclose(colour[2, 8], light, rtol=1e-6)
 
@@ -95,11 +97,11 @@ def test_channels_first_are_named_and_many_bands_are_not():
 
 def test_rgb_pictures_are_not_layers():
     with pytest.warns(UserWarning, match="fourth channel"):
-        jv.compositing.over(RGB, RGB)
+        jv.matting.over(RGB, RGB)
     opaque = np.concatenate([RGB[..., :2], np.ones((6, 8, 1))], axis=-1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        jv.compositing.over(RGB, opaque)  # two bands over an opaque back
+        jv.matting.over(RGB, opaque)  # two bands over an opaque back
 
 
 @pytest.mark.parametrize(
@@ -145,7 +147,7 @@ SCIPY = {
 }
 
 
-@pytest.mark.parametrize("border", jv.padding.BORDERS)
+@pytest.mark.parametrize("border", jv.filters.padding.BORDERS)
 @pytest.mark.parametrize("method", ["auto", pytest.param("fft", marks=pytest.mark.slow)])
 def test_an_even_kernel_of_several_pictures_size(border, method):
     """SciPy's sums; those that it lacks entry by entry: a straight line goes on, and weights

@@ -11,8 +11,8 @@ import pytest
 import jaxvision as jv
 from jaxvision.brdf.half_difference import bin_angles
 from jaxvision.errors import InputError
-from jaxvision.scene_checks import idle_lamps
-from jaxvision.toml_files import read_toml
+from jaxvision.files.toml import read_toml
+from jaxvision.rendering.scene_checks import idle_lamps
 from jaxvision.transport import Paths, light_traced, missing_light, path_traced, ray_traced
 
 DOWN = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
@@ -310,7 +310,7 @@ position = [1, -2, 3]
 intensity = [10]
 """
     )
-    view = jv.scene_files.read_scene(tmp_path / "scene.toml").view
+    view = jv.files.scenes.read_scene(tmp_path / "scene.toml").view
     seen = jv.project(view, jnp.zeros(3, view.position.dtype))
     assert float(seen.column) == pytest.approx(20.5, abs=1e-4)
     assert float(seen.row) == pytest.approx(30.25, abs=1e-4)
@@ -342,7 +342,7 @@ def test_places_in_a_list_are_counted_alike(tmp_path):
     with pytest.raises(
         InputError, match=r"light\[1\]\.direction must have shape \(3,\), got \(2,\)"
     ):
-        jv.scene_files.read_scene(tmp_path / "scene.toml")
+        jv.files.scenes.read_scene(tmp_path / "scene.toml")
 
 
 EAST = np.array([452300.0, 5411827.0, 430.0])  # a place in the coordinates of a surveyor, m
@@ -369,11 +369,11 @@ def slopes(mesh):
 def test_a_mesh_in_surveyors_coordinates_says_what_rounding_does(tmp_path):
     file, slope = roof(tmp_path / "utm.obj", EAST), np.arctan2(0.6, 2.3)
     with pytest.warns(UserWarning, match=r"5.41e\+06 m .* float32 moves .* by up to 0.2 m .* near"):
-        coarse = jv.mesh_files.read_mesh(file, dtype="float32")
+        coarse = jv.files.meshes.read_mesh(file, dtype="float32")
     assert np.abs(slopes(coarse) - slope).max() > 0.01
     assert "numbers of float32 are 0.5 m apart" in jv.geometry.problems(coarse)[0]
     for given in ({"dtype": "float64"}, {"dtype": "float32", "position": -EAST}):
-        mesh = jv.mesh_files.read_mesh(file, **given)  # without a word
+        mesh = jv.files.meshes.read_mesh(file, **given)  # without a word
         np.testing.assert_allclose(slopes(mesh), slope, rtol=1e-3)
         assert jv.geometry.problems(mesh) == []
 
@@ -388,7 +388,7 @@ def test_triangles_that_rounding_flattens_are_told_from_those_of_the_file(tmp_pa
             UserWarning, match=r"2 of 3 triangles have no area \(1 of them in float32 alone\)"
         ),
     ):
-        jv.mesh_files.read_mesh(tmp_path / "m.obj", dtype="float32")
+        jv.files.meshes.read_mesh(tmp_path / "m.obj", dtype="float32")
 
 
 @pytest.mark.parametrize("at", [0.0, 1e5])
@@ -415,7 +415,7 @@ kind = "directional"
 direction = [0, -1, 1]
 irradiance = 1.0
 """)
-    read = jv.scene_files.read_scene
+    read = jv.files.scenes.read_scene
     if not at:
         read(tmp_path / "s.toml")
         return

@@ -9,11 +9,11 @@ import pytest
 from scipy.constants import c, h, k
 from scipy.stats import norm
 
-from jaxvision.colour_data import illuminant
+from jaxvision.colour_spaces.colour_data import illuminant
 from jaxvision.errors import InputError
-from jaxvision.scene_files.bands import Bands, Tabulated, bands_of, in_bands
-from jaxvision.scene_files.folder import Folder
-from jaxvision.scene_files.spectrum_tables import read_table
+from jaxvision.files.scenes.bands import Bands, Tabulated, bands_of, in_bands
+from jaxvision.files.scenes.folder import Folder
+from jaxvision.files.scenes.spectrum_tables import read_table
 from jaxvision.spectra import (
     band_widths,
     blackbody,

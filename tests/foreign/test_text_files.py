@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 from fitting.cli import app as fitting_app
 from fitting.noise.levels_table import read_table
 from fitting.rig import load_rig
-from jaxvision.camera_files import read_camera, read_sensor
 from jaxvision.cli import app
 from jaxvision.errors import InputError
-from jaxvision.material_files import read_material
-from jaxvision.scene_files import read_scene
+from jaxvision.files.cameras import read_camera, read_sensor
+from jaxvision.files.materials import read_material
+from jaxvision.files.scenes import read_scene
 
 DEEP = {
     "arrays": "a = " + "[" * 400 + "]" * 400,

@@ -11,7 +11,7 @@ from oracles import sphere_photographs, stacks
 from photographs import photograph
 from studies import write_camera
 
-from jaxvision.io import read_image, write_image
+from jaxvision.files.images import read_image, write_image
 
 from .damage import damaged
 

@@ -9,7 +9,7 @@ import numpy as np
 
 import jaxvision
 from fitting.inference.blocks import begun
-from jaxvision.material_files import read_material, write_material
+from jaxvision.files.materials import read_material, write_material
 from jaxvision.render_command.tiles import PartialImage, PartialSum
 
 KEY = {"scene": "ball", "samples": 4}

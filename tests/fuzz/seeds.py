@@ -18,14 +18,14 @@ from raw_contents import dng
 import jaxvision
 from fitting.noise.levels_table import read_table
 from fitting.rig import load_rig
-from jaxvision import measured_files
 from jaxvision.brdf.measured import BRDFSamples
-from jaxvision.camera_files import read_camera, shipped_cameras
-from jaxvision.image_settings import read_settings
-from jaxvision.io import read_image, write_image
-from jaxvision.material_files import read_material, write_material
-from jaxvision.mesh_files import read_mesh
-from jaxvision.scene_files import read_scene
+from jaxvision.files import measured as measured_files
+from jaxvision.files.cameras import read_camera, shipped_cameras
+from jaxvision.files.image_settings import read_settings
+from jaxvision.files.images import read_image, write_image
+from jaxvision.files.materials import read_material, write_material
+from jaxvision.files.meshes import read_mesh
+from jaxvision.files.scenes import read_scene
 
 from . import kept
 

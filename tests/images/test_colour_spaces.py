@@ -11,8 +11,9 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from jaxvision import colour_data, srgb_encode
 from jaxvision import colour_spaces as cs
+from jaxvision import srgb_encode
+from jaxvision.colour_spaces import colour_data
 from jaxvision.errors import InputError
 from jaxvision.point_ops import srgb_decode
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from oracles import loops
 
-from jaxvision import compositing as c
+from jaxvision.matting import compositing as c
 
 RNG = np.random.default_rng(6)
 

@@ -10,10 +10,10 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from jaxvision import matting
-from jaxvision.compositing import over
 from jaxvision.errors import InputError
 from jaxvision.matting._laplacian import apply_stencil, matting_laplacian
 from jaxvision.matting._multigrid import coarsened, interpolated, restricted, v_cycle
+from jaxvision.matting.compositing import over
 
 RNG = np.random.default_rng(13)
 

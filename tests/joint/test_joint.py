@@ -38,7 +38,7 @@ from fitting.reflectance.from_images.model import Form
 from fitting.rig import Camera, SphereGeometry
 from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 RNG = np.random.default_rng(4)
 

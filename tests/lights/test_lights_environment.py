@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from jaxvision import InputError, MonteCarlo, Quadrature, environment_map
-from jaxvision.hemisphere import product_nodes
-from jaxvision.io import read_environment, write_image
+from jaxvision.files.images import read_environment, write_image
+from jaxvision.geometry.hemisphere import product_nodes
 from jaxvision.lights import direction_pdf, direction_sample, irradiance, radiance_from
 from jaxvision.lights.environment import environment_radiance
 from jaxvision.lights.harmonics import harmonic_irradiance, harmonics, irradiance_coefficients

@@ -40,9 +40,9 @@ from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.model import NoiseData, cost
 from fitting.noise.quantities import DARK_CURRENT, OFFSET, READ_NOISE, RESPONSIVITY, SYSTEM_GAIN
 from fitting.rig import Camera, load_rig
-from jaxvision.camera_files import read_sensor
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.cameras import read_sensor
+from jaxvision.files.images import write_image
 
 run = partial(called, app)
 GAINS, KELVIN = (100.0, 200.0, 400.0, 800.0), (278.0, 293.0, 308.0)

@@ -10,7 +10,7 @@ from oracles.cameras import CameraTruth, expose, moments
 from fitting.noise.levels import linear_levels, saturation_index
 from fitting.noise.read import read_photon_transfer
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 SIZE = (24, 32)
 EXPOSURES = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)

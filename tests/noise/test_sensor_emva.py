@@ -13,7 +13,7 @@ from test_noise import both_methods
 from fitting.inference.estimates import find
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.section import section as noise_section
-from jaxvision.camera_files import read_camera
+from jaxvision.files.cameras import read_camera
 from jaxvision.scene import FastPoissonShotNoise
 from jaxvision.sensor import raw_image, sensitivity
 

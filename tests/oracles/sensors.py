@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxvision import scene as s
-from jaxvision.colour_filters import bayer
+from jaxvision.sensor.colour_filters import bayer
 
 EVERY_EFFECT = s.Sensor(
     photon_conversion=s.PhotonConversion([6e-7, 5e-7, 4e-7], 1e-11),

@@ -3,7 +3,7 @@ electrons, gain and rounding. Independent of the library."""
 
 import numpy as np
 
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 from . import brdfs
 

@@ -15,50 +15,29 @@ ROOT = Path(__file__).parents[2]
 # A room may import only from lower floors; rooms on one floor never import each other. A module or
 # folder of `jaxvision` that is not named here is an error.
 FLOORS = [
-    {"_primitives", "lazy_names", "_bounds", "_kinds"},
-    {"errors", "in_notebooks", "memory", "programs", "progress", "side_by_side"},
-    {"plain_arrays"},
-    {"_types", "_shown", "_staging"},
-    {"_arguments"},
-    {"_vector", "_bands", "scene", "_random", "_groups", "colour_filters"},
-    {"_numerics", "_chebyshev", "_quadrature"},
-    {"_powers", "_exponential"},
-    {"spectra", "hemisphere", "padding"},
-    {"geometry", "colour_data"},
-    {"lights", "brdf", "filters"},
-    {"shadows"},
-    {"_directions", "_band_count"},
-    {"shading", "hemisphere_integral", "point_ops"},
-    {"colour_spaces"},
-    {"histogram", "compositing", "optics", "sensor", "lifted_scene"},
-    {"rendering"},
-    {"matting", "transport", "development"},
+    {"errors", "programs"},
+    {"core"},
+    {"scene", "spectra", "filters", "point_ops", "histogram", "tasks"},
+    {"geometry", "colour_spaces", "matting"},
+    {"lights", "brdf", "optics", "sensor"},
+    {"rendering", "development"},
+    {"transport"},
     {"effects"},
-    {"shot", "scene_checks", "interrupts"},
-    {
-        "_shipped",
-        "_png_chunks",
-        "_tiff_tags",
-        "_jpeg_markers",
-        "_targa_head",
-        "_plain_content",
-        "_legible_axes",
-        "_local_workers",
-        "_polygons",
-    },
-    {"raw_files", "_netpbm_files", "_radiance_files"},
-    {"image_settings"},
-    {"io", "toml_files", "gltf_files", "command_line", "tasks"},
-    {"record_files"},
-    {"measured_files", "mesh_files", "camera_files", "material_files", "plots"},
-    {"scene_files"},
+    {"shot", "files", "plots"},
     {"render_command"},
     {"accuracy"},
     {"cli"},
     {"__main__"},
 ]
 # Of `jaxvision`: no light, surface or camera.
-KNOWN_TO_INFERENCE = {"errors", "in_notebooks", "io", "lazy_names", "plain_arrays", "programs"}
+KNOWN_TO_INFERENCE = {
+    "jaxvision.errors",
+    "jaxvision.programs",
+    "jaxvision.core.in_notebooks",
+    "jaxvision.core.lazy_names",
+    "jaxvision.core.plain_arrays",
+    "jaxvision.files.images",
+}
 STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section"]
 FITTING_FLOORS = [
     {"rig", "inference", "codes", "copies"},
@@ -183,8 +162,8 @@ def test_the_reader_of_imports_reads():
     """A check that cannot fail is a defect: three imports that are known to be there."""
     plan = neighbours("jaxvision")
     assert where_defined("jaxvision.render").startswith("jaxvision.rendering.")
-    assert {"geometry", "scene", "_numerics"} <= plan["brdf"]
-    assert {"sensor", "optics", "shading"} <= plan["shot"]
+    assert {"geometry", "scene", "core"} <= plan["brdf"]
+    assert {"sensor", "optics", "rendering"} <= plan["shot"]
     assert "jax" in outside(rooms("jaxvision")["sensor"])
 
 
@@ -213,24 +192,36 @@ def _kinds() -> tuple[set[str], set[str]]:
 
 
 @pytest.mark.parametrize(
-    "room",
-    ["effects", "scene_files", "record_files", "toml_files", "camera_files", "material_files"],
+    "place",
+    [
+        "effects",
+        "files/scenes",
+        "files/records.py",
+        "files/toml.py",
+        "files/cameras.py",
+        "files/materials.py",
+    ],
 )
-def test_what_serves_every_kind_imports_none(room):
+def test_what_serves_every_kind_imports_none(place):
     """Effects and file readers ask the registries: a kind brings its bound and its keys itself."""
     modules, records = _kinds()
     assert {"jaxvision.lights.point", "jaxvision.brdf.phong", "jaxvision.brdf.measured"} <= modules
+    path = ROOT / "jaxvision" / place
+    assert path.exists()
     taken = {
         name
-        for file in files_of_rooms("jaxvision")[room]
+        for file in [*path.rglob("*.py")] or [path]
         for name in imports(file)
         if name in modules or (name.startswith("jaxvision.") and name.rpartition(".")[2] in records)
     }
-    assert not taken, f"jaxvision/{room} must ask the registry instead of {sorted(taken)}"
+    assert not taken, f"jaxvision/{place} must ask the registry instead of {sorted(taken)}"
 
 
 def test_scene_holds_records_only():
-    assert neighbours("jaxvision")["scene"] == {"_types", "_shown", "lazy_names"}
+    taken = {name for name in rooms("jaxvision")["scene"] if name.startswith("jaxvision.core.")}
+    known = {f"jaxvision.core.{module}" for module in ("_types", "_shown", "lazy_names")}
+    assert neighbours("jaxvision")["scene"] == {"core"}
+    assert {".".join(name.split(".")[:3]) for name in taken} == known
     files = (ROOT / "jaxvision" / "scene").glob("*.py")
     nodes = [node for file in files for node in ast.parse(file.read_text()).body]
     for record in (node for node in nodes if isinstance(node, ast.ClassDef)):
@@ -275,8 +266,9 @@ def test_the_stages_of_a_calibration_follow_each_other(folder):
 
 def test_inference_knows_no_physics_and_no_calibration():
     assert not neighbours("fitting")["inference"]
-    used = {name.split(".")[1] for name in rooms("fitting")["inference"] if "jaxvision." in name}
-    assert used == KNOWN_TO_INFERENCE
+    files = (ROOT / "jaxvision").rglob("*.py")
+    modules = {".".join(file.relative_to(ROOT).with_suffix("").parts) for file in files}
+    assert rooms("fitting")["inference"] & modules == KNOWN_TO_INFERENCE
 
 
 def test_images_and_measured_files_are_two_calibrations():
@@ -313,14 +305,14 @@ def test_no_function_hides_a_module(package):
 
 
 def borrowed(package: str) -> set[str]:
-    """The private names that rooms import of other rooms. A module like `_types`, at the top of a
-    package, is private to the package."""
+    """The private names that rooms import of other rooms. A module like `core._types` is private to
+    the package, what begins with an underscore inside of it to the module."""
     found = set()
     for room, files in files_of_rooms(package).items():
         for name in set[str]().union(*map(imports, files)):
             owner, *inner = name.split(".")
             if owner == package:
-                inner = [] if inner[:1] == [room] else inner[1:]
+                inner = [] if inner[:1] == [room] else inner[2 if inner[:1] == ["core"] else 1 :]
             if owner in ("jaxvision", "fitting") and any(
                 re.match("_(?!_)", part) for part in inner
             ):
@@ -389,7 +381,7 @@ def test_names_load_when_first_used_also_in_a_trace():
         "import sys, jax, jaxvision\n"
         "def f(x):\n"
         "    for name in jaxvision.__all__:\n"
-        "        if name != 'scene_files':\n"
+        "        if name != 'files':\n"
         "            getattr(jaxvision, name)\n"
         "    jaxvision.transport.radiosity.radiosity\n"
         "    for name in jaxvision.filters.__all__:\n"

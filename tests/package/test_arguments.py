@@ -13,8 +13,8 @@ from public_names import traced
 import jaxvision as jv
 from jaxvision.brdf.fresnel import Schlick, fresnel_conductor, fresnel_dielectric
 from jaxvision.brdf.phong import phong_shading
-from jaxvision.camera_files import read_camera
 from jaxvision.development import fit_colour_matrix
+from jaxvision.files.cameras import read_camera
 from jaxvision.histogram import equalise, exact_histogram
 from jaxvision.optics import airy_radius
 from jaxvision.point_ops import cross_dissolve, gain_bias
@@ -199,7 +199,7 @@ SENTENCES = {
         "airy_radius: wavelength is in metres, got 550; 550 nm are 550e-9",
     ),
     "nanometres of a table": (
-        lambda: jv.colour_data.illuminant("D65", [400.0, 700.0]),
+        lambda: jv.colour_spaces.illuminant("D65", [400.0, 700.0]),
         "wavelength is in metres, got 700; 550 nm are 550e-9",
     ),
     "nanometres of a camera": (
@@ -410,7 +410,7 @@ def test_half_precision_counts_and_sums_in_float32():
 
 
 def test_a_misspelt_argument_names_the_nearest():
-    for take in (jv.compositing.over, jv.optics.airy_radius):
+    for take in (jv.matting.over, jv.optics.airy_radius):
         with pytest.raises(TypeError, match="has no argument"):
             take(wrong=1.0)
     said = "airy_radius has no argument 'f_numer'; the nearest is 'f_number'."

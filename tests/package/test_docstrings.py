@@ -75,8 +75,8 @@ def test_discovery_discovers():
     found = functions(jaxvision)
     assert {"jaxvision.shot.capture", "jaxvision.brdf.phong.phong_lobe"} <= found.keys()
     assert {"jaxvision.shot.capture", "jaxvision.brdf.phong.phong_lobe"} <= exported(found).keys()
-    assert {"jaxvision._numerics.dot", "jaxvision.brdf._registry.register"} <= found.keys()
-    assert {"jaxvision.brdf.phong.Phong", "jaxvision._vector.Vec"} <= records(jaxvision).keys()
+    assert {"jaxvision.core._numerics.dot", "jaxvision.brdf._registry.register"} <= found.keys()
+    assert {"jaxvision.brdf.phong.Phong", "jaxvision.core._vector.Vec"} <= records(jaxvision).keys()
     assert functions(fitting)
 
 

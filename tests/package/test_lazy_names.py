@@ -13,15 +13,20 @@ import jaxvision
         (
             jaxvision,
             "read_settings",
-            "jaxvision has no 'read_settings'; from jaxvision.image_settings import read_settings "
-            "gives it.",
+            "jaxvision has no 'read_settings'; it is jaxvision.files.read_settings.",
         ),
         (
             jaxvision,
-            "scene_checks",
-            "jaxvision has no 'scene_checks'; import jaxvision.scene_checks gives it.",
+            "scene_problems",
+            "jaxvision has no 'scene_problems'; from jaxvision.rendering.scene_checks import "
+            "scene_problems gives it.",
         ),
-        (jaxvision, "over", "jaxvision has no 'over'; it is jaxvision.compositing.over."),
+        (
+            jaxvision,
+            "render_command",
+            "jaxvision has no 'render_command'; import jaxvision.render_command gives it.",
+        ),
+        (jaxvision, "over", "jaxvision has no 'over'; it is jaxvision.matting.over."),
         (jaxvision, "Sensr", "jaxvision has no 'Sensr'; the nearest is 'Sensor'."),
         (
             jaxvision.filters,

@@ -12,7 +12,7 @@ import pytest
 import jaxvision as jv
 from jaxvision import accuracy, brdf, effects, sensor
 from jaxvision.errors import InputError
-from jaxvision.scene_files import read_scene
+from jaxvision.files.scenes import read_scene
 
 SPOT = '''
 """A lamp whose intensity falls like cos^4."""

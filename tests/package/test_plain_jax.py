@@ -104,9 +104,9 @@ def everything():
 
 @pytest.mark.slow
 def test_the_fallbacks_give_the_same_values_and_derivatives(tmp_path):
-    from jaxvision import _staging
+    from jaxvision.core._loops import fusion
 
-    if _staging.PLAIN:
+    if fusion.PLAIN:
         pytest.skip("nothing but the fallbacks is in use")
     file = tmp_path / "plain.npz"
     command = [sys.executable, __file__, str(file)]
@@ -131,16 +131,16 @@ def test_the_fallbacks_give_the_same_values_and_derivatives(tmp_path):
 def test_a_jax_with_other_internals_is_served_by_the_fallbacks(lacks):
     program = (
         f"import jax, jax.extend.core, jax.interpreters.mlir; {lacks}\n"
-        "from jaxvision import _staging; assert _staging.PLAIN"
+        "from jaxvision.core._loops import fusion; assert fusion.PLAIN"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_the_installed_jax_has_the_internals():
-    from jaxvision import _staging
+    from jaxvision.core._loops import fusion
 
     forced = os.environ.get("JAXVISION_PLAIN_JAX", "0") not in ("", "0")
-    assert _staging.PLAIN is forced
+    assert fusion.PLAIN is forced
 
 
 @pytest.mark.slow
@@ -165,11 +165,11 @@ def test_one_module_uses_what_jax_keeps_below_its_interface():
         for p in PACKAGE.rglob("*.py")
         if below.search(p.read_text())
     }
-    assert users == {"_primitives.py"}
+    assert users == {"core/_loops/primitives.py"}
 
 
 if __name__ == "__main__":
-    from jaxvision import _staging
+    from jaxvision.core._loops import fusion
 
-    assert _staging.PLAIN
+    assert fusion.PLAIN
     np.savez(sys.argv[1], **everything())

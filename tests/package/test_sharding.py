@@ -23,7 +23,7 @@ import jaxvision as jv
 from fitting import Gaussian, Parameter, Problem, Emcee, fit, fit_map
 from fitting.inference import search
 from jaxvision.errors import InputError
-from jaxvision.scene_files import read_scene
+from jaxvision.files.scenes import read_scene
 from jaxvision.transport import radiosity
 
 assert len(jax.devices()) == 4

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 
 def write_ball_rig(data_folder: Path, folder: Path, *, lights: slice = slice(None)) -> Path:

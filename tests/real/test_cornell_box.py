@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from oracles import cornell_box
 
+from jaxvision.files.scenes import read_scene
+from jaxvision.files.scenes.bands import Bands, reduction
 from jaxvision.rendering import render
-from jaxvision.scene_files import read_scene
-from jaxvision.scene_files.bands import Bands, reduction
 
 TABLE = "reflectance_and_light.csv"
 SURFACES = ("white", "green", "red")

@@ -9,9 +9,9 @@ import pytest
 from oracles import measured as oracle
 
 from jaxvision import brdf
-from jaxvision import measured_files as files
 from jaxvision.brdf.measured import BRDFSamples, sample_directions
-from jaxvision.hemisphere import product_nodes
+from jaxvision.files import measured as files
+from jaxvision.geometry.hemisphere import product_nodes
 
 RGL_FILES = ("paper_white", "satin_rosaline", "vch_golden_yellow")
 shading = jax.jit(jax.vmap(brdf.shading, (None, 0, None)))

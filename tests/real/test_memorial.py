@@ -9,7 +9,7 @@ from fitting.response.calibration import calibrate as calibrate_response
 from fitting.response.calibration import radiance_images
 from fitting.response.read import read_exposure_stack
 from fitting.rig import load_rig
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 # What OpenCV 5's createCalibrateRobertson and createMergeRobertson reach on this stack, log10 rms
 # over the same pixels, each channel at its own scale (Debevec: .102, .166, .145).

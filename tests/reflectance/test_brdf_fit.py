@@ -38,14 +38,14 @@ from fitting.reflectance.from_files.section import section as material_section
 from fitting.reflectance.models import REFLECTANCES, unit_brdf
 from fitting.reflectance.names import INDEX, MODELS, OBJECTIVES
 from fitting.report.page import as_json
-from jaxvision._vector import as_vec
 from jaxvision.brdf import evaluate
 from jaxvision.brdf.fresnel import Dielectric
 from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.measured import BRDFSamples
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
+from jaxvision.core._vector import as_vec
 from jaxvision.errors import InputError
-from jaxvision.measured_files import write_cornell, write_merl
+from jaxvision.files.measured import write_cornell, write_merl
 
 KD, KS = np.array([0.05, 0.1, 0.2]), np.array([0.6, 0.5, 0.4])
 SHAPES = {"exponent": 60.0, "concentration": 6.0, "roughness": 0.3}

@@ -7,7 +7,7 @@ from oracles.sphere_photographs import light_directions, sphere_normals, write_r
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.rig import load_rig
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 SIZE, RADIUS = 24, 10.5
 CAMERA = {"bits": 12, "black_level": 60.0}

@@ -25,8 +25,8 @@ from jaxvision import (
     as_dtype,
     rectangle_irradiance,
 )
-from jaxvision._random import Stream, seed_of
 from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
+from jaxvision.core._random import Stream, seed_of
 from jaxvision.geometry import Ray
 from jaxvision.lights import Balanced, rules_of
 from jaxvision.rendering import (
@@ -38,8 +38,8 @@ from jaxvision.rendering import (
     render,
     sample_ray,
 )
+from jaxvision.rendering.shadows import Leaving, visibility
 from jaxvision.scene import Plane, Quad, TriangleMesh
-from jaxvision.shadows import Leaving, visibility
 
 KD = [0.3, 0.2]
 FLOOR = Surface(Plane([0, 0, 0], [0, 0, 1]), Lambert(KD))

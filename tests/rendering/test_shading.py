@@ -27,11 +27,15 @@ from jaxvision.brdf.mirror import Mirror
 from jaxvision.brdf.oren_nayar import OrenNayar
 from jaxvision.brdf.phong import NormalisedPhong
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
-from jaxvision.hemisphere_integral import hemisphere_radiance, lit_radiance, sampled_radiance
 from jaxvision.lights import Balanced, Incident, incident_samples, radiance_from, register
 from jaxvision.lights.polygon import rectangle_irradiance
+from jaxvision.rendering.hemisphere_integral import (
+    hemisphere_radiance,
+    lit_radiance,
+    sampled_radiance,
+)
+from jaxvision.rendering.shading import outgoing_radiance
 from jaxvision.scene import Light, Material
-from jaxvision.shading import outgoing_radiance
 
 KD, KS, KA = [0.2, 0.1, 0.05], [0.3, 0.4, 0.5], [0.9, 0.8, 0.7]
 LIGHTS = [PointLight([1, 2, 3], [4.0, 5.0, 6.0]), DirectionalLight([0, 1, 1], [1.0, 2.0, 3.0])]

@@ -24,7 +24,7 @@ from fitting.response.section import curve_columns
 from fitting.response.section import section as response_section
 from fitting.rig import Camera, load_rig
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 TIMES = 2.0 ** np.arange(-4, 5)
 SIZE = (64, 80)

@@ -17,7 +17,7 @@ from fitting.response import calibrate as calibrate_response
 from fitting.response import from_stack, read_exposure_stack
 from fitting.rig import Camera, SphereGeometry, load_rig
 from jaxvision.errors import InputError
-from jaxvision.io import read_image, write_image
+from jaxvision.files.images import read_image, write_image
 
 CAMERA = Camera(bits=12, black_level=64.0)
 HEAD = "[camera]\nbits = 12\nblack_level = 64\n"

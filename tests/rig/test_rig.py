@@ -13,7 +13,7 @@ from fitting.observation import (
 )
 from fitting.rig import Camera, as_rig, load_rig, require
 from jaxvision.errors import InputError
-from jaxvision.io import write_image
+from jaxvision.files.images import write_image
 
 GOOD = """
 [camera]

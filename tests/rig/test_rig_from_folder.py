@@ -18,10 +18,10 @@ from PIL.TiffImagePlugin import IFDRational
 from fitting.cli import app
 from fitting.rig import load_rig
 from fitting.rig_from_folder import _Image, _warmth, rig_of, write_rig
-from jaxvision.command_line import say_what_is_done
+from jaxvision.cli.command_line import say_what_is_done
 from jaxvision.errors import InputError
-from jaxvision.image_settings import ImageSettings, read_settings
-from jaxvision.io import write_image
+from jaxvision.files.image_settings import ImageSettings, read_settings
+from jaxvision.files.images import write_image
 
 run = partial(called, app)
 

@@ -10,8 +10,7 @@ import pytest
 from scipy import stats
 
 from jaxvision import scene as s
-from jaxvision._types import as_dtype
-from jaxvision.colour_filters import bayer
+from jaxvision.core._types import as_dtype
 from jaxvision.sensor import (
     aperture_mtf,
     at_iso,
@@ -29,6 +28,7 @@ from jaxvision.sensor import (
     smeared,
     transferred,
 )
+from jaxvision.sensor.colour_filters import bayer
 
 RNG = np.random.default_rng(8)
 IMAGE = RNG.uniform(10, 1000, size=(7, 5, 2))

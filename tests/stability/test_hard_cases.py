@@ -42,9 +42,9 @@ from jaxvision import (
     reflect,
     render,
 )
-from jaxvision._numerics import angle_between, log_cos_between
 from jaxvision.brdf.gaussian_lobe import gaussian_lobe
 from jaxvision.brdf.phong import phong_lobe, phong_shading
+from jaxvision.core._numerics import angle_between, log_cos_between
 
 RNG = np.random.default_rng(5)
 EYE = np.eye(3)

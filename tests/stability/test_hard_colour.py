@@ -13,7 +13,7 @@ from oracles import exact
 from precisions import both_precisions
 
 from jaxvision import colour_spaces as cs
-from jaxvision.compositing import over, unpremultiply
+from jaxvision.matting.compositing import over, unpremultiply
 from jaxvision.point_ops import (
     clip,
     correct_vignetting,

@@ -15,7 +15,6 @@ from oracles import exact
 from precisions import both_precisions
 
 from jaxvision import scene as s
-from jaxvision.colour_filters import bayer
 from jaxvision.development import (
     demosaic,
     demosaic_malvar,
@@ -27,6 +26,7 @@ from jaxvision.development import (
     tone_curve,
     white_balance,
 )
+from jaxvision.sensor.colour_filters import bayer
 
 RNG = np.random.default_rng(23)
 

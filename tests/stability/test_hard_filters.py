@@ -13,7 +13,7 @@ from oracles import exact
 from precisions import both_precisions
 
 from jaxvision import filters
-from jaxvision.padding import BORDERS, pad
+from jaxvision.filters.padding import BORDERS, pad
 
 RNG = np.random.default_rng(5)
 

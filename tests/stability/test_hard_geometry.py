@@ -14,10 +14,10 @@ from oracles.exact import dot, length
 from precisions import both_precisions
 
 from jaxvision import Ray
-from jaxvision._numerics import normalize
-from jaxvision._vector import as_array, as_vec
+from jaxvision.core._numerics import normalize
+from jaxvision.core._vector import as_array, as_vec
 from jaxvision.geometry import intersect, occluded, offset_origin
-from jaxvision.hemisphere import local_frame, to_world
+from jaxvision.geometry.hemisphere import local_frame, to_world
 from jaxvision.scene import Box, Disc, Plane, Quad, Sphere, TriangleMesh
 
 

@@ -24,12 +24,12 @@ from jaxvision import (
     as_dtype,
     environment_map,
 )
-from jaxvision.hemisphere_integral import lit_radiance
 from jaxvision.lights import direction_pdf, direction_sample, incident, seen
 from jaxvision.lights.environment import environment_radiance
 from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
 from jaxvision.lights.window import window_sample
-from jaxvision.shading import outgoing_radiance
+from jaxvision.rendering.hemisphere_integral import lit_radiance
+from jaxvision.rendering.shading import outgoing_radiance
 
 # float32 is the harder one, and compiling takes the time: float64 goes with the slow tests.
 single_first = pytest.mark.parametrize(

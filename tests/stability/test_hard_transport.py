@@ -8,9 +8,9 @@ import pytest
 from precisions import both_precisions
 
 from jaxvision import Lambert, Mirror, PointLight, as_dtype
-from jaxvision._random import Stream
 from jaxvision.brdf import specular
 from jaxvision.brdf.glass import Glass, refracted_direction
+from jaxvision.core._random import Stream
 from jaxvision.geometry import Ray, hit_shape, nearest_shape, occluded
 from jaxvision.scene import Box, Quad, Scene, Sphere, Surface, TriangleMesh
 from jaxvision.transport import Paths, path_radiance, path_sample, ray_tree_radiance

@@ -37,7 +37,7 @@ OF_ONE_SIZE = ("u", "*.bits", "*temperature")
 # {name: (arguments that keep their size, why)}.
 KEPT = {
     "development.white_balancing.grey_world_gains": ("norm", "it must be at least 1"),
-    "hemisphere_integral.hemisphere_radiance": (
+    "rendering.hemisphere_integral.hemisphere_radiance": (
         "material.*",
         "its error, a difference of two integrals, drowns in a larger part that has none",
     ),

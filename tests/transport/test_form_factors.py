@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision._vector import Vec
+from jaxvision.core._vector import Vec
 from jaxvision.transport.radiosity import (
     parallel_exchange,
     parallel_rectangles,

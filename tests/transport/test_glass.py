@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxvision import brdf
-from jaxvision._vector import as_array
 from jaxvision.brdf.glass import Glass, refracted_direction
+from jaxvision.core._vector import as_array
 from jaxvision.geometry import Ray
 from jaxvision.scene import Box, Quad, Scene, Surface
 from jaxvision.transport import ray_tree_radiance

@@ -18,8 +18,8 @@ from jaxvision import (
     as_dtype,
     environment_map,
 )
-from jaxvision._random import Stream, seed_of
-from jaxvision._vector import as_array
+from jaxvision.core._random import Stream, seed_of
+from jaxvision.core._vector import as_array
 from jaxvision.geometry import Ray
 from jaxvision.optics import look_at
 from jaxvision.scene import Disc, Pinhole, Quad, Scene, Sphere, Surface, TriangleMesh

@@ -18,8 +18,8 @@ from jaxvision import (
     SmallLight,
     environment_map,
 )
-from jaxvision._vector import as_array
 from jaxvision.brdf.glass import Glass
+from jaxvision.core._vector import as_array
 from jaxvision.geometry import Ray, ball_around
 from jaxvision.lights import LightFieldLight, Window
 from jaxvision.scene import Box, Disc, Distortion, Plane, Quad, Scene, Sphere, Surface, TriangleMesh

@@ -25,11 +25,11 @@ from jaxvision import (
     brdf,
     environment_map,
 )
-from jaxvision._random import Stream, seed_of
 from jaxvision.brdf.blinn import BlinnBRDF, NormalisedBlinn
 from jaxvision.brdf.gaussian_lobe import GaussianLobeBRDF
 from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.phong import NormalisedPhong, PhongBRDF
+from jaxvision.core._random import Stream, seed_of
 from jaxvision.geometry import Ray
 from jaxvision.rendering import PixelSamples, photograph
 from jaxvision.scene import Box, Pinhole, Plane, Quad, Scene, Sphere, Surface

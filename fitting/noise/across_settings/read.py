@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 from ...inference.precision import in_double
 from ...observation import Load

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxvision import ArrheniusDarkCurrent, PoissonShotNoise, Sensor
-from jaxvision.camera_files import write_sensor
 from jaxvision.errors import InputError
+from jaxvision.files.cameras import write_sensor
 
 from ...inference.precision import in_double
 from ...inference.problem import values_from

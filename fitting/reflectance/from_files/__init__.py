@@ -1,5 +1,5 @@
 """Files of measured BRDFs, and the reflectance models that fit them."""
 
-from jaxvision.lazy_names import names_of
+from jaxvision.core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

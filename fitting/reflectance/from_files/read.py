@@ -23,7 +23,7 @@ from jaxvision.brdf import evaluate
 from jaxvision.brdf.measured import BRDFSamples, sample_directions
 from jaxvision.brdf.rgl import RGL
 from jaxvision.errors import InputError
-from jaxvision.measured_files import read_measured
+from jaxvision.files.measured import read_measured
 from jaxvision.scene import Material
 
 from ...inference.formatting import format_percent

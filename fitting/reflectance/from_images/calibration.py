@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
+from jaxvision.core.side_by_side import side_by_side
 from jaxvision.errors import InputError
-from jaxvision.side_by_side import side_by_side
 
 from ...inference.diagnostics import OPEN
 from ...inference.emcee_run import Emcee, Progress

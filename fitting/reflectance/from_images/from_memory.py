@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxvision import ArrayLike
+from jaxvision.core.plain_arrays import plain_array
 from jaxvision.errors import InputError
-from jaxvision.plain_arrays import plain_array
 
 from ...observation import in_memory, require_as_many, require_frames, require_several_images
 from ...rig import Camera, SphereGeometry

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
 from jaxvision.errors import InputError
+from jaxvision.files.images import read_image
 from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
-from jaxvision.io import read_image
 
 from ...frame_checks.frame import refuse_half
 from ...frame_checks.heads import Stated, odd_heads

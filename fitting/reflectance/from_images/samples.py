@@ -11,7 +11,7 @@ from jaxtyping import Array, Int
 
 from jaxvision import Vec, as_vec
 from jaxvision.brdf.blinn import log_cos_half
-from jaxvision.hemisphere import local_frame, to_local
+from jaxvision.geometry.hemisphere import local_frame, to_local
 
 from ..models import REFLECTANCES
 from ..names import Model

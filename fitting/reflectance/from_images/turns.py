@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision import as_array, as_vec
-from jaxvision.hemisphere import local_frame
+from jaxvision.geometry.hemisphere import local_frame
 
 from .model import Samples, predicted_dn, residuals
 from .read import Photographs, angles

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxvision.errors import InputError
-from jaxvision.io import read_image
+from jaxvision.files.images import read_image
 
 from ...frame_checks.frame import Shown, refuse_half, shown
 from ...frame_checks.levels import odd_frames

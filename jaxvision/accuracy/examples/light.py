@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..._vector import as_vec
 from ...brdf.measured import IsotropicTable, samples_of, tabulate_sampler
 from ...brdf.torrance_sparrow import TorranceSparrow
-from ...colour_data import illuminant, observer
-from ...hemisphere_integral import hemisphere_radiance, sampled_radiance
+from ...colour_spaces.colour_data import illuminant, observer
+from ...core._vector import as_vec
+from ...files.scenes import SceneFile, read_scene
 from ...lights import RectangleLight
 from ...lights.adaptive import adaptive_irradiance
 from ...lights.polygon import rectangle_irradiance
 from ...render_command import with_resolution
-from ...scene_files import SceneFile, read_scene
+from ...rendering.hemisphere_integral import hemisphere_radiance, sampled_radiance
 from ...spectra import integrate_spectrum
 from ...transport import Paths, path_traced
 from ...transport.radiosity import (

@@ -6,6 +6,6 @@ solution = radiosity(scene, plan, table=table)
 image = radiosity_image(scene, plan, solution, view)
 """
 
-from ...lazy_names import names_of
+from ...core.lazy_names import names_of
 
 __getattr__, __dir__, __all__ = names_of(__name__, __file__)

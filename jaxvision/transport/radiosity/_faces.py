@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from ..._numerics import arctan2, divide, dot, normalize, reciprocal, safe_sqrt
-from ..._types import Scalar, Scalars
-from ..._vector import Vec, Vec3, as_array, as_vec
-from ...hemisphere import cross, local_frame
+from ...core._numerics import arctan2, divide, dot, normalize, reciprocal, safe_sqrt
+from ...core._types import Scalar, Scalars
+from ...core._vector import Vec, Vec3, as_array, as_vec
+from ...geometry.hemisphere import cross, local_frame
 from ...scene import Box, Disc, Quad, Shape, Sphere, TriangleMesh
 
 # (first, second) axis of each side of a box, so that their cross product points outside: -x, +x,

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._numerics import arctan2, reciprocal, safe_sqrt
-from ..._shown import Shown
-from ..._types import Scalar, check_count
+from ...core._numerics import arctan2, reciprocal, safe_sqrt
+from ...core._shown import Shown
+from ...core._types import Scalar, check_count
 
 
 class Face(NamedTuple):

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool
 
-from ..._numerics import divide, dot
-from ..._staging import together
-from ..._types import Scalar
-from ..._vector import Vec
+from ...core._loops.fusion import together
+from ...core._numerics import divide, dot
+from ...core._types import Scalar
+from ...core._vector import Vec
 from ...geometry import reach_of
-from ...hemisphere import cross
+from ...geometry.hemisphere import cross
 from ...lights import square_nodes
 from ...lights.polygon import contour_integral
 

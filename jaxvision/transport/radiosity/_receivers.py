@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..._numerics import divide, dot
-from ..._staging import TILE, at_a_time, in_tiles
-from ..._vector import Vec, as_array, as_vec, where
+from ...core._loops.fusion import TILE, at_a_time, in_tiles
+from ...core._numerics import divide, dot
+from ...core._vector import Vec, as_array, as_vec, where
 from ...geometry import Ray, Sorted, hit_shape, nearest_shape, offset_origin
 from ...scene import Scene
 from ._grid import Plan, refined

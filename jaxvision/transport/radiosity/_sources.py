@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._numerics import divide, dot, normalize
-from ..._staging import stored
-from ..._types import Colour, Scalar
-from ..._vector import Vec, as_array, as_vec
 from ...brdf.lambert import Lambert
+from ...core._loops.fusion import stored
+from ...core._numerics import divide, dot, normalize
+from ...core._types import Colour, Scalar
+from ...core._vector import Vec, as_array, as_vec
 from ...geometry import Shapes, Sorted, occluded, offset_origin, sorted_shapes
-from ...hemisphere import cross
+from ...geometry.hemisphere import cross
 from ...lights import RectangleLight, Rule, incident_sample, light_nodes, lights_by_rule
 from ...lights.polygon import rectangle_irradiance
 from ...scene import Light, Quad, Scene

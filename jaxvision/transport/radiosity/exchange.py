@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._arguments import takes_numbers
-from ..._numerics import dot, norm, reciprocal
-from ..._quadrature import KRONECKER_STEPS
-from ..._random import Stream, uniforms
-from ..._staging import one_program
-from ..._types import Scalar, check_count
-from ..._vector import Vec
+from ...core._arguments import takes_numbers
+from ...core._loops.fusion import one_program
+from ...core._numerics import dot, norm, reciprocal
+from ...core._quadrature import KRONECKER_STEPS
+from ...core._random import Stream, uniforms
+from ...core._types import Scalar, check_count
+from ...core._vector import Vec
 from ...geometry import (
     Sorted,
     occluded,

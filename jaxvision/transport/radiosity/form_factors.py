@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._arguments import takes_numbers
-from ..._numerics import (
+from ...core._arguments import takes_numbers
+from ...core._numerics import (
     arctan2,
     divide,
     dot,
@@ -28,9 +28,9 @@ from ..._numerics import (
     safe_sqrt,
     smallest_divisor,
 )
-from ..._shown import Shown
-from ..._types import Scalar, Scalars, check_count
-from ..._vector import Vec, as_vec
+from ...core._shown import Shown
+from ...core._types import Scalar, Scalars, check_count
+from ...core._vector import Vec, as_vec
 from ...lights import square_nodes
 from ._polygons import Polygon, far_factor, is_far, near_factor, on_polygon
 

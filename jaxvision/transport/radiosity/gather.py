@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._groups import group_by_structure, take
-from ..._numerics import dot
-from ..._random import Stream
-from ..._staging import one_program, stored
-from ..._types import Colour, Image, Scalar, check_given
-from ..._vector import Vec, where
+from ...core._loops.fusion import one_program, stored
+from ...core._loops.groups import group_by_structure, take
+from ...core._numerics import dot
+from ...core._random import Stream
+from ...core._types import Colour, Image, Scalar, check_given
+from ...core._vector import Vec, where
 from ...geometry import (
     Encounter,
     Hit,
@@ -30,7 +30,7 @@ from ...geometry import (
     nearest_shape,
     offset_origin,
 )
-from ...hemisphere import cosine_direction, local_frame, to_world
+from ...geometry.hemisphere import cosine_direction, local_frame, to_world
 from ...lights import (
     MonteCarlo,
     Rule,

@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._arguments import takes_numbers
-from ..._numerics import divide, norm, normalize, reciprocal
-from ..._shown import Shown
-from ..._staging import one_program, stored, together
-from ..._vector import Vec, as_vec
 from ...brdf.lambert import Lambert
-from ...hemisphere import cross
+from ...core._arguments import takes_numbers
+from ...core._loops.fusion import one_program, stored, together
+from ...core._numerics import divide, norm, normalize, reciprocal
+from ...core._shown import Shown
+from ...core._vector import Vec, as_vec
+from ...geometry.hemisphere import cross
 from ...scene import Box, Disc, Quad, Scene, Shape, Sphere, Surface, TriangleMesh
 from ._faces import face_point, lengths, side
 from ._grid import Face, Plan, borders, offsets_of, parents_in, parents_of, surfaces_of

@@ -7,11 +7,11 @@ the elements directly, with shadows; what then leaves them, patches exchange.
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arguments import takes_numbers
-from ..._shown import Shown
-from ..._staging import TILE, at_a_time, in_tiles, one_program
-from ..._types import Colour
-from ..._vector import Vec
+from ...core._arguments import takes_numbers
+from ...core._loops.fusion import TILE, at_a_time, in_tiles, one_program
+from ...core._shown import Shown
+from ...core._types import Colour
+from ...core._vector import Vec
 from ...geometry import Sorted
 from ...lights import Quadrature, Rule, rules_of
 from ...scene import Quad, Scene

@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arguments import takes_numbers
-from ..._numerics import divide, or_one
-from ..._staging import one_program
-from ..._types import Scalar, as_float, check_choice, check_shape, print_by_name
+from ...core._arguments import takes_numbers
+from ...core._loops.fusion import one_program
+from ...core._numerics import divide, or_one
+from ...core._types import Scalar, as_float, check_choice, check_shape, print_by_name
 
 if TYPE_CHECKING:
     import lineax

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 from oracle_space import angle, inner, log_cos
 
-from jaxvision._vector import as_array
 from jaxvision.brdf import blinn, gaussian_lobe, glass, lambert, microfacet, phong
 from jaxvision.brdf import fresnel as fr
+from jaxvision.core._vector import as_array
 
 from .entry import Columns, Entry, Range, Unit
 from .vectors import NearTo

@@ -4,8 +4,8 @@ measured by their condition; lightness is not: it keeps its digits down to black
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision import colour_data
 from jaxvision import colour_spaces as cs
+from jaxvision.colour_spaces import colour_data
 
 from .entry import FRACTION, RELATIVE, Columns, Entry, Range
 

@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision import compositing, point_ops
+from jaxvision import point_ops
+from jaxvision.matting import compositing
 
 from .entry import FRACTION, RELATIVE, Columns, Entry, Range
 
@@ -309,7 +310,7 @@ ENTRIES = [
         note="the exponential of a mean logarithm",
     ),
     Entry(
-        "compositing.over",
+        "matting.compositing.over",
         lambda f, a, g, b: compositing.over(as_layer(f * a, a), as_layer(g * b, b)),
         lambda m, f, a, g, b: over(m, f * a, a, g * b, b),
         (FRACTION, FRACTION, FRACTION, FRACTION),
@@ -318,7 +319,7 @@ ENTRIES = [
         note="with the products that make premultiplied layers",
     ),
     Entry(
-        "compositing.premultiply",
+        "matting.compositing.premultiply",
         lambda c, a: compositing.premultiply(c[None], a[None]),
         lambda m, c, a: (c * a, a),
         (FRACTION, FRACTION),
@@ -326,7 +327,7 @@ ENTRIES = [
         parts=("colour", "alpha"),
     ),
     Entry(
-        "compositing.unpremultiply",
+        "matting.compositing.unpremultiply",
         lambda c, a: compositing.unpremultiply(as_layer(c, a)),
         lambda m, c, a: c / a,
         (RELATIVE, RELATIVE),

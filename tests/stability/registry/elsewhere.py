@@ -87,21 +87,21 @@ def covered_names(group: Elsewhere) -> tuple[str, ...]:
 
 
 ELSEWHERE = (
-    Elsewhere(CHOICES, "test_plain_arrays", "plain_arrays: plain_array within_integers"),
+    Elsewhere(CHOICES, "test_plain_arrays", "core.plain_arrays: plain_array within_integers"),
     Elsewhere(
         FILES,
         "test_camera_files test_record_files",
         """
-            camera_files.*
-            material_files.*
-            record_files.*
+            files.cameras.*
+            files.materials.*
+            files.records.*
         """,
     ),
     Elsewhere(
         FILES,
         "test_io test_lights_environment",
         """
-            io.*
+            files.images.*
             lights.environment_tables.*
         """,
     ),
@@ -109,8 +109,8 @@ ELSEWHERE = (
         FILES,
         "test_raw_files test_rig_from_folder",
         """
-            raw_files.*
-            image_settings.*
+            files.raw.*
+            files.image_settings.*
             fitting.rig_from_folder.*
         """,
     ),
@@ -118,8 +118,8 @@ ELSEWHERE = (
         FILES,
         "test_mesh_files test_gltf_files",
         """
-            gltf_files.*
-            mesh_files.*
+            files.gltf.*
+            files.meshes.*
             geometry.checks.*
         """,
     ),
@@ -127,16 +127,17 @@ ELSEWHERE = (
         FILES,
         "test_measured_files",
         """
-            measured_files.*
+            files.measured.*
         """,
     ),
     Elsewhere(
         FILES,
         "test_scene_files",
         """
-            scene_files.*
-            toml_files.*
-            scene_checks.*
+            files.scenes.*
+            files.shipped.*
+            files.toml.*
+            rendering.scene_checks.*
             errors.*
         """,
     ),
@@ -181,8 +182,8 @@ ELSEWHERE = (
         FILES,
         "test_colour_spaces test_spectra test_lifted_scene",
         """
-            colour_data.*
-            lifted_scene.*
+            colour_spaces.colour_data.*
+            rendering.lifted_scene.*
         """,
     ),
     Elsewhere(
@@ -204,7 +205,7 @@ ELSEWHERE = (
         DRAWS,
         "test_shading",
         """
-            hemisphere_integral: sampled_radiance
+            rendering.hemisphere_integral: sampled_radiance
         """,
     ),
     Elsewhere(
@@ -254,14 +255,14 @@ ELSEWHERE = (
         WORDS,
         "test_lazy_names",
         """
-            lazy_names.*
+            core.lazy_names.*
         """,
     ),
     Elsewhere(
         WORDS,
         "test_in_notebooks",
         """
-            in_notebooks.*
+            core.in_notebooks.*
         """,
     ),
     Elsewhere(
@@ -286,12 +287,12 @@ ELSEWHERE = (
         COMMANDS,
         "test_cli test_render_command",
         """
-            command_line.*
-            interrupts.*
-            progress.*
+            cli.command_line.*
+            core.interrupts.*
+            core.progress.*
             render_command.*
             fitting.commands.*
-            memory.*
+            core.memory.*
         """,
     ),
     Elsewhere(
@@ -380,18 +381,19 @@ ELSEWHERE = (
         CHOICES,
         "test_colour_filters test_padding",
         """
-            colour_filters: as_pattern bayer check_pattern sites
-            padding: as_planes check_border check_picture ghosts
+            sensor.colour_filters: as_pattern bayer check_pattern sites
+            filters.padding: as_planes check_border check_picture ghosts
         """,
     ),
     Elsewhere(
         CHOICES,
         "test_rendering test_transport_paths",
         """
+            rendering.band_count: band_count
             rendering.direct: can_shade direct_along sorted_scene
             rendering.pixel_loop: check_lens each in_blocks mean_of_samples numbers_of photograph
-            shading: lighting reflected_radiance
-            shadows: clear
+            rendering.shading: lighting reflected_radiance
+            rendering.shadows: clear
             transport.paths: path_along
             transport.radiosity.gather: radiosity_along radiosity_rays
             transport.ray_tree: ray_tree_along
@@ -422,15 +424,15 @@ ELSEWHERE = (
         CHOICES,
         "test_types",
         """
-            _types: as_dtype
+            core._types: as_dtype
         """,
     ),
     Elsewhere(
         TABLES,
         "test_hemisphere test_accuracy_knobs",
         """
-            _quadrature: gauss_legendre
-            hemisphere: product_nodes
+            core._quadrature: gauss_legendre
+            geometry.hemisphere: product_nodes
             lights._nodes: square_nodes
             lights.orders: order_for
         """,
@@ -478,7 +480,7 @@ ELSEWHERE = (
         DRAWS,
         "test_transport_light test_transport_paths test_hemisphere",
         """
-            hemisphere_integral: lit_radiance
+            rendering.hemisphere_integral: lit_radiance
             lights.incidence: irradiance
             transport.light_paths: light_traced
             transport.paths: path_radiance path_sample path_traced path_traced_pixels
@@ -552,7 +554,7 @@ ELSEWHERE = (
         "test_side_by_side",
         """
             fitting.inference.in_blocks.*
-            side_by_side.*
+            core.side_by_side.*
         """,
     ),
     Elsewhere(

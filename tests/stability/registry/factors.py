@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from jaxvision._vector import Vec
+from jaxvision.core._vector import Vec
 from jaxvision.lights import RectangleLight
 from jaxvision.lights.polygon import angle_over_sine, rectangle_irradiance
 from jaxvision.transport.radiosity.form_factors import (

@@ -4,10 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 from oracle_space import angle, crossed, inner, length, log_cos
 
-from jaxvision import as_dtype, hemisphere, scene
+from jaxvision import as_dtype, scene
 from jaxvision import geometry as g
-from jaxvision._numerics import angle_between, dot, log_cos_between, norm, normalize, safe_sqrt
-from jaxvision._vector import as_array
+from jaxvision.core._numerics import angle_between, dot, log_cos_between, norm, normalize, safe_sqrt
+from jaxvision.core._vector import as_array
+from jaxvision.geometry import hemisphere
 from jaxvision.lights import PointLight, incident
 from jaxvision.lights.harmonics import harmonics
 
@@ -84,7 +85,7 @@ SPHERE = scene.Sphere(centre=(0.0, 0.0, 0.0), radius=1.0)
 
 ENTRIES = [
     Entry(
-        "_numerics.dot",
+        "core._numerics.dot",
         dot,
         lambda m, u, v: inner(u, v),
         (ANY, ANY),
@@ -94,7 +95,7 @@ ENTRIES = [
         note="at right angles",
     ),
     Entry(
-        "_numerics.norm",
+        "core._numerics.norm",
         norm,
         length,
         (HUGE,),
@@ -106,7 +107,7 @@ ENTRIES = [
         ),
     ),
     Entry(
-        "_numerics.normalize",
+        "core._numerics.normalize",
         normalize,
         lambda m, v: tuple(v[:, i] / length(m, v) for i in range(3)),
         (ANY,),
@@ -116,7 +117,7 @@ ENTRIES = [
         note="slopes of a component along its own axis are 1 less its square",
     ),
     Entry(
-        "_numerics.safe_sqrt",
+        "core._numerics.safe_sqrt",
         safe_sqrt,
         lambda m, x: m.sqrt(m.maximum(x, m.c("0"))),
         (Range(1e-37, 1e37),),
@@ -124,7 +125,7 @@ ENTRIES = [
         bound=1,
     ),
     Entry(
-        "_numerics.angle_between",
+        "core._numerics.angle_between",
         angle_between,
         angle,
         (Unit(), Unit()),
@@ -138,7 +139,7 @@ ENTRIES = [
         gradient=1e-4,
     ),
     Entry(
-        "_numerics.log_cos_between",
+        "core._numerics.log_cos_between",
         log_cos_between,
         log_cos,
         (NearTo(), NearTo()),
@@ -149,7 +150,7 @@ ENTRIES = [
         "that along the sphere",
     ),
     Entry(
-        "hemisphere.cross",
+        "geometry.hemisphere.cross",
         lambda u, v: as_array(hemisphere.cross(u, v)),
         lambda m, u, v: crossed(u, v),
         (Unit(), Unit()),
@@ -160,7 +161,7 @@ ENTRIES = [
         note="of nearly parallel vectors",
     ),
     Entry(
-        "hemisphere.direction_at",
+        "geometry.hemisphere.direction_at",
         lambda t, phi: as_array(hemisphere.direction_at(t, phi)),
         lambda m, t, phi: (
             m.sqrt(t * (2 - t)) * m.cos(phi),
@@ -175,7 +176,7 @@ ENTRIES = [
         note="near the zeros of sine and cosine, and in the horizon",
     ),
     Entry(
-        "hemisphere.cosine_direction",
+        "geometry.hemisphere.cosine_direction",
         lambda u: as_array(hemisphere.cosine_direction(u)),
         lambda m, u: (
             m.sqrt(u[:, 0]) * m.cos(2 * m.pi * u[:, 1]),
@@ -190,7 +191,7 @@ ENTRIES = [
         note="next to quarter turns",
     ),
     Entry(
-        "hemisphere.uniform_direction",
+        "geometry.hemisphere.uniform_direction",
         lambda u: as_array(hemisphere.uniform_direction(u)),
         lambda m, u: (
             m.sqrt(u[:, 0] * (2 - u[:, 0])) * m.cos(2 * m.pi * u[:, 1]),
@@ -205,19 +206,19 @@ ENTRIES = [
         note="next to quarter turns",
     ),
     Entry(
-        "hemisphere.cosine_pdf",
+        "geometry.hemisphere.cosine_pdf",
         hemisphere.cosine_pdf,
         lambda m, w: w[:, 2] / m.pi,
         (Unit(above=True),),
     ),
     Entry(
-        "hemisphere.uniform_pdf",
+        "geometry.hemisphere.uniform_pdf",
         hemisphere.uniform_pdf,
         lambda m, w: 1 / (2 * m.pi) + 0 * w[:, 2],
         (Unit(above=True),),
     ),
     Entry(
-        "hemisphere.local_frame",
+        "geometry.hemisphere.local_frame",
         lambda n: as_array(hemisphere.local_frame(n).tangent),
         lambda m, n: (
             1 - n[:, 0] ** 2 / (1 + m.abs(n[:, 2])),

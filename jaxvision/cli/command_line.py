@@ -1,0 +1,328 @@
+"""What the commands share: `--version`, `-v`, and how a command that fails ends, with one sentence
+on standard error and an exit status."""
+
+import logging
+import os
+import re
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from .. import __version__
+from ..core.interrupts import INTERRUPTED, is_said, say_if_interrupted
+from ..errors import DISTRIBUTION, InputError, check_utf8, nearest, unwritable
+from ..programs import kept_in
+
+UNREAD = 141  # the exit status of shells: 128 + SIGPIPE
+_USAGE_ERROR: Any = typer.BadParameter.mro()[1]  # of every mistake in words; not exported
+PLAIN_WIDTH = 140  # columns where the output is no terminal and so has no width of its own
+_SIDE_BY_SIDE = 4  # records of a table
+# What help says an option takes that has no word of its own.
+_WORDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH"}
+_WORDS_BY_NAME = {"seconds": "SECONDS", "measure": "SECONDS"}
+# Options of every command that measures accuracy.
+KnobNames = Annotated[
+    list[str] | None,
+    typer.Option(help="Measure this setting only; may be given again.", metavar="NAME"),
+]
+PageFolder = Annotated[
+    Path | None,
+    typer.Option(help="Write a page and its numbers to this folder.", metavar="DIR"),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+# Options of every command whose work is made of independent tasks.
+Workers = Annotated[
+    int, typer.Option(help="Number of worker processes on this machine; 0: none.", min=0)
+]
+Scheduler = Annotated[
+    str,
+    typer.Option(help="Dask scheduler whose workers do the work.", metavar="ADDRESS"),
+]
+
+
+def _in_plain_words(params: Any, ctx: Any) -> Any:
+    """Parameters of a command whose help says in a word what an option takes: nothing beside a
+    flag, and beside an argument its name alone."""
+    for param in params:
+        if param.param_type_name == "argument":
+            param.display_type_rich = lambda ctx: None
+        elif getattr(param, "is_flag", False):
+            param.metavar = param.metavar or ""
+        elif param.metavar is None:
+            word = _WORDS.get(param.type_descriptor.annotation)
+            word = word or param.display_type(ctx).strip("<>")  # the choices
+            param.metavar = _WORDS_BY_NAME.get(param.name, word)
+    return params
+
+
+class _Command(TyperCommand):
+    """A sub-command whose usage line names its arguments without braces."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+    def get_params(self, ctx: Any) -> Any:
+        return _in_plain_words(super().get_params(ctx), ctx)
+
+
+class _Group(TyperGroup):
+    """Sub-commands whose words, paths among them, and whose working folder are text."""
+
+    def get_params(self, ctx: Any) -> Any:
+        return _in_plain_words(super().get_params(ctx), ctx)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        try:
+            for word in (os.getcwd(), *args):
+                check_utf8(word)
+        except InputError as error:
+            leave(str(self.name), str(error), 2)
+        except FileNotFoundError:
+            leave(str(self.name), "the working folder was removed; change to another.", 2)
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except _USAGE_ERROR as error:
+            error.message = self._clearer(str(error.message), ctx)
+            raise
+
+    def _clearer(self, said: str, ctx: Any) -> str:
+        """What is wrong with a command line, and what to write."""
+        said = said.removeprefix("Value error, ")
+        if " is not one of " in said:
+            word, *known = re.findall(r"'([^']*)'", said)
+            return f"{word!r} is unknown; {nearest(word, known)}."
+        if re.match("No such option: (-v|--verbose)", said):
+            return f"-v stands before the command: {self.name} -v COMMAND."
+        unknown = re.match("No such command '(.*?)'", said)
+        if unknown and unknown[1] in (ctx.obj or {}):
+            return f"{said} Write {ctx.obj[unknown[1]]} {unknown[1]}."
+        return said
+
+
+def command_app(
+    name: str, about: str, *, elsewhere: Mapping[str, str] | None = None
+) -> typer.Typer:
+    """A command to which sub-commands are added.
+
+    Args:
+        name: as it is typed.
+        about: one sentence, the head of its help.
+        elsewhere: the command that has a sub-command of that name, by the name.
+
+    Returns:
+        The command; it knows `--help`, `--version` and `--verbose`.
+    """
+    app = typer.Typer(
+        name=name,
+        cls=_Group,
+        help=about,
+        no_args_is_help=True,
+        context_settings={"obj": elsewhere},
+        pretty_exceptions_enable=False,
+    )
+    flag = typer.Option(
+        "--version",
+        help="Print the version; with -v of all it uses.",
+        callback=_print_version,
+    )
+    more = typer.Option(  # eager, so that the version knows it wherever it stands
+        "--verbose",
+        "-v",
+        help="Say what is read, done and compiled, with times.",
+        is_eager=True,
+    )
+
+    def options(
+        version: Annotated[bool, flag] = False, verbose: Annotated[bool, more] = False
+    ) -> None:
+        del version  # printed by its callback
+        if verbose:
+            say_what_is_done()
+
+    app.callback()(options)
+    return app
+
+
+def sub_command(
+    app: typer.Typer, *examples: str
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that adds a function to a command.
+
+    Args:
+        app: the command, of `command_app`.
+        *examples: lines that its help shows at the end, as one would type them.
+
+    Returns:
+        A decorator; the docstring of what it decorates is the help, in one paragraph.
+    """
+
+    def added(function: Callable[..., None]) -> Callable[..., None]:
+        sentences = " ".join((function.__doc__ or "").split())
+        shown = "\n\n".join(f"Example: {line}" for line in examples)  # a paragraph each
+        app.command(function.__name__, cls=_Command, help=sentences, epilog=shown)(function)
+        return function
+
+    return added
+
+
+def _print_version(context: typer.Context, wanted: bool) -> bool:
+    if wanted:
+        lines = surroundings() if context.params.get("verbose") else []
+        print("\n".join([f"jaxvision {__version__}", *lines]))
+        raise typer.Exit
+    return wanted
+
+
+def surroundings() -> list[str]:
+    """What a result depends on beside the package: Python, dependencies, where compiled programs
+    are kept, and the devices, a line each."""
+    import platform
+
+    import jax
+
+    lines = [f"Python {platform.python_version()} on {platform.platform()}"]
+    for requirement in metadata.requires(DISTRIBUTION) or ():
+        name = re.match(r"[\w.-]+", requirement)
+        try:
+            lines.append(f"{name[0]} {metadata.version(name[0])}" if name else "")
+        except metadata.PackageNotFoundError:  # of an extra that is not installed
+            continue
+    unique = [*dict.fromkeys(lines)]
+    devices = ", ".join(str(device) for device in jax.devices())
+    return [*unique, f"Compiled programs: {kept_in() or 'not kept'}", f"Devices: {devices}"]
+
+
+def say_what_is_done() -> None:
+    """Prints on standard error, with the seconds since the start: what the package logs, and each
+    program that JAX has compiled."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Elapsed("%(message)s"))
+    own = logging.getLogger("jaxvision")
+    own.setLevel(logging.INFO)
+    own.addHandler(handler)
+    import jax  # which has handlers of its own: thousands of lines
+
+    of_jax = logging.getLogger(jax.__name__)
+    of_jax.setLevel(logging.DEBUG)
+    of_jax.propagate = False
+    of_jax.handlers = [handler]
+    handler.addFilter(
+        lambda record: (
+            record.name.startswith("jaxvision")
+            or record.levelno >= logging.WARNING
+            or record.getMessage().startswith("Finished XLA")
+        )
+    )
+
+
+class _Elapsed(logging.Formatter):
+    """Messages behind the seconds since logging was first loaded."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return f"{record.relativeCreated / 1e3:7.2f} s  {super().format(record)}"
+
+
+@contextmanager
+def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") -> Iterator[None]:
+    """Context in which errors that a user can correct end the command with one line.
+
+    Input errors and file errors end with exit status 2, an interrupt with 130. A warning becomes
+    one line; of warnings that many files share, the first is printed, and then their number. A
+    command whose output is no longer read ends without a line, with 141.
+
+    Args:
+        command: name of the command, the beginning of each line.
+        interrupted: sentence for an interrupt that has none of its own.
+
+    Returns:
+        A context manager.
+
+    Raises:
+        typer.Exit: in place of `InputError`, `OSError` and `KeyboardInterrupt`.
+    """
+    say_if_interrupted(interrupted)
+    alike: Counter[str] = Counter()
+
+    def one_line(message: Warning | str, *_: Any) -> None:
+        about = str(message).partition(": ")[2] or str(message)  # the file stands before
+        alike[about] += 1
+        if alike[about] == 1:
+            print(f"{command}: {message}", file=sys.stderr)
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy: what it means is a finding
+            warnings.showwarning = one_line
+            try:
+                yield
+            finally:
+                for about, times in alike.items():
+                    if times > 1:
+                        print(f"{command}: {times - 1} more files: {about}", file=sys.stderr)
+    except InputError as error:
+        leave(command, str(error), 2)
+    except BrokenPipeError:  # who reads the output, such as `head`, has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(UNREAD) from None
+    except OSError as error:
+        where = error.filename or "a file"
+        leave(command, f"{where}: {unwritable(error)}.", 2)
+    except KeyboardInterrupt as interrupt:
+        is_said()
+        leave(command, str(interrupt) or interrupted, INTERRUPTED)
+
+
+def print_table(title: str, records: Sequence[Any]) -> None:
+    """Prints dataclasses of one kind as tables: a row a field, a column a record, as many side by
+    side as fit 80 columns.
+
+    Args:
+        title: above it.
+        records: one or more; the field `name` is text, the others are numbers.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    width = None if sys.stdout.isatty() else PLAIN_WIDTH
+    console = Console(width=width, highlight=False)
+    for first in range(0, len(records), _SIDE_BY_SIDE):
+        shown = [asdict(record) for record in records[first : first + _SIDE_BY_SIDE]]
+        table = Table(title=title if first == 0 else None, title_justify="left", title_style="bold")
+        table.add_column("")
+        for record in shown:
+            table.add_column(record["name"], justify="right", no_wrap=True)
+        for field in shown[0]:
+            if field != "name":
+                cells = (record[field] for record in shown)
+                table.add_row(
+                    field.replace("_", " "),
+                    *(f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in cells),
+                )
+        console.print(table)
+
+
+def leave(command: str, sentence: str, status: int) -> NoReturn:
+    """Prints one line on standard error and ends the command.
+
+    Args:
+        command: name of the command, the beginning of the line.
+        sentence: what went wrong and what to do.
+        status: exit status.
+
+    Raises:
+        typer.Exit: always.
+    """
+    print(f"{command}: {sentence}", file=sys.stderr)
+    raise typer.Exit(status)

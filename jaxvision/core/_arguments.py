@@ -1,0 +1,323 @@
+"""What a caller may pass: plain numbers and lists become arrays, a function of one point says so
+when it is given several, and directions must be unit.
+
+Numbers are looked at where they are known, outside `jax.jit` and its like; NaN passes.
+"""
+
+import sys
+import warnings
+from collections.abc import Callable, Collection, Iterable
+from contextvars import ContextVar
+from functools import cache, wraps
+from inspect import Parameter, signature
+from sys import maxsize
+from types import UnionType
+from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped
+
+from ..errors import nearest
+from ._types import (
+    Key,
+    Range,
+    axes_of,
+    check_key,
+    check_range,
+    check_shape,
+    in_short,
+    is_any_axes,
+    is_known,
+    require_metres,
+)
+from .plain_arrays import plain_array, within_integers
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+UNIT_WITHIN = 1e-3  # of a length of 1: components written with three digits
+_WITHIN = ("jaxvision", "jax", "equinox", "contextlib", "functools")  # frames below the caller's
+PLAIN = (bool, int, float, list, tuple, str)
+
+
+class _Wanted(NamedTuple):
+    """What a parameter holds.
+
+    Attributes:
+        shapes: in which a word is any length, and a first `...` any axes.
+        is_exact: whether these are all; functions of pictures and colours answer for themselves.
+        is_picture: whether it has rows and columns.
+        may_be_absent: whether None is meant.
+        is_direction: whether its length must be 1, or 0 where there is no surface.
+        is_wavelength: whether it is in metres, of light.
+        keeps_integers: whether whole numbers stay so: there may be codes.
+        keeps_numbers: whether a plain number stays so, which may be no number of the dtype.
+    """
+
+    shapes: tuple[tuple[int | str, ...], ...]
+    is_exact: bool
+    is_picture: bool
+    may_be_absent: bool
+    is_direction: bool
+    is_wavelength: bool
+    keeps_integers: bool
+    keeps_numbers: bool
+
+
+def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
+    """A function of arrays that takes plain numbers, lists and NumPy's arrays too.
+
+    They become arrays of the floating dtype that is beside them. A shape that the annotation
+    excludes, a direction that is not unit and a number for a random key raise `ValueError`;
+    optional arguments without their names, and names of none, `TypeError`.
+
+    Args:
+        function: whose annotations say which of its parameters are arrays.
+
+    Returns:
+        The same function of the same parameters.
+    """
+
+    @wraps(function)
+    def of_numbers(*args: P.args, **kwargs: P.kwargs) -> R:
+        wanted = _wanted(function)
+        if len(args) > (placed := _placed(function)):
+            raise _unnamed(function, placed, args)
+        if not kwargs.keys() <= wanted.keys():
+            raise _unknown(function, kwargs, wanted)
+        values = dict(zip(wanted, args, strict=False)) | kwargs
+        arrays = {n: w for n, w in wanted.items() if w is not None and n in values}
+        given = values
+        values = {n: plain_array(_place(function, n), value) for n, value in values.items()}
+        values |= {n: within_integers(values[n]) for n in arrays}
+        plain = [n for n, want in arrays.items() if _is_plain(values[n], want)]
+        if plain:
+            dtype = _dtype_beside(values)
+            for name in plain:
+                values[name] = _as_array(function, name, values[name], arrays[name], dtype)
+        if any(values[name] is not given[name] for name in values):
+            args = tuple(values.get(n, x) for n, x in zip(wanted, args, strict=False))  # type: ignore[assignment]
+            kwargs = {name: values[name] for name in kwargs}  # type: ignore[assignment]
+        for name, want in arrays.items():
+            value = values[name]
+            if isinstance(value, jax.Array | np.ndarray):
+                _check(function, name, value, want)
+            elif not (_has_numbers(value) or (value is None and want.may_be_absent)):
+                raise _no_numbers(function, name, value)
+        for name in _keys(function):
+            if name in values:
+                check_key(_place(function, name), values[name])
+        outer = _of_call.get()
+        call = _of_call.set([] if outer is None else outer)
+        try:
+            return function(*args, **kwargs)
+        finally:
+            _of_call.reset(call)
+
+    return of_numbers
+
+
+# The warnings of the caller's call that is under way; None between calls.
+_of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
+
+
+def warn_caller(text: str) -> None:
+    """Warns at the line outside the library, once in a call from there."""
+    given = _of_call.get()
+    if given:
+        return
+    if given is not None:
+        given.append(text)
+    frame, level = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _WITHIN:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, stacklevel=level)
+
+
+def warn_of_idle_fill(fill: Any, border: str) -> None:
+    """Warns of a known fill, in any unit, that a border does not use."""
+    if border != "constant" and is_known(fill) and np.any(np.asarray(fill) != 0):
+        warn_caller(f'fill has no effect with border "{border}"; set border = "constant".')
+
+
+def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A decorator, below `takes_numbers`: `ValueError` for arguments outside their range, where
+    they are known."""
+
+    def of(function: Callable[P, R]) -> Callable[P, R]:
+        names = list(signature(function).parameters)
+
+        @wraps(function)
+        def of_known(*args: P.args, **kwargs: P.kwargs) -> R:
+            values = dict(zip(names, args, strict=False)) | kwargs
+            for name, allowed in ranges.items():
+                check_range(_place(function, name), values.get(name), **allowed._asdict())
+            return function(*args, **kwargs)
+
+        return of_known
+
+    return of
+
+
+def _is_plain(value: Any, want: _Wanted) -> bool:
+    """Whether to make an array of it, or of floating numbers where it is one. Unsigned integers
+    may be codes, for which the functions of pictures and colours answer."""
+    if isinstance(value, int | float) and want.keeps_numbers:
+        return False
+    if isinstance(value, PLAIN) or want.keeps_integers:
+        return isinstance(value, PLAIN)
+    no_codes = want.is_exact and not any("rows" in shape for shape in want.shapes)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.dtype.kind != "u" or no_codes
+    return isinstance(value, jax.Array) and value.dtype.kind in ("ibu" if no_codes else "ib")
+
+
+def _has_numbers(value: Any) -> bool:
+    """Whether it is a number, a record, or something like an array."""
+    return isinstance(value, int | float | eqx.Module) or hasattr(value, "dtype")
+
+
+@cache
+def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
+    """What each parameter holds, in their order; None unless that is an array of numbers, or either
+    an array or a record."""
+    hints = get_type_hints(function)
+    return {name: _of_hint(name, hints.get(name)) for name in signature(function).parameters}
+
+
+@cache
+def _keys(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Which parameters are random keys."""
+    hints = get_type_hints(function)
+    return tuple(n for n in signature(function).parameters if Key in _parts(hints.get(n)))
+
+
+def _parts(hint: Any) -> tuple[Any, ...]:
+    """What a union holds, aliases by their name; any other hint alone."""
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+@cache
+def _placed(function: Callable[..., Any]) -> int:
+    """How many arguments it takes by their place."""
+    kinds = [parameter.kind for parameter in signature(function).parameters.values()]
+    if Parameter.VAR_POSITIONAL in kinds:
+        return maxsize
+    return sum(kind is not Parameter.KEYWORD_ONLY for kind in kinds)
+
+
+def _of_hint(name: str, hint: Any) -> _Wanted | None:
+    parts = [kind for part in _parts(hint) for kind in _kinds(part)]
+    numbers = {float, int} & set(parts)
+    others = {np.ndarray, *numbers}
+    arrays = [part for part in parts if part not in others and not _is_record(part)]
+    if not arrays or not all(hasattr(part, "dim_str") for part in arrays):
+        return None
+    if not all(_dtypes(part) in (_dtypes(Float), _dtypes(Shaped)) for part in arrays):
+        return None
+    floating = all(_dtypes(part) == _dtypes(Float) for part in arrays)
+    shapes = tuple(axes_of(part) for part in arrays)
+    is_picture = any("h" in shape for shape in shapes)
+    many = any(is_any_axes(axis) for shape in shapes for axis in shape)
+    is_vector = any(_is_record(part) for part in parts)
+    return _Wanted(
+        shapes,
+        is_picture=is_picture,
+        is_exact=is_vector or not (many or is_picture),
+        may_be_absent=type(None) in get_args(hint),
+        is_direction=getattr(hint, "__name__", "") in ("Direction", "Directions"),
+        is_wavelength=name == "wavelength",
+        keeps_integers=not floating or is_picture,
+        keeps_numbers=bool(numbers),
+    )
+
+
+def _kinds(part: Any) -> tuple[Any, ...]:
+    return () if part is type(None) else getattr(part, "kinds", ()) or (part,)
+
+
+def _dtypes(part: Any) -> Any:
+    return part.dtypes
+
+
+def _is_record(part: Any) -> bool:
+    return isinstance(part, type) and issubclass(part, eqx.Module)
+
+
+def _dtype_beside(values: dict[str, Any]) -> Any:
+    """The dtype of the floating arrays among the arguments, records and all; else JAX's default."""
+    leaves = [x for x in jax.tree.leaves(list(values.values())) if isinstance(x, jax.Array)]
+    floating = [x.dtype for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)]
+    return max(floating, key=lambda dtype: dtype.itemsize, default=jnp.result_type(float))
+
+
+def _as_array(
+    function: Callable[..., Any], name: str, value: Any, want: _Wanted, dtype: Any
+) -> Array:
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise _no_numbers(function, name, value) from error
+    if array.dtype.kind == "c" and isinstance(value, PLAIN):
+        raise ValueError(f"{_place(function, name)} must be real, got {in_short(value)}.")
+    given = isinstance(value, np.ndarray | np.generic) and array.dtype.kind in "fc"
+    whole = array.dtype.kind != "f" and want.keeps_integers
+    return array if given or whole else array.astype(dtype)
+
+
+def check_unit(name: str, vectors: Array | np.ndarray) -> None:
+    """`ValueError` for known vectors, (..., 3), that are neither of length 1 nor 0."""
+    lengths = np.linalg.norm(np.asarray(vectors, np.float64), axis=-1)
+    rounding = 4 * float(jnp.finfo(vectors.dtype).eps)
+    wrong = (lengths != 0) & (np.abs(lengths - 1) > max(UNIT_WITHIN, rounding))
+    if wrong.any():
+        raise ValueError(
+            f"{name} must be a unit vector, got one of length {lengths[wrong].flat[0]:.6g}; "
+            "divide it by its length (jaxvision.normalize)."
+        )
+
+
+def _check(
+    function: Callable[..., Any], name: str, value: Array | np.ndarray, want: _Wanted
+) -> None:
+    if value.dtype.kind == "c" and want.is_exact:
+        raise ValueError(f"{_place(function, name)} must be real, got {value.dtype}.")
+    fixed = [sum(not is_any_axes(axis) for axis in shape) for shape in want.shapes]
+    if want.is_exact or (value.ndim < min(fixed) and not want.is_picture):
+        several = fixed == [*map(len, want.shapes)] and value.ndim > max(fixed)
+        advice = "; for many at once take jax.vmap of the function" if several else ""
+        check_shape(_place(function, name), value, *want.shapes, advice=advice)
+    if want.is_direction and is_known(value):
+        check_unit(_place(function, name), value)
+    if want.is_wavelength and is_known(value):
+        require_metres(_place(function, name), np.asarray(value))
+
+
+def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueError:
+    return ValueError(f"{_place(function, name)} must be numbers, got {in_short(value)}.")
+
+
+def _unnamed(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -> TypeError:
+    """The sentence for arguments beyond those that have a place."""
+    by_name = list(signature(function).parameters)[placed:]
+    extra = zip(by_name, args[placed:], strict=False)
+    given = ", ".join(f"{name}={in_short(value)}" for name, value in extra)
+    who = getattr(function, "__name__", "function")
+    advice = f"write {given}" if given else "leave out the others"
+    return TypeError(f"{who} takes {placed} of its arguments by their place; {advice}.")
+
+
+def _unknown(
+    function: Callable[..., Any], given: Iterable[str], known: Collection[str]
+) -> TypeError:
+    """The sentence for a name that no argument has."""
+    word = next(name for name in given if name not in known)
+    who = getattr(function, "__name__", "function")
+    return TypeError(f"{who} has no argument {word!r}; {nearest(word, known)}.")
+
+
+def _place(function: Callable[..., Any], name: str) -> str:
+    return f"{getattr(function, '__name__', 'function')}: {name}"

@@ -1,0 +1,98 @@
+"""Processes of this machine as Dask workers: how they are started, and started again.
+
+Each has one thread, inside XLA and BLAS too, a share of the memory, and the variables of this
+process that decide what JAX computes.
+"""
+
+import logging
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client, LocalCluster
+
+LOSSES = 100  # workers that may be lost with one task before it is given up
+LOOK = 5.0  # s, between two looks at the workers while a result is awaited
+MEMORY = 0.9  # of the machine, for all workers together
+STARTS = 3  # of all workers, where one is lost before it is there
+
+
+@contextmanager
+def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
+    """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
+    keeps its compiled programs where this process does. `memory`: bytes that each needs at least.
+    """
+    from dask import config
+    from distributed import Client
+    from distributed.system import MEMORY_LIMIT
+
+    room = MEMORY * MEMORY_LIMIT
+    if count * memory > room:
+        raise InputError(
+            f"{count} workers take {count * memory / 1e9:.3g} GB before any work, and this machine "
+            f"has {room / 1e9:.3g} GB for them; start as many as it has cores, at most "
+            f"{room // memory:.0f}."
+        )
+
+    single = {
+        "NPROC": "1",  # of XLA's thread pool
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+    }
+    options = {
+        "distributed.nanny.pre-spawn-environ": single | _of_jax(),
+        "distributed.scheduler.allowed-failures": LOSSES,
+        "distributed.deploy.lost-worker-timeout": f"{LOOK} s",
+        # Samples of a stack as deep as JAX's fill the memory of a worker for an hour.
+        "distributed.worker.profile.enabled": False,
+        # Compiled programs cannot be moved to disk, and a worker that waits for memory waits for
+        # ever; one that takes more than its share is started again.
+        "distributed.worker.memory.target": False,
+        "distributed.worker.memory.spill": False,
+        "distributed.worker.memory.pause": False,
+    }
+    # Python's resource tracker outlives an interrupted command and warns of what ended with it.
+    sys.warnoptions.append("ignore:resource_tracker")
+    with config.set(options), _started(count) as made, Client(made) as client:
+        yield client
+
+
+def _started(count: int) -> "LocalCluster":
+    """Processes of this machine. One that is lost while it starts takes the others with it."""
+    from distributed import LocalCluster
+
+    settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
+    quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
+    lost = None
+    for _ in range(STARTS):
+        try:
+            return LocalCluster(n_workers=count, **settings, **quiet)
+        except RuntimeError as error:
+            lost = error
+    raise InputError(f"{count} workers could not be started ({lost}).") from lost
+
+
+def _of_jax() -> dict[str, str]:
+    """Variables of the environment that decide what JAX computes, and where it keeps programs."""
+    return {name: text for name, text in os.environ.items() if name.startswith(("JAX_", "XLA_"))}
+
+
+def replace_lost(client: "Client") -> None:
+    """Starts anew what processes of this machine were lost while they started; those that are lost
+    later start again by themselves."""
+    made: Any = client.cluster
+    wanted = len(getattr(made, "worker_spec", ()))
+    there: Any = client.nthreads()
+    if len(there) >= wanted:
+        return
+    for name, nanny in list(made.workers.items()):
+        if getattr(nanny, "pid", -1) is None:  # it waits for a process that is no more
+            made.workers.pop(name, None)
+            made.sync(nanny.close)
+    made.scale(wanted)

@@ -1,0 +1,46 @@
+"""A spectrum as one number a band, for hot paths: a loop over rays with an array of three in it
+does not use the vector units."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Colour, Scalar
+
+Bands = tuple[Scalar, ...]
+
+FEW = 8  # numbers of an array that are computed one by one; of more, the code would only grow
+
+
+def apart(spectrum: Colour | Bands, bands: int) -> Bands:
+    """The bands of a spectrum, a neutral one's repeated; in its unit. By a split, whose cotangents
+    are put side by side again: those of an index would be padded each, and added."""
+    if not isinstance(spectrum, tuple):
+        parts = jax.lax.split(spectrum, (1,) * spectrum.shape[0])
+        spectrum = tuple(part.reshape(()) for part in parts)
+    return tuple(spectrum[min(k, len(spectrum) - 1)] for k in range(bands))
+
+
+def times(a: Bands, b: Bands) -> Bands:
+    """The product, band by band, in the product of their units."""
+    return tuple(x * y for x, y in zip(a, b, strict=True))
+
+
+def plus(a: Bands, b: Bands) -> Bands:
+    """The sum, band by band, in their unit."""
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
+def by_band(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
+    """`function` of spectra, neutral ones among them, elementwise: (bands,) in the unit it gives.
+
+    What it computes of other numbers stays one number a ray: where that met an array of bands, XLA
+    would store it first.
+    """
+    bands = max(spectrum.shape[0] for spectrum in spectra)
+    if bands > FEW:
+        return function(*spectra)
+    each = zip(*(apart(spectrum, bands) for spectrum in spectra), strict=True)
+    return jnp.stack([function(*band) for band in each])

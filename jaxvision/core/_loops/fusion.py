@@ -1,0 +1,181 @@
+"""What is computed in one loop and what is stored in between. This is for speed, and it makes sure
+that a decision that depends on rounding is taken once: compiled code that computes a sum twice may
+contract its products in two ways, which could then disagree on which of two crossings comes first.
+
+Parts of JAX below its documented interface make programs faster on a processor; `primitives` alone
+uses them. Without them the same programs are public JAX and give the same values and derivatives,
+to rounding, up to 20 times slower. PLAIN is True if they do not work with the installed JAX, or if
+the environment variable JAXVISION_PLAIN_JAX is set, and is not 0, when jaxvision is imported. An
+accelerator is given public JAX always: with them an H200 took 20 times as long for a path-traced
+box, and 14 times for direct light.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ...programs import on_processor
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _found() -> Any:
+    """The module `primitives`, or None."""
+    if os.environ.get("JAXVISION_PLAIN_JAX", "0") not in ("", "0"):
+        return None
+    try:
+        from . import primitives
+    except Exception:  # what a JAX with other internals raises is not known beforehand
+        return None
+    return primitives
+
+
+_primitives = _found()
+PLAIN = _primitives is None
+
+TILE = 16384  # rays at once: an array of them is 64 kB in float32, and all of a tile fit the cache
+
+# Rays at once on an accelerator: each operation on them costs the start of a kernel, some 10 us,
+# and takes no less for fewer. A gigabyte holds what the paths of so many need.
+_OF_KERNEL = 2**20
+
+# Rays to a full stretch of vector code, several times over: where it ends and leaves a rest to
+# plain code, the last bit of a ray would tell how the picture was cut.
+LANES = 64
+
+
+def _helps() -> bool:
+    """Whether `primitives` make this program faster."""
+    return not PLAIN and on_processor()
+
+
+def at_a_time(of_core: int) -> int:
+    """How many rays or entries a loop takes: `of_core` on a processor, many more elsewhere."""
+    return of_core if on_processor() else max(of_core, _OF_KERNEL)
+
+
+def one_program(function: Callable[P, R]) -> Callable[P, R]:
+    """`function`, compiled once for each kind of its arguments: arrays are free, all else is
+    static. Inside another program it is a part of that one, as if it were not compiled apart.
+
+    XLA compiles an eager loop anew if the function that it repeats is new, as a closure is.
+    """
+    compiled = cast(Any, eqx.filter_jit)(function, inline=True)
+
+    @wraps(function)
+    def of_kind(*args: P.args, **kwargs: P.kwargs) -> R:
+        # equinox takes NumPy's numbers for arrays, but numbers among the settings are static
+        known = (x.item() if isinstance(x, np.generic) else x for x in args)
+        return compiled(*known, **kwargs)
+
+    return of_kind
+
+
+def stored(function: Callable[..., Any], *arguments: Any) -> Any:
+    """`function(*arguments)`, computed once and stored.
+
+    XLA fuses a value into every loop that reads it: each tap of a filter's second pass would
+    compute its first pass again. An optimisation barrier is gone before XLA fuses. Loops do not
+    cross the border of a call that is not inlined.
+    """
+    return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)
+
+
+def at_once(function: Callable[..., Any], *arguments: Any) -> Any:
+    """`function(*arguments)`: used in place of `stored` where storing is not needed."""
+    return function(*arguments)
+
+
+def together(values: Any) -> Any:
+    """The same tree of arrays, of one shape, computed in one loop and stored; their derivatives
+    alike.
+
+    XLA gives each array a loop of its own on the CPU, and repeats in it what they share. Only the
+    reduction of several arrays is one loop with several results: here over an axis of two equal
+    entries, of which the last one stays.
+    """
+    if _together is None or not on_processor():
+        return values
+    leaves, tree = jax.tree.flatten(values)
+    return jax.tree.unflatten(tree, _together(*leaves))
+
+
+def _in_one_loop(*values: Array) -> Sequence[Array]:
+    """One loop for each floating precision among the values, which a reduction may not mix."""
+    is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
+    precisions = dict.fromkeys(v.dtype for v, own in zip(values, is_float, strict=True) if own)
+    first = next(iter(precisions), None)
+    results = list(values)
+    for precision in precisions or [None]:
+        members = [
+            i
+            for i, value in enumerate(values)
+            if value.dtype == precision or (not is_float[i] and precision == first)
+        ]
+        if len(members) > 1:
+            twice = [jax.lax.broadcast(values[i], (2,)) for i in members]
+            starts = [np.zeros((), values[i].dtype) for i in members]
+            joined = jax.lax.reduce(twice, starts, lambda _, last: last, (0,))
+            for i, result in zip(members, joined, strict=True):
+                results[i] = result
+    return results
+
+
+_together = None if PLAIN else _primitives.identity("together", _in_one_loop)
+
+
+def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """`function(*arguments, **named)`, a search, whose results are whole numbers and flags.
+
+    `vmap` and derivatives see one step instead of the thousand of a search among all shapes. The
+    gradient of a loop in a loop would trace each of them a dozen times, only to find nothing to
+    differentiate: a path-traced box then takes a seventh longer to compile.
+    """
+    if not _helps():
+        arguments, named = jax.lax.stop_gradient((arguments, named))
+        return function(*arguments, **named)
+    return _primitives.one_step(function, *arguments, **named)
+
+
+def bilinear(
+    name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
+) -> Callable[..., Array]:
+    """A function that is linear in each of two arrays, with the `rules` of `primitives.bilinear`
+    for its transposes and batches in place of those that JAX finds in its parts. `opaque`, of the
+    named arguments: whether JAX can find none there, so that an accelerator needs these too."""
+    if PLAIN:
+        return function
+    ours = _primitives.bilinear(name, function, **rules)
+    return lambda *arrays, **named: (ours if _helps() or opaque(**named) else function)(
+        *arrays, **named
+    )
+
+
+def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
+    """`vmap(function)(*trees)` over the leading axes of all arrays, up to `size` entries at a time.
+
+    What lies between the stages of one tile stays in the cache, and a gradient computes a tile
+    again rather than keep it: both take half the time and a tenth of the memory. Tiles are equal,
+    the last one filled up: a remainder would be compiled as a program of its own.
+    """
+    count = len(jax.tree.leaves(trees)[0])
+    if count <= size:
+        return jax.vmap(function)(*trees)
+    tiles = -(-count // size)
+    each = -(-count // (tiles * LANES)) * LANES
+
+    def cut(x: Array) -> Array:
+        around = ((0, tiles * each - count), *((0, 0),) * (x.ndim - 1))
+        return jnp.pad(x, around, mode="edge").reshape(tiles, each, *x.shape[1:])
+
+    tile = jax.checkpoint(lambda entries: jax.vmap(function)(*entries))
+    found = jax.lax.map(tile, jax.tree.map(cut, trees))
+    return jax.tree.map(lambda x: x.reshape(tiles * each, *x.shape[2:])[:count], found)

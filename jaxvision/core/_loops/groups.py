@@ -1,0 +1,85 @@
+"""Records of equal structure, stacked so that one program serves them all; the index of a record in
+its stack may be traced."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from .._types import Record
+
+Tree = TypeVar("Tree")
+
+
+def group_by_structure(
+    records: Sequence[Record], *, largest: int | None = None
+) -> list[tuple[tuple[int, ...], Record]]:
+    """Records of equal kind and leaf shapes, stacked along a new leading axis.
+
+    Each group is (indices into `records`, stacked record); groups and members keep their order.
+    Structure is what `jit` compiles for, so one group is one piece of compiled code. A record with
+    an array of more than `largest` numbers is a group of its own: `take` by a pixel's index would
+    copy its tables for every pixel.
+    """
+    members: dict[Any, list[int]] = {}
+    for i, record in enumerate(records):
+        leaves, structure = jax.tree.flatten(record)
+        kind = structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        if largest is not None and any(leaf.size > largest for leaf in leaves):
+            kind = kind, i
+        members.setdefault(kind, []).append(i)
+    return [
+        (
+            tuple(group),
+            jax.tree.map(lambda *leaves: jnp.stack(leaves), *(records[i] for i in group)),
+        )
+        for group in members.values()
+    ]
+
+
+def take(
+    members: tuple[int, ...], group: Record, index: Int[Array, ""]
+) -> tuple[Record, Bool[Array, ""]]:
+    """The record of that index from a stacked group, and whether it is a member (if not, the
+    record is the group's first). A group of one is not gathered from."""
+    if len(members) == 1:
+        return jax.tree.map(lambda leaf: leaf[0], group), index == members[0]
+    if members == tuple(range(members[0], members[0] + len(members))):
+        slot = index - members[0]
+        found = (slot >= 0) & (slot < len(members))
+        slot = jnp.where(found, slot, 0)
+    else:
+        slots = np.full(max(members) + 2, -1)
+        slots[list(members)] = np.arange(len(members))
+        slot = jnp.asarray(slots)[jnp.minimum(index, len(slots) - 1)]
+        found = slot >= 0
+        slot = jnp.maximum(slot, 0)
+    return jax.tree.map(lambda leaf: row(leaf, slot), group), found
+
+
+def of_member(
+    members: Sequence[tuple[int, ...]],
+    groups: Sequence[Any],
+    index: Int[Array, ""],
+    function: Callable[[Any], Tree],
+) -> Tree | None:
+    """`function` of the record of that index among stacked groups; None where there is no group."""
+    chosen = None
+    for numbers, group in zip(members, groups, strict=True):
+        record, among = take(numbers, group, index)
+        here = function(record)
+        chosen = here if chosen is None else jax.tree.map(partial(jnp.where, among), here, chosen)
+    return chosen
+
+
+def row(leaf: Array, slot: Int[Array, ""]) -> Array:
+    """leaf[slot] for a slot that exists, of a few numbers one by one: each is then a gather of
+    scalars, which vector units have, and only those that are used are read."""
+    if leaf.ndim == 2 and leaf.shape[1] <= 4:
+        columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
+        return jnp.stack(columns)
+    return leaf.at[slot].get(mode="promise_in_bounds")

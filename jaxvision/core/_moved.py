@@ -1,0 +1,97 @@
+"""Modules by the names that they had before: `import jaxvision.io`, `from jaxvision import io`,
+`jaxvision.io` and pickles give the same module as the new name, and a `DeprecationWarning`."""
+
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+MOVED = {
+    f"jaxvision.{old}": f"jaxvision.{new}"
+    for old, new in {
+        "_vector": "core._vector",  # in pickles of records
+        "camera_files": "files.cameras",
+        "colour_data": "colour_spaces.colour_data",
+        "colour_filters": "sensor.colour_filters",
+        "command_line": "cli.command_line",
+        "compositing": "matting.compositing",
+        "gltf_files": "files.gltf",
+        "hemisphere": "geometry.hemisphere",
+        "hemisphere_integral": "rendering.hemisphere_integral",
+        "image_settings": "files.image_settings",
+        "in_notebooks": "core.in_notebooks",
+        "interrupts": "core.interrupts",
+        "io": "files.images",
+        "lazy_names": "core.lazy_names",
+        "lifted_scene": "rendering.lifted_scene",
+        "material_files": "files.materials",
+        "measured_files": "files.measured",
+        "memory": "core.memory",
+        "mesh_files": "files.meshes",
+        "padding": "filters.padding",
+        "plain_arrays": "core.plain_arrays",
+        "progress": "core.progress",
+        "raw_files": "files.raw",
+        "record_files": "files.records",
+        "scene_checks": "rendering.scene_checks",
+        "scene_files": "files.scenes",
+        "shading": "rendering.shading",
+        "shadows": "rendering.shadows",
+        "side_by_side": "core.side_by_side",
+        "toml_files": "files.toml",
+    }.items()
+}
+
+
+def module_of(old: str) -> ModuleType | None:
+    """The module that had this name, whose new name a warning says; None for any other name."""
+    if old not in MOVED:
+        return None
+    _warn(old, stacklevel=4)
+    package, _, name = old.rpartition(".")
+    module = import_module(MOVED[old])
+    setattr(sys.modules[package], name, module)  # one warning is enough
+    return module
+
+
+def find_modules_by_old_names() -> None:
+    """Makes `import` find modules by the names that they had, and those inside them."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Finder())  # before files are looked for below a moved package
+
+
+class _Finder:
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        del path, target
+        if not fullname.startswith("jaxvision."):
+            return None
+        top = ".".join(fullname.split(".", 2)[:2])
+        if top not in MOVED:
+            return None
+        if fullname == top:
+            _warn(top, stacklevel=3)
+        return ModuleSpec(fullname, _Moved(MOVED[top] + fullname.removeprefix(top)))
+
+
+class _Moved:
+    """Loads what is already there, or will be, under another name."""
+
+    def __init__(self, new: str) -> None:
+        self.new = new
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        del spec
+        module = import_module(self.new)
+        self.own = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__spec__ = self.own
+
+
+def _warn(old: str, *, stacklevel: int) -> None:
+    warnings.warn(f"{old} is now {MOVED[old]}.", DeprecationWarning, stacklevel=stacklevel)

@@ -1,0 +1,452 @@
+"""Array aliases, the conversions that keep a dtype, and checks. Nothing here computes.
+
+Axis names: `...` any batch, `bands` spectral bands (RGB is three bands), `h w` image rows and
+columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray or pixel: the caller
+vmaps.
+"""
+
+import sys
+from collections.abc import Collection
+from dataclasses import Field, fields
+from functools import cache
+from types import UnionType
+from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from jax.core import Tracer
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
+
+from ..errors import InputError
+from .plain_arrays import plain_array, within_integers
+
+
+class _OneOf(type):
+    """The class of an alias of several kinds, of which an instance is one."""
+
+    kinds: tuple[type, ...]
+
+    def __instancecheck__(cls, x: Any) -> bool:
+        return any(isinstance(x, get_origin(kind) or kind) for kind in cls.kinds)
+
+
+def print_by_name(aliases: dict[str, Any], *names: str) -> None:
+    """Makes each alias of array types or records a class of that name, so that signatures, `help`
+    and type errors say `Scalar` instead of its definition. `aliases`: the `globals()` of its
+    module."""
+    module = aliases["__name__"].partition(".")[0]
+    for name in names:
+        alias = aliases[name]
+        kinds = members_of(alias) if get_args(alias) else ()
+        members = {"__module__": module, "__doc__": f"{name} = {alias}", "kinds": kinds}
+        is_one = not kinds
+        aliases[name] = (type(alias) if is_one else _OneOf)(name, (alias,) * is_one, members)
+
+
+def members_of(hint: Any) -> tuple[Any, ...]:
+    """What a union holds, those of unions with a name too; any other hint alone."""
+    named = getattr(hint, "kinds", ()) if isinstance(hint, _OneOf) else ()
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else named
+    return tuple(one for part in parts for one in members_of(part)) if parts else (hint,)
+
+
+LONGEST_WAVE = 1e-2  # m; what is longer was meant in nm or um
+
+Scalar = Float[Array, ""]
+BAYER_PHASES = ("RGGB", "GRBG", "GBRG", "BGGR")
+
+Scalars = Float[Array, "..."]
+Colour = Float[Array, " bands"]
+Spectrum = Float[Array, "... bands"]
+Image = Float[Array, "*batch h w bands"]
+Key = PRNGKeyArray | Shaped[Array, "2"]
+_KEY_WORDS = ((2,), (4,))  # of keys without a type of their own
+# What NumPy makes an array of: NumPy's own alias, which misses these kinds where `isinstance` asks.
+ArrayLike = npt.ArrayLike | tuple[Any, ...] | float | int
+print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Key", "ArrayLike")
+
+Record = TypeVar("Record")
+
+
+def as_float(x: Any) -> Array:
+    """An array of strong floating dtype.
+
+    Strong, because a weakly typed leaf traces a second time when a strong one follows.
+
+    Args:
+        x: numbers in any unit.
+
+    Returns:
+        The same numbers: floating arrays keep their dtype, anything else gets JAX's default.
+
+    Example:
+        >>> print(jv.as_float([1, 2]), jv.as_float(np.float32(3)).dtype)
+        [1. 2.] float32
+    """
+    array = _as_numbers(x)
+    if jnp.issubdtype(array.dtype, jnp.floating) and not array.weak_type:
+        return array
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise ValueError(f"{_field()}real numbers are wanted, got {in_short(x)}.")
+    return array.astype(jnp.result_type(float))
+
+
+def in_short(x: Any) -> str:
+    """What was given, on one line and not longer than a sentence bears."""
+    words = " ".join(repr(x).split())
+    return words if len(words) <= 80 else f"{words[:80]} ..."
+
+
+_ANY = "an argument"
+
+
+def _as_numbers(x: Any) -> Array:
+    try:
+        x = plain_array(_ANY, x)
+    except InputError as error:
+        place = _field().removesuffix(": ") or _ANY
+        raise InputError(str(error).replace(_ANY, place, 1)) from None
+    x = within_integers(x)
+    try:
+        return jnp.asarray(x)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{_field()}numbers are wanted, got {in_short(x)}.") from error
+
+
+def _field() -> str:
+    """The record and field, with a colon, while Equinox converts that field; else nothing. Equinox
+    gives a converter the value alone; its own call is among the frames above."""
+    frame = sys._getframe(1)
+    while frame and frame.f_globals.get("__name__") in (__name__, "jaxvision.core._vector"):
+        frame = frame.f_back
+    local = frame.f_locals if frame else {}
+    record, field = local.get("self"), local.get("f")
+    if isinstance(record, eqx.Module) and isinstance(field, Field):
+        return f"{type(record).__name__}.{field.name}: "
+    return ""
+
+
+def common_dtype(*records: object) -> jnp.dtype:
+    """The floating dtype that all numbers of the records share."""
+    leaves = jax.tree.leaves(records)
+    return jnp.result_type(*(x for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)))
+
+
+def as_optional_float(x: Any) -> Array | None:
+    """`as_float` of what may be absent.
+
+    Args:
+        x: numbers in any unit, or None for an absent effect.
+
+    Returns:
+        The same numbers in a strong floating dtype, or None.
+
+    Example:
+        >>> print(jv.as_optional_float(2), jv.as_optional_float(None))
+        2.0 None
+    """
+    return None if x is None else as_float(x)
+
+
+def as_relative(x: Any) -> Array:
+    """An array of colours or coverage in the dtype it has, which must be floating: relative values
+    are fractions, and as codes they would wrap around or round to 0.
+
+    `ValueError` for any other, codes and complex numbers alike.
+    """
+    array = _as_numbers(x)
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        codes = jnp.issubdtype(array.dtype, jnp.unsignedinteger)
+        largest = jnp.iinfo(array.dtype).max if codes else "the largest value"
+        raise ValueError(
+            f"colours are floating and relative, got {array.dtype}; divide by {largest}."
+        )
+    return array
+
+
+def map_beside(values: Any, picture: Array) -> Any:
+    """A map (..., h, w) as (..., h, w, 1), beside a picture of bands where it does not fit as it
+    is; all else unchanged."""
+    shape = np.shape(values)
+    sides = zip(shape[::-1], picture.shape[::-1], strict=False)
+    fits = all(a == b or 1 in (a, b) for a, b in sides)
+    is_map = len(shape) >= 2 and shape == picture.shape[-1 - len(shape) : -1]
+    return values if fits or not is_map else jnp.asarray(values)[..., None]
+
+
+def refuse_codes(values: Any) -> None:
+    """`ValueError` for a picture of known floating values that are codes such as 0 to 255: 16 or
+    more, all whole, the largest above 100. No light is whole everywhere."""
+    if not is_known(values) or np.size(values) < 16:
+        return
+    known = np.asarray(values)
+    largest = known.max()
+    if 100 < largest <= 65535 and (known == np.round(known)).all():
+        raise ValueError(
+            f"colours are relative to 1, got whole numbers up to {largest:g}: divide the codes by "
+            f"the largest that the file can hold, such as {255 if largest <= 255 else 65535}."
+        )
+
+
+def as_dtype(record: Record, dtype: Any) -> Record:
+    """A record with every floating leaf in one dtype.
+
+    float32 against float64 is the caller's choice, made at each call.
+
+    Args:
+        record: any tree of arrays, in any units.
+        dtype: a floating dtype, or its name.
+
+    Returns:
+        The same tree; whole numbers, flags and random keys are kept.
+
+    Example:
+        >>> sphere = jv.as_dtype(jv.Sphere(centre=(0.0, 0.0, 0.0), radius=1.0), "float32")
+        >>> print(sphere.radius.dtype)
+        float32
+    """
+    return jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf,
+        record,
+    )
+
+
+def axes_of(alias: Any) -> tuple[int | str, ...]:
+    """The axes of an alias of arrays: a number for a fixed length, else a word."""
+    return tuple(int(axis) if axis.isdigit() else axis for axis in alias.dim_str.split())
+
+
+def check_shape(name: str, x: Any, *expected: tuple[int | str, ...], advice: str = "") -> None:
+    """Raises `ValueError` unless `x` has one of the expected shapes; a word stands for any length.
+    A first `...` or `*word` stands for any axes. `advice` ends the sentence.
+
+    None, an absent effect, has no shape to check.
+    """
+    if x is None:
+        return
+    shape = jnp.shape(x)
+    if any(_fits(shape, wanted) for wanted in expected):
+        return
+    allowed = " or ".join(f"({', '.join(map(str, e))}{',' * (len(e) == 1)})" for e in expected)
+    raise ValueError(f"{name} must have shape {allowed}, got {shape}{advice}.")
+
+
+def is_any_axes(axis: int | str) -> bool:
+    """Whether it stands for any number of axes."""
+    return isinstance(axis, str) and (axis == "..." or axis.startswith("*"))
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    if wanted and is_any_axes(wanted[0]):
+        wanted = wanted[1:]
+        shape = shape[len(shape) - len(wanted) :] if len(shape) >= len(wanted) else ()
+    return len(wanted) == len(shape) and all(
+        isinstance(size, str) or size == got for size, got in zip(wanted, shape, strict=True)
+    )
+
+
+def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
+    """Raises `ValueError` unless `value` is a record of one of the kinds. None, an absent effect,
+    passes."""
+    if value is not None:
+        check_given(name, value, *kinds)
+
+
+def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
+    """As `check_kind`, of what must be there: None does not pass."""
+    known: tuple[Any, ...] = tuple(kind for union in kinds for kind in members_of(union))
+    if isinstance(value, known):
+        return
+    wanted = " or ".join(kind.__name__ for kind in known)
+    is_class = isinstance(value, type)
+    kind = f"the class {value.__name__}" if is_class else _with_article(type(value).__name__)
+    if isinstance(value, jax.Array | np.ndarray):
+        kind = "an array"
+    got = repr(value) if value is None or np.isscalar(value) else kind
+    raise ValueError(f"{name} must be a record, {wanted}, got {got}.")
+
+
+def _with_article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'AEIOaeio' else 'a'} {noun}"
+
+
+def check_key(name: str, value: Any) -> None:
+    """Raises `ValueError` unless `value` may be a random key, or several. None passes."""
+    if value is None:
+        return
+    if hasattr(value, "dtype"):
+        typed = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+        if typed or jnp.shape(value)[-1:] in _KEY_WORDS:
+            return
+    seed = int(value) if isinstance(value, int | np.integer) else 0
+    raise ValueError(
+        f"{name} must be a random key, got {in_short(value)}; write jax.random.key({seed})."
+    )
+
+
+def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None:
+    """Raises `ValueError` unless `value` is a whole number, not an array of one, of at least
+    `least`, and odd where that is asked for."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < least or (odd and value % 2 == 0):
+        kind = "an odd" if odd else "a whole"
+        raise ValueError(f"{name} must be {kind} number of at least {least}, got {value!r}.")
+
+
+def check_choice(name: str, value: Any, choices: Collection[str]) -> None:
+    """Raises `ValueError` unless `value` is one of those words."""
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}.")
+
+
+def as_tile(pattern: Any) -> Any:
+    """The rows of a pattern that may be named by the phase of a Bayer mosaic, such as "RGGB"."""
+    if not isinstance(pattern, str):
+        return pattern
+    check_choice("phase", pattern.upper(), BAYER_PHASES)
+    first, second, third, fourth = ("RGB".index(letter) for letter in pattern.upper())
+    return (first, second), (third, fourth)
+
+
+def check_tile(
+    name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
+) -> None:
+    """Raises `ValueError` unless `pattern` is rows of one length (else it does not tile the plane)
+    of the bands 0 to its largest, all of them there; `bands`: how many `holder` has, which must be
+    as many."""
+    if not isinstance(pattern, tuple) or not all(
+        isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
+        for row in pattern
+    ):
+        raise ValueError(
+            f"{name} must be a tuple of rows, each a tuple of whole numbers, as in "
+            f"((0, 1), (1, 2)), got {pattern!r}."
+        )
+    widths = sorted({len(row) for row in pattern})
+    if len(widths) != 1 or widths == [0]:
+        raise ValueError(
+            f"{name} must be rows of one length, at least 1, to tile the picture, got {pattern}."
+        )
+    cells = [cell for row in pattern for cell in row]
+    if sorted(set(cells)) != list(range(len(set(cells)))):
+        raise ValueError(f"{name} must hold the bands 0, 1, ... without a gap, got {pattern}.")
+    if bands is not None and len(set(cells)) != bands:
+        raise ValueError(
+            f"{name} has the {len(set(cells))} bands of {pattern}, {holder} has {bands}."
+        )
+
+
+def is_known(x: Any) -> bool:
+    """Whether the numbers of `x` are known: while it is traced they are not."""
+    return not isinstance(x, Tracer)
+
+
+def require_metres(
+    name: str, wavelengths: np.ndarray | np.floating, *, longest: float = LONGEST_WAVE
+) -> None:
+    """`ValueError` for wavelengths above `longest`, m, which were meant in another unit."""
+    largest = np.max(wavelengths, initial=0)
+    if largest > longest:
+        raise ValueError(f"{name} is in metres, got {largest:.6g}; 550 nm are 550e-9.")
+
+
+def check_range(
+    name: str,
+    value: Any,
+    low: float | int,
+    high: float | int = np.inf,
+    *,
+    above: bool = False,
+    finite: bool = True,
+    nan: bool = False,
+) -> None:
+    """Raises `ValueError` unless every number of `value` lies in [low, high], or in (low, high]
+    where `above`; `nan`: NaN may be there. None (absent) passes, and so do tracers, whose numbers
+    are not known yet."""
+    if value is None or not is_known(value):
+        return
+    numbers = np.asarray(value)
+    inside = (numbers > low if above else numbers >= low) & (numbers <= high)
+    if finite:
+        inside &= np.isfinite(numbers)
+    if nan:
+        inside |= np.isnan(numbers)
+    if not inside.all():
+        wrong = numbers[~inside].flat[0]
+        least = "" if low == -np.inf else f"{'above' if above else 'at least'} {low:g}"
+        most = "" if high == np.inf else f"at most {high:g}"
+        ends = " and ".join(filter(None, (least, most)))
+        wanted = ", ".join(filter(None, ("finite" if finite else "", ends)))
+        raise ValueError(f"{name} must be {wanted}, got {wrong}.")
+
+
+def check_direction(name: str, value: Any) -> None:
+    """Raises `ValueError` for a vector of length 0; tracers pass, whose numbers are not known."""
+    if is_known(value) and not np.asarray(value).any():
+        raise ValueError(f"{name} must have a direction, got a vector of length 0.")
+
+
+class Range(NamedTuple):
+    """The numbers that a field may hold: from `low`, or `above` it, to `high`."""
+
+    low: float
+    high: float = np.inf
+    above: bool = False
+    finite: bool = True
+    nan: bool = False
+
+
+FINITE = Range(-np.inf)
+NOT_NEGATIVE = Range(0)
+POSITIVE = Range(0, above=True)
+FRACTION = Range(0, 1)
+AMOUNT = Range(0, finite=False, nan=True)  # of light, size, roughness; NaN shows in the picture
+DIVISOR = Range(0, above=True, finite=False, nan=True)
+SHARE = Range(0, 1, nan=True)
+
+
+def check_fields(record: Any, **ranges: Range) -> None:
+    """Raises `ValueError` unless the fields of a record are as annotated: arrays of their shape, in
+    which an axis name is one size throughout the record, and records of their kind.
+
+    Args:
+        record: a record; its fields of other types, such as static ones, are not looked at.
+        ranges: the numbers that a field may hold, by its name; a record there has its own.
+    """
+    sizes: dict[int | str, int] = {}
+    kind = type(record).__name__
+    for name, (shapes, kinds) in _annotated(type(record)).items():
+        place, value = f"{kind}.{name}", getattr(record, name)
+        if kinds and (isinstance(value, eqx.Module) or not shapes):
+            check_kind(place, value, *kinds)
+        elif value is not None:
+            known = [tuple(sizes.get(axis, axis) for axis in axes) for axes in shapes]
+            check_shape(place, value, *known)
+            shape = jnp.shape(value)
+            fitting = [axes for axes, own in zip(shapes, known, strict=True) if _fits(shape, own)]
+            sizes |= zip(fitting[0], shape, strict=True)
+            if sizes.get("bands") == 0:
+                raise ValueError(f"{place} must have at least one band, got shape {shape}.")
+    for name, allowed in ranges.items():
+        value = getattr(record, name)
+        if not isinstance(value, eqx.Module):
+            check_range(f"{kind}.{name}", value, **allowed._asdict())
+
+
+@cache
+def _annotated(
+    record: type,
+) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...]]]:
+    """The shapes and the kinds of records that each field may have."""
+    hints, found = get_type_hints(record), {}
+    for field in fields(record):
+        hint = hints[field.name]
+        parts = members_of(hint)
+        shapes = tuple(axes_of(part) for part in parts if hasattr(part, "dim_str"))
+        kinds = tuple(p for p in parts if isinstance(p, type) and issubclass(p, eqx.Module))
+        if shapes or kinds:
+            found[field.name] = shapes, kinds
+    return found

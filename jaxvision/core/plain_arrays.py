@@ -1,0 +1,137 @@
+"""Arrays that carry more than numbers: a mask, a unit, coordinates, an index.
+
+What reads only their numbers would lose the rest without a word. A mask becomes NaN, which marks a
+missing number everywhere here; the others are refused.
+"""
+
+import datetime
+from numbers import Number
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+
+# What the arrays of a package carry, and what gives their numbers.
+_CARRIED = {
+    "xarray": ("dimensions and coordinates", ".to_numpy()"),
+    "pandas": ("an index", ".to_numpy()"),
+    "polars": ("names of columns", ".to_numpy()"),
+    "pyarrow": ("a schema", ".to_numpy()"),
+    "astropy": ("a unit", ".to_value(UNIT)"),
+    "pint": ("a unit", ".m_as(UNIT)"),
+    "unyt": ("a unit", ".to_value(UNIT)"),
+    "unxt": ("a unit", ".to_value(UNIT)"),
+    "dask": ("parts that are still to be computed", ".compute()"),
+    "h5py": ("attributes such as a scale", "[...]"),
+    "zarr": ("attributes such as a scale", "[...]"),
+    "scipy": ("zeros that are not stored", ".toarray()"),
+    "torch": ("a device and gradients", ".numpy(force=True)"),
+    "tensorflow": ("a device and gradients", ".numpy()"),
+}
+
+# By the kind of a dtype.
+_NO_NUMBERS = {"V": "fields by name", "M": "dates", "S": "text", "U": "text"}
+
+
+def plain_array(name: str, value: Any) -> Any:
+    """The argument as numbers alone, if nothing is lost by that.
+
+    Args:
+        name: of the argument, for the message.
+        value: what the caller gave; lists are looked through.
+
+    Returns:
+        The same, but a masked array as its numbers, NaN where a floating number is masked, and an
+        array of the other byte order (as of FITS files) in this machine's, which JAX needs.
+
+    Raises:
+        InputError: for masked whole numbers, which cannot be NaN, for arrays with units,
+            coordinates or an index, for spans of time, which have a unit too, and for arrays of
+            text, dates, fields by name or objects that are no numbers.
+
+    Example:
+        >>> jv.core.plain_arrays.plain_array("data", np.ma.masked_greater([1.0, 9.0], 5))
+        array([ 1., nan])
+    """
+    if type(value) in (list, tuple):
+        if all(type(part) in (float, int) for part in value):
+            return value
+        parts = [plain_array(name, part) for part in value]
+        same = all(new is old for new, old in zip(parts, value, strict=True))
+        return value if same else parts
+    if isinstance(value, int | float | str) or value is None:
+        return value
+    _refuse_spans(name, value)
+    if type(value) is np.ndarray:
+        if value.dtype == object:
+            for part in value.flat:
+                plain_array(f"a number of {name}", part)
+                if not isinstance(part, Number):
+                    raise InputError(f"{name} holds {part!r:.40}, which is no number; take it out.")
+            return value.astype(complex if np.iscomplexobj(value.tolist()) else float)
+        if held := _NO_NUMBERS.get(value.dtype.kind):
+            raise InputError(f"{name} holds {held} ({value.dtype}), not numbers; give numbers.")
+        return value if value.dtype.isnative else value.astype(value.dtype.newbyteorder("="))
+    for base in type(value).__mro__:
+        package = base.__module__.partition(".")[0]
+        if package in _CARRIED and hasattr(value, "shape"):
+            carried, numbers = _CARRIED[package]
+            if package == "astropy" and getattr(value, "unit", None) is None:
+                break  # a column of a table, or an array with a mask
+            raise InputError(
+                f"{name} is a {type(value).__name__} with {carried}, which would be lost; give "
+                f"its numbers in the documented unit and order of axes, as {numbers} does."
+            )
+    if hasattr(value, "unmasked"):  # of astropy
+        value = np.ma.array(value.unmasked, mask=value.mask)
+    return _without_mask(name, value) if isinstance(value, np.ma.MaskedArray) else value
+
+
+def within_integers(x: Any) -> Any:
+    """The same numbers, floating if JAX's integers, of 32 bits by default, do not hold them all:
+    it would cut their upper bits off, or refuse plain ones in words of its own."""
+    if type(x) in (list, tuple):
+        if all(type(part) is float for part in x):
+            return x
+        parts = [within_integers(part) for part in x]
+        return x if all(new is old for new, old in zip(parts, x, strict=True)) else parts
+    if type(x) is int:
+        held = _held(np.int64)
+        return x if held.min <= x <= held.max else float(x)
+    if isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "iu" and x.dtype.itemsize == 8:
+        held = _held(x.dtype)
+        if x.size and not (held.min <= x.min() and x.max() <= held.max):
+            return x.astype(np.float64)
+    return x
+
+
+def _held(dtype: Any) -> np.iinfo:
+    """The range of JAX's integers for those of NumPy."""
+    import jax
+
+    return np.iinfo(jax.dtypes.canonicalize_dtype(dtype))
+
+
+def _refuse_spans(name: str, value: Any) -> None:
+    """NumPy reads a span of time as a number of whatever unit it has."""
+    is_array = isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "m"
+    if is_array or isinstance(value, datetime.timedelta):
+        kind = getattr(value, "dtype", type(value).__name__)
+        raise InputError(
+            f"{name} holds times with a unit ({kind}), which would be lost; give "
+            "numbers, of seconds by x / numpy.timedelta64(1, 's')."
+        )
+
+
+def _without_mask(name: str, value: np.ma.MaskedArray) -> np.ndarray:
+    count = int(np.ma.count_masked(value))
+    if count == 0:
+        return np.asarray(value)
+    if value.dtype.kind in "fc":
+        return value.filled(np.nan)
+    raise InputError(
+        f"{name} is a masked array of {value.dtype}, {count} of its {value.size} numbers masked; "
+        "give it as .astype(float).filled(numpy.nan) where missing numbers may be NaN, or fill or "
+        "crop it."
+    )

@@ -1,0 +1,55 @@
+"""How large what a parser reads may be: checked before and after, so that a damaged or hostile file
+ends in one sentence and takes no more memory than a sound one."""
+
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+
+LARGEST = 16 << 20  # bytes of a text file
+DEEPEST = 64  # tables and arrays within each other
+LONGEST_NAME = 500  # characters
+_BITS = 14_000  # of a whole number: about as many digits as Python prints
+
+
+def check_size(file: Path) -> None:
+    """Refuses a text file that is too large to be one of ours.
+
+    Args:
+        file: there.
+
+    Raises:
+        InputError: names both sizes.
+    """
+    size = file.stat().st_size
+    if size > LARGEST:
+        raise InputError(f"{file}: holds {size >> 20} MiB, more than {LARGEST >> 20}; divide it.")
+
+
+def check_content(place: str, content: Any) -> None:
+    """Refuses content that is nested too deeply, and numbers and names that are too long.
+
+    Args:
+        place: the file, for messages.
+        content: of dictionaries, lists and plain values.
+
+    Raises:
+        InputError: says where.
+    """
+    waiting: list[tuple[Any, tuple[str, ...]]] = [(content, ())]
+    while waiting:
+        value, path = waiting.pop()
+        where = ".".join(path[:6]) or "it"
+        if len(path) > DEEPEST:
+            raise InputError(f"{place}: {where} is nested more than {DEEPEST} deep; flatten it.")
+        if isinstance(value, dict):
+            for name, inside in value.items():
+                if len(name) > LONGEST_NAME:
+                    raise InputError(
+                        f"{place}: {where} has a key of {len(name)} characters; correct it."
+                    )
+                waiting.append((inside, (*path, name)))
+        elif isinstance(value, list):
+            waiting += [(inside, (*path, str(i))) for i, inside in enumerate(value)]
+        elif type(value) is int and value.bit_length() > _BITS:
+            raise InputError(f"{place}: {where} is a number of more than {_BITS} bits; correct it.")

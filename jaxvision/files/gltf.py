@@ -1,0 +1,220 @@
+"""glTF 2.0 files, `.gltf` and `.glb`: their JSON, and the numbers of their buffers.
+
+Eager, NumPy alone. Coordinates are the file's, metres by its standard. Source: Khronos, glTF 2.0
+Specification, version 2.0.1. Every failure is an `InputError` of one sentence.
+"""
+
+import base64
+import binascii
+import json
+import os
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import unquote
+
+import numpy as np
+
+from ..errors import InputError
+from ._plain_content import check_content
+
+Value = TypeVar("Value")
+SUFFIXES = (".gltf", ".glb")
+_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942  # the kinds of a chunk
+_HEAD = struct.Struct("<4sII")
+_CHUNK = struct.Struct("<II")
+
+
+@dataclass(frozen=True)
+class Gltf:
+    """One file.
+
+    Attributes:
+        path: the file.
+        content: its JSON.
+        binary: what a `.glb` holds beside, or None.
+        files: buffers that were read, by URI.
+    """
+
+    path: Path
+    content: dict[str, Any]
+    binary: bytes | None
+    files: dict[str, bytes] = field(default_factory=dict, repr=False, compare=False)
+
+    def item(self, kind: str, index: Any) -> dict[str, Any]:
+        """An object of one of the arrays at the root ("nodes"); `InputError` if there is none."""
+        array = self.content.get(kind, [])
+        known = isinstance(array, list) and type(index) is int and 0 <= index < len(array)
+        if not known or not isinstance(array[index], dict):
+            raise InputError(
+                f"{self.path}: refers to {kind}[{index!r}], which it does not hold; export it "
+                "again."
+            )
+        return array[index]
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """The triangles of one primitive of a mesh.
+
+    Attributes:
+        vertices: (vertices, 3) m.
+        faces: (faces, 3) indices of vertices, counter-clockwise seen from outside.
+        normals: (vertices, 3), or None.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray | None
+
+
+def read_gltf(path: str | os.PathLike[str]) -> Gltf:
+    """Reads the JSON of a file, and the binary part of a `.glb`.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The content; its buffers are read where they are used.
+
+    Raises:
+        InputError: there is no such file, or it is not glTF 2.
+    """
+    file = Path(path)
+    try:
+        raw = file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); check the name.") from error
+    text, binary = _chunks(file, raw) if raw[:4] == b"glTF" else (raw, None)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file}: not a glTF file (no JSON in it); export it again.") from error
+    check_content(str(file), content)
+    asset = content.get("asset") if isinstance(content, dict) else None
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not str(version).startswith("2."):
+        raise InputError(f"{file}: not of glTF 2 (version {version}); export it as 2.0.")
+    return Gltf(file, content, binary)
+
+
+def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
+    """JSON and binary part of a `.glb`."""
+    found: dict[int, bytes] = {}
+    start, end = _HEAD.size, len(raw)
+    while start + _CHUNK.size <= end:
+        length, kind = _CHUNK.unpack_from(raw, start)
+        start += _CHUNK.size
+        if start + length > end:
+            raise InputError(f"{file}: ends too early; export it again.")
+        found.setdefault(kind, raw[start : start + length])
+        start += length + -length % 4
+    if _JSON not in found:
+        raise InputError(f"{file}: not a glTF file (no JSON in it); export it again.")
+    return found[_JSON], found.get(_BINARY)
+
+
+def primitive_of(file: Gltf, mesh: int, primitive: int) -> Primitive:
+    """The triangles of a primitive, in the order of the file.
+
+    Args:
+        file: of glTF.
+        mesh: its number, from 0.
+        primitive: its number in the mesh, from 0.
+
+    Returns:
+        Vertices, faces and, where the file has them, normals.
+
+    Raises:
+        InputError: there is no such primitive, it is no set of triangles, or it is moved by morph
+            targets, compressed or damaged.
+    """
+    label = f"{file.path}: meshes[{mesh}].primitives[{primitive}]"
+    parts = file.item("meshes", mesh).get("primitives", [])
+    if not isinstance(parts, list) or not 0 <= primitive < len(parts):
+        raise InputError(f"{label}: there is no such primitive; export the file again.")
+    part = parts[primitive]
+    attributes = part.get("attributes") if isinstance(part, dict) else None
+    if not isinstance(attributes, dict) or "POSITION" not in attributes:
+        raise InputError(f"{label}: has no POSITION; export it again.")
+    if part.get("mode", 4) != 4:
+        raise InputError(f"{label}: mode {part['mode']!r} is not read, only 4, triangles.")
+    for key in ("targets", "extensions"):
+        if part.get(key):
+            raise InputError(f"{label}: {key} are not read; export the mesh without.")
+    vertices = _numbers(file, attributes["POSITION"], 3)
+    if "indices" in part:
+        indices = _numbers(file, part["indices"], 1).ravel()
+    else:
+        indices = np.arange(len(vertices))
+    if len(indices) % 3 or not len(indices) or indices.max() >= len(vertices):
+        raise InputError(
+            f"{label}: {len(indices)} indices of {len(vertices)} vertices make no triangles; "
+            "export it again."
+        )
+    normals = _numbers(file, attributes["NORMAL"], 3) if "NORMAL" in attributes else None
+    if normals is not None and len(normals) != len(vertices):
+        raise InputError(f"{label}: has not one normal a vertex; export it again.")
+    return Primitive(vertices, indices.reshape(-1, 3).astype(np.int64), normals)
+
+
+def _numbers(file: Gltf, index: Any, width: int) -> np.ndarray:
+    """(count, width) of an accessor."""
+    accessor, label = file.item("accessors", index), f"{file.path}: accessors[{index}]"
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise InputError(f"{label}: sparse accessors are not read; export it without.")
+    count = accessor.get("count")
+    kind = _of(_TYPES, accessor.get("componentType"))
+    whole = width == 1  # indices count, points measure
+    if kind is None or _of(_WIDTHS, accessor.get("type")) != width or (kind == "<f4") == whole:
+        raise InputError(
+            f"{label}: is not of {'whole numbers' if whole else 'three float numbers'}; export it "
+            "again."
+        )
+    view = file.item("bufferViews", accessor["bufferView"])
+    buffer = _buffer(file, view.get("buffer"))
+    size = np.dtype(kind).itemsize
+    starts = [view.get("byteOffset", 0), accessor.get("byteOffset", 0)]
+    stride = view.get("byteStride", size * width)
+    if type(count) is not int or not all(type(x) is int and x >= 0 for x in (*starts, stride)):
+        raise InputError(f"{label}: its place in the buffer is no number; export it again.")
+    last = sum(starts) + stride * (count - 1) + size * width
+    if count < 1 or stride < size * width or last > len(buffer):
+        raise InputError(f"{label}: reaches beyond its buffer; export it again.")
+    return np.ndarray((count, width), kind, buffer, sum(starts), (stride, size)).copy()
+
+
+def _buffer(file: Gltf, index: Any) -> bytes:
+    entry = file.item("buffers", index)
+    uri = entry.get("uri")
+    if uri is None:
+        if file.binary is None or index != 0:
+            raise InputError(f"{file.path}: buffers[{index}] has no bytes; export it again.")
+        return file.binary
+    if not isinstance(uri, str):
+        raise InputError(f"{file.path}: buffers[{index}] names no file; export it again.")
+    if uri not in file.files:
+        file.files[uri] = _bytes_at(file.path, uri)
+    return file.files[uri]
+
+
+def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
+    """What a table holds of a key, which may be a list that damage has put there."""
+    return table.get(key) if isinstance(key, str | int) else None
+
+
+def _bytes_at(path: Path, uri: str) -> bytes:
+    """What a URI holds: a file beside the glTF, or bytes in base 64."""
+    if uri.startswith("data:"):
+        try:
+            return base64.b64decode(uri.partition("base64,")[2], validate=True)
+        except binascii.Error as error:
+            raise InputError(f"{path}: a buffer is not in base 64; export it again.") from error
+    beside = path.parent / unquote(uri)
+    if not beside.is_file():
+        raise InputError(f"{beside}: no such file, which {path.name} names; put it beside.")
+    return beside.read_bytes()

@@ -1,0 +1,365 @@
+"""What an image file says of its making: exposure, sensitivity, date, camera, depth. EXIF of JPEG,
+TIFF and PNG by OpenImageIO, of raw files by exifread, headers of FITS by astropy."""
+
+import datetime
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, check_utf8
+from ._netpbm import NETPBM_FORMATS, netpbm_head
+from ._png_chunks import png_chunks
+from ._targa_head import targa_bits
+from ._tiff_tags import (
+    BITS,
+    BLACKS,
+    BLACKS_ALONG,
+    BLACKS_SIZE,
+    COLOUR_MAP,
+    PALETTE,
+    PHOTOMETRIC,
+    SAMPLE_FORMAT,
+    tiff_pictures,
+)
+from .raw import FITS_FORMATS, RAW_FORMATS, extra, fits_header, opened_raw
+
+ABSOLUTE_ZERO = -273.15  # degrees Celsius
+_HIGHEST_RATING = 65535
+_OUTPUT, _INDEX, _SPEED = "StandardOutputSensitivity", "RecommendedExposureIndex", "ISOSpeed"
+_SENSITIVITIES = {
+    1: (_OUTPUT,),
+    2: (_INDEX,),
+    3: (_SPEED,),
+    4: (_INDEX, _OUTPUT),
+    5: (_SPEED, _OUTPUT),
+    6: (_INDEX, _SPEED),
+    7: (_INDEX, _SPEED, _OUTPUT),
+}
+_CODES = "bits of codes"  # beside the names of OpenImageIO
+
+
+@dataclass(frozen=True)
+class ImageSettings:
+    """What a file says; None where it does not.
+
+    Attributes:
+        exposure: s.
+        iso: sensitivity.
+        f_number: of the lens.
+        taken: when, in the camera's own time.
+        temperature: K, of the sensor.
+        camera: maker's name of it.
+        black_level: DN; of a mosaic whose sites differ, one for each in the order of `pattern`.
+        saturation: DN.
+        pattern: phase of a Bayer mosaic, such as "RGGB", counted from the first pixel of the file.
+        bits: of the codes that `jaxvision.read_image` gives, by the file's own depth: a 12-bit
+            TIFF has 12. The camera's converter may have fewer, not more.
+        kind: IMAGETYP of FITS, such as "Flat Field".
+        gain: GAIN of FITS, what the amplifier was set to in the camera's own unit.
+    """
+
+    exposure: float | None = None
+    iso: float | None = None
+    f_number: float | None = None
+    taken: datetime.datetime | None = None
+    temperature: float | None = None
+    camera: str | None = None
+    black_level: float | tuple[float, ...] | None = None
+    saturation: float | None = None
+    pattern: str | None = None
+    kind: str | None = None
+    gain: float | None = None
+    bits: int | None = None
+
+
+def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
+    """Reads the head of an image file; its pixels stay unread.
+
+    Args:
+        path: a file that `jaxvision.read_image` reads.
+
+    Returns:
+        The settings; empty for a file that says nothing.
+
+    Raises:
+        InputError: for a raw or FITS file that cannot be read, or without its extra.
+    """
+    file = Path(path)
+    check_utf8(file)
+    suffix = file.suffix.lower()
+    if suffix in RAW_FORMATS:
+        return _of_raw(file)
+    if suffix in FITS_FORMATS:
+        return _of_fits(file, fits_header(file))
+    if suffix in NETPBM_FORMATS:
+        head = netpbm_head(file)
+        return ImageSettings(bits=head.bits, saturation=head.saturation)
+    return _of_exif(file, _attributes(file))
+
+
+def _attributes(file: Path) -> dict[str, Any]:
+    """EXIF by OpenImageIO's names, values of one number or word."""
+    import OpenImageIO as oiio
+
+    if (chunks := png_chunks(file)) and chunks.fault:  # of which libpng prints complaints
+        return {}
+    source = oiio.ImageInput.open(str(file))
+    if source is None:
+        with suppress(UnicodeDecodeError):  # it quotes the file
+            oiio.geterror()  # else it is printed when the process ends
+        return {}
+    found = {}
+    try:
+        for attribute in source.spec().extra_attribs:
+            with suppress(UnicodeDecodeError):  # its name or value, damaged, is no text
+                value = attribute.value
+                if isinstance(value, tuple) and len(value) == 1:  # as TIFF gives a list of one
+                    (value,) = value
+                if isinstance(value, str | int | float):
+                    found[attribute.name] = value
+        found[_CODES] = {"uint8": 8, "uint16": 16}.get(str(source.spec().format))
+    finally:
+        source.close()
+    return found
+
+
+def _of_exif(file: Path, said: Mapping[str, Any]) -> ImageSettings:
+    rating = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
+    return ImageSettings(
+        exposure=_seconds(said.get("ExposureTime"), said.get("Exif:ShutterSpeedValue")),
+        iso=_sensitivity(file, rating, lambda name: said.get(f"Exif:{name}")),
+        f_number=_f_number(said.get("FNumber"), said.get("Exif:ApertureValue")),
+        taken=_time(said.get("Exif:DateTimeOriginal") or said.get("DateTime")),
+        camera=_name(said.get("Make"), said.get("Model")),
+        pattern=next((page.pattern for page in tiff_pictures(file) if page.pattern), None),
+        bits=_depth(file, said),
+    )
+
+
+def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
+    """Bits of the codes of a PNG, TIFF, JPEG or TGA file; None where they are no codes."""
+    whole = said.get(_CODES)
+    if chunks := png_chunks(file, head=True):
+        return chunks.bits if whole else None
+    page = next((page for page in tiff_pictures(file) if not page.is_copy), None)
+    if page is None:
+        return targa_bits(file) if "targa:version" in said else whole
+    if page.first(PHOTOMETRIC) == PALETTE:
+        colours = np.array(page.values.get(COLOUR_MAP, (1,)))
+        return 8 if not (colours % 257).any() or not (colours % 256).any() else 16
+    bits = page.first(BITS, 1)
+    return bits if page.first(SAMPLE_FORMAT, 1) == 1 and bits <= 16 else None
+
+
+def _of_raw(file: Path) -> ImageSettings:
+    tags = _raw_tags(file)
+
+    def said(name: str) -> Any:
+        """Of the photograph, which TIFF/EP and DNG may say in the main directory."""
+        return tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
+
+    with opened_raw(file) as raw:
+        letters = raw.color_desc.decode()
+        colours = raw.raw_colors_visible[:2, :2].ravel() if raw.num_colors > 1 else []
+        pattern = "".join(letters[i] for i in colours)
+        sites = raw.raw_pattern
+        if raw.num_colors > 1 and not (_is_bayer(pattern) and np.shape(sites) == (2, 2)):
+            _warn_of_mosaic(file, "x".join(map(str, np.shape(sites))) + f", {letters}")
+            pattern = ""
+        blacks = np.array(raw.black_level_per_channel, float)
+        blacks = blacks[colours].reshape(2, 2) if pattern else blacks[:1].reshape(1, 1)
+        stated = _dng_blacks(file)
+        if stated is not None:
+            rows, columns = (
+                np.arange(n) % m for n, m in zip(stated.shape, blacks.shape, strict=True)
+            )
+            blacks = stated[
+                np.ix_(*(np.arange(n) % m for n, m in zip(blacks.shape, stated.shape, strict=True)))
+            ]
+            if (stated != blacks[np.ix_(rows, columns)]).any():
+                warnings.warn(
+                    f"{file}: its black level is not used: it differs over rows or columns in more "
+                    "than the sites of a mosaic; measure it from darks.",
+                    stacklevel=4,
+                )
+                blacks = np.array([])
+        levels = tuple(blacks.ravel().tolist())
+        saturation = float(raw.white_level)
+    return ImageSettings(
+        exposure=_seconds(said("ExposureTime"), said("ShutterSpeedValue")),
+        iso=_sensitivity(file, said("ISOSpeedRatings"), said),
+        f_number=_f_number(said("FNumber"), said("ApertureValue")),
+        taken=_time(said("DateTimeOriginal") or tags.get("Image DateTime")),
+        camera=_name(tags.get("Image Make"), tags.get("Image Model")),
+        black_level=levels if len(set(levels)) > 1 else next(iter(levels), None),
+        saturation=saturation,
+        pattern=pattern or None,
+    )
+
+
+def _dng_blacks(file: Path) -> np.ndarray | None:
+    """Black levels of a DNG's mosaic, DN, over the rows and columns at which they begin again; None
+    of other files, and where it states none. LibRaw cuts them to whole numbers and averages those
+    along rows and columns."""
+    for page in tiff_pictures(file):
+        for picture in (page, *page.inner):
+            along_columns, along_rows = (
+                np.array(picture.values.get(t, (0,))) for t in BLACKS_ALONG
+            )
+            height, width = picture.values.get(BLACKS_SIZE, (1, 1))[:2]
+            levels = np.array(picture.values.get(BLACKS, ()), float)
+            if picture.is_copy or levels.size < max(height * width, 1):
+                continue
+            if len(set(along_columns)) == len(set(along_rows)) == 1:
+                along_columns, along_rows = along_columns[:1], along_rows[:1]
+            rows, columns = (
+                max(n, m) for n, m in ((height, len(along_rows)), (width, len(along_columns)))
+            )
+            levels = levels[: height * width].reshape(height, width)
+            levels = levels[np.ix_(np.arange(rows) % height, np.arange(columns) % width)]
+            return levels + np.resize(along_rows, (rows, 1)) + np.resize(along_columns, columns)
+    return None
+
+
+def _raw_tags(file: Path) -> dict[str, Any]:
+    """EXIF by exifread's names, each its first value."""
+    exifread = extra("exifread", "raw", file)
+    try:
+        with file.open("rb") as stream:
+            tags = exifread.process_file(stream, details=False)
+    except Exception as error:  # of any kind, where the head is damaged
+        raise InputError(f"{file}: its EXIF is damaged ({error}); copy it again.") from error
+    return {
+        name: tag.values if isinstance(tag.values, str) else tag.values[0]
+        for name, tag in tags.items()
+        if getattr(tag, "values", None)
+    }
+
+
+def _of_fits(file: Path, header: Mapping[str, Any]) -> ImageSettings:
+    celsius = _number(header.get("CCD-TEMP", header.get("SET-TEMP")))
+    pedestal = _number(header.get("PEDESTAL"))
+    return ImageSettings(
+        exposure=_positive(header.get("EXPTIME")) or _positive(header.get("EXPOSURE")),
+        iso=_positive(header.get("ISOSPEED")),
+        taken=_time(header.get("DATE-OBS")),
+        temperature=None if celsius is None else celsius - ABSOLUTE_ZERO,
+        camera=_name(header.get("INSTRUME")),
+        black_level=None if pedestal is None else abs(pedestal),  # or what to add to come to 0
+        saturation=_positive(header.get("SATURATE")),
+        pattern=_fits_pattern(file, header),
+        kind=_name(header.get("IMAGETYP")),
+        gain=_number(header.get("GAIN")),
+    )
+
+
+def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
+    """Phase of the mosaic at the first pixel of the file.
+
+    BAYERPAT tells that of the upright image, from the pixel XBAYROFF, YBAYROFF on. A file of the
+    order BOTTOM-UP begins with the lowest row, of the other parity if the rows are even in number.
+    """
+    names = ("BAYERPAT", "COLORTYP")
+    said = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
+    known = [word for word in said if _is_bayer(word)]
+    if not known:
+        if said[0] and said[0] not in ("NONE", "MONO"):
+            _warn_of_mosaic(file, said[0])
+        return None
+    right = int(_number(header.get("XBAYROFF", header.get("BAYOFFX"))) or 0)
+    down = int(_number(header.get("YBAYROFF", header.get("BAYOFFY"))) or 0)
+    from_below = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
+    down += from_below and header.get("NAXIS2", 1) % 2 == 0
+    return "".join(
+        known[0][2 * ((row + down) % 2) + (column + right) % 2]
+        for row in (0, 1)
+        for column in (0, 1)
+    )
+
+
+def _is_bayer(letters: str) -> bool:
+    """Whether that is a phase of Bayer's mosaic, its greens across from each other."""
+    return letters in ("RGGB", "BGGR", "GRBG", "GBRG")
+
+
+def _warn_of_mosaic(file: Path, name: str) -> None:
+    warnings.warn(
+        f"{file}: its mosaic ({name}) is not used: it is none of RGGB, BGGR, GRBG and GBRG.",
+        stacklevel=4,
+    )
+
+
+def _number(said: Any) -> float | None:
+    """A number, of a quotient too; None where there is none."""
+    try:
+        found = float(said)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return found if np.isfinite(found) else None
+
+
+def _positive(said: Any) -> float | None:
+    found = _number(said)
+    return found if found is not None and found > 0 else None
+
+
+def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float | None:
+    """The rating of 16 bits; where it is absent, or 65535, which stands for that and more, the one
+    of 32 bits that the kind of sensitivity names (EXIF 2.3, tag 0x8830)."""
+    found = _positive(rating)
+    if found is not None and found < _HIGHEST_RATING:
+        return found
+    kind = _number(said("SensitivityType"))
+    names = _SENSITIVITIES.get(int(kind or 0), ()) + _SENSITIVITIES[7]
+    further = next((speed for name in names if (speed := _positive(said(name)))), None)
+    if found is not None and further is None:
+        warnings.warn(
+            f"{file}: its head says ISO 65535, which stands for that and more; the sensitivity is "
+            "not used.",
+            stacklevel=4,
+        )
+    return further
+
+
+def _seconds(time: Any, speed: Any) -> float | None:
+    """The exposure, or else 2^-speed: EXIF may hold APEX's value alone."""
+    value = _number(speed)
+    if time is not None or value is None or abs(value) > 64:
+        return _positive(time)
+    return 2.0**-value
+
+
+def _f_number(stop: Any, aperture: Any) -> float | None:
+    """The f-number, or else 2^(aperture / 2); a lens without contacts has an aperture of 0."""
+    value = _positive(aperture)
+    if stop is not None or value is None or value > 64:
+        return _positive(stop)
+    return 2 ** (value / 2)
+
+
+def _time(said: Any) -> datetime.datetime | None:
+    """A time as EXIF writes it, 2026:11:23 13:00:00, or as ISO 8601 does."""
+    text = str(said or "").strip().strip("\0")
+    try:
+        return datetime.datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        pass
+    try:
+        return datetime.datetime.fromisoformat(text).replace(tzinfo=None)
+    except ValueError:
+        return None
+
+
+def _name(*parts: Any) -> str | None:
+    """Maker and model, the maker once; `?` for what is no letter, as where the head is damaged."""
+    texts = ("".join(c if c.isprintable() else "?" for c in str(part)) for part in parts if part)
+    words = [text.strip("? ") for text in texts]
+    if len(words) > 1 and words[-1].startswith(words[0]):
+        words = words[1:]
+    return " ".join(words) or None

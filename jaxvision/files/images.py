@@ -1,0 +1,874 @@
+"""Image files: PNG, TIFF, JPEG, EXR and Radiance HDR, NumPy arrays; and, read only, PGM, PPM, TGA,
+raw files of cameras and FITS.
+
+This is the edge of the library: eager, with NumPy in and out, through OpenImageIO, which is loaded
+on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their codes, of 1 to 16 bits
+(uint8, uint16); floating files come as float32. What a decoder does to the codes on the way is
+undone. What a file holds beyond one picture is named by a warning of one sentence, or the file is
+refused. Every failure is an `InputError` of one sentence.
+"""
+
+import errno
+import logging
+import os
+import re
+import shutil
+import tempfile
+import warnings
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from ..core.interrupts import removed_if_interrupted
+from ..core.plain_arrays import plain_array
+from ..errors import InputError, check_utf8, nearest, unwritable
+from ._jpeg_markers import jpeg_extras
+from ._netpbm import NETPBM_FORMATS, read_netpbm
+from ._png_chunks import PALETTE as PNG_PALETTE
+from ._png_chunks import PngChunks, png_chunks
+from ._radiance import END_OF_RANGE, is_radiance, read_radiance
+from ._targa_head import targa_bits
+from ._tiff_tags import (
+    ALPHA,
+    BITS,
+    COLOUR_MAP,
+    COLUMNS,
+    GDAL_MISSING,
+    GDAL_WORDS,
+    INKS,
+    LIGHT,
+    MULTIPLIED,
+    PALETTE,
+    PHOTOMETRIC,
+    ROWS,
+    WHITE_IS_ZERO,
+    TiffPicture,
+    tiff_pictures,
+)
+from .raw import FITS_FORMATS, RAW_FORMATS, read_fits, read_raw
+
+_LOG = logging.getLogger("jaxvision.io")
+INTEGER_FORMATS = (".png", ".tif", ".tiff")
+JPEG_FORMATS = (".jpg", ".jpeg")
+LONGEST_JPEG = 65535  # rows or columns
+FLOAT_FORMATS = (".exr", ".hdr")
+READ_ONLY_FORMATS = (*NETPBM_FORMATS, ".tga")
+LONGEST_REASON = 300  # characters of another library's complaint: OpenEXR lists each, path and all
+NOT_TEXT = "it holds bytes that are not text where its format has text"
+_DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float32, "float": np.float32}
+# Of OpenImageIO's, those whose codes come back as they are stored, by `_undone`.
+_DECODED = ("png", "tiff", "jpeg", "openexr", "targa", "bmp", "gif")
+_NAMES = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "y": "grey"}  # as plots call them
+REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of R, G, B and white
+_MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR holds
+
+
+@contextmanager
+def replaced_on_success(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path`, which replaces it only when the block ends without error.
+
+    So no half-written file is ever left under the final name.
+
+    Args:
+        path: the final file; missing folders are made.
+
+    Returns:
+        A context manager that gives the temporary path.
+
+    Raises:
+        InputError: if the folder cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=".partial-", suffix=path.suffix)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    os.close(handle)
+    partial = Path(name)
+    with removed_if_interrupted(partial):
+        try:
+            yield partial
+            partial.chmod(0o644)
+            partial.replace(path)
+        except OSError as error:  # of this file: a full disk names none
+            if error.filename in (None, str(partial)):
+                raise _unwritable(path, error) from error
+            raise
+        except InputError as error:  # a library's reason names the file that it wrote
+            raise InputError(str(error).replace(str(partial), str(path))) from error
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    if error.errno == errno.ENOENT:  # its folder is there, of a kind that takes none
+        return InputError(f"{path}: cannot be written: no file can be made there.")
+    return InputError(f"{path}: cannot be written: {unwritable(error)}.")
+
+
+def check_writable(path: Path, *, kind: type = np.float32) -> None:
+    """Checks, before the work that an image file is for, that it can be written.
+
+    Args:
+        path: the file. Missing folders are made later, with the file.
+        kind: type of its samples.
+
+    Raises:
+        InputError: if the format of the suffix holds no such samples, if a folder has that name, or
+            if its folder cannot be written.
+    """
+    _check_format(path, np.dtype(kind))
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; choose another name for the image.")
+    nearest = next(folder for folder in path.absolute().parents if folder.exists())
+    try:
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -> np.ndarray:
+    """The pixels of an image file as they are stored.
+
+    Codes are those of the file: 12-bit samples run from 0 to 4095 and a bitmap's are 0 and 1, of
+    which `image_settings.read_settings` gives the bits. Rows and columns are those of the file,
+    too: a tag of orientation is not applied, and a warning says so. A palette becomes its colours;
+    where white is stored as zero, numbers are reversed, so that more is brighter. An EXR is the
+    picture of its display window, black outside its data window; its channels R, G, B and A, or Y,
+    are found by their names. An HDR is radiance as it was before EXPOSURE.
+
+    Colours of an EXR are multiplied by its alpha, as its standard says; those of other files are as
+    stored, as a rule not multiplied.
+
+    A warning, one sentence each, names what a file holds beside the picture that is read: further
+    pictures, channels, pixels outside the window.
+
+    Args:
+        path: a PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, PFM, TGA or `.npy` file; DNG and other raw
+            files with the `raw` extra, FITS with the `fits` extra.
+        part: of a file of several pictures, the one to read: its number, from 0, or the name of an
+            EXR part, an EXR layer or a FITS extension. None: the first picture.
+
+    Returns:
+        (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF, JPEG,
+        PGM, PPM and TGA, the mosaic's uint16 for a raw file, float32 for EXR, HDR and PFM, the
+        array itself for `.npy` and FITS.
+
+    Raises:
+        InputError: for a missing, unreadable or truncated file, for samples of another type, for
+            colours that are no light (CMYK, Lab), and for a part that the file does not have.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/grey.png"
+        >>> jv.write_image(file, np.full((2, 3), 1000, np.uint16))
+        >>> codes = jv.read_image(file)
+        >>> print(codes.shape, codes.dtype, codes.max())
+        (2, 3) uint16 1000
+    """
+    return read_channels(path, part=part)[0]
+
+
+def read_channels(
+    path: str | os.PathLike[str], *, part: int | str | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The pixels of an image file, and what its channels are.
+
+    Args:
+        path: as for `read_image`.
+        part: as for `read_image`.
+
+    Returns:
+        The pixels, and the channels by name: grey, red, green, blue, alpha, or the file's own word;
+        none for a file that does not name them.
+
+    Raises:
+        InputError: as `read_image` does.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/grey.png"
+        >>> jv.write_image(file, np.full((2, 3), 1000, np.uint16))
+        >>> print(jv.files.read_channels(file)[1])
+        ('grey',)
+    """
+    file = Path(path)
+    check_utf8(file)
+    if not file.is_file():
+        raise InputError(f"{file}: no such image file; check the name and the folder.")
+    suffix = file.suffix.lower()
+    names: tuple[str, ...] = ()
+    if suffix in FITS_FORMATS:
+        pixels = read_fits(file, part=part)
+    elif suffix in (".npy", ".hdr", *RAW_FORMATS, *NETPBM_FORMATS) or is_radiance(file):
+        special = {
+            ".npy": _read_npy,
+            **dict.fromkeys(RAW_FORMATS, read_raw),
+            **dict.fromkeys(NETPBM_FORMATS, read_netpbm),
+        }
+        if part not in (None, 0):
+            raise InputError(f"{file}: holds one picture, not a part {part!r}; leave part out.")
+        pixels = special.get(suffix, read_radiance)(file)
+    else:
+        try:
+            pixels, names = _read_by_openimageio(file, part)
+        except UnicodeDecodeError:  # of a name in its head
+            raise _damaged(file, NOT_TEXT) from None
+    _LOG.info("read %s: %s %s", file, "x".join(map(str, pixels.shape)), pixels.dtype)
+    return pixels, names
+
+
+def _read_by_openimageio(
+    file: Path, part: int | str | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    chunks = png_chunks(file)
+    if chunks and chunks.fault:
+        raise _damaged(file, chunks.fault)
+    pages = tiff_pictures(file)
+    with _opened(file) as source:
+        number, layer = _place(file, source, pages, part)
+        page = pages[number] if number < len(pages) else None
+        spec = source.spec(number, 0)
+        _refuse_unlike_pictures(file, spec, page)
+        chosen, names = _channels(file, spec, layer)
+        sample = _sample(file, spec, chosen)
+        if page and page.first(PHOTOMETRIC) == PALETTE:
+            pixels = _from_palette(file, number, page)
+        else:
+            pixels = _pixels(file, source, number, chosen, sample)
+            pixels = _undone(file, pixels, spec, chunks, page)
+            if source.format_name() == "gif" and _is_grey(pixels):
+                pixels, names = pixels[..., :1], ("grey",)
+        _name_unused(file, source.format_name(), spec, chunks, page)
+    pixels = _in_display_window(file, pixels, spec)
+    return pixels[..., 0] if pixels.shape[2] == 1 else pixels, names
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Any]:
+    """A file as OpenImageIO gives it, alpha not multiplied into colours."""
+    import OpenImageIO as oiio
+
+    as_stored = oiio.ImageSpec()
+    as_stored.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(file), as_stored)
+    if source is None:
+        raise InputError(
+            f"{file}: not readable as an image ({_reason(oiio)}); "
+            "export it again as PNG, TIFF, EXR or HDR."
+        )
+    try:
+        kind = source.format_name()
+        if kind not in _DECODED:
+            raise InputError(
+                f"{file}: is a file of {kind}, whose codes do not come back as they are stored; "
+                "export it again as PNG, TIFF, EXR or HDR."
+            )
+        yield source
+    finally:
+        source.close()
+
+
+def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample: str) -> np.ndarray:
+    """(h, w, channels) of one of its pictures, in the order of `chosen`."""
+    first, last = min(chosen), max(chosen) + 1
+    spec = source.spec(number, 0)
+    wanted = "float" if sample == "half" else sample
+    pixels = source.read_image(number, 0, first, last, wanted)
+    if pixels is None:
+        raise _damaged(file, _reason(source))
+    pixels = np.asarray(pixels, _DTYPES[sample]).reshape(spec.height, spec.width, last - first)
+    order = [i - first for i in chosen]
+    return pixels if order == [*range(last - first)] else np.ascontiguousarray(pixels[..., order])
+
+
+def _place(
+    file: Path, source: Any, pages: Sequence[TiffPicture], part: int | str | None
+) -> tuple[int, str | None]:
+    """The number of the picture to read, and of the layer in it; warns of all others."""
+    titles = [f"number {i}" for i in range(len(pages))]  # of a TIFF, without reading each
+    while not pages and source.seek_subimage(len(titles), 0):
+        named = source.spec(len(titles), 0).get_string_attribute("oiio:subimagename")
+        titles.append(named or f"number {len(titles)}")
+    source.geterror()  # that there is no further one
+    plain = [i for i in range(len(titles)) if i >= len(pages) or not pages[i].is_copy]
+    if not plain and pages:
+        raise InputError(
+            f"{file}: its main pictures are small copies or masks, the picture itself lies deeper; "
+            "a raw file of a camera needs its own suffix, such as .dng."
+        )
+    if isinstance(part, int) or part in titles:
+        number = part if isinstance(part, int) else titles.index(part)
+        if not 0 <= number < len(titles):
+            raise InputError(f"{file}: has no picture {number}; it has {len(titles)}, from 0.")
+        return number, None
+    others = [titles[i] for i in plain[1:]]
+    if part is None and others:
+        warnings.warn(
+            f"{file}: holds {len(plain)} pictures; {titles[plain[0]]} is read, and "
+            f"{_listed(others)} {'is' if len(others) == 1 else 'are'} not used (the argument part "
+            "chooses one).",
+            stacklevel=5,
+        )
+    promised = re.match(
+        r"ImageJ=.*\nimages=(\d+)", source.spec(0, 0).get_string_attribute("ImageDescription")
+    )
+    if promised and int(promised[1]) > len(titles):  # a stack behind one tag, beyond 4 GiB
+        warnings.warn(
+            f"{file}: holds {promised[1]} pictures of ImageJ; only the first is read.", stacklevel=5
+        )
+    return plain[0], part
+
+
+def _listed(words: Sequence[str], most: int = 6) -> str:
+    shown = ", ".join(words[:most])
+    return shown if len(words) <= most else f"{shown} and {len(words) - most} more"
+
+
+def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> None:
+    """`InputError` for what is no picture of light in rows and columns."""
+    inks = spec.get_string_attribute("jpeg:ColorSpace") in ("CMYK", "YCCK")
+    photometric = page.first(PHOTOMETRIC, 1) if page else 1
+    if inks or photometric == INKS:
+        raise InputError(f"{file}: holds amounts of ink (CMYK), not light; convert it to RGB.")
+    if photometric not in LIGHT:
+        raise InputError(
+            f"{file}: holds CIE Lab or other colours ({photometric}), not light; convert it to RGB."
+        )
+    if spec.get_int_attribute("bmp:bitsperpixel") == 16:
+        raise InputError(f"{file}: holds colours of 5 and 6 bits; export it as PNG or TIFF.")
+    if spec.deep:
+        raise InputError(f"{file}: holds several depths a pixel; flatten it.")
+    if spec.depth > 1:
+        raise InputError(f"{file}: holds a volume of {spec.depth} layers; save one of them.")
+
+
+def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tuple[str, ...]]:
+    """The channels that make the picture, by their names, and what these are called."""
+    layers: dict[str, dict[str, int]] = {}
+    for i, name in enumerate(spec.channelnames):
+        above, _, own = name.rpartition(".")
+        layers.setdefault(above, {})[own] = i
+    if layer is None:
+        layer = "" if "" in layers else next(iter(layers))
+        if layer and len(layers) > 1:
+            raise InputError(
+                f"{file}: holds the layers {_listed(sorted(layers))}, none of which is the "
+                "picture; choose one by part."
+            )
+    if layer not in layers:
+        raise InputError(f"{file}: has no part {layer!r}; {nearest(layer, filter(None, layers))}.")
+    own = layers[layer]
+    known: dict[str, int] = {}
+    for name, i in own.items():
+        known.setdefault({"red": "r", "green": "g", "blue": "b"}.get(name.lower(), name.lower()), i)
+    if {"y", "ry", "by"} <= set(known):
+        raise InputError(f"{file}: holds luminance and chroma (Y, RY, BY); convert it to R, G, B.")
+    picture = next((c for c in ("rgb", "xyz", "y") if set(c) <= set(known)), "")
+    chosen = [known[letter] for letter in picture]
+    rest = [name for name in own if own[name] not in chosen]
+    unnamed = all(re.fullmatch(r"channel\d+|A", name) for name in rest)
+    if not chosen or (picture == "rgb" and unnamed):  # by position, as arrays are written
+        chosen = [*own.values()]
+    elif "a" in known:
+        chosen.append(known["a"])
+    unused = [spec.channelnames[i] for i in range(spec.nchannels) if i not in chosen]
+    if unused:
+        warnings.warn(
+            f"{file}: its channel{'s' if len(unused) > 1 else ''} {_listed(unused)} "
+            f"{'are' if len(unused) > 1 else 'is'} not used.",
+            stacklevel=5,
+        )
+    own_names = [spec.channelnames[i].rpartition(".")[2] for i in chosen]
+    if picture == "xyz":
+        warnings.warn(
+            f"{file}: holds CIE X, Y and Z, not R, G and B; they are given as they are.",
+            stacklevel=5,
+        )
+    if picture not in ("rgb", "y"):
+        return chosen, tuple(own_names)
+    return chosen, tuple(_NAMES.get(name.lower()) or name for name in own_names)
+
+
+def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
+    """The type of the samples, one that an array here can hold."""
+    formats = spec.channelformats or [spec.format] * spec.nchannels
+    for kind in {str(formats[i]) for i in chosen}:
+        if kind not in _DTYPES:
+            raise InputError(
+                f"{file}: samples are of type {kind}; save it as uint8, uint16 or float."
+            )
+    return str(spec.format) if str(spec.format) in _DTYPES else "float"
+
+
+def _undone(
+    file: Path, pixels: np.ndarray, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
+) -> np.ndarray:
+    """The codes of the file, which its decoder stretches to 8 or 16 bits."""
+    if not np.issubdtype(pixels.dtype, np.integer):
+        if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO:
+            raise InputError(f"{file}: floating numbers with white as zero; save it the other way.")
+        return pixels
+    full = 8 * pixels.dtype.itemsize
+    bits = full
+    if chunks:
+        bits = 8 if chunks.colour_type == PNG_PALETTE else chunks.depth
+    elif page:
+        bits = page.first(BITS, 1)
+    elif spec.get_int_attribute("targa:version"):
+        bits = targa_bits(file)
+    if bits < full:
+        pixels = pixels >> (full - bits)  # the last bits repeat the first, or nearly so
+    if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO and full == 16:
+        pixels = (2**bits - 1) - pixels  # which the decoder does itself up to 8 bits
+    return _significant(file, pixels, bits, chunks) if chunks else pixels
+
+
+def _is_grey(pixels: np.ndarray) -> bool:
+    """Whether colours of 8 bits are greys that hide nothing."""
+    return bool((pixels[..., 3:] == 255).all() and (pixels[..., :3] == pixels[..., :1]).all())
+
+
+def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
+    """The codes that a PNG's writer has stretched to the depth of the file, where sBIT says so."""
+    if chunks.colour_type == PNG_PALETTE or all(bits == n for n in chunks.significant):
+        return pixels
+    source = chunks.bits
+    codes, added = pixels >> (bits - source), bits - source
+    stretched = [codes << added, _repeated(codes, source, bits)]
+    stretched.append(np.round(codes * ((2**bits - 1) / (2**source - 1))).astype(pixels.dtype))
+    if source < bits and any(np.array_equal(pixels, way) for way in stretched):
+        return codes
+    said = ", ".join(map(str, chunks.significant))
+    warnings.warn(
+        f"{file}: its sBIT ({said} significant bits) is not used: the numbers are as stored, of "
+        f"{bits} bits.",
+        stacklevel=6,
+    )
+    return pixels
+
+
+def _repeated(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
+    """Codes whose bits are repeated until they fill a larger depth."""
+    whole, left = np.zeros_like(codes), bits
+    while left > 0:
+        left -= source
+        whole |= codes << left if left >= 0 else codes >> -left
+    return whole
+
+
+def _from_palette(file: Path, number: int, page: TiffPicture) -> np.ndarray:
+    """(h, w, 3) colours of a TIFF's palette at its own depth, of which the decoder keeps 8 bits.
+
+    The indices come from a copy of the file that calls itself grey.
+    """
+    bits = page.first(BITS, 1)
+    colours = np.array(page.values.get(COLOUR_MAP, ()))
+    if len(colours) != 3 << bits:
+        raise _damaged(file, f"its palette holds {len(colours)} numbers where {3 << bits} belong")
+    with tempfile.TemporaryDirectory() as folder:
+        grey = Path(folder) / "grey.tif"
+        shutil.copyfile(file, grey)
+        with grey.open("r+b") as stream:
+            order = "little" if stream.read(2) == b"II" else "big"
+            stream.seek(page.places[PHOTOMETRIC])
+            stream.write((1).to_bytes(2, order))
+        with _opened(grey) as source:
+            indices = _pixels(file, source, number, [0], str(source.spec(number, 0).format))
+            indices = _undone(file, indices, source.spec(number, 0), None, page)[..., 0]
+    colours = colours.reshape(3, -1).T.astype(np.uint16)[indices]
+    for step in (257, 256):  # 8 bits, as they are written in one of two ways
+        if not (colours % step).any():
+            return (colours // step).astype(np.uint8)
+    return colours
+
+
+def _name_unused(
+    file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
+) -> None:
+    """Warns of what the head says and no array holds."""
+    said = [
+        f"its picture of {x.first(ROWS)} x {x.first(COLUMNS)} and {x.first(BITS, 1)} bits in a "
+        "SubIFD: export it as a file of its own"
+        for x in (page.inner if page else ())
+        if not x.is_copy
+    ]
+    orientation = spec.get_int_attribute("Orientation", 1)
+    if orientation not in (0, 1):
+        said.append(f"its orientation (tag {orientation}): rows and columns are as stored")
+    aspect = spec.get_float_attribute("PixelAspectRatio", 1.0)
+    if not 0.99 < aspect < 1.01:
+        said.append(f"its pixels' aspect of {aspect:g}: they are taken as square")
+    primaries = np.ravel(spec.getattribute("chromaticities") or REC_709)
+    if primaries.shape != (8,) or np.abs(primaries - REC_709).max() > 0.01:
+        said.append(f"its primaries ({', '.join(f'{x:.4g}' for x in primaries)})")
+    if chunks and chunks.frames > 1:
+        said.append(f"its animation of {chunks.frames} frames: the still picture is read")
+    if kind == "jpeg":
+        said += jpeg_extras(file)
+    if page and page.first(ALPHA) == MULTIPLIED:
+        said.append("that its colours are multiplied by alpha (those of most files are not)")
+    white = spec.get_float_attribute("whiteLuminance", 0.0)
+    if white > 0:
+        said.append(f"its luminance of white, {white:g} cd m^-2: values are relative, as stored")
+    if page:
+        said += _of_gdal(page)
+    words = spec.get_string_attribute("ImageDescription")
+    calibration = dict(re.findall(r"^(cf|c[0-4])=(.*)$", words, re.M))
+    plain = [("cf", "0"), ("c0", "0.0"), ("c1", "1.0")]
+    if words.startswith("ImageJ=") and calibration and [*calibration.items()] != plain:
+        told = ", ".join(f"{name} = {value.strip()}" for name, value in calibration.items())
+        said.append(f"its calibration by ImageJ ({told}): the codes are as stored")
+    if said:
+        warnings.warn(f"{file}: not used: {'; '.join(said)}.", stacklevel=5)
+
+
+def _of_gdal(page: TiffPicture) -> list[str]:
+    """What GDAL says of the numbers of a GeoTIFF: scale, offset, and the number of missing ones."""
+    items = re.findall(
+        r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(GDAL_WORDS)
+    )
+    plain = {"scale": 1.0, "offset": 0.0}
+    told = [f"{role} = {number}" for role, number in items if _differs(number, plain[role])]
+    said = []
+    if told:
+        said.append(f"its {', '.join(dict.fromkeys(told))} by GDAL: the numbers are as stored")
+    if missing := page.text(GDAL_MISSING).strip():
+        said.append(f"that pixels of {missing} are missing, by GDAL")
+    return said
+
+
+def _differs(number: str, plain: float) -> bool:
+    try:
+        return float(number) != plain
+    except ValueError:
+        return True
+
+
+def _in_display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
+    """The picture of an EXR's display window, or of the whole that a cropped TIFF belongs to, black
+    where the file holds nothing."""
+    rows, columns = spec.full_height, spec.full_width
+    top, left = spec.y - spec.full_y, spec.x - spec.full_x
+    height, width = pixels.shape[:2]
+    whole = (top, left, rows, columns) == (0, 0, height, width)
+    if whole or not spec.get_string_attribute("openexr:lineOrder"):
+        return pixels
+    inside_rows = range(max(top, 0), min(top + height, rows))
+    inside_columns = range(max(left, 0), min(left + width, columns))
+    if not inside_rows or not inside_columns:
+        raise InputError(
+            f"{file}: none of its pixels lies within its display window; correct its windows."
+        )
+    if rows * columns - height * width > _MOST_ADDED:
+        raise InputError(
+            f"{file}: holds {height} x {width} pixels of a display window of {rows} x {columns}; "
+            "correct its windows."
+        )
+    outside = height * width - len(inside_rows) * len(inside_columns)
+    if outside:
+        warnings.warn(
+            f"{file}: {outside} pixels outside its display window of {rows} x {columns} are not "
+            "used.",
+            stacklevel=5,
+        )
+    made = np.zeros((rows, columns, pixels.shape[2]), pixels.dtype)
+    to_rows, to_columns = (slice(r.start, r.stop) for r in (inside_rows, inside_columns))
+    made[to_rows, to_columns] = pixels[
+        inside_rows.start - top : inside_rows.stop - top,
+        inside_columns.start - left : inside_columns.stop - left,
+    ]
+    return made
+
+
+def _damaged(file: Path, reason: str) -> InputError:
+    return InputError(
+        f"{file}: the file is damaged or cut short ({reason}); copy it again from its source."
+    )
+
+
+def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
+    """A latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
+
+    Args:
+        path: the file; an alpha channel is left out. An EXR that its writer cropped is black
+            outside what it holds.
+
+    Returns:
+        (h, 2 h, bands) float32, W m^-2 sr^-1 or relative.
+
+    Raises:
+        InputError: for a file that `read_image` refuses, for integer samples (a display picture
+            holds no radiance), for a picture that is not twice as wide as high, and for values that
+            are negative or not finite.
+    """
+    picture, names = read_channels(path)
+    if not np.issubdtype(picture.dtype, np.floating):
+        raise InputError(
+            f"{path}: {picture.dtype} samples hold no radiance; an environment is an EXR or HDR."
+        )
+    picture = np.atleast_3d(picture).astype(np.float32)
+    picture = picture[..., [i for i in range(picture.shape[2]) if names[i : i + 1] != ("alpha",)]]
+    height, width, _ = picture.shape
+    if width != 2 * height:
+        raise InputError(
+            f"{path}: {height} rows of {width} are no latitude-longitude picture, which is twice "
+            "as wide as high; convert it from its other projection first."
+        )
+    wrong = int((~(np.isfinite(picture) & (picture >= 0))).sum())
+    if wrong:
+        raise InputError(
+            f"{path}: {wrong} of its values are negative or not finite; repair them first."
+        )
+    return picture
+
+
+def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: int = 95) -> None:
+    """Writes an image file; the suffix chooses the format.
+
+    The file appears only when it is complete. A lossless integer file is read back to prove that
+    its depth survived.
+
+    Args:
+        path: the file. uint8 and uint16 go to PNG or TIFF at their own depth, uint8 of one or three
+            channels to JPEG, floating arrays to EXR or HDR (HDR: three channels of light from 0 to
+            1.7e38, shared exponent, steps of about 1 %).
+        pixels: (h, w) or (h, w, channels), codes or any unit.
+        quality: of a JPEG, 1 to 100 on libjpeg's scale. Colour is stored at half the resolution
+            below 90, at full resolution from 90 on.
+
+    Raises:
+        InputError: for pixels that do not fit the format, and for a file that cannot be written.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/radiance.exr"
+        >>> jv.write_image(file, np.full((2, 3), 0.5, np.float32))
+        >>> print(jv.read_image(file).mean())
+        0.5
+    """
+    file, array = Path(path), np.ascontiguousarray(plain_array("pixels", pixels))
+    suffix = file.suffix.lower()
+    if array.ndim not in (2, 3) or 0 in array.shape:
+        raise InputError(f"{file}: an image is (h, w) or (h, w, channels), got {array.shape}.")
+    _check_format(file, array.dtype)
+    if suffix == ".hdr" and (array.ndim != 3 or array.shape[2] != 3):
+        raise InputError(f"{file}: Radiance HDR holds three channels, got {array.shape}.")
+    if suffix == ".hdr" and (wrong := int((~((array >= 0) & (array < END_OF_RANGE))).sum())):
+        raise InputError(
+            f"{file}: {wrong} values are negative, not finite, or {END_OF_RANGE:.2g} and more, "
+            "which Radiance HDR cannot hold; write EXR."
+        )
+    if suffix in JPEG_FORMATS and not (array.ndim == 2 or array.shape[2] in (1, 3)):
+        raise InputError(f"{file}: JPEG holds one or three channels, got {array.shape}.")
+    if suffix == ".png" and array.ndim == 3 and array.shape[2] > 4:
+        raise InputError(
+            f"{file}: PNG holds one to four channels, got {array.shape[2]}; write TIFF."
+        )
+    if suffix in JPEG_FORMATS and max(array.shape[:2]) > LONGEST_JPEG:
+        raise InputError(
+            f"{file}: JPEG holds at most {LONGEST_JPEG} rows and columns, got {array.shape[:2]}."
+        )
+    if not 1 <= quality <= 100:
+        raise InputError(f"{file}: quality is 1 to 100, got {quality}.")
+    attributes: dict[str, str | int] = {"oiio:UnassociatedAlpha": 1}
+    if suffix in JPEG_FORMATS:
+        attributes["compression"] = f"jpeg:{quality}"
+        attributes["jpeg:subsampling"] = "4:2:0" if quality < 90 else "4:4:4"
+    if np.issubdtype(array.dtype, np.floating):
+        array = as_float32(file, array)
+    shape = array.shape if array.ndim == 3 else (*array.shape, 1)
+    with replaced_on_success(file) as partial:
+        _write(partial, [array.reshape(shape)], shape, array.dtype, attributes)
+        if suffix in INTEGER_FORMATS and not _reads_back(partial, array):
+            raise InputError(f"{file}: what was written does not read back; is the disk full?")
+
+
+def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
+    """The numbers in the precision of a file, none of them lost.
+
+    Args:
+        path: the file that is to hold them, for the message.
+        numbers: (...) in any unit; NaN and infinity stay.
+
+    Returns:
+        (...) float32, rounded.
+
+    Raises:
+        InputError: for finite numbers beyond 3.4e38, for whole numbers that float32 does not hold,
+            and where all numbers are so small, below 1e-31, that it would round them coarsely.
+    """
+    if numbers.dtype == np.float32:
+        return numbers
+    with np.errstate(over="ignore", under="ignore"):
+        single = numbers.astype(np.float32)
+    if numbers.dtype.kind in "iu":
+        lost, why = single.astype(numbers.dtype) != numbers, "ends for whole numbers at 2^24"
+    else:
+        lost, why = np.isfinite(numbers) & ~np.isfinite(single), "ends at 3.4e38"
+    if not lost.any() and numbers.dtype.kind == "f":
+        size = np.abs(np.where(np.isfinite(numbers), numbers, 0))
+        limit = np.finfo(np.float32)
+        lost, why = (size > 0) & (size.max() < limit.tiny / limit.eps), "begins at 1.2e-38"
+    if count := int(lost.sum()):
+        raise InputError(
+            f"{path}: float32, which the file holds, {why}: {count} of {numbers.size} numbers do "
+            "not fit; scale them."
+        )
+    return single
+
+
+def _check_format(file: Path, dtype: np.dtype) -> None:
+    """`InputError` unless the file's format holds samples of this type."""
+    check_utf8(file)
+    suffix, kept = file.suffix.lower(), (np.uint8, np.uint16)
+    fits = {
+        **dict.fromkeys(FLOAT_FORMATS, np.issubdtype(dtype, np.floating)),
+        **dict.fromkeys(INTEGER_FORMATS, dtype in kept),
+        **dict.fromkeys(JPEG_FORMATS, dtype == np.uint8),
+    }
+    if suffix not in fits:
+        known = ", ".join(INTEGER_FORMATS + JPEG_FORMATS + FLOAT_FORMATS)
+        raise InputError(f"{file}: unknown image suffix {suffix!r}; use one of {known}.")
+    if not fits[suffix]:
+        hint = (
+            "; jaxvision.to_integers makes codes of a picture from 0 to 1"
+            if np.issubdtype(dtype, np.floating)
+            else ""
+        )
+        raise InputError(
+            f"{file}: {dtype} pixels do not fit {suffix}; uint8 and uint16 go to PNG or "
+            f"TIFF, uint8 to JPEG, floating point to EXR or HDR{hint}."
+        )
+
+
+def write_exr(
+    path: str | os.PathLike[str],
+    blocks: Iterable[np.ndarray],
+    *,
+    shape: tuple[int, int, int],
+    channels: Sequence[str] = (),
+    attributes: Mapping[str, str | int] | None = None,
+) -> None:
+    """Writes an EXR of float32 samples from blocks of rows.
+
+    The picture need never be in memory as a whole. The file appears only when it is complete.
+
+    Args:
+        path: the file.
+        blocks: (rows, w, channels) each, from the top, any unit.
+        shape: (h, w, channels) of the picture.
+        channels: their names; a reader gives them back in alphabetical order (except R, G, B, A).
+        attributes: of the file's header; a number of more than 32 bits becomes text.
+
+    Raises:
+        InputError: if the file cannot be written, and for numbers that `as_float32` refuses.
+        ValueError: unless the blocks make up the shape.
+    """
+    file = Path(path)
+    check_utf8(file)
+    with replaced_on_success(file) as partial:
+        _write(partial, blocks, shape, np.dtype(np.float32), attributes or {}, channels)
+
+
+def _write(
+    file: Path,
+    blocks: Iterable[np.ndarray],
+    shape: tuple[int, ...],
+    dtype: np.dtype,
+    attributes: Mapping[str, str | int],
+    names: Sequence[str] = (),
+) -> None:
+    """Blocks of rows, (rows, w, channels), one below the other."""
+    import OpenImageIO as oiio
+
+    height, width, channels = shape
+    sample = "float" if dtype == np.float32 else str(dtype)
+    sink = oiio.ImageOutput.create(str(file))
+    spec = oiio.ImageSpec(width, height, channels, sample)
+    spec.attribute("DateTime", "")  # equal pictures are equal files
+    if names:
+        spec.channelnames = tuple(names)
+    for name, value in attributes.items():
+        wide = isinstance(value, int) and not -(2**31) <= value < 2**31  # no number of its format
+        value = str(value) if wide else value
+        text = value.encode(errors="replace").decode() if isinstance(value, str) else value
+        spec.attribute(name, text)
+    if sink is None or not sink.open(str(file), spec):
+        raise InputError(f"{file}: cannot be written ({_reason(oiio)}).")
+    written, row = True, 0
+    for block in blocks:
+        pixels = as_float32(file, np.asarray(block)) if sample == "float" else block
+        pixels = np.ascontiguousarray(pixels, dtype)
+        if pixels.shape[1:] != (width, channels) or row + len(pixels) > height:
+            raise ValueError(f"a block of {pixels.shape} does not fit at row {row} of {shape}.")
+        written = written and sink.write_scanlines(row, row + len(pixels), 0, pixels)
+        row += len(pixels)
+    if row != height:
+        raise ValueError(f"the blocks hold {row} rows where the picture has {height}.")
+    message = _reason(sink)
+    if not (sink.close() and written):
+        raise InputError(f"{file}: cannot be written ({message}).")
+
+
+def _reads_back(file: Path, written: np.ndarray) -> bool:
+    try:
+        read, _ = _read_by_openimageio(file)
+    except InputError:
+        return False
+    return read.dtype == written.dtype and np.array_equal(read.reshape(written.shape), written)
+
+
+_NOT_NUMPY = (ValueError, TypeError, OSError, EOFError, MemoryError, SyntaxError, TokenError)
+# Sums do not agree; compression or encryption is of another kind.
+_NOT_ARCHIVE = (BadZipFile, zlib.error, NotImplementedError, RuntimeError)
+
+
+def _read_npy(file: Path) -> np.ndarray:
+    try:
+        return np.load(file, allow_pickle=False)
+    except _NOT_NUMPY as error:
+        raise InputError(f"{file}: not a NumPy array file ({_one_line(str(error))}).") from error
+
+
+def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """The arrays of a `.npz` file, which the library writes beside records and for chains.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Arrays by name, in the order of the file; each is as it was written, or the file is refused.
+
+    Raises:
+        InputError: for a file that is damaged, or no archive of NumPy arrays.
+    """
+    file = Path(path)
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
+            return dict(content)
+    except (*_NOT_NUMPY, *_NOT_ARCHIVE) as error:
+        raise InputError(
+            f"{file}: no whole archive of arrays ({_one_line(str(error))})."
+        ) from error
+
+
+def _reason(teller: Any) -> str:
+    """The last error of OpenImageIO, or of one of its files, on one line."""
+    try:
+        words = _one_line(teller.geterror())
+    except UnicodeDecodeError:  # it quotes the file
+        return NOT_TEXT
+    return "of no format of images that is known" if "find a format reader" in words else words
+
+
+def _one_line(message: str) -> str:
+    words = " ".join(message.split()) or "no further detail"
+    return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]} ..."

@@ -1,0 +1,80 @@
+"""One material as a TOML file: `kind`, the name of its record, and the record's fields.
+
+kind = "Phong"
+diffuse = [0.3]
+specular = [0.4]
+exponent = 25.0
+"""
+
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ..brdf import families
+from ..errors import InputError, nearest
+from ..scene import Material
+from .records import Reading, record_of, table_of, with_draws, write_record
+
+
+def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> Material:
+    """Reads a material from its file.
+
+    Args:
+        file: as `write_material` writes it.
+        draws: how many of the draws of a fitted material, which lie beside its file; None for the
+            best fit.
+
+    Returns:
+        The material; with draws, every number of it has a leading axis, for `jax.vmap`.
+
+    Raises:
+        InputError: there is no such file, or it holds an unknown key or a value out of range.
+            Materials in memory may hold NaN, which shows in pictures; files may not.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/matte.toml"
+        >>> jv.write_material(jv.Lambert([0.25]), file)
+        >>> jv.read_material(file)
+        Lambert(diffuse=[0.25])
+    """
+    from .toml import read_toml
+
+    path = Path(file)
+    table = read_toml(path, "material")
+    name = str(table.pop("kind", ""))
+    kinds = {kind.__name__: kind for kind in families()}
+    if name not in kinds:
+        raise InputError(f"{path}: kind = {name!r} is no material; {nearest(name, kinds)}.")
+    material = record_of(Reading(str(path), "material"), "", kinds[name], table)
+    for place, number in jax.tree.leaves_with_path(material):
+        if not np.isfinite(number).all():
+            where = jax.tree_util.keystr(place, simple=True, separator=".")
+            raise InputError(f"{path}: {where} must hold finite numbers; correct it.")
+    return material if draws is None else with_draws(path, material, draws)
+
+
+def write_material(
+    material: Material, file: str | os.PathLike[str], *, draws: Material | None = None
+) -> None:
+    """Writes a material that `read_material` reads back, bit-equal.
+
+    Args:
+        material: the best fit, say.
+        file: ending in .toml; missing folders are made.
+        draws: the same material with a leading axis at every number, one draw each; they are
+            written beside the file, ending in .npz.
+
+    Raises:
+        InputError: for draws of another material, and a file of another ending.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> file = mkdtemp() + "/matte.toml"
+        >>> jv.write_material(jv.Lambert(diffuse=(0.3,)), file)
+        >>> jv.read_material(file).diffuse.shape
+        (1,)
+    """
+    write_record(file, "material", table_of(material), material, draws)

@@ -1,0 +1,30 @@
+"""Shared by the readers: the bytes of a file, and the units that files use."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import InputError
+
+NANOMETRE = 1e-9
+LEAST_NANOMETRES = 10.0  # below which there are X-rays
+TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
+
+
+def representable(values: np.ndarray | Sequence[float]) -> np.ndarray:
+    """Which values, in any unit, are finite in JAX's default dtype, which a record takes."""
+    with np.errstate(over="ignore"):
+        return np.isfinite(np.asarray(values).astype(jnp.result_type(float)))
+
+
+def contents_of(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
+    """The path and the bytes of a file; `InputError` if there is none."""
+    file = Path(path)
+    if file.is_dir():
+        raise InputError(f"{file}: is a folder; name the file in it.")
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; check the name and the folder.")
+    return file, file.read_bytes()

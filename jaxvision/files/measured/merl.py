@@ -1,0 +1,112 @@
+"""MERL files (`.binary`): isotropic reflectance in RGB.
+
+Three little-endian int32 n_h, n_d, n_p (90, 90, 180), then as many float64 for red, for green, for
+blue, phi_d fastest and theta_h slowest, over the bins of `brdf.half_difference`. Values times (1,
+1.15, 1.66) / 1500 are f_r in sr^-1. Negative values mark bins that were not measured or lie below
+the surface.
+
+Source:
+    The reader published with Matusik et al., "A Data-Driven Reflectance Model", 2003.
+"""
+
+import os
+import struct
+from pathlib import Path
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...brdf.half_difference import HalfDifferenceTable
+from ...errors import InputError
+from ..images import replaced_on_success
+from ._contents import contents_of, representable
+
+MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
+
+
+def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """(bins..., bands) with every invalid bin replaced by the nearest valid one, measured in bins
+    and around the circle of phi_d.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    turn = valid.shape[2]
+    tiled = np.concatenate([valid] * 3, axis=2)
+    middle = np.s_[:, :, turn : 2 * turn]
+    nearest = distance_transform_edt(~tiled, return_distances=False, return_indices=True)
+    h, d, p = (index[middle] for index in np.asarray(nearest))
+    return values[h, d, p % turn]
+
+
+def read_merl(
+    path: str | os.PathLike[str], *, invalid: Literal["nearest", "zero"] = "nearest"
+) -> HalfDifferenceTable:
+    """Reads the table of a MERL file.
+
+    Args:
+        path: the file.
+        invalid: value of bins marked as not measured: "nearest" takes that of the nearest measured
+            bin, so that interpolation at the edge of the measured range is not drawn towards 0;
+            "zero" takes 0.
+
+    Returns:
+        The table of f_r in sr^-1.
+
+    Raises:
+        InputError: the file is missing or not of this format.
+    """
+    file, data = contents_of(path)
+    if len(data) < 12:
+        raise InputError(f"{file}: too short for a MERL file; copy it again from its source.")
+    shape = struct.unpack("<3i", data[:12])
+    swapped = struct.unpack(">3i", data[:12])
+    if not all(0 < n <= 4096 for n in shape):
+        if all(0 < n <= 4096 for n in swapped):
+            raise InputError(
+                f"{file}: the bytes are in big-endian order; swap them to the little-endian order "
+                "of the MERL database."
+            )
+        raise InputError(
+            f"{file}: the header gives {shape} bins, which is not a MERL file; take the .binary "
+            "file of the MERL database."
+        )
+    expected = 12 + 3 * 8 * int(np.prod(shape))
+    if len(data) != expected:
+        raise InputError(
+            f"{file}: {len(data)} bytes where {shape} bins of three colours need {expected}; the "
+            "file is cut short or damaged, copy it again from its source."
+        )
+    stored = np.frombuffer(data, "<f8", offset=12).reshape(3, *shape)
+    if not (finite := representable(stored)).all():
+        raise InputError(
+            f"{file}: {np.count_nonzero(~finite)} values are not finite numbers; the "
+            "file is damaged, copy it again from its source."
+        )
+    valid = np.asarray((stored >= 0).all(axis=0))
+    if not valid.any():
+        raise InputError(f"{file}: every bin is marked as not measured; take another file.")
+    values = np.moveaxis(stored, 0, -1) * MERL_SCALE
+    if invalid == "nearest" and not valid.all():
+        values = _nearest_valid(values, valid)
+    else:
+        values = np.where(valid[..., None], values, 0)
+    return HalfDifferenceTable(jnp.asarray(values))
+
+
+def write_merl(path: str | os.PathLike[str], table: HalfDifferenceTable) -> None:
+    """Writes a table as a MERL file; no bin is marked as not measured.
+
+    Args:
+        path: the file.
+        table: f_r in sr^-1, three bands.
+
+    Raises:
+        InputError: the table has another number of bands.
+    """
+    *shape, bands = table.values.shape
+    if bands != 3:
+        raise InputError(f"{path}: a MERL file holds 3 bands, got {bands}; convert to RGB first.")
+    stored = np.moveaxis(np.asarray(table.values, np.float64) / MERL_SCALE, -1, 0)
+    with replaced_on_success(Path(path)) as partial:
+        partial.write_bytes(struct.pack("<3i", *shape) + stored.astype("<f8").tobytes())

@@ -1,0 +1,154 @@
+"""RGL files (`.bsdf`): a tensor file with one material, RGB or spectral.
+
+Fields: theta_i (t,), phi_i (p,) in rad, ndf, sigma (rows, columns), vndf (p, t, rows, columns),
+luminance (p, t, n, n), jacobian (1,), and rgb (p, t, 3, n, n) or wavelengths (b,) in nm with
+spectra (p, t, b, n, n).
+
+Source:
+    Dupuy and Jakob 2018 and the loader published with the database, rgl.epfl.ch/materials.
+"""
+
+import os
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...brdf.rgl import RGL, rgl_material
+from ...errors import InputError
+from ..images import as_float32, replaced_on_success
+from ._contents import LEAST_NANOMETRES, NANOMETRE, TURN, contents_of, representable
+from ._tensor_file import fields_in, tensor_file
+
+
+def read_rgl(path: str | os.PathLike[str]) -> RGL:
+    """Reads the material of an RGL file, RGB or spectral.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The material, with values in sr^-1, angles in rad and wavelengths in m.
+
+    Raises:
+        InputError: the file is missing or not of this format.
+    """
+    file, data = contents_of(path)
+    fields = fields_in(file, data)
+    spectral = "spectra" in fields
+    colour = "spectra" if spectral else "rgb"
+    needed = ["theta_i", "phi_i", "ndf", "sigma", "vndf", "luminance", "jacobian", colour]
+    missing = [name for name in needed + ["wavelengths"] * spectral if name not in fields]
+    if missing:
+        raise InputError(
+            f"{file}: no field {', '.join(missing)}; a tensor file, but not an RGL material."
+        )
+    nodes = (*fields["phi_i"].shape, *fields["theta_i"].shape)
+    bands = fields["wavelengths"].size if spectral else 3
+    square = fields["luminance"].shape[-2:]
+    dimensions = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "luminance": 4}
+    shapes = {"vndf": nodes, "luminance": nodes, colour: (*nodes, bands, *square), "jacobian": (1,)}
+    dimensions |= {colour: 5, "jacobian": 1}
+    for name in needed:
+        shape, wanted = fields[name].shape, shapes.get(name, ())
+        if len(shape) != dimensions[name] or shape[: len(wanted)] != wanted or 0 in shape:
+            raise InputError(
+                f"{file}: field {name!r} has shape {shape}, which does not fit {nodes[0]} azimuths "
+                f"and {nodes[1]} elevations of {bands} bands; copy the file again."
+            )
+        if not representable(fields[name]).all():
+            raise InputError(
+                f"{file}: field {name!r} holds values that are not finite; copy the file again."
+            )
+    symmetry = _check_rgl_values(file, fields, spectral=spectral)
+    dtype = jnp.result_type(float)
+    table = {name: jnp.asarray(fields[name], dtype) for name in needed}
+    return rgl_material(
+        table["theta_i"],
+        table["phi_i"],
+        jnp.moveaxis(table[colour], 2, -1),
+        table["ndf"],
+        table["sigma"],
+        table["vndf"],
+        table["luminance"],
+        wavelengths=jnp.asarray(fields["wavelengths"], dtype) * NANOMETRE if spectral else None,
+        scaled=bool(fields["jacobian"][0]),
+        symmetry=symmetry,
+    )
+
+
+def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bool) -> int:
+    """How many equal sectors of azimuth make a turn; `InputError` for values out of range."""
+    theta, phi = fields["theta_i"], fields["phi_i"]
+    for name in ("theta_i", "phi_i"):
+        if (np.diff(fields[name]) <= 0).any():
+            raise InputError(f"{file}: field {name!r} does not increase; copy the file again.")
+    if theta[0] < 0 or theta[-1] > np.pi / 2 + 1e-4:
+        raise InputError(
+            f"{file}: field 'theta_i' runs from {theta[0]:g} to {theta[-1]:g}, which must lie in "
+            "[0, pi / 2] rad; convert degrees to radians."
+        )
+    span = float(phi[-1] - phi[0])
+    if np.abs(phi).max() > TURN or span > TURN:
+        raise InputError(
+            f"{file}: field 'phi_i' runs from {phi[0]:g} to {phi[-1]:g}, which must lie in "
+            "[-2 pi, 2 pi] rad and span one turn at most; convert degrees to radians."
+        )
+    symmetry = 1 if len(phi) <= 2 else round(2 * np.pi / span)
+    if symmetry not in (1, 2, 4):
+        raise InputError(
+            f"{file}: field 'phi_i' spans {span:g} rad, which is neither a turn nor a half nor a "
+            "quarter of one; copy the file again."
+        )
+    for name in ("ndf", "sigma", "vndf", "luminance"):
+        lowest = fields[name].min()
+        if lowest < 0:
+            raise InputError(
+                f"{file}: field {name!r} holds {lowest:g} where nothing can be negative; copy the "
+                "file again."
+            )
+        if not fields[name].any():
+            raise InputError(f"{file}: field {name!r} is 0 everywhere; copy the file again.")
+    if spectral:
+        nanometres = fields["wavelengths"]
+        if not np.isfinite(nanometres).all() or (nanometres < LEAST_NANOMETRES).any():
+            raise InputError(
+                f"{file}: field 'wavelengths' must hold finite numbers, in nm, of "
+                f"{LEAST_NANOMETRES:g} or more; copy the file again."
+            )
+    return symmetry
+
+
+def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
+    """Writes a material as an RGL file, in float32 like the database.
+
+    Densities are written normalised; every reader normalises them anyway.
+
+    Args:
+        path: the file.
+        material: the material.
+        description: text of the field `description`.
+    """
+    text = np.frombuffer(description.encode() or b"-", "u1")
+    fields = {
+        "description": text,
+        "theta_i": material.theta,
+        "phi_i": material.phi,
+        "sigma": material.sigma,
+        "ndf": material.ndf,
+        "vndf": material.vndf.density,
+        "luminance": material.luminance.density,
+        "jacobian": np.array([material.scaled], "u1"),
+    }
+    values = np.moveaxis(np.asarray(material.values), -1, 2)
+    if material.wavelengths is None:
+        fields["rgb"] = values
+    else:
+        fields["wavelengths"] = np.asarray(material.wavelengths, np.float64) / NANOMETRE
+        fields["spectra"] = values
+    arrays = {
+        name: np.asarray(x) if np.asarray(x).dtype == np.uint8 else as_float32(path, np.asarray(x))
+        for name, x in fields.items()
+    }
+    with replaced_on_success(Path(path)) as partial:
+        partial.write_bytes(tensor_file(arrays))

@@ -1,0 +1,283 @@
+"""Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
+
+Eager; trimesh (the extra `mesh`) is loaded on first use. A file of several meshes becomes one, each
+placed as in the file's scene; polygons are split into triangles that cover them. Lengths are taken
+as metres; colours, textures and materials of the file are not read. Every failure is an
+`InputError` of one sentence.
+"""
+
+import os
+import re
+import warnings
+from collections.abc import Sequence
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError, install
+from ..geometry.checks import faces_without_area
+from ..scene import TriangleMesh
+from ._polygons import are_fans, cut, fan, obj_in_triangles, polygons_of
+from .gltf import Gltf, primitive_of, read_gltf
+
+Vector = Sequence[float | int] | np.ndarray
+Axes = Sequence[Vector] | np.ndarray
+Affine = Sequence[Sequence[float | int]] | np.ndarray
+
+# Rounding is named above these shares: of the area of a triangle, as a vector, and of the size.
+_TURNED, _MOVED = 1e-2, 5e-4
+
+
+def read_mesh(
+    path: str | os.PathLike[str],
+    *,
+    scale: float | int = 1.0,
+    rotation: Axes | None = None,
+    position: Vector = (0.0, 0.0, 0.0),
+    matrix: Affine | None = None,
+    smooth: bool = False,
+    flip: bool = False,
+    primitive: tuple[int, int] | None = None,
+    dtype: str | np.dtype | None = None,
+) -> TriangleMesh:
+    """Reads the triangles of a file, in its order.
+
+    Points are scaled, then rotated, then moved, or mapped by `matrix`. Triangles without area in
+    the numbers of `dtype`, which no ray would hit, are left out, and a warning counts them.
+    Coordinates that are not finite are kept; `geometry.problems` reports them. A warning names a
+    mesh so far from the origin that `dtype` changes its triangles by more than 1 % on average, or
+    moves its vertices by more than 5e-4 of its size.
+
+    Args:
+        path: the file.
+        scale: m per unit of the file, 1 if it is in m; a warning names another unit that the file
+            itself gives.
+        rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
+        position: (3,) m.
+        matrix: (3, 4) rows of an affine map of the file's points, as columns, to m in the world,
+            instead of scale, rotation and position; one that mirrors keeps the outside outside.
+        smooth: take the file's normals at the vertices or, if it has none, the means of the
+            adjacent triangles weighted by their angles; otherwise triangles are flat.
+        flip: reverse every triangle and every normal.
+        primitive: of a glTF file the numbers, from 0, of a mesh and of a primitive in it, taken as
+            it lies in the file; None: all meshes, each placed as in the file's scene.
+        dtype: floating dtype; None is JAX's default.
+
+    Returns:
+        The mesh.
+
+    Raises:
+        InputError: there is no such file, it is not a mesh, a triangle names a vertex that does
+            not exist, or the matrix flattens it.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(f"{file}: no such mesh file; check the name and the folder.")
+    loaded = _load(file) if primitive is None else _primitive(file, *primitive)
+    unit = getattr(loaded, "units", None)
+    if unit not in (None, "m", "meter", "meters") and scale == 1 and matrix is None:
+        warnings.warn(
+            f"{file}: says that its unit is {unit}, which is not used: lengths are taken as m "
+            "times scale.",
+            stacklevel=2,
+        )
+    loaded.apply_transform(_to_world(file, scale, rotation, position, matrix))
+    exact = np.asarray(loaded.vertices, float)
+    with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
+        vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
+    faces = _with_area(file, vertices, exact, np.asarray(loaded.faces, np.int32))
+    normals = None
+    if smooth:
+        normals = np.asarray(loaded.vertex_normals, float).astype(vertices.dtype)
+    if flip:
+        faces = faces[:, ::-1]
+        normals = None if normals is None else -normals
+    return TriangleMesh(vertices, faces, normals=normals)
+
+
+def _to_world(
+    file: Path,
+    scale: float | int,
+    rotation: Axes | None,
+    position: Vector,
+    matrix: Affine | None,
+) -> np.ndarray:
+    """(4, 4), of column vectors, m."""
+    whole = np.eye(4)
+    if matrix is None:
+        axes = np.eye(3) if rotation is None else np.asarray(rotation, float)
+        whole[:3, :3], whole[:3, 3] = scale * axes.T, position
+        return whole
+    given = np.asarray(matrix, float)
+    if given.shape != (3, 4) or not np.isfinite(given).all():
+        raise InputError(f"{file}: matrix must be three rows of four finite numbers; correct it.")
+    if not np.linalg.det(given[:, :3]):
+        raise InputError(f"{file}: matrix flattens the mesh; give one that has an inverse.")
+    whole[:3] = given
+    return whole
+
+
+def _with_area(
+    file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
+) -> np.ndarray:
+    """The triangles with a positive area; files often hold some without. A warning tells what
+    rounding took from those of the file, whose vertices are exact."""
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
+        raise InputError(
+            f"{file}: a triangle names vertex {wrong}, counted from 0, where there are "
+            f"{len(vertices)}; export it again."
+        )
+    flat = faces_without_area(vertices, faces)
+    _check_rounding(file, vertices, exact, faces)
+    if flat.all():
+        raise InputError(f"{file}: none of its {len(faces)} triangles has area; export it again.")
+    if flat.any():
+        rounded = (flat & ~faces_without_area(exact, faces)).sum()
+        by_rounding = f" ({rounded} of them in {vertices.dtype} alone)" if rounded else ""
+        warnings.warn(
+            f"{file}: {flat.sum()} of {len(faces)} triangles have no area{by_rounding} and were "
+            "left out.",
+            stacklevel=3,
+        )
+    return faces[~flat]
+
+
+def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray) -> None:
+    """Warns of a mesh far from the origin, whose triangles or whole rounding changes."""
+    before, after = (
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        for corners in (exact[faces], vertices[faces].astype(float))
+    )
+    whole = np.linalg.norm(before, axis=1).sum()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        change = np.linalg.norm(after - before, axis=1).sum() / whole
+        shift = np.abs(vertices - exact).max()
+        share = shift / np.ptp(exact, axis=0).max()
+    if change > _TURNED or share > _MOVED:
+        warnings.warn(
+            f"{file}: lies up to {np.abs(exact).max():.3g} m from the origin, where "
+            f"{vertices.dtype} moves its vertices by up to {shift:.2g} m and changes the areas and "
+            f"slopes of its triangles by {change:.2g} on average; move it near the origin, with "
+            "lamps and camera, as by position, or take the dtype float64.",
+            stacklevel=4,
+        )
+
+
+def _primitive(file: Path, mesh: int, primitive: int):
+    """The same of one primitive of a glTF file."""
+    part = primitive_of(_gltf(file, file.stat().st_mtime_ns), mesh, primitive)
+    return _trimesh(file).Trimesh(
+        part.vertices, part.faces, vertex_normals=part.normals, process=False, validate=False
+    )
+
+
+@lru_cache(maxsize=1)
+def _gltf(file: Path, _changed: int) -> Gltf:
+    """The file as it was last changed, kept for its next primitive."""
+    return read_gltf(file)
+
+
+def _trimesh(file: Path):
+    """The package, for a file of meshes."""
+    try:
+        import trimesh
+    except ImportError as error:
+        raise InputError(
+            f"{file}: reading meshes needs trimesh; install it with `{install('mesh')}`."
+        ) from error
+    return trimesh
+
+
+def _load(file: Path):
+    """One trimesh mesh, its vertices merged only where the file shares them."""
+    trimesh = _trimesh(file)
+    from trimesh.exchange.load import mesh_formats
+
+    if file.suffix.lower().lstrip(".") not in mesh_formats():
+        raise InputError(
+            f"{file}: {file.suffix!r} is not a mesh format that trimesh reads; convert the file to "
+            "OBJ, PLY or GLB."
+        )
+    try:
+        scene = trimesh.load_scene(**_source(file), process=False)
+        mesh = scene.to_mesh()
+        if scene.units is not None:
+            mesh.units = scene.units
+    except Exception as error:  # each format's reader fails in its own way
+        reason = _of_content(file) or _in_plain_words(error)
+        raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
+    if np.shape(mesh.vertices)[1:] != (3,):
+        raise InputError(f"{file}: its points do not have three coordinates; export it again.")
+    if len(mesh.faces) == 0:
+        why = _of_content(file)
+        reason = f" that can be read: {why}" if why else ""
+        raise InputError(f"{file}: holds no triangles{reason}; export it again as a mesh.")
+    return _with_whole_polygons(file, mesh)
+
+
+def _source(file: Path) -> dict[str, Any]:
+    """What trimesh reads: the file, or an OBJ whose polygons are cut."""
+    if file.suffix.lower() == ".obj":
+        triangles = obj_in_triangles(file.read_bytes().decode("latin-1"))
+        if triangles is not None:
+            _trimesh(file)  # which says how to install it
+            from trimesh.resolvers import FilePathResolver
+
+            data = BytesIO(triangles.encode("latin-1"))
+            of_folder = FilePathResolver(str(file.absolute()))
+            return {"file_obj": data, "file_type": "obj", "resolver": of_folder}
+    return {"file_obj": file}
+
+
+def _with_whole_polygons(file: Path, mesh):
+    """The mesh of a PLY or OFF file whose polygons are cut so that they cover what they enclose."""
+    polygons = polygons_of(file) if file.suffix.lower() in (".ply", ".off") else None
+    if polygons is None or max(one.max() for one in polygons) >= len(mesh.vertices):
+        return mesh
+    pieces = cut(np.asarray(mesh.vertices, float), polygons)
+    if are_fans(pieces):
+        return mesh
+    fans = np.concatenate([corners[fan(len(corners))] for corners in polygons])
+    one, other = (np.unique(np.sort(faces, axis=1), axis=0) for faces in (fans, mesh.faces))
+    if not np.array_equal(one, other):
+        raise InputError(
+            f"{file}: holds polygons that are not convex, whose corners texture has changed; "
+            "export it again in triangles."
+        )
+    whole = zip(polygons, pieces, strict=True)
+    mesh.faces = np.concatenate([corners[three] for corners, three in whole])
+    return mesh
+
+
+def _of_content(file: Path) -> str | None:
+    """Why a reader of trimesh failed, as far as the content tells."""
+    data = file.read_bytes()
+    match file.suffix.lower():
+        case ".stl" if len(data) >= 84:
+            announced, held = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
+            if not data.startswith(b"solid") and announced != held:
+                return f"it announces {announced} triangles and has the length of {held}"
+        case ".ply" if b"element tristrips" in data[:10_000]:
+            return "it has strips of triangles, which are not read"
+        case ".obj" if re.search(rb"^v[ \t]+\S*\d,\d", data, re.MULTILINE):
+            return "it writes decimals with commas"
+    return None
+
+
+def _in_plain_words(error: Exception) -> str:
+    """Why a reader of trimesh failed, as far as the kind of the error tells."""
+    match error:
+        case UnicodeError() | ModuleNotFoundError(name="charset_normalizer"):
+            return "it holds bytes that are not text where its format has text"
+        case ModuleNotFoundError():
+            return f"its format takes the package {error.name}, which is not installed"
+        case FileNotFoundError():
+            return "it is incomplete, or a file that it names is missing"
+        case IndexError() | KeyError():
+            return "it ends too early, or refers to parts that are not in it"
+    return "it ends too early, or holds data that its format does not allow there"

@@ -1,0 +1,232 @@
+"""Files as cameras for measurement write them: raw files (DNG, CR2, NEF, ARW, ...) by rawpy, and
+FITS by astropy, each an extra of the package that is loaded on first use."""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, install
+from ._tiff_tags import SAMPLE_FORMAT, tiff_pictures
+
+RAW_FORMATS = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".pef", ".srw")
+FITS_FORMATS = (".fits", ".fit", ".fts")
+
+
+def read_raw(file: Path) -> np.ndarray:
+    """The numbers of a raw file as LibRaw decodes them, before black level and demosaicing.
+
+    A camera that stores a curve (a DNG's linearisation table, Nikon's and Sony's compressed files)
+    stores other numbers: LibRaw undoes the curve, and these are linear in the light.
+
+    Args:
+        file: of a sensor with one colour a pixel, or none.
+
+    Returns:
+        (h, w) uint16 DN, the margins that the camera masks left out.
+
+    Raises:
+        InputError: for a file that rawpy cannot read, for several colours a pixel, and without the
+            `raw` extra.
+    """
+    if any(
+        picture.first(SAMPLE_FORMAT, 1) == 3 and not picture.is_copy
+        for page in tiff_pictures(file)
+        for picture in (page, *page.inner)
+    ):
+        raise InputError(
+            f"{file}: holds floating numbers, which LibRaw scales by the brightest of each file; "
+            "save a TIFF of floating numbers, or give the raw files that it was merged from."
+        )
+    with opened_raw(file) as raw:
+        if raw.raw_type.name != "Flat":
+            raise InputError(
+                f"{file}: holds several colours a pixel, no mosaic; develop it and save a TIFF."
+            )
+        if raw.sizes.flip:
+            warnings.warn(
+                f"{file}: not used: its orientation: rows and columns are as stored.", stacklevel=3
+            )
+        return np.array(raw.raw_image_visible)
+
+
+@contextmanager
+def opened_raw(file: Path) -> Iterator[Any]:
+    """A raw file as rawpy gives it: a context.
+
+    Args:
+        file: the file.
+
+    Yields:
+        `rawpy.RawPy`.
+
+    Raises:
+        InputError: for a file that it cannot read, also within the context, where it reads the
+            pixels, and without the `raw` extra.
+    """
+    rawpy = extra("rawpy", "raw", file)
+    try:
+        with rawpy.imread(str(file)) as raw:
+            yield raw
+    except (rawpy.LibRawError, OSError) as error:
+        told = str(error.args[0].decode() if isinstance(error.args[0], bytes) else error)
+        raise InputError(f"{file}: not readable as a raw file ({told}); copy it again.") from error
+
+
+def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
+    """An image of a FITS file, its rows in the order of the file.
+
+    A warning names the units that are not read, and a third axis that is not colour.
+
+    Args:
+        file: the file. BZERO and BSCALE are applied; pixels of the value BLANK are NaN.
+        part: number or name of the unit; None: the first with an image.
+
+    Returns:
+        (h, w), or (h, w, channels) of a file with a third axis, in the type of the file, or
+        floating where BLANK or BSCALE ask for it.
+
+    Raises:
+        InputError: for a file that astropy cannot read or without an image, for a part that it does
+            not have, and without the `fits` extra.
+    """
+    extra("astropy.io.fits", "fits", file)  # which, when loaded, takes warnings to itself
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with opened_fits(file) as units:
+            image = _image_unit(file, units, part)
+            blank, zero = image.header.get("BLANK"), image.header.get("BZERO", 0)
+            third = str(image.header.get("CTYPE3", "")).strip()
+            pixels = np.asarray(image.data)
+            others = [] if part is not None else _other_units(units, image)
+    for said in {" ".join(str(one.message).split()) for one in caught}:
+        if "truncated" in said:
+            raise InputError(f"{file}: the file is cut short; copy it again from its source.")
+        warnings.warn(f"{file}: {said}", stacklevel=3)
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="))
+    known = isinstance(blank, int) and isinstance(zero, int | float)
+    if known and np.issubdtype(pixels.dtype, np.integer):  # others come as NaN
+        missing = pixels == blank + zero
+        if missing.any():
+            kind = np.float32 if pixels.dtype.itemsize <= 2 else np.float64
+            pixels = np.where(missing, np.nan, pixels).astype(kind)
+    while pixels.ndim > 2 and pixels.shape[0] == 1:
+        pixels = pixels[0]
+    if pixels.ndim not in (2, 3):
+        raise InputError(f"{file}: its image has {pixels.ndim} axes; give two, or three.")
+    said = []
+    if others:
+        verb = "is" if len(others) == 1 else "are"
+        said.append(f"{_listed(others)} {verb} not used (the argument part chooses one)")
+    if pixels.ndim == 3:
+        planes = len(pixels)
+        if planes != 3 or third.upper() != "RGB":
+            called = f" ({third})" if third else ""
+            said.append(f"the {planes} planes of its third axis{called} are taken as channels")
+        pixels = np.moveaxis(pixels, 0, -1)
+    if said:
+        warnings.warn(f"{file}: {'; '.join(said)}.", stacklevel=3)
+    return pixels
+
+
+@contextmanager
+def opened_fits(file: Path) -> Iterator[Any]:
+    """A FITS file as astropy gives it: a context.
+
+    Args:
+        file: the file.
+
+    Yields:
+        `astropy.io.fits.HDUList`.
+
+    Raises:
+        InputError: for a file that it cannot read, also within the context, where it reads heads
+            and pixels, and without the `fits` extra.
+    """
+    fits = extra("astropy.io.fits", "fits", file)
+    try:
+        with fits.open(file, memmap=False) as units:
+            yield units
+    except InputError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, fits.VerifyError) as error:
+        told = " ".join(str(error).split())
+        raise InputError(f"{file}: not readable as FITS ({told}); copy it again.") from error
+
+
+def fits_header(file: Path) -> dict[str, Any]:
+    """The keywords of the first image of a FITS file, and those of the file's first unit.
+
+    Args:
+        file: the file.
+
+    Returns:
+        Values by keyword.
+
+    Raises:
+        InputError: as `read_fits` does.
+    """
+    extra("astropy.io.fits", "fits", file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # `read_fits` says what they are
+        with opened_fits(file) as units:
+            return dict(units[0].header) | dict(_image_unit(file, units, None).header)
+
+
+def _image_unit(file: Path, units: Any, part: int | str | None) -> Any:
+    images = [unit for unit in units if _holds_image(unit)]
+    if not images:
+        raise InputError(f"{file}: holds no image; name a FITS file with one.")
+    if part is None:
+        return images[0]
+    for i, unit in enumerate(units):
+        if part in (i, unit.name) and _holds_image(unit):
+            return unit
+    known = ", ".join(f"{i} {unit.name}".strip() for i, unit in enumerate(units))
+    raise InputError(f"{file}: has no image {part!r}; its units are {known}.")
+
+
+def _holds_image(unit: Any) -> bool:
+    axes = unit.header.get("NAXIS", 0)
+    return isinstance(axes, int) and axes >= 2 and bool(getattr(unit, "is_image", False))
+
+
+def _other_units(units: Any, image: Any) -> list[str]:
+    """The units with data beside that image, in words."""
+    return [
+        f"unit {i}{f' ({unit.name})' if unit.name else ''}"
+        for i, unit in enumerate(units)
+        if unit is not image and unit.header.get("NAXIS", 0)
+    ]
+
+
+def _listed(words: Sequence[str], most: int = 6) -> str:
+    shown = ", ".join(words[:most])
+    return shown if len(words) <= most else f"{shown} and {len(words) - most} more"
+
+
+def extra(module: str, name: str, file: Path) -> Any:
+    """A library that an extra of the package brings.
+
+    Args:
+        module: to import.
+        name: of the extra.
+        file: that needs it, for the message.
+
+    Returns:
+        The module.
+
+    Raises:
+        InputError: if it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        library = module.partition(".")[0]
+        raise InputError(
+            f"{file}: {library} reads such files; install it by `{install(name)}`."
+        ) from error

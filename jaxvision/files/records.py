@@ -1,0 +1,449 @@
+"""Records as TOML files: one table for each record, its keys the record's fields.
+
+Numbers are written to the last digit, so that a record comes back bit-equal. Draws of a fitted
+record lie beside its file as `.npz`: under each number's path (`.sensor.gain`) an array with a
+leading axis, of those numbers that differ from draw to draw.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, fields
+from functools import cache
+from inspect import signature
+from pathlib import Path
+from types import NoneType
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..core._shown import meanings
+from ..core._types import Colour, Range, axes_of, check_range, check_shape, in_short, members_of
+from ..errors import InputError, nearest
+from ..sensor.colour_filters import bayer
+from .images import read_arrays, replaced_on_success
+
+Record = TypeVar("Record", bound=eqx.Module)
+
+
+def write_record(
+    file: str | os.PathLike[str],
+    what: str,
+    tables: Mapping[str, Any],
+    record: Record,
+    draws: Record | None,
+) -> None:
+    """Writes a record as TOML, whole or not at all, and its draws beside it.
+
+    Args:
+        file: ending in .toml; missing folders are made.
+        what: the record is, for messages: `camera`, say.
+        tables: of `table_of`.
+        record: one, whose shapes count.
+        draws: the same with a leading axis at every number; None writes none.
+
+    Raises:
+        InputError: for a file of another ending, draws of another record, or draws without a
+            leading axis.
+    """
+    import tomli_w
+
+    path = Path(file)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a {what} file ends in .toml.")
+    with replaced_on_success(path) as partial:
+        partial.write_text(tomli_w.dumps(tables))
+    if draws is not None:
+        _write_draws(path, record, draws)
+
+
+def table_of(record: eqx.Module) -> dict[str, Any]:
+    """The table from which `record_of` makes the same record.
+
+    Args:
+        record: of numbers, records and static values.
+
+    Returns:
+        Values by the names of its fields, its `kind` among them; what is None is left out.
+    """
+    table: dict[str, Any] = {"kind": type(record).__name__}
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if isinstance(value, eqx.Module):
+            table[field.name] = table_of(value)
+        elif isinstance(value, tuple) and any(isinstance(one, eqx.Module) for one in value):
+            table[field.name] = [table_of(one) for one in value]
+        elif eqx.is_array(value):
+            table[field.name] = np.asarray(value).tolist()
+        elif value is not None:
+            table[field.name] = value
+    return table
+
+
+def with_draws(file: Path, record: Record, count: int) -> Record:
+    """A record with a leading axis of draws, those that lie beside its file.
+
+    Args:
+        file: of the record.
+        record: as it was read.
+        count: of draws, spread evenly over those that are there.
+
+    Returns:
+        The record, every number of it with a leading axis of that length, for `jax.vmap`.
+
+    Raises:
+        InputError: without draws, with fewer, and with draws of another record.
+    """
+    beside = _beside(file)
+    if not beside.is_file():
+        raise InputError(f"{beside}: no draws lie beside {file.name}; save a fit with its draws.")
+    try:
+        stored = read_arrays(beside)
+        (there,) = {len(values) if values.ndim else 0 for values in stored.values()}
+    except ValueError as error:  # several lengths, or none
+        raise InputError(f"{beside}: not a file of draws; save the fit again.") from error
+    if not 1 <= count <= there:
+        raise InputError(f"{beside}: {count} draws were asked for, {there} are there.")
+    rows = np.linspace(0, there - 1, count).astype(int)
+
+    def drawn(path: Any, leaf: Any) -> Any:
+        values = stored.pop(jax.tree_util.keystr(path), None)
+        if values is None:
+            return jnp.broadcast_to(leaf, (count, *np.shape(leaf)))
+        if values.shape[1:] != np.shape(leaf):
+            raise InputError(f"{beside}: its draws do not fit {file.name}: save the fit again.")
+        return jnp.asarray(values[rows], jnp.asarray(leaf).dtype)
+
+    found = jax.tree.map_with_path(drawn, record)
+    if stored:
+        raise InputError(f"{beside}: {file.name} has no {next(iter(stored))}: save the fit again.")
+    return found
+
+
+def _write_draws(file: Path, record: eqx.Module, draws: eqx.Module) -> None:
+    differing = {}
+    known = jax.tree.leaves_with_path(record)
+    drawn = jax.tree.leaves(draws)
+    if jax.tree.structure(record) != jax.tree.structure(draws):
+        raise InputError(f"{file}: the draws are of another kind of record.")
+    for (path, leaf), values in zip(known, drawn, strict=True):
+        if np.shape(values)[1:] != np.shape(leaf) or not np.ndim(values):
+            name = jax.tree_util.keystr(path)
+            raise InputError(f"{file}: the draws of {name} need one leading axis.")
+        values = np.asarray(values)
+        if (values != values[:1]).any():
+            differing[jax.tree_util.keystr(path)] = values
+    if not differing:
+        raise InputError(f"{file}: no number differs between the draws.")
+    with replaced_on_success(_beside(file)) as partial, partial.open("wb") as stream:
+        np.savez(stream, **differing)  # type: ignore[arg-type]
+
+
+def _beside(file: Path) -> Path:
+    return file.with_suffix(".npz")
+
+
+class Key(NamedTuple):
+    """A key of a table: the type of its value, its default (MISSING: it must be given), and what a
+    docstring says of it."""
+
+    hint: Any
+    default: Any
+    about: str
+
+
+class Reading(NamedTuple):
+    """How the tables of one file are read.
+
+    Attributes:
+        place: the file, for messages.
+        kind: what it is ("camera"), likewise.
+        finite: whether a number must be finite; else its record decides.
+        typed: reads values of further types: `typed(hint, where, value)`, NotImplemented for a type
+            that it does not know.
+    """
+
+    place: str
+    kind: str
+    finite: bool = False
+    typed: Callable[[Any, str, Any], Any] = lambda *_: NotImplemented
+
+
+@cache
+def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
+    """The keys of the table from which a record is made: the fields of the record, or the arguments
+    by name of the function that makes it.
+
+    Args:
+        make: the class of a record, or a function.
+        record: whose other fields a function takes as `**fields`.
+
+    Returns:
+        The keys by their names; fields of the record first, in its order.
+    """
+    said = meanings(make)
+    if isinstance(make, type):
+        hints = get_type_hints(make, include_extras=True)
+        spectra = (*getattr(make, "spectra", ()), *getattr(make, "neutral_spectra", ()))
+        return {
+            f.name: Key(
+                Colour if f.name in spectra and hints[f.name] is jax.Array else hints[f.name],
+                f.default if f.default_factory is MISSING else None,
+                said.get(f.name, ""),
+            )
+            for f in fields(make)
+        }
+    hints, own, rest = get_type_hints(make, include_extras=True), {}, {}
+    for name, parameter in signature(make).parameters.items():
+        if parameter.kind is parameter.VAR_KEYWORD and record is not None:
+            rest = keys_of(record)
+        elif parameter.kind is parameter.KEYWORD_ONLY:
+            default = MISSING if parameter.default is parameter.empty else parameter.default
+            own[name] = Key(hints[name], default, said.get(name, ""))
+    return {name: key for name, key in {**rest, **own}.items() if key.hint is not NoneType}
+
+
+def record_of(
+    reading: Reading, where: str, make: Callable[..., Any], table: Mapping[str, Any]
+) -> Any:
+    """A record from its table; tables within it become records too.
+
+    Args:
+        reading: the file.
+        where: the table in it.
+        make: the class of the record, or what makes it of the values.
+        table: values by the names of its keys.
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: for an unknown or a missing key, and a value out of range.
+    """
+    values = values_of(reading, where, keys_of(make), table)
+    try:
+        return make(**values)
+    except (TypeError, ValueError) as error:
+        sentence = f"{where}: {error}" if where else str(error)
+        raise InputError(f"{reading.place}: {sentence}") from error
+
+
+def values_of(
+    reading: Reading, where: str, keys: Mapping[str, Key], table: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The values of a table, each of the type of its key; `InputError` as from `record_of`."""
+    check_keys(reading, where, table, keys)
+    for name, key in keys.items():
+        if key.default is MISSING and name not in table:
+            place = f"{where}.{name}".lstrip(".")
+            raise InputError(f"{reading.place}: {place} is missing; add it.")
+    return {
+        name: value_of(reading, f"{where}.{name}".lstrip("."), keys[name].hint, value)
+        for name, value in table.items()
+    }
+
+
+def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
+    """A value as what its key takes.
+
+    Args:
+        reading: the file.
+        where: the key.
+        hint: its type.
+        value: what was read.
+
+    Returns:
+        The value; lists as tuples, numbers as arrays.
+
+    Raises:
+        InputError: for what is not of that type.
+    """
+    kinds = tuple(kind for kind in members_of(hint) if kind is not NoneType)
+    for kind in kinds:
+        try:
+            found = reading.typed(kind, where, value)
+        except ValueError as error:
+            if str(error).startswith(f"{reading.place}: "):
+                raise
+            raise InputError(f"{reading.place}: {where}: {error}") from error
+        if found is not NotImplemented:
+            return found
+    if isinstance(value, Mapping):
+        return _chosen_record(reading, where, kinds, value)
+    if all(map(is_record, kinds)):
+        known = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(
+            f"{reading.place}: {where} must be the table of a {known}, got {value!r}; head it "
+            f"[{where}]."
+        )
+    words = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    if words:
+        return chosen(reading, where, value, words)
+    for plain, noun in _PLAIN.items():
+        if plain in [getattr(kind, "__origin__", kind) for kind in kinds]:
+            if type(value) is not plain:
+                raise _wrong(reading, where, value, f"must be {noun}")
+            if plain is int:
+                _in_range(reading, where, value, kinds)
+            return value
+    if any(get_origin(kind) is tuple for kind in kinds):
+        return _listed(reading, where, kinds, value)
+    return _number(reading, where, kinds, value)
+
+
+_PLAIN = {bool: "true or false", str: "text", int: "a whole number"}
+
+
+def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> str:
+    """A word of those that are known.
+
+    Args:
+        reading: the file.
+        where: the key.
+        value: what was read.
+        words: the known ones.
+
+    Returns:
+        The word.
+
+    Raises:
+        InputError: with the nearest known one.
+    """
+    if not isinstance(value, str) or value not in words:
+        hint = nearest(str(value), words)
+        raise InputError(f"{reading.place}: {where} = {in_short(value)} is unknown; {hint}.")
+    return value
+
+
+def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
+    return InputError(f"{reading.place}: {where} = {in_short(value)}: {what}; correct it.")
+
+
+def _chosen_record(
+    reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
+) -> Any:
+    """The record of a field: the only kind possible, or the one that the key `kind` names."""
+    kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
+    if not kinds:
+        raise InputError(
+            f"{reading.place}: {where} is a number, not a table; write {where} = ...."
+            if not {bool, str} & {*hints}
+            else f"{reading.place}: {where} is no table; write {where} = ...."
+        )
+    rest = dict(table)
+    name = rest.pop("kind", next(iter(kinds)) if len(kinds) == 1 else None)
+    if name is None:
+        raise InputError(
+            f"{reading.place}: {where}.kind is missing; use one of {', '.join(kinds)}."
+        )
+    return record_of(reading, where, kinds[chosen(reading, f"{where}.kind", name, kinds)], rest)
+
+
+def _kinds_of(base: type) -> list[type]:
+    """The records that a field of a base may hold: all of its kinds, those from outside too."""
+    own = [kind for below in base.__subclasses__() for kind in _kinds_of(below)]
+    return own or [base]
+
+
+def is_record(kind: Any) -> bool:
+    """Whether a type is that of a record."""
+    return isinstance(kind, type) and issubclass(kind, eqx.Module)
+
+
+def _listed(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
+    """A list as a tuple; "RGGB" as its pattern."""
+    if where.endswith(".pattern") and isinstance(value, str):
+        try:
+            return bayer(value)
+        except ValueError as error:
+            raise InputError(f"{reading.place}: {where}: {error}") from error
+    parts = get_args(next(hint for hint in hints if get_origin(hint) is tuple))
+    if not isinstance(value, list | tuple):
+        raise _wrong(reading, where, value, "must be a list")
+    if parts[-1] is not Ellipsis and len(value) != len(parts):
+        end = "least" if len(value) < len(parts) else "most"
+        raise InputError(
+            f"{reading.place}: {where} lists {len(value)}; give at {end} {len(parts)}."
+        )
+    each = parts if parts[-1] is not Ellipsis else parts[:1] * len(value)
+    return tuple(
+        value_of(reading, f"{where}[{i}]", kind, one)
+        for i, (kind, one) in enumerate(zip(each, value, strict=True), 1)
+    )
+
+
+def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
+    """A number, or lists of them as an array, in the range that an annotation states."""
+    array = np.asarray(value, dtype=None if not isinstance(value, list) else object)
+
+    def place(number: int) -> str:
+        return where + "".join(f"[{i + 1}]" for i in np.unravel_index(number, array.shape))
+
+    numbers = array.ravel().tolist()
+    for i, x in enumerate(numbers):
+        if isinstance(x, bool) or not isinstance(x, int | float):
+            lists = [hint for hint in hints if getattr(hint, "dim_str", "").strip()]
+            noun = "numbers" if not array.shape and len(lists) == len(hints) else "a number"
+            raise InputError(
+                f"{reading.place}: {place(i)} = {in_short(x)} must be {noun}; correct it."
+            )
+    try:
+        values = np.reshape([float(x) for x in numbers], array.shape)
+    except OverflowError as error:
+        raise InputError(
+            f"{reading.place}: {where} is out of the range of numbers; correct it."
+        ) from error
+    if reading.finite and not np.isfinite(values).all():
+        i = int(np.argmin(np.isfinite(values.ravel())))
+        raise _wrong(reading, place(i), numbers[i], "must be a finite number")
+    try:
+        _check_ranges(where, values, hints)
+    except ValueError:
+        for i, x in enumerate(values.ravel()):
+            _in_range(reading, place(i), x, hints)
+    plain = [getattr(hint, "__origin__", hint) for hint in hints]
+    shapes = [axes_of(hint) for hint in plain if hasattr(hint, "dim_str")]
+    shapes += [()] * (float in plain)
+    if shapes:
+        try:
+            check_shape(where, values, *shapes)
+        except ValueError as error:
+            raise InputError(f"{reading.place}: {error}") from error
+    return values
+
+
+def _check_ranges(where: str, numbers: Any, hints: tuple[Any, ...]) -> None:
+    """`ValueError` unless numbers are in the range that an annotation states."""
+    stated = [x for hint in hints for x in getattr(hint, "__metadata__", ())]
+    for allowed in [x for x in stated if isinstance(x, Range)][:1]:
+        check_range(where, numbers, **allowed._asdict())
+
+
+def _in_range(reading: Reading, where: str, number: Any, hints: tuple[Any, ...]) -> None:
+    try:
+        _check_ranges(where, number, hints)
+    except ValueError as error:
+        raise InputError(f"{reading.place}: {error}") from error
+
+
+def check_keys(reading: Reading, where: str, table: Mapping[str, Any], known: Any) -> None:
+    """Refuses keys that a table does not have.
+
+    Args:
+        reading: the file.
+        where: the table in it.
+        table: what was read.
+        known: the names of all keys.
+
+    Raises:
+        InputError: with the nearest known one.
+    """
+    for key in table:
+        if key not in known:
+            name = f"{where}.{key}".lstrip(".")
+            hint = nearest(key, known)
+            raise InputError(
+                f"{reading.place}: {name} is not a key of a {reading.kind} file; {hint}."
+            )

@@ -1,0 +1,23 @@
+"""Files that belong to a scene, found relative to its file."""
+
+from pathlib import Path
+
+from ...errors import InputError, plain_text
+
+
+class Folder:
+    """The folder at which the paths of one scene file start."""
+
+    def __init__(self, scene_file: Path) -> None:
+        self._start = scene_file.parent
+
+    def file(self, name: str) -> Path:
+        """The file of that name; `InputError` if there is none."""
+        path = self._start / name
+        if not path.is_file():
+            raise InputError(f"{path}: no such file; paths start at the folder of the scene file.")
+        return path
+
+    def text(self, name: str) -> str:
+        """The content of a text file; `InputError` if it is not text."""
+        return plain_text(self.file(name))

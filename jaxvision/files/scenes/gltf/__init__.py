@@ -1,0 +1,179 @@
+"""Scenes of glTF 2.0 (`.gltf`, `.glb`), of them the part that has a counterpart.
+
+    meshes      triangles, with their normals; every node that shows one
+    materials   metallic-roughness with factors, KHR_materials_ior, KHR_materials_emissive_strength,
+                KHR_materials_specular (factor 0 or 1), and glass by KHR_materials_transmission and
+                KHR_materials_volume
+    lights      point and directional, of KHR_lights_punctual
+    cameras     perspective and orthographic
+
+glTF counts light in candela, lux and cd m^-2; here 683 lumens are 1 W. Blender writes so the lamps
+of its lighting mode "Standard", but no mesh that shines; a warning names a file with both.
+Colours are linear sRGB. What is not read is refused with its name, never left out; a warning tells
+of what is a little different.
+"""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....errors import InputError
+from ....spectra import LUMINOUS_EFFICACY
+from ...gltf import read_gltf
+from .contents import Camera, Content, Light, Material, content_of
+from .materials import emission_of, material_of
+from .nodes import placed
+
+ROWS = 480  # of the picture: a file says its shape, not its pixels
+_EXTENSIONS = {
+    "KHR_lights_punctual",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_volume",
+}
+_UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change what is seen
+
+
+def scene_of(file: Path) -> dict[str, Any]:
+    """The content of a glTF file as that of a TOML scene file.
+
+    Args:
+        file: `.gltf` or `.glb`.
+
+    Returns:
+        The tables by name.
+
+    Raises:
+        InputError: the first part that is not read, or is wrong.
+    """
+    content = content_of(file, read_gltf(file).content)
+    for name in content.extensionsRequired or ():
+        if name not in _EXTENSIONS:
+            raise InputError(f"needs {name}, which is not read; export the scene without it.")
+    lights, cameras, surfaces, materials = [], [], [], {}
+    for label, node, to_world in placed(file, content):
+        here = node.extensions.KHR_lights_punctual
+        if here is not None:
+            known = content.extensions.KHR_lights_punctual.lights
+            lights.append({"name": label, **_light(_item(known, here.light, label), to_world)})
+        if node.camera is not None:
+            cameras.append(_camera(_item(content.cameras, node.camera, label), to_world, label))
+        if node.mesh is not None:
+            surfaces += _surfaces(file, content, node.mesh, to_world, label, materials)
+    if not cameras:
+        raise InputError("has no camera in its scene; add one.")
+    if len(cameras) > 1:
+        warnings.warn(f"has {len(cameras)} cameras; the first is taken.", stacklevel=2)
+    if len(content.scenes) > 1:
+        warnings.warn(
+            f"has {len(content.scenes)} scenes; scene {content.scene}, counted from 0, is taken.",
+            stacklevel=2,
+        )
+    if not surfaces:
+        raise InputError("has no mesh in its scene; add one.")
+    if (
+        "Blender" in str(content.asset)
+        and lights
+        and any("emission" in surface for surface in surfaces)
+    ):
+        warnings.warn(
+            "holds lamps and meshes that shine, written by Blender, whose lighting mode 'Standard' "
+            "counts 683 lm for a watt of its lamps but not of its meshes: these are 683 times too "
+            "weak beside them, unless the mode was 'Unitless'; then all of the picture is.",
+            stacklevel=2,
+        )
+    return {
+        "camera": cameras[0],
+        "render": {"integrator": "path"},
+        "material": materials,
+        "surface": surfaces,
+        "light": lights,
+    }
+
+
+def _item(items: tuple, index: int, label: str):
+    if index >= len(items):
+        raise InputError(
+            f"{label}: names item {index}, counted from 0, of {len(items)}; export it again."
+        )
+    return items[index]
+
+
+def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
+    """A light at its node; one with a direction shines along the node's -z."""
+    if light.type not in ("point", "directional"):
+        raise InputError(
+            f"a light of type {light.type!r} is not read, only 'point' and 'directional'; put a "
+            "mesh that shines in its place."
+        )
+    amount = (light.intensity / LUMINOUS_EFFICACY * np.array(light.color)).tolist()
+    if light.type == "point":
+        return {"kind": "point", "position": to_world[:3, 3].tolist(), "intensity": amount}
+    return {"kind": "directional", "direction": to_world[:3, 2].tolist(), "irradiance": amount}
+
+
+def _camera(camera: Camera, to_world: np.ndarray, label: str) -> dict[str, Any]:
+    """A camera at its node: it looks along -z, y up."""
+    if np.linalg.det(to_world[:3, :3]) <= 0:
+        raise InputError(f"{label}: mirrors or flattens its camera; correct its scale.")
+    position = to_world[:3, 3]
+    made = {
+        "position": position.tolist(),
+        "target": (position - to_world[:3, 2]).tolist(),
+        "up": to_world[:3, 1].tolist(),
+    }
+    if camera.type == "perspective":
+        lens = camera.perspective
+        if lens is None:
+            raise InputError(f"{label}: its camera has no 'perspective'; export it again.")
+        columns = max(1, round(ROWS * (lens.aspectRatio or 4 / 3)))
+        across = 2 * np.arctan(np.tan(lens.yfov / 2) * columns / ROWS)
+        made |= {"kind": "pinhole", "field_of_view": float(np.degrees(across))}
+    else:
+        size = camera.orthographic
+        if size is None:
+            raise InputError(f"{label}: its camera has no 'orthographic'; export it again.")
+        columns = max(1, round(ROWS * size.xmag / size.ymag))
+        made |= {"kind": "orthographic", "width": 2 * size.ymag * columns / ROWS}
+    return made | {"resolution": [ROWS, columns]}
+
+
+def _surfaces(
+    file: Path,
+    content: Content,
+    index: int,
+    to_world: np.ndarray,
+    label: str,
+    materials: dict[str, Any],
+) -> list[dict[str, Any]]:
+    """A surface for each primitive of a mesh."""
+    made = []
+    for number, part in enumerate(_item(content.meshes, index, label).primitives):
+        unread = [name for name in part.attributes if name.startswith(_UNREAD)]
+        if unread:
+            raise InputError(f"{label}: {unread[0]} is not read; export the mesh without it.")
+        material, name = Material(), "glTF's default"
+        if part.material is not None:
+            material = _item(content.materials, part.material, label)
+            name = f"{material.name or 'material'} {part.material}"
+        if name not in materials:
+            materials[name] = material_of(material, f"material {name!r}")
+        surface = {
+            "name": label,
+            "shape": "mesh",
+            "file": file.name,
+            "primitive": [index, number],
+            "matrix": to_world[:3].tolist(),
+            "smooth": "NORMAL" in part.attributes,
+            "material": name,
+            "two_sided": material.doubleSided,
+        }
+        emission = emission_of(material)
+        if emission.any():
+            surface["emission"] = (emission / LUMINOUS_EFFICACY).tolist()
+        made.append(surface)
+    return made

@@ -1,0 +1,123 @@
+"""Scenes of Mitsuba (versions 0.5 to 3), of its XML the part that has an exact counterpart.
+
+    shapes      sphere, rectangle, disk, cube, obj, ply
+    BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor
+    emitters    point, directional, constant, envmap; area on any shape
+    sensors     perspective, thinlens, orthographic
+    integrators path, volpath and direct (as paths), ptracer
+
+Values: float, integer, boolean, string, vector, point, rgb and spectrum, transforms, `<default>`,
+`<ref>`, `<alias>` and `<include>`. Colours are those of Mitsuba's RGB variants. What is not read is
+refused with its name, never left out; a warning tells of what is a little different.
+"""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....errors import InputError
+from .camera import camera_of
+from .document import Node, root_of
+from .lights import light_entry
+from .materials import material_of
+from .shapes import shape_of
+from .spectra import light_of
+
+_DEEP = 16  # segments of a path that Mitsuba would not limit
+_READ = ("shape", "bsdf", "emitter", "sensor", "integrator")
+
+
+def scene_of(file: Path) -> dict[str, Any]:
+    """The content of a scene of Mitsuba as that of a TOML scene file.
+
+    Args:
+        file: XML.
+
+    Returns:
+        The tables by name.
+
+    Raises:
+        InputError: the first part that is not read, or is wrong.
+    """
+    root = root_of(file)
+    root.must_be_read(tags=_READ)
+    sensors = root.within("sensor")
+    if not sensors:
+        raise InputError("has no <sensor>; add one.")
+    if len(sensors) > 1:
+        warnings.warn(f"has {len(sensors)} sensors; the first is taken.", stacklevel=2)
+    camera, samples = camera_of(sensors[0])
+    content: dict[str, Any] = {
+        "camera": camera,
+        "render": _render(root.only("integrator"), samples, old=root.old),
+        "material": {},
+        "surface": [],
+        "light": [light_entry(node) for node in root.within("emitter")],
+    }
+    for node in root.within("shape"):
+        surface = _surface(node, content["material"])
+        content["surface"].append(surface)
+    return content
+
+
+def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
+    """A shape, its BSDF and its light; one that shines reflects only by a BSDF of its own."""
+    bsdf, emitter = node.only("bsdf"), node.only("emitter")
+    made = {"name": node.label, **shape_of(node)}
+    two_sided = False
+    if bsdf is not None or emitter is None:
+        made["material"] = "diffuse" if bsdf is None else bsdf.label
+        materials[made["material"]], two_sided = material_of(bsdf)
+    if emitter is not None:
+        emitter.must_be("area")
+        made["emission"] = light_of(emitter, "radiance", 1.0)
+        emitter.must_be_read(without=("sampling_weight",))
+        if two_sided and made["shape"] in ("quad", "disc", "mesh"):
+            warnings.warn(
+                f"{node.label}: shines to one side, and so reflects from that side only.",
+                stacklevel=2,
+            )
+        two_sided = False
+    if (
+        made["shape"] == "mesh"
+        and not two_sided
+        and np.linalg.det(np.array(made["matrix"])[:, :3]) < 0
+    ):
+        warnings.warn(
+            f"{node.label}: to_world mirrors the mesh, whose outside stays outside here; Mitsuba "
+            "turns it inside out.",
+            stacklevel=2,
+        )
+    node.must_be_read(tags=("bsdf", "emitter"), without=("flip_tex_coords",))
+    return made | {"two_sided": two_sided}
+
+
+def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
+    """The integrator, as ours counts: its segments are as many as Mitsuba's `max_depth`. Without
+    one, versions before 2 render direct light, later ones all."""
+    if node is None and old:
+        return {"integrator": "path", "samples": samples, "depth": 2}
+    if node is None:
+        return _paths("integrator", -1, samples)
+    kind = node.must_be("path", "volpath", "volpathmis", "direct", "ptracer")
+    if node.take("hide_emitters", bool, False):
+        raise InputError(f"{node.label}: hide_emitters is not read; remove it.")
+    if kind == "direct":
+        node.must_be_read(without=("shading_samples", "emitter_samples", "bsdf_samples"))
+        return {"integrator": "path", "samples": samples, "depth": 2}
+    made = _paths(node.label, node.take("max_depth", int, -1), samples)
+    node.must_be_read(without=("rr_depth", "samples_per_pass"))
+    return made | ({"integrator": "light"} if kind == "ptracer" else {})
+
+
+def _paths(label: str, depth: int, samples: int) -> dict[str, Any]:
+    if depth < 0:
+        warnings.warn(
+            f"{label}: max_depth has no limit; paths end after {_DEEP} segments here. Choose "
+            "another number by --depth.",
+            stacklevel=2,
+        )
+        depth = _DEEP
+    return {"integrator": "path", "samples": samples, "depth": max(depth, 1)}

@@ -1,0 +1,134 @@
+"""Mitsuba's sensor and film as the table `[camera]`."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from ....errors import InputError
+from .document import Node
+from .transforms import Affine, keeps_shape, lengths_of_axes, mirrors
+
+SENSORS = ("perspective", "thinlens", "orthographic")
+_DIAGONAL = float(np.hypot(36, 24))  # mm, of the film to which `focal_length` refers
+_UNUSED = ("near_clip", "far_clip", "shutter_open", "shutter_close")
+
+
+def camera_of(node: Node) -> tuple[dict[str, Any], int]:
+    """The keys of the camera.
+
+    Args:
+        node: of the `<sensor>`.
+
+    Returns:
+        `kind` and its numbers, m and degrees; samples a pixel.
+
+    Raises:
+        InputError: a camera that has no counterpart.
+    """
+    kind = node.must_be(*SENSORS)
+    rows, columns = _resolution(node.only("film"), node.label)
+    to_world = node.take("to_world", np.ndarray, np.eye(4))
+    if kind == "orthographic":  # how far its axis is stretched changes no picture
+        across, along = lengths_of_axes(to_world)[[0, 2]]
+        to_world = to_world @ np.diag([1, 1, across / along, 1])
+    if mirrors(to_world) or not keeps_shape(to_world):
+        raise InputError(f"{node.label}: to_world mirrors or stretches the picture; correct it.")
+    made = {"resolution": [rows, columns], **_pose(to_world)}
+    if kind == "orthographic":
+        made |= {"kind": "orthographic", "width": float(2 * lengths_of_axes(to_world)[0])}
+    else:
+        half_width = _half_width(node, rows / columns)
+        degrees = float(2 * np.degrees(np.arctan(half_width)))
+        made |= {"kind": "pinhole", "field_of_view": degrees}
+        if kind == "thinlens":
+            del made["field_of_view"]
+            made |= _lens(node, half_width, columns)
+    sampler, count = node.only("sampler"), 4
+    if sampler is not None:
+        count = sampler.take("sample_count", int, count)
+    for name in ("principal_point_offset_x", "principal_point_offset_y"):
+        if kind != "orthographic" and node.take(name, float, 0.0):
+            raise InputError(f"{node.label}: {name} is not read, only 0; centre the picture.")
+    node.must_be_read(tags=("film", "sampler"), without=_UNUSED)
+    return made, count
+
+
+def _pose(to_world: Affine) -> dict[str, Any]:
+    """It looks along its z axis, y up."""
+    position = to_world[:3, 3]
+    _, up, forward = (to_world[:3, :3] / lengths_of_axes(to_world)).T
+    return {
+        "position": position.tolist(),
+        "target": (position + forward).tolist(),
+        "up": up.tolist(),
+    }
+
+
+def _resolution(film: Node | None, label: str) -> tuple[int, int]:
+    rows, columns, kernel = 576, 768, None
+    if film is not None:
+        label = film.label
+        film.must_be("hdrfilm", "ldrfilm")
+        columns, rows = film.take("width", int, columns), film.take("height", int, rows)
+        if min(rows, columns) < 1:
+            raise InputError(f"{label}: width and height must be at least 1; correct them.")
+        kernel = film.only("rfilter")
+        formats = ("pixel_format", "component_format", "file_format", "sample_border", "banner")
+        film.must_be_read(tags=("rfilter",), without=formats)
+    if kernel is None or kernel.kind != "box":
+        warnings.warn(
+            f"{label}: pixels are means over their area; Mitsuba's "
+            f"{'gaussian' if kernel is None else kernel.kind} filter blurs beyond it.",
+            stacklevel=2,
+        )
+    return rows, columns
+
+
+def _half_width(node: Node, rows_per_column: float) -> float:
+    """Tangent of half the field of view across the width."""
+    axis = node.take("fov_axis", str, "x")
+    focal_length = node.take("focal_length", str)
+    degrees = node.take("fov", float)
+    if focal_length is not None and degrees is not None:
+        raise InputError(f"{node.label}: has a fov and a focal_length; leave one of them.")
+    if degrees is None:
+        focal_length = focal_length or "50mm"
+        try:
+            millimetres = float(focal_length.removesuffix("mm"))
+        except ValueError:
+            millimetres = 0.0
+        if not 0 < millimetres < np.inf:
+            raise InputError(f"{node.label}: focal_length must be above 0, as in '50mm'.")
+        tangent, axis = _DIAGONAL / 2 / millimetres, "diagonal"
+    elif not 0 < degrees < 180:
+        raise InputError(f"{node.label}: needs a fov in degrees, above 0 and below 180.")
+    else:
+        tangent = np.tan(np.radians(degrees) / 2)
+    if axis in ("smaller", "larger"):
+        axis = "x" if (rows_per_column >= 1) == (axis == "smaller") else "y"
+    sides = {"x": 1.0, "y": rows_per_column, "diagonal": float(np.hypot(1, rows_per_column))}
+    if axis not in sides:
+        raise InputError(f"{node.label}: fov_axis must be x, y, diagonal, smaller or larger.")
+    return float(tangent / sides[axis])
+
+
+def _lens(node: Node, half_width: float, columns: int) -> dict[str, Any]:
+    """A lens in focus at a distance s, whose focal length is small beside it: the sensor lies at
+    the image v of s, and is as wide as the field of view at v asks for."""
+    radius = node.take("aperture_radius", float)
+    distance = node.take("focus_distance", float)
+    if radius is None or distance is None or radius <= 0 or distance <= 0:
+        raise InputError(
+            f"{node.label}: a thin lens takes an aperture_radius and a focus_distance above 0; use "
+            "perspective for a pinhole."
+        )
+    focal_length = distance / 100
+    image = focal_length * distance / (distance - focal_length)
+    return {
+        "kind": "thin_lens",
+        "focal_length": focal_length,
+        "pixel_pitch": 2 * half_width * image / columns,
+        "f_number": focal_length / (2 * radius),
+        "focus_distance": distance,
+    }

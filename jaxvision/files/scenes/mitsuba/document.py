@@ -1,0 +1,317 @@
+"""Mitsuba's XML as a tree of nodes: values typed, `$names`, references and includes resolved."""
+
+import re
+import xml.etree.ElementTree as xml
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....errors import InputError, nearest, plain_text
+from ..._plain_content import DEEPEST, check_size
+from .transforms import transform_of
+
+_PLAIN = {"float", "integer", "boolean", "string", "vector", "point", "rgb", "spectrum"}
+_DEEPEST = 16  # files that include each other
+
+
+@dataclass(frozen=True)
+class Colour:
+    """Linear RGB of the sRGB primaries, three numbers or one for all, no unit of its own."""
+
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A spectrum of one value at all wavelengths."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Table:
+    """A spectrum as pairs of a wavelength, nm, and a value."""
+
+    pairs: tuple[tuple[float, float], ...]
+
+
+@dataclass
+class Node:
+    """An object of the file. What is never taken from it is unknown here, and an error.
+
+    Attributes:
+        tag: "shape", "bsdf", ...
+        kind: Mitsuba's `type`.
+        label: what messages call it.
+        values: by name.
+        parts: objects within, each with its own or its reference's name.
+        old: whether the file is of a version before 2, whose defaults differ.
+    """
+
+    tag: str
+    kind: str
+    label: str
+    values: dict[str, Any] = field(default_factory=dict)
+    parts: list[tuple[str, "Node"]] = field(default_factory=list)
+    old: bool = False
+    _taken: set[str] = field(default_factory=set)
+
+    def take(self, name: str, kinds: type | tuple[type, ...], otherwise: Any = None) -> Any:
+        """The value of a name; `InputError` if it is of another kind."""
+        self._taken.add(name)
+        if any(called == name for called, _ in self.parts):
+            part = next(part for called, part in self.parts if called == name)
+            raise InputError(
+                f"{self.label}: {name} is a {part.tag} (type {part.kind!r}), which is not read; "
+                "give one colour, as in <rgb>."
+            )
+        value = self.values.get(name, otherwise)
+        kinds = kinds if isinstance(kinds, tuple) else (kinds,)
+        if float in kinds and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        fits = isinstance(value, kinds) and _alike(value, otherwise)
+        if value is not otherwise and not fits:
+            raise InputError(f"{self.label}: {name} is of an unexpected kind; correct it.")
+        return value
+
+    def within(self, tag: str) -> list["Node"]:
+        """The objects of a tag within."""
+        return [part for _, part in self.parts if part.tag == tag]
+
+    def only(self, tag: str) -> "Node | None":
+        """The object of a tag within, if there is one; `InputError` if there are several."""
+        found = self.within(tag)
+        if len(found) > 1:
+            raise InputError(f"{self.label}: has {len(found)} of <{tag}>; leave one.")
+        return found[0] if found else None
+
+    def must_be(self, *known: str) -> str:
+        """The type, one of those that are read; `InputError` otherwise."""
+        if self.kind not in known:
+            words = ", ".join(known)
+            raise InputError(
+                f"{self.label}: type {self.kind!r} is not read; those of <{self.tag}> that are: "
+                f"{words}."
+            )
+        return self.kind
+
+    def must_be_read(self, *, tags: tuple[str, ...] = (), without: tuple[str, ...] = ()) -> None:
+        """`InputError` for the first value or object within that nothing has taken.
+
+        Args:
+            tags: of the objects within that are read.
+            without: names of values that change nothing here.
+        """
+        for name in self.values:
+            if name not in self._taken and name not in without:
+                hint = nearest(name, self._taken) if self._taken else "remove it"
+                raise InputError(
+                    f"{self.label} (type {self.kind!r}): {name!r} is not read; {hint}, or remove "
+                    "it if the picture may do without."
+                )
+        for _, part in self.parts:
+            if part.tag not in tags:
+                raise InputError(
+                    f"{self.label}: holds <{part.tag} type={part.kind!r}>, which is not read; "
+                    "remove it if the picture may do without."
+                )
+
+
+def root_of(file: Path) -> Node:
+    """The root of a file.
+
+    Args:
+        file: of Mitsuba 0.5 or later; the names of the versions before 2 are changed to today's.
+
+    Returns:
+        The node of `<scene>`.
+
+    Raises:
+        InputError: it is not such a file, or names what it does not hold.
+    """
+    root = _parsed(file)
+    if root.tag != "scene":
+        raise InputError(f"begins with <{root.tag}>; a scene of Mitsuba begins with <scene>.")
+    return _Reader(file, _is_old(root)).node(root, "scene")
+
+
+def _parsed(file: Path) -> xml.Element:
+    check_size(file)
+    try:
+        return _shallow(xml.parse(file).getroot())
+    except InputError:
+        raise
+    except (xml.ParseError, UnicodeError, ValueError, LookupError) as error:
+        raise InputError(f"{file.name}: not an XML file ({error}); correct that line.") from error
+
+
+def _shallow(root: xml.Element) -> xml.Element:
+    """The root of a tree that is not too deep."""
+    level, depth = [root], 0
+    while level:
+        level, depth = [child for element in level for child in element], depth + 1
+        if depth > DEEPEST:
+            raise InputError(f"<{root.tag}> is nested more than {DEEPEST} deep; flatten it.")
+    return root
+
+
+def _is_old(root: xml.Element) -> bool:
+    version = root.get("version", "3")
+    try:
+        return int(version.split(".")[0]) < 2
+    except ValueError:
+        raise InputError(f"version = {version!r} is no version; write as in '3.0.0'.") from None
+
+
+class _Reader:
+    """Elements to nodes, with what the elements before them have named."""
+
+    def __init__(self, file: Path, old: bool) -> None:
+        self._file, self._old, self._depth = file, old, 0
+        self._defaults: dict[str, str] = {}
+        self._named: dict[str, Node] = {}
+        self._counts: dict[str, int] = {}
+
+    def node(self, element: xml.Element, label: str) -> Node:
+        kind = self._attributes(element).get("type", "")
+        made = Node(element.tag, kind, label, old=self._old)
+        for child in self._flattened(element):
+            given = self._attributes(child)
+            match child.tag:
+                case "default":
+                    self._defaults.setdefault(given.get("name", ""), given.get("value", ""))
+                case "alias":
+                    self._name(given.get("as", ""), self._known(given.get("id", "")))
+                case "ref":
+                    made.parts.append((given.get("name", ""), self._known(given.get("id", ""))))
+                case "transform":
+                    steps = [(step.tag, self._attributes(step)) for step in child]
+                    with_name = f"{label}: {given.get('name', 'transform')}"
+                    made.values[given.get("name", "")] = transform_of(steps, with_name)
+                case tag if tag in _PLAIN:
+                    name = given.get("name", "")
+                    made.values[name] = self._value(tag, given, f"{label}: {name}")
+                case tag:
+                    part = self.node(child, self._label(tag, given))
+                    made.parts.append((given.get("name", ""), part))
+                    if "id" in given:
+                        self._name(given["id"], part)
+        return made
+
+    def _flattened(self, element: xml.Element) -> Iterator[xml.Element]:
+        """The children, those of included files in their place."""
+        for child in element:
+            if child.tag != "include":
+                yield child
+                continue
+            self._depth += 1
+            if self._depth > _DEEPEST:
+                raise InputError(
+                    f"more than {_DEEPEST} files are included; do they name themselves?"
+                )
+            name = self._attributes(child).get("filename", "")
+            file = self._file.parent / name
+            if not file.is_file():
+                raise InputError(f"{name}: no such file to include, from the folder of the scene.")
+            root = _parsed(file)
+            yield from self._flattened(root) if root.tag == "scene" else (root,)
+
+    def _attributes(self, element: xml.Element) -> dict[str, str]:
+        """With the values of `$names`; in today's spelling."""
+        given = {key: self._filled(value) for key, value in element.attrib.items()}
+        if self._old and "name" in given:
+            given["name"] = re.sub(
+                r"(?<=[a-z])([A-Z]+)", lambda m: "_" + m[1].lower(), given["name"]
+            )
+        return given
+
+    def _filled(self, value: str) -> str:
+        def of(found: re.Match[str]) -> str:
+            if found[1] not in self._defaults:
+                raise InputError(f"${found[1]} has no <default>; add one before its first use.")
+            return self._defaults[found[1]]
+
+        return re.sub(r"\$(\w+)", of, value)
+
+    def _name(self, identifier: str, node: Node) -> None:
+        if identifier in self._named:
+            raise InputError(f"two objects have the id {identifier!r}; give each its own.")
+        self._named[identifier] = node
+
+    def _known(self, identifier: str) -> Node:
+        if identifier not in self._named:
+            hint = nearest(identifier, self._named) if self._named else "define it before"
+            raise InputError(f"no object has the id {identifier!r}; {hint}.")
+        return self._named[identifier]
+
+    def _label(self, tag: str, given: Mapping[str, str]) -> str:
+        self._counts[tag] = self._counts.get(tag, 0) + 1
+        return f'{tag} "{given["id"]}"' if "id" in given else f"{tag}[{self._counts[tag]}]"
+
+    def _value(self, tag: str, given: Mapping[str, str], place: str) -> Any:
+        text = given.get("value", "")
+        match tag:
+            case "string":
+                return text
+            case "boolean":
+                if text.lower() not in ("true", "false"):
+                    raise InputError(f"{place} = {text!r} is neither true nor false.")
+                return text.lower() == "true"
+            case "integer":
+                return _whole(text, place)
+            case "float":
+                return _numbers(text, place, (1,))[0]
+            case "rgb":
+                return Colour(_numbers(text, place, (1, 3)))
+            case "spectrum":
+                return self._spectrum(given, place)
+            case _:
+                if "value" in given:
+                    return np.asarray(_numbers(text, place, (3,)))
+                return np.asarray(
+                    [_numbers(given.get(axis, "0"), place, (1,))[0] for axis in "xyz"]
+                )
+
+    def _spectrum(self, given: Mapping[str, str], place: str) -> Flat | Table:
+        if "filename" in given:
+            file = self._file.parent / given["filename"]
+            try:
+                lines = plain_text(file).splitlines()
+            except OSError as error:
+                raise InputError(f"{place}: {file.name} cannot be read ({error}).") from error
+            rows = [line.split("#")[0].split() for line in lines]
+            pairs = [" ".join(row) for row in rows if row]
+        elif ":" in given.get("value", ""):
+            pairs = [pair.replace(":", " ") for pair in given["value"].split(",") if pair.strip()]
+        else:
+            return Flat(_numbers(given.get("value", ""), place, (1,))[0])
+        found = [_numbers(pair, place, (2,)) for pair in pairs]
+        return Table(tuple((nm, value) for nm, value in found))
+
+
+def _alike(value: Any, otherwise: Any) -> bool:
+    """A transform is no point, though both are arrays."""
+    return not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
+
+
+def _numbers(text: str, place: str, counts: tuple[int, ...]) -> tuple[float, ...]:
+    """Finite numbers, between commas or spaces."""
+    words = text.replace(",", " ").split()
+    try:
+        values = tuple(float(word) for word in words)
+    except ValueError:
+        values = ()
+    if len(values) not in counts or not np.isfinite(values).all():
+        wanted = " or ".join(map(str, counts))
+        raise InputError(f"{place} = {text!r} must hold {wanted} finite numbers; correct it.")
+    return values
+
+
+def _whole(text: str, place: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"{place} = {text!r} must be a whole number; correct it.") from None

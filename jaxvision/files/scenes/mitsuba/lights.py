@@ -1,0 +1,46 @@
+"""Mitsuba's emitters, but for those of shapes, as the tables `[[light]]`."""
+
+from typing import Any
+
+import numpy as np
+
+from ....errors import InputError
+from .document import Node
+from .spectra import light_of
+
+EMITTERS = ("point", "directional", "constant", "envmap")
+
+
+def light_entry(node: Node) -> dict[str, Any]:
+    """The keys of a light.
+
+    Args:
+        node: of an `<emitter>` of the scene.
+
+    Returns:
+        `kind` and its numbers; lengths in m.
+
+    Raises:
+        InputError: an emitter that has no counterpart.
+    """
+    kind = node.must_be(*EMITTERS)
+    to_world = node.take("to_world", np.ndarray, np.eye(4))
+    match kind:
+        case "point":
+            position = node.take("position", np.ndarray, to_world[:3, 3])
+            intensity = light_of(node, "intensity", 1.0)
+            made = {"kind": "point", "position": position.tolist(), "intensity": intensity}
+        case "directional":
+            direction = node.take("direction", np.ndarray, to_world[:3, 2])
+            made = {"kind": "directional", "direction": (-direction).tolist()}
+            made["irradiance"] = light_of(node, "irradiance", 1.0)
+        case "constant":
+            made = {"kind": "environment", "radiance": light_of(node, "radiance", 1.0)}
+        case _:
+            file = node.take("filename", str)
+            if file is None:
+                raise InputError(f"{node.label}: has no filename; add it.")
+            made = {"kind": "environment", "file": file, "scale": node.take("scale", float, 1.0)}
+            made |= {"up": to_world[:3, 1].tolist(), "toward": to_world[:3, 2].tolist()}
+    node.must_be_read(without=("sampling_weight",))
+    return {"name": node.label, **made}

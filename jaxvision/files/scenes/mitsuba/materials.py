@@ -1,0 +1,128 @@
+"""Mitsuba's BSDFs as the tables `[material.NAME]`."""
+
+import warnings
+from typing import Any
+
+from ....errors import InputError
+from .document import Node
+from .spectra import index_of, reflectance_of
+
+BSDFS = ("diffuse", "twosided", "dielectric", "conductor", "roughconductor")
+# Refractive indices by Mitsuba's names: published measurements near 589 nm.
+_INDICES = {
+    "vacuum": 1.0,
+    "helium": 1.000036,
+    "hydrogen": 1.000132,
+    "air": 1.000277,
+    "carbon dioxide": 1.00045,
+    "water": 1.3330,
+    "acetone": 1.36,
+    "ethanol": 1.361,
+    "carbon tetrachloride": 1.461,
+    "glycerol": 1.4729,
+    "benzene": 1.501,
+    "silicone oil": 1.52045,
+    "bromine": 1.661,
+    "water ice": 1.31,
+    "fused quartz": 1.458,
+    "pyrex": 1.470,
+    "acrylic glass": 1.49,
+    "polypropylene": 1.49,
+    "bk7": 1.5046,
+    "sodium chloride": 1.544,
+    "amber": 1.55,
+    "pet": 1.5750,
+    "diamond": 2.419,
+}
+
+
+def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
+    """The keys of a material.
+
+    Args:
+        node: of a `<bsdf>`; None: Mitsuba's default, diffuse with albedo 0.5.
+
+    Returns:
+        `family` and its numbers; whether both sides are fronts.
+
+    Raises:
+        InputError: a BSDF that has no counterpart.
+    """
+    if node is None:
+        return {"family": "lambert", "albedo": 0.5}, False
+    if node.must_be(*BSDFS) == "twosided":
+        inner = node.only("bsdf")
+        if inner is None:
+            raise InputError(f"{node.label}: holds no BSDF; put one within.")
+        node.must_be_read(tags=("bsdf",))
+        return material_of(inner)[0], True
+    made = _FAMILIES[node.kind](node)
+    node.must_be_read(without=("sample_visible",))
+    return made, False
+
+
+def _diffuse(node: Node) -> dict[str, Any]:
+    return {"family": "lambert", "albedo": reflectance_of(node, "reflectance", 0.5)}
+
+
+def _dielectric(node: Node) -> dict[str, Any]:
+    inside, outside = _index(node, "int_ior", "bk7"), _index(node, "ext_ior", "air")
+    return {"family": "glass", "index": inside / outside}
+
+
+def _conductor(node: Node) -> dict[str, Any]:
+    if not _reflects_all(node):
+        raise InputError(
+            f"{node.label}: a smooth metal's reflectance by eta and k is not read; set material to "
+            "'none' and give its specular_reflectance, or take a roughconductor of small alpha."
+        )
+    return {"family": "mirror", "reflectance": reflectance_of(node, "specular_reflectance", 1.0)}
+
+
+def _rough_conductor(node: Node) -> dict[str, Any]:
+    if {"alpha_u", "alpha_v"} & set(node.values):
+        raise InputError(f"{node.label}: alpha_u and alpha_v are not read; give one alpha.")
+    distribution = node.take("distribution", str, "beckmann")
+    if distribution not in ("beckmann", "ggx"):
+        raise InputError(f"{node.label}: distribution must be 'beckmann' or 'ggx'.")
+    warnings.warn(
+        f"{node.label}: facets hide each other by Smith's formula correlated by height, where "
+        "Mitsuba multiplies the two directions' shares: rough metal is a little brighter here.",
+        stacklevel=2,
+    )
+    made = {
+        "family": "torrance_sparrow",
+        "albedo": 0.0,
+        "specular": reflectance_of(node, "specular_reflectance", 1.0),
+        "roughness": node.take("alpha", float, 0.1),
+        "distribution": distribution,
+    }
+    if not _reflects_all(node):
+        made |= {"eta": index_of(node, "eta", 0.0), "k": index_of(node, "k", 1.0)}
+    return made
+
+
+_FAMILIES = {
+    "diffuse": _diffuse,
+    "dielectric": _dielectric,
+    "conductor": _conductor,
+    "roughconductor": _rough_conductor,
+}
+
+
+def _reflects_all(node: Node) -> bool:
+    """Whether a metal is given neither by its index nor by its name."""
+    given = {"eta", "k"} <= set(node.values)
+    name = node.take("material", str, "Cu" if node.old and not given else "none")
+    if name != "none":
+        raise InputError(f"{node.label}: metals by name are not read; give eta and k of {name!r}.")
+    return not {"eta", "k"} & set(node.values)
+
+
+def _index(node: Node, name: str, otherwise: str) -> float:
+    given = node.take(name, (float, str), otherwise)
+    if isinstance(given, float):
+        return given
+    if given not in _INDICES:
+        raise InputError(f"{node.label}: {name} = {given!r} is not known; give the index itself.")
+    return _INDICES[given]

@@ -1,0 +1,49 @@
+"""Mitsuba's colours and spectra as those of a scene file, for its rendering in RGB."""
+
+from typing import Any
+
+from ....errors import InputError
+from .document import Colour, Flat, Node, Table
+
+SPECTRUM = (Colour, Flat, Table, float)
+
+
+def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
+    """A reflectance by its name, no unit."""
+    match node.take(name, SPECTRUM, otherwise):
+        case Table(pairs):
+            return {"pairs": [list(pair) for pair in pairs]}
+        case other:
+            return _plain(other)
+
+
+def light_of(node: Node, name: str, otherwise: float) -> Any:
+    """A radiance, an intensity or an irradiance by its name. A flat spectrum is that of equal
+    energy, which is not the white of sRGB; where nothing is given, Mitsuba takes that white."""
+    match node.take(name, SPECTRUM, otherwise):
+        case Table(pairs):
+            return {"pairs": [list(pair) for pair in pairs]}
+        case Flat(value):
+            return {"pairs": [[360.0, 1.0], [830.0, 1.0]], "scale": value}
+        case other:
+            return _plain(other)
+
+
+def index_of(node: Node, name: str, otherwise: float) -> Any:
+    """A part of a metal's index by its name, no unit."""
+    value = node.take(name, SPECTRUM, otherwise)
+    if isinstance(value, Table):
+        raise InputError(
+            f"{node.label}: {name} is a table of wavelengths, for which RGB has no definite value; "
+            "give it as <rgb>."
+        )
+    return _plain(value)
+
+
+def _plain(value: Colour | Flat | float) -> Any:
+    match value:
+        case Colour(values):
+            return list(values) if len(values) == 3 else values[0]
+        case Flat(number):
+            return number
+    return value

@@ -1,0 +1,120 @@
+"""Mitsuba's `<transform>`: affine maps of column vectors, (4, 4), m and degrees."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ....errors import InputError
+
+Affine = Float[np.ndarray, "4 4"]
+
+
+def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> Affine:
+    """The product of all steps, the last one applied last.
+
+    Args:
+        steps: each one's tag and attributes.
+        place: for messages.
+
+    Returns:
+        The map to the world.
+
+    Raises:
+        InputError: a step that is unknown, or without an inverse.
+    """
+    whole = np.eye(4)
+    for tag, given in steps:
+        whole = _step(tag, given, f"{place}, {tag}") @ whole
+    if not np.isfinite(whole).all() or not np.linalg.det(whole[:3, :3]):
+        raise InputError(f"{place}: flattens space or is not finite; correct its numbers.")
+    return whole
+
+
+def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
+    step = np.eye(4)
+    match tag:
+        case "translate":
+            step[:3, 3] = _vector(given, place, otherwise=0.0)
+        case "scale":
+            step[:3, :3] = np.diag(_vector(given, place, otherwise=1.0))
+        case "rotate":
+            axis = _vector(given, place, otherwise=0.0)
+            if abs(np.linalg.norm(axis) - 1) > 1e-3:  # with which Mitsuba stretches space
+                raise InputError(
+                    f"{place}: its axis {axis.tolist()} must be of length 1; divide it."
+                )
+            angle = np.radians(_words(given.get("angle", ""), place, 1)[0])
+            turned = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+            step[:3, :3] = turned.as_matrix()
+        case "lookat" | "lookAt":
+            origin, target = (
+                _words(given.get(name, ""), place, 3) for name in ("origin", "target")
+            )
+            step = _look_at(origin, target, _words(given.get("up", "0 1 0"), place, 3), place)
+        case "matrix":
+            values = given.get("value", "").replace(",", " ").split()
+            side = 3 if len(values) == 9 else 4
+            entries = _words(given.get("value", ""), place, side * side)
+            step[:side, :side] = entries.reshape(side, side)
+            if (step[3] != [0, 0, 0, 1]).any():
+                raise InputError(f"{place}: is a projection; its last row must be 0 0 0 1.")
+        case _:
+            raise InputError(
+                f"{place}: is not read; use translate, rotate, scale, lookat or matrix."
+            )
+    return step
+
+
+def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str) -> Affine:
+    """Mitsuba's camera looks along its z axis, y up, and so x to the left."""
+    forward = target - origin
+    left = np.cross(up, forward)
+    if not forward.any() or np.linalg.norm(left) <= 1e-9 * np.linalg.norm(forward):
+        raise InputError(f"{place}: target and up give no direction of view; correct one of them.")
+    step = np.eye(4)
+    axes = np.stack([left, np.cross(forward, left), forward])
+    step[:3, :3] = (axes / np.linalg.norm(axes, axis=1, keepdims=True)).T
+    step[:3, 3] = origin
+    return step
+
+
+def _vector(given: Mapping[str, str], place: str, *, otherwise: float) -> np.ndarray:
+    """From `value`, one number for all axes or three, or from `x`, `y` and `z`."""
+    if "value" in given:
+        several = len(given["value"].replace(",", " ").split()) > 1
+        return np.broadcast_to(_words(given["value"], place, 3 if several else 1), 3)
+    return np.concatenate([_words(given.get(axis, str(otherwise)), place, 1) for axis in "xyz"])
+
+
+def _words(text: str, place: str, count: int) -> np.ndarray:
+    try:
+        found = np.asarray([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        found = np.empty(0)
+    if len(found) != count or not np.isfinite(found).all():
+        raise InputError(f"{place}: {text!r} must be {count} finite numbers; correct it.")
+    return found
+
+
+def lengths_of_axes(to_world: Affine) -> np.ndarray:
+    """What a unit along each axis becomes, (3,) m."""
+    return np.linalg.norm(to_world[:3, :3], axis=0)
+
+
+def keeps_right_angles(to_world: Affine, *, axes: int = 3) -> bool:
+    """Whether the first axes stay at right angles."""
+    linear = (to_world[:3, :3] / lengths_of_axes(to_world))[:, :axes]
+    return bool(np.abs(linear.T @ linear - np.eye(axes)).max() <= 1e-5)
+
+
+def keeps_shape(to_world: Affine, *, axes: int = 3) -> bool:
+    """Whether the first axes stay at right angles and of one length."""
+    lengths = lengths_of_axes(to_world)[:axes]
+    return keeps_right_angles(to_world, axes=axes) and bool(np.ptp(lengths) <= 1e-5 * lengths.max())
+
+
+def mirrors(to_world: Affine) -> bool:
+    """Whether left and right change places."""
+    return bool(np.linalg.det(to_world[:3, :3]) < 0)

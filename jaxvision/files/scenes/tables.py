@@ -1,0 +1,425 @@
+"""The tables of a scene file as records.
+
+A table is a call: its keys are the fields of the record that it becomes, or the arguments of what
+makes that record, and mean the same. Lights and materials bring theirs by `register`; shapes,
+cameras and what stands beside them are below. Lengths in m, angles in degrees, radiance in
+W m^-2 sr^-1.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, replace
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...brdf import families
+from ...core._kinds import Measured, Picture, Table
+from ...core._types import POSITIVE, Colour, Range, members_of
+from ...errors import InputError
+from ...lights import kinds
+from ...optics import look_at, opencv_view
+from ...scene import (
+    Box,
+    CircularAperture,
+    Disc,
+    Light,
+    Material,
+    Orthographic,
+    Pinhole,
+    Plane,
+    PolygonalAperture,
+    Quad,
+    Shape,
+    Sphere,
+    ThinLens,
+    View,
+)
+from ..images import read_environment
+from ..measured import read_measured, table_of_samples
+from ..meshes import read_mesh
+from ..records import Key, Reading, chosen, keys_of, value_of, values_of
+from .bands import Bands, Quantity, in_bands, reduction, spectrum_of
+from .folder import Folder
+
+Point = Float[np.ndarray, "3"]
+Axes = Float[np.ndarray, "3 3"]
+Size = Annotated[float, POSITIVE]
+Whole = Annotated[int, Range(0, 2**31 - 1)]
+Count = Annotated[int, Range(1, 2**31 - 1)]
+Angle = Annotated[float, Range(0, float(np.nextafter(180, 0)), above=True)]
+
+
+# ---------------------------------------------------------------- shapes
+
+
+def _box(*, centre: Point, half_extents: Point, rotation: Axes | None = None) -> Box:
+    """A box.
+
+    Args:
+        centre: m.
+        half_extents: m, > 0, half of each side.
+        rotation: rows are the axes of its sides in the world; absent for the world's axes.
+    """
+    return Box(centre, half_extents, rotation=_checked_axes(rotation))
+
+
+def _mesh(
+    dtype: str = "float32",
+    *,
+    file: str,
+    scale: Size | None = None,
+    rotation: Axes | None = None,
+    position: Point | None = None,
+    matrix: Float[np.ndarray, "3 4"] | None = None,
+    smooth: bool = False,
+    flip: bool = False,
+    primitive: tuple[Whole, Whole] | None = None,
+) -> Shape:
+    """Triangles from a file. Points are scaled, then rotated, then moved; or mapped by `matrix`.
+
+    Args:
+        file: OBJ, PLY, GLB or another format that trimesh reads.
+        scale: m per unit of the file, 1 by default.
+        rotation: rows are the file's axes in the world.
+        position: m, added to every point.
+        matrix: three rows of four numbers, an affine map of the file's points to m in the world,
+            instead of scale, rotation and position.
+        smooth: shade with normals interpolated between vertices.
+        flip: turn the surface inside out.
+        primitive: of a glTF file the numbers of a mesh and of a primitive in it, from 0; absent:
+            the whole file.
+    """
+    placed = {"scale": scale, "rotation": rotation, "position": position}
+    placed = {name: value for name, value in placed.items() if value is not None}
+    if matrix is not None and placed:
+        raise InputError(f"give either matrix or {', '.join(sorted(placed))}.")
+    if rotation is not None:
+        placed["rotation"] = _checked_axes(rotation)
+    settings = {"smooth": smooth, "flip": flip, "primitive": primitive, "dtype": dtype}
+    return read_mesh(file, matrix=matrix, **placed, **settings)
+
+
+SHAPES: dict[str, Callable[..., Shape]] = {
+    "sphere": Sphere,
+    "plane": Plane,
+    "disc": Disc,
+    "quad": Quad,
+    "box": _box,
+    "mesh": _mesh,
+}
+
+
+def beside_shape(
+    *,
+    name: str | None = None,
+    material: str | None = None,
+    emission: Colour | None = None,
+    two_sided: bool = False,
+) -> dict[str, Any]:
+    """What a table `[[surface]]` holds beside its shape.
+
+    Args:
+        name: for messages.
+        material: NAME of a `[material.NAME]`; absent for a black surface that emits.
+        emission: W m^-2 sr^-1 from its front.
+        two_sided: both sides are fronts.
+    """
+    if material is None and emission is None:
+        raise InputError("give a material, an emission or both.")
+    return {"material": material, "emission": emission, "two_sided": two_sided}
+
+
+# ---------------------------------------------------------------- cameras
+
+
+def beside_camera(
+    *,
+    position: Point,
+    target: Point,
+    up: Point = (0.0, 0.0, 1.0),  # type: ignore[assignment]
+    resolution: tuple[Count, Count],
+) -> dict[str, Any]:
+    """What a table `[camera]` holds whatever its kind.
+
+    Args:
+        position: m.
+        target: m, the point at which the camera looks.
+        up: direction of the top of the picture.
+        resolution: (rows, columns) pixels.
+    """
+    forward = np.subtract(target, position)
+    if not forward.any():
+        raise InputError("position and target are one point; move one of them.")
+    if np.linalg.norm(np.cross(forward, up)) <= 1e-9 * np.linalg.norm(forward):
+        raise InputError("up lies along the line of sight; give another direction.")
+    points = map(jnp.asarray, (position, target, up))
+    axes = np.asarray(jax.jit(look_at)(*points))  # one small program, not twenty
+    return {"position": np.asarray(position), "rotation": axes, "resolution": resolution}
+
+
+def _orthographic(resolution: tuple[int, int], *, width: Size, **placed: Any) -> Orthographic:
+    """Parallel projection.
+
+    Args:
+        width: m of the scene across the picture.
+    """
+    return Orthographic(pixel_pitch=width / resolution[1], resolution=resolution, **placed)
+
+
+def _pinhole(
+    resolution: tuple[int, int],
+    *,
+    field_of_view: Angle | None = None,
+    focal_length: Size | None = None,
+    pixel_pitch: Size | None = None,
+    matrix: Axes | None = None,
+    distortion: Float[np.ndarray, " coefficients"] | None = None,
+    **placed: Any,
+) -> Pinhole:
+    """Central projection; either `field_of_view`, or `focal_length` and `pixel_pitch`, or the
+    `matrix` of a calibration by OpenCV.
+
+    Args:
+        field_of_view: degrees across the width of the picture.
+        focal_length: m.
+        pixel_pitch: m.
+        matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels.
+        distortion: k1, k2, p1, p2, k3 as OpenCV orders them, with a matrix.
+    """
+    sizes = (focal_length, pixel_pitch)
+    if matrix is not None:
+        if sizes != (None, None) or field_of_view is not None:
+            raise InputError("give a matrix, or field_of_view, or focal_length; one of them.")
+        known = () if distortion is None else distortion.tolist()
+        view = opencv_view(matrix, coefficients=known, resolution=resolution)
+        return replace(view, **{name: jnp.asarray(value) for name, value in placed.items()})
+    if distortion is not None:
+        raise InputError("distortion is that of a calibration: give its matrix, too.")
+    if field_of_view is not None and sizes == (None, None):  # the same picture at any focal length
+        half = np.radians(field_of_view) / 2
+        sizes = np.array(1.0), 2 * np.tan(half) / resolution[1]
+    elif field_of_view is not None or None in sizes:
+        raise InputError("give either field_of_view, or focal_length and pixel_pitch.")
+    names = dict(zip(("focal_length", "pixel_pitch"), sizes, strict=True))
+    return Pinhole(resolution=resolution, **names, **placed)
+
+
+def _thin_lens(
+    resolution: tuple[int, int],
+    *,
+    focal_length: Size,
+    pixel_pitch: Size,
+    f_number: Size,
+    focus_distance: Size | None = None,
+    blades: Count | None = None,
+    **placed: Any,
+) -> ThinLens:
+    """Central projection through a lens.
+
+    Args:
+        focal_length: m.
+        pixel_pitch: m.
+        f_number: no unit.
+        focus_distance: m; absent for focus at infinity.
+        blades: of the iris, at least 3; absent for a round aperture.
+    """
+    return ThinLens(
+        focal_length=focal_length,
+        pixel_pitch=pixel_pitch,
+        f_number=f_number,
+        focus_distance=focus_distance,
+        resolution=resolution,
+        aperture=CircularAperture() if blades is None else PolygonalAperture(blades),
+        **placed,
+    )
+
+
+VIEWS: dict[str, Callable[..., View]] = {
+    "orthographic": _orthographic,
+    "pinhole": _pinhole,
+    "thin_lens": _thin_lens,
+}
+
+
+# ---------------------------------------------------------------- tables
+
+
+def beside_light(*, name: str | None = None) -> None:
+    """What a table `[[light]]` holds whatever its kind.
+
+    Args:
+        name: for messages.
+    """
+
+
+def light_tables() -> dict[str, Table]:
+    """The tables of all registered lights, by their `kind`."""
+    return {own.table.word: own.table for own in kinds().values() if own.table is not None}
+
+
+def material_tables() -> dict[str, Table]:
+    """The tables of all registered materials, by their `family`."""
+    return {own.table.word: own.table for own in families().values() if own.table is not None}
+
+
+def keys_of_kind(table: Table) -> dict[str, Key]:
+    """The keys of a light or a material; what has a `diffuse` takes its `albedo` instead."""
+    keys = keys_of(table.make, record=table.record)
+    if "diffuse" not in keys or not issubclass(table.record, Material):
+        return keys
+    instead = {
+        "diffuse": keys["diffuse"]._replace(default=None, about="k_d in sr^-1, or instead:"),
+        "albedo": Key(Colour | None, None, "pi k_d, at most 1, no unit."),
+    }
+    return instead | {name: key for name, key in keys.items() if name != "diffuse"}
+
+
+def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> Reading:
+    """How the tables of a scene file are read.
+
+    Args:
+        file: for messages.
+        bands: of the scene.
+        folder: where the file's paths start.
+        quantity: what a spectrum is of.
+    """
+
+    def typed(hint: Any, where: str, value: Any) -> Any:
+        if hint == Colour:
+            spectrum = spectrum_of(reading, where, value)
+            return in_bands(spectrum, bands, folder, quantity=quantity)
+        if hint in (Picture, Measured):
+            name = value_of(reading, where, str, value)
+            return (_picture if hint == Picture else _measured)(folder, name, bands)
+        return NotImplemented
+
+    reading = Reading(file, "scene", finite=True, typed=typed)
+    return reading
+
+
+def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:
+    """The light of a table `[[light]]`; `InputError` for what cannot be one."""
+    word, rest = _word(reading, where, "kind", entry, light_tables())
+    table = light_tables()[word]
+    keys = keys_of(beside_light) | keys_of_kind(table)
+    values = _values(reading, where, keys, rest)
+    return table.make(**{name: value for name, value in values.items() if name != "name"})
+
+
+def material_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Material:
+    """The material of a table `[material.NAME]`; `InputError` for what cannot be one."""
+    word, rest = _word(reading, where, "family", entry, material_tables())
+    table = material_tables()[word]
+    keys = keys_of_kind(table)
+    values = _values(reading, where, keys, rest)
+    if "albedo" in keys:
+        albedo = values.pop("albedo", None)
+        if ("diffuse" in values) == (albedo is not None):
+            raise InputError("give either diffuse (sr^-1) or albedo (pi times it).")
+        if albedo is not None:
+            if albedo.max() > 1:
+                raise InputError(
+                    f"an albedo is at most 1, got {albedo.max():.4g}: no surface reflects more "
+                    "than it receives."
+                )
+            values["diffuse"] = albedo / np.pi
+    return table.make(**values)
+
+
+def surface_of(
+    reading: Reading, where: str, entry: Mapping[str, Any], folder: Folder, dtype: str
+) -> tuple[Shape, dict[str, Any]]:
+    """The shape of a table `[[surface]]` and what stands beside it.
+
+    Args:
+        reading: the file.
+        where: the table in it.
+        entry: the table.
+        folder: where the file's paths start.
+        dtype: of the rendering, for meshes.
+
+    Returns:
+        The shape; the name of the material, the emission and whether it is two-sided.
+
+    Raises:
+        InputError: for what cannot be a surface.
+    """
+    word, rest = _word(reading, where, "shape", entry, SHAPES)
+    make, beside = SHAPES[word], keys_of(beside_shape)
+    values = _values(reading, where, beside | keys_of(make), rest)
+    more = beside_shape(**{name: values.pop(name) for name in beside if name in values})
+    if word == "mesh":
+        values |= {"file": folder.file(values["file"]), "dtype": dtype}
+    return make(**values), more
+
+
+def view_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> View:
+    """The view of the table `[camera]`; `InputError` for what cannot be one."""
+    word, rest = _word(reading, where, "kind", entry, VIEWS)
+    make, beside = VIEWS[word], keys_of(beside_camera)
+    values = _values(reading, where, beside | keys_of(make), rest)
+    placed = beside_camera(**{name: values.pop(name) for name in beside if name in values})
+    return make(**placed, **values)
+
+
+def _word(
+    reading: Reading, where: str, key: str, entry: Mapping[str, Any], known: Mapping[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """The word of a table that says what it is, and its other keys."""
+    rest = dict(entry)
+    if key not in rest:
+        raise InputError(f"{reading.place}: {where}: {key} is missing; add it.")
+    return chosen(reading, f"{where}: {key}", rest.pop(key), known), rest
+
+
+def _values(
+    reading: Reading, where: str, keys: Mapping[str, Key], entry: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The values of a table, with spectra that are given by default."""
+    usual = {
+        name: key.default
+        for name, key in keys.items()
+        if key.default not in (None, MISSING) and Colour in members_of(key.hint)
+    }
+    return values_of(reading, where, keys, usual | dict(entry))
+
+
+def _picture(folder: Folder, name: str, bands: Bands) -> np.ndarray:
+    """(h, w, bands) W m^-2 sr^-1 of a picture of the sky."""
+    picture = read_environment(folder.file(name))
+    if picture.shape[2] != bands.count:
+        raise InputError(
+            f"{folder.file(name)}: has {picture.shape[2]} bands where the scene has "
+            f"{bands.count}; convert one to the other."
+        )
+    return picture
+
+
+def _measured(folder: Folder, name: str, bands: Bands) -> Material:
+    """The table of a measured BRDF in the bands of the scene."""
+    file = folder.file(name)
+    found = read_measured(file)
+    table: Any = found if isinstance(found, Material) else table_of_samples(found)
+    values = np.asarray(table.values)
+    if table.wavelengths is not None:
+        known = np.asarray(table.wavelengths)
+        values = np.maximum(values @ reduction(known, bands, quantity="reflectance"), 0)
+    elif bands.wavelengths is not None or values.shape[-1] != bands.count:
+        raise InputError(
+            f"{file}: holds RGB where the scene has {bands.count} bands of its own; render it in "
+            "RGB, or take a spectral measurement."
+        )
+    return replace(table, values=values, wavelengths=bands.wavelengths)
+
+
+def _checked_axes(rotation: np.ndarray | None) -> np.ndarray | None:
+    if rotation is None:
+        return None
+    axes = np.asarray(rotation)
+    if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-3 or np.linalg.det(axes) < 0:
+        raise InputError("rotation must hold three right-handed unit axes as rows; correct it.")
+    exact, _, back = np.linalg.svd(axes)  # the nearest rotation: digits were rounded in the file
+    return exact @ back

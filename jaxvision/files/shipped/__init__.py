@@ -1,0 +1,35 @@
+"""Scene and camera files by their paths or, of those that come with the package, by their names.
+
+Nothing here loads a library that computes: a wrong path is answered at once.
+"""
+
+import os
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal
+
+from ...errors import InputError, nearest
+
+Kind = Literal["scene", "camera"]
+
+
+def shipped_files(kind: Kind) -> tuple[str, ...]:
+    """Names of the files that come with the package, sorted."""
+    return tuple(sorted(file.stem for file in _folder(kind).glob("*.toml")))
+
+
+def existing_file(path: str | os.PathLike[str], kind: Kind) -> Path:
+    """The existing file that is meant; `InputError` without one."""
+    file, known = Path(path), shipped_files(kind)
+    if file.is_file():
+        return file
+    if str(path) in known:
+        return _folder(kind) / f"{path}.toml"
+    if file.suffix or file.parent != Path("."):
+        raise InputError(f"{path}: no such {kind} file; check the name and the folder.")
+    hint = nearest(file.name, known)
+    raise InputError(f"{path}: neither a file nor a shipped {kind}; {hint}.")
+
+
+def _folder(kind: Kind) -> Path:
+    return Path(str(files(__name__))) / f"{kind}s"

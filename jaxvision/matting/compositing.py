@@ -1,0 +1,271 @@
+"""Compositing: pictures with coverage, laid over each other in linear light.
+
+A layer is (..., bands + 1): linear relative light already multiplied by its coverage, then the
+coverage alpha in [0, 1] as the last channel. In this form every operator of Porter and Duff is one
+line for all channels,
+
+    result = F_A A + F_B B,
+
+and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` convert from and to
+the straight, encoded RGBA of files. Integer codes are a `ValueError`.
+
+An alpha that is not a number, or outside [0, 1] by more than rounding (100 units of the last place:
+blurred full coverage reaches 1 + 4 eps), is a `ValueError` that says how many there are. Under a
+trace alpha is not checked, and the same polynomials continue. Nothing is clipped. Source: Porter
+and Duff, "Compositing Digital Images", SIGGRAPH 1984.
+"""
+
+import warnings
+from collections.abc import Callable
+from functools import reduce
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ..core._arguments import takes_numbers
+from ..core._numerics import divide, smallest_divisor
+from ..core._types import Scalars, as_relative, check_choice, is_known, map_beside, print_by_name
+from ..point_ops import srgb_decode, srgb_encode
+
+Layer = Float[Array, "... _"]
+Alpha = Float[Array, "... 1"]
+print_by_name(globals(), "Layer", "Alpha")
+
+# (F_A of alpha_B, F_B of alpha_A): Porter and Duff, section 4.2, and their "plus" of section 4.5.
+_FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]] = {
+    "clear": (jnp.zeros_like, jnp.zeros_like),
+    "front": (jnp.ones_like, jnp.zeros_like),
+    "back": (jnp.zeros_like, jnp.ones_like),
+    "over": (jnp.ones_like, lambda a: 1 - a),
+    "back over": (lambda b: 1 - b, jnp.ones_like),
+    "in": (lambda b: b, jnp.zeros_like),
+    "back in": (jnp.zeros_like, lambda a: a),
+    "out": (lambda b: 1 - b, jnp.zeros_like),
+    "back out": (jnp.zeros_like, lambda a: 1 - a),
+    "atop": (lambda b: b, lambda a: 1 - a),
+    "back atop": (lambda b: 1 - b, lambda a: a),
+    "xor": (lambda b: 1 - b, lambda a: 1 - a),
+    "plus": (jnp.ones_like, jnp.ones_like),
+}
+
+
+@takes_numbers
+def over(front: Layer, back: Layer) -> Layer:
+    """front + (1 - alpha) back: the front hides the back in proportion to its coverage.
+
+    Associative, not commutative.
+
+    Args:
+        front: (..., bands + 1) premultiplied relative light and coverage.
+        back: the same channels.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for unequal channels, and for an alpha outside [0, 1].
+
+    Example:
+        >>> glass = jnp.array([0.2, 0.0, 0.0, 0.5])  # half covering, red
+        >>> print(jv.matting.over(glass, jnp.array([0.0, 0.0, 1.0, 1.0])))
+        [0.2 0.  0.5 1. ]
+    """
+    return composite(front, back, operator="over")
+
+
+@takes_numbers
+def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
+    """F_A front + F_B back, for any of the thirteen operators.
+
+    "in" is the front where the back covers, "out" where it does not, "atop" the front within the
+    outline of the back, "xor" each where the other is not; "back ..." exchanges the roles. "plus"
+    adds light and coverage (for a cross-dissolve of two dissolved layers); its alpha may exceed 1.
+
+    Args:
+        front: (..., bands + 1) premultiplied relative light and coverage.
+        back: the same channels.
+        operator: "clear", "front", "back", "over", "in", "out", "atop", "back over", "back in",
+            "back out", "back atop", "xor" or "plus".
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for another operator, for unequal channels, and for an alpha outside [0, 1].
+    """
+    check_choice("operator", operator, _FRACTIONS)
+    front, back = as_relative(front), as_relative(back)
+    if front.shape[-1] != back.shape[-1] or front.shape[-1] < 2:
+        raise ValueError(
+            "front and back must have the same channels, at least one of light and one of "
+            f"coverage, got shapes {front.shape} and {back.shape}."
+        )
+    _warn_of_rgb(front, back)
+    of_front, of_back = _FRACTIONS[operator]
+    a, b = checked_alpha(front[..., -1:]), checked_alpha(back[..., -1:])
+    return of_front(b) * front + of_back(a) * back
+
+
+def _warn_of_rgb(*layers: Layer) -> None:
+    """A warning where pictures of three channels have hardly a pixel that is covered or not."""
+    if any(not is_known(x) or x.ndim < 3 or x.shape[-1] != 3 or x.size < 100 for x in layers):
+        return
+    whole = [np.isin(np.asarray(x[..., -1]), (0, 1)).mean() for x in layers]
+    if max(whole) < 0.5:
+        warnings.warn(
+            "layers of three channels are two bands of light and a coverage, and here the coverage "
+            "is 0 or 1 in less than half of the pixels; if these are RGB pictures, give each its "
+            "alpha as a fourth channel.",
+            stacklevel=4,
+        )
+
+
+@takes_numbers
+def flatten(layers: Float[Array, "layers *picture channels"]) -> Layer:
+    """All layers as one, the first in front: `over` from the back to the front.
+
+    Args:
+        layers: (layers, ..., bands + 1) premultiplied relative light and coverage, at least one.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for no layer, and for an alpha outside [0, 1].
+    """
+    if layers.shape[0] == 0:
+        raise ValueError(f"flatten needs at least one layer, got shape {layers.shape}.")
+    return reduce(lambda behind, layer: over(layer, behind), layers[::-1])
+
+
+@takes_numbers
+def dissolve(layer: Layer, fraction: Scalars | float) -> Layer:
+    """A layer with light and coverage times `fraction`.
+
+    Args:
+        layer: (..., bands + 1) premultiplied relative light and coverage.
+        fraction: no unit, in [0, 1], or a map (h, w).
+
+    Returns:
+        (..., bands + 1), a layer.
+    """
+    layer = as_relative(layer)
+    return layer * map_beside(fraction, layer)
+
+
+@takes_numbers
+def darken(layer: Layer, factor: Scalars | float) -> Layer:
+    """A layer with its light times `factor` and its coverage kept.
+
+    Args:
+        layer: (..., bands + 1) premultiplied relative light and coverage.
+        factor: no unit; above 1 it brightens.
+
+    Returns:
+        (..., bands + 1), a layer.
+    """
+    layer = as_relative(layer)
+    return jnp.concatenate([layer[..., :-1] * factor, layer[..., -1:]], axis=-1)
+
+
+@takes_numbers
+def premultiply(colour: Float[Array, "... bands"], alpha: Alpha) -> Layer:
+    """The layer of a straight colour and its coverage.
+
+    Args:
+        colour: (..., bands) linear relative light.
+        alpha: (..., 1) coverage in [0, 1], no unit.
+
+    Returns:
+        (..., bands + 1), a layer.
+
+    Raises:
+        ValueError: for shapes that do not fit, and for an alpha outside [0, 1].
+    """
+    if alpha.shape != (*colour.shape[:-1], 1):
+        raise ValueError(
+            f"alpha must be (..., 1) for its colour (..., bands), got shapes {alpha.shape} and "
+            f"{colour.shape}."
+        )
+    colour, covered = as_relative(colour), checked_alpha(alpha)
+    return jnp.concatenate([colour * covered, covered], axis=-1)
+
+
+@takes_numbers
+def unpremultiply(layer: Layer) -> Float[Array, "... bands"]:
+    """The straight colour of a layer: light over coverage.
+
+    Args:
+        layer: (..., bands + 1) premultiplied relative light and coverage.
+
+    Returns:
+        (..., bands) linear relative light; 0 with gradient 0 where nothing is covered, which is a
+        coverage up to 3e-10 in float32 and 1e-77 in float64.
+
+    Raises:
+        ValueError: for an alpha outside [0, 1].
+    """
+    alpha = checked_alpha(layer[..., -1:])
+    return divide(layer[..., :-1], alpha, ~(alpha <= smallest_divisor(alpha.dtype)))
+
+
+@takes_numbers
+def layer_from_srgb(rgba: Layer) -> Layer:
+    """The layer of straight sRGB with coverage, as PNG files store it.
+
+    The colour is decoded to linear light, then premultiplied. The coverage is not encoded.
+
+    Args:
+        rgba: (..., 4) relative, in [0, 1].
+
+    Returns:
+        (..., 4), a layer.
+
+    Raises:
+        ValueError: for an alpha outside [0, 1].
+    """
+    return premultiply(srgb_decode(rgba[..., :-1]), rgba[..., -1:])
+
+
+@takes_numbers
+def layer_to_srgb(layer: Layer) -> Layer:
+    """The inverse of `layer_from_srgb`.
+
+    Args:
+        layer: (..., 4) premultiplied relative light and coverage.
+
+    Returns:
+        (..., 4) straight sRGB and coverage, relative; black where nothing is covered.
+
+    Raises:
+        ValueError: for an alpha outside [0, 1].
+    """
+    return jnp.concatenate([srgb_encode(unpremultiply(layer)), layer[..., -1:]], axis=-1)
+
+
+@takes_numbers
+def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
+    """`alpha` itself, after a check that all of it lies in [0, 1].
+
+    Args:
+        alpha: (...) coverage, relative; a tracer passes unchecked.
+
+    Returns:
+        (...) the same.
+
+    Raises:
+        ValueError: for values that are not finite, or outside [0, 1] by more than 100 units of the
+            last place.
+    """
+    alpha = as_relative(alpha)
+    if isinstance(alpha, Tracer):
+        return alpha
+    rounding, values = 100 * float(jnp.finfo(alpha.dtype).eps), np.asarray(alpha)
+    wrong = np.sum(~((values >= -rounding) & (values <= 1 + rounding)))
+    if wrong:
+        raise ValueError(
+            f"alpha must lie in [0, 1]: {wrong} of {alpha.size} values do not; clip or rescale it."
+        )
+    return alpha

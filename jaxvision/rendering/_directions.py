@@ -1,0 +1,65 @@
+"""One light by directions drawn from it and from the material, and what arrives from a direction.
+
+Directions in the frame of a surface are `Vec`s. A `Place` says what blocks light; None: nothing.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .. import brdf
+from ..core._numerics import reciprocal
+from ..core._types import Colour
+from ..core._vector import Direction, Vec, Vector, as_array, as_vec
+from ..geometry import Ray
+from ..geometry.hemisphere import Frame, local_frame, to_local, to_world
+from ..lights import direction_pdf, direction_sample, seen
+from ..scene import Light, Material
+from .shadows import Place, clear
+
+
+def in_frame(normal: Direction, wo: Direction, tangent: Vector | None) -> tuple[Frame, Vec]:
+    """The frame of a surface point, and the viewer in it."""
+    frame = local_frame(normal, tangent=tangent)
+    return frame, as_vec(to_local(frame, wo))
+
+
+def in_world(frame: Frame, wi: Vec, like: Vector) -> Vector:
+    """A local direction in the world, as an array or a `Vec`, whichever `like` is."""
+    world = to_world(frame, wi)
+    return as_array(world) if isinstance(like, Array) else world
+
+
+def balanced(
+    material: Material,
+    light: Light,
+    point: Vector,
+    frame: Frame,
+    viewer: Vec,
+    of_light: Float[Array, "2"],
+    of_material: Float[Array, "3"],
+    place: Place | None,
+) -> Colour:
+    """One direction from the light and one from the material, each divided by the sum of both
+    densities: the mean over uniform numbers is the radiance, W m^-2 sr^-1."""
+
+    def weighed(wi: Vec) -> Colour:
+        world = in_world(frame, wi, point)
+        density = direction_pdf(light, point, world) + brdf.pdf(material, wi, viewer)
+        arriving = arriving_from(light, point, world, place)
+        return arriving * brdf.shading(material, wi, viewer) * reciprocal(density)
+
+    from_light = to_local(frame, direction_sample(light, point, of_light).direction)
+    from_material = brdf.sample(material, viewer, of_material)
+    return weighed(as_vec(from_light)) + weighed(as_vec(from_material))
+
+
+def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | None) -> Colour:
+    """Radiance, W m^-2 sr^-1, that reaches the point from `wi`, 0 where something is between."""
+    ahead = seen(light, Ray(point, wi))
+    passes = None if place is None else clear(place, wi, ahead.distance)
+    return where_clear(passes, ahead.radiance)
+
+
+def where_clear(condition: Bool[Array, ""] | None, value: Array) -> Array:
+    """The value where the condition holds, else 0; without a condition the value."""
+    return value if condition is None else jnp.where(condition, value, 0)

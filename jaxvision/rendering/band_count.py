@@ -1,0 +1,50 @@
+"""How many bands spectra have together: asked of each kind of material and light, by the shapes of
+what it computes. Nothing here has a unit."""
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from .. import brdf
+from ..core._types import common_dtype
+from ..lights import Quadrature, incident_samples
+from ..scene import Light, Material
+
+
+def band_count(
+    materials: Iterable[Material], lights: Iterable[Light], *, spectra: Iterable[jax.Array] = ()
+) -> int:
+    """The number of bands that all share; a neutral spectrum, of one band, goes with any.
+
+    Raises:
+        ValueError: if they differ.
+    """
+    reflected = [(type(own).__name__, _reflected(own)) for own in _one_each(materials)]
+    emitted = [_emitted(light) for light in _one_each(lights)]
+    emitted += [spectrum.shape[-1] for spectrum in spectra]
+    counts = {*(bands for _, bands in reflected), *emitted}
+    if len(counts - {1}) > 1:
+        raise ValueError(
+            "materials and lights must share one number of bands, got "
+            f"{', '.join(f'{bands} from {name}' for name, bands in reflected)} and "
+            f"{emitted} from the lights."
+        )
+    return max(counts)
+
+
+def _one_each(records: Iterable[Any]) -> Iterable[Any]:
+    """One of the records of each structure."""
+    return {str(jax.tree.map(jnp.shape, record)): record for record in records}.values()
+
+
+def _reflected(material: Material) -> int:
+    up = jnp.zeros(3, common_dtype(material))
+    return jax.eval_shape(brdf.shading, material, up, up).shape[0]
+
+
+def _emitted(light: Light) -> int:
+    samples = partial(incident_samples, rule=Quadrature(1))
+    return jax.eval_shape(samples, light, jnp.zeros(3, common_dtype(light))).irradiance.shape[-1]

@@ -1,0 +1,244 @@
+"""The rendering equation at one surface point, as a sum over sources.
+
+    L(wo) = k_a L_a + sum_i E_i S(wi_i, wo)
+
+with E_i the irradiance a facing surface would receive from source i and S the material's shading:
+f_r cos+ of a BRDF, and what the textbook says of Phong and the Gaussian lobe, which put no cosine
+on the specular term (Szeliski, Computer Vision, section 2.2.2). Radiance in W m^-2 sr^-1, lengths
+in m. Direct light only. For ONE point: the caller vmaps.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from .. import brdf
+from ..core._arguments import takes_numbers
+from ..core._loops.bands import FEW, Bands, apart, plus
+from ..core._loops.fusion import together
+from ..core._types import Colour, common_dtype
+from ..core._vector import Direction, Vec, Vector, as_vec
+from ..geometry import Ray, Shapes, sorted_shapes
+from ..geometry.hemisphere import to_local
+from ..lights import (
+    Balanced,
+    Incident,
+    Rule,
+    can_be_seen,
+    incident,
+    incident_sample,
+    light_nodes,
+    lights_by_rule,
+    nearest_seen,
+    rule_of_each,
+)
+from ..scene import AmbientLight, Light, Material
+from ._directions import balanced, in_frame, in_world, where_clear
+from .band_count import band_count
+from .shadows import DEFAULT_RULE, UNROLLED, Leaving, Place, Visible, clear, visibility
+
+
+class Lighting(eqx.Module):
+    """The light on one point of a surface, found once for all materials the surface may have.
+
+    Attributes:
+        lights: the sources.
+        rules: one for each light, see `lights.rules`.
+        point: (3,) m.
+        ambient: light from everywhere, or None.
+        place: the point and what may block light, or None where nothing does.
+        visible: what comes through of each light, as `shadows.visibility` finds it, or None where
+            nothing blocks.
+    """
+
+    lights: tuple[Light, ...]
+    rules: tuple[Rule, ...]
+    point: Vector
+    ambient: AmbientLight | None
+    place: Place | None
+    visible: Visible | None
+
+
+@takes_numbers
+def outgoing_radiance(
+    material: Material,
+    lights: Sequence[Light],
+    point: Vector,
+    normal: Direction,
+    wo: Direction,
+    *,
+    ambient: AmbientLight | None = None,
+    tangent: Vector | None = None,
+    rule: Rule | Sequence[Rule] = DEFAULT_RULE,
+    occluders: Shapes | None = None,
+    leaving: Leaving | None = None,
+) -> Colour:
+    """Radiance that a surface point sends toward a viewer, the sum over all lights.
+
+    Shadows are hard for a light at one place; those of an extended light are as soft as its rule
+    has samples, each with a shadow ray of its own. Visibility has no gradient. A mirror shows the
+    extended light that it reflects.
+
+    Args:
+        material: what the surface is made of, of any registered BRDF family.
+        lights: any number of sources, each of one number of bands.
+        point: (3,) m.
+        normal: (3,) unit length, the shading normal.
+        wo: (3,) unit length, toward the viewer. Where it lies below the surface (n.wo <= 0) the
+            result is 0.
+        ambient: light from everywhere; it counts only for a material with an ambient reflectance.
+        tangent: (3,) of any length, for an anisotropic material; None: any tangent.
+        rule: how extended lights are sampled, one rule for all or one for each light. The default,
+            `Quadrature(8)`, suits diffuse surfaces under area lights; a glossy surface, or a sky
+            with a sun, needs `Balanced` (`lights.rules` has the figures).
+        occluders: the shapes that block light, the surface's own among them if it can block; None
+            or an empty sequence: nothing blocks, and no shadow ray is traced.
+        leaving: how shadow rays leave the surface, for a `normal` that is interpolated or a surface
+            of known size; None: along `normal`.
+
+    Returns:
+        (bands,) W m^-2 sr^-1.
+
+    Raises:
+        ValueError: if spectra differ in their number of bands, or `rule` holds another number of
+            rules than there are lights.
+
+    Example:
+        A Lambert surface of albedo 0.5 under 3 W m^-2 at normal incidence: 0.5 / pi * 3.
+
+        >>> up = jnp.array([0.0, 0.0, 1.0])
+        >>> sun = jv.DirectionalLight([0, 0, 1], [3.0])
+        >>> grey = jv.Lambert([0.5 / np.pi])
+        >>> print(jv.outgoing_radiance(grey, [sun], jnp.zeros(3), up, up).round(4))
+        [0.4775]
+    """
+    leaving = Leaving(normal) if leaving is None else leaving
+    light = lighting(lights, point, leaving, ambient=ambient, rule=rule, occluders=occluders)
+    return reflected_radiance(material, light, normal, wo, tangent=tangent)
+
+
+def lighting(
+    lights: Sequence[Light],
+    point: Vector,
+    leaving: Leaving,
+    *,
+    ambient: AmbientLight | None = None,
+    rule: Rule | Sequence[Rule] = DEFAULT_RULE,
+    occluders: Shapes | None = None,
+) -> Lighting:
+    """The light on one point of a surface, with all its shadows but those that follow a material.
+
+    Args:
+        lights, point, ambient, rule, occluders: as in `outgoing_radiance`, lengths in m.
+        leaving: how shadow rays leave the surface.
+
+    Returns:
+        What `reflected_radiance` needs, for any number of materials.
+    """
+    rules = rule_of_each(lights, rule)
+    place = visible = None
+    if occluders is not None and (ready := sorted_shapes(occluders)).size is not None:
+        place = Place(point, leaving, ready)
+        visible = visibility(lights, point, ready, leaving, rule=rules)
+    return Lighting(tuple(lights), rules, point, ambient, place, visible)
+
+
+def reflected_radiance(
+    material: Material,
+    light: Lighting,
+    normal: Direction,
+    wo: Direction,
+    *,
+    tangent: Vector | None = None,
+) -> Colour:
+    """The sum at the top of this file: (bands,) in W m^-2 sr^-1.
+
+    The samples of one light, and more than eight lights at one place, are a loop over one piece of
+    code; up to eight lights at one place are summed in one pass over the rays.
+
+    Args:
+        material, normal, wo, tangent: as in `outgoing_radiance`.
+        light: from `lighting`.
+
+    Returns:
+        (bands,) W m^-2 sr^-1, 0 where `wo` lies below the surface.
+    """
+    frame, viewer = in_frame(normal, wo, tangent)
+    point, dtype = light.point, common_dtype(material, light, normal, wo)
+    around = [] if light.ambient is None else [light.ambient.radiance]
+    bands = band_count([material], light.lights, spectra=around)
+    parameters, k_a = _in_numbers(material), getattr(material, "ambient", None)
+
+    def shown(arriving: Incident, wi: Direction, passes: Bool[Array, ""] | None) -> Bands:
+        shading = brdf.shading(parameters(), wi, viewer)
+        pairs = zip(apart(arriving.irradiance, bands), apart(shading, bands), strict=True)
+        return tuple(where_clear(passes, e * s) for e, s in pairs)
+
+    def sampled(rule: Rule, radiance: Bands, item: tuple[Light, Array | None]) -> tuple:
+        source, visible = item
+        paired = rule if can_be_seen(source) and isinstance(rule, Balanced) else None
+        own = None
+        if paired is not None:  # a direction from the material beside each one from the light
+            key = jax.random.fold_in(paired.key, 0)
+            own = jax.random.uniform(key, (paired.samples, 3), dtype)
+
+        @jax.checkpoint
+        def add(total: Bands, node: tuple) -> tuple[Bands, None]:
+            u, weight, passes, of_material = node
+            if paired is not None:
+                both = balanced(material, source, point, frame, viewer, u, of_material, light.place)
+                return plus(total, apart(weight * both, bands)), None
+            arriving = incident_sample(source, rule, point, u, weight)
+            wi = together(to_local(frame, arriving.direction))
+            return plus(total, together(shown(arriving, wi, passes))), None
+
+        nodes = *light_nodes(source, rule, dtype), visible, own
+        return jax.lax.scan(add, radiance, nodes)
+
+    radiance = (jnp.zeros((), dtype),) * bands
+    if light.ambient is not None and k_a is not None:
+        radiance = plus(radiance, apart(k_a * light.ambient.radiance, bands))
+    for members, group, rule in lights_by_rule(light.lights, light.rules):
+        passes = [None if light.visible is None else light.visible[i] for i in members]
+        if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
+            known = [flags for flags in passes if flags is not None]  # of all members, or of none
+            flags = jnp.stack(known) if known else None
+            radiance, _ = jax.lax.scan(partial(sampled, rule), radiance, (group, flags))
+            continue
+        arriving = [incident(light.lights[i], point) for i in members]
+        for one, flags in zip(arriving, passes, strict=True):
+            wi, flag = to_local(frame, one.direction), None if flags is None else flags[0]
+            radiance = plus(radiance, shown(one, wi, flag))
+    if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
+        toward, reflectance = mirror
+        seen = _seen_along(light, as_vec(in_world(frame, toward, wo)))
+        radiance = plus(radiance, apart(reflectance * seen, bands))
+    unseen = jnp.where(viewer.z <= 0, 0, viewer.z)  # or NaN
+    return jnp.stack(together(tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)))
+
+
+def _seen_along(light: Lighting, direction: Vec) -> Colour:
+    """Radiance of the extended light that a mirror shows, W m^-2 sr^-1."""
+    ahead = nearest_seen(light.lights, Ray(light.point, direction))
+    passes = None if light.place is None else clear(light.place, direction, ahead.distance)
+    return where_clear(passes, ahead.radiance)
+
+
+def _in_numbers(material: Material) -> Callable[[], Material]:
+    """The material, assembled from scalars at each use. All lights add to the cotangents of these
+    scalars; those of arrays would be stacked light by light before they are added."""
+    leaves, tree = jax.tree.flatten(material)
+    few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
+    numbers = [apart(leaves[i].reshape(-1), leaves[i].size) for i in few]
+
+    def assembled() -> Material:
+        again = list(leaves)
+        for i, own in zip(few, numbers, strict=True):
+            again[i] = jnp.stack(own).reshape(leaves[i].shape)
+        return jax.tree.unflatten(tree, again)
+
+    return assembled

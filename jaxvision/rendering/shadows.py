@@ -1,0 +1,147 @@
+"""Which light comes through to a point of a surface: hard shadows for each sample of a light.
+
+Lengths in m; no gradient. For ONE point: the caller vmaps.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Array, Bool
+
+from ..core._arguments import takes_numbers
+from ..core._loops.fusion import stored
+from ..core._shown import Shown
+from ..core._types import Scalar, common_dtype
+from ..core._vector import Direction, Vector, as_vec
+from ..geometry import Shapes, Sorted, blocked, occluded, sorted_shapes
+from ..lights import (
+    Balanced,
+    Incident,
+    Quadrature,
+    Rule,
+    can_be_seen,
+    incident,
+    incident_sample,
+    light_nodes,
+    lights_by_rule,
+    rule_of_each,
+)
+from ..scene import Light
+
+DEFAULT_RULE = Quadrature(8)  # 1e-5 off a quarter of its side below a square light
+
+TRACED = "traced"  # what a search among all shapes found: few bytes, and expensive to find again
+UNROLLED = 8  # lights at one place, each of its own code; of more, a loop over one piece of code
+
+Visible = tuple[Bool[Array, " _"] | None, ...]
+
+
+class Leaving(Shown):
+    """How shadow rays leave a surface.
+
+    Attributes:
+        normal: (3,) unit length, of the surface itself, not interpolated.
+        size: () m, as `geometry.Hit.size`; None: that of the largest shape.
+
+    Example:
+        >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)
+        >>> lamp = jv.PointLight([0, 0, 3], [1.0])
+        >>> bool(jv.visibility([lamp], jnp.zeros(3), [roof], jv.Leaving(up))[0][0])
+        False
+    """
+
+    normal: Direction
+    size: Scalar | None = None
+
+
+class Place(Shown):
+    """A point of a surface and what may lie between it and the lights.
+
+    Attributes:
+        point: (3,) m.
+        leaving: how shadow rays leave the surface.
+        occluders: the shapes that block light, m.
+    """
+
+    point: Vector
+    leaving: Leaving
+    occluders: Sorted
+
+
+def clear(place: Place, direction: Direction, distance: Scalar) -> Bool[Array, ""]:
+    """Whether light from `distance`, () m, in a unit direction reaches the place."""
+    normal, size = place.leaving.normal, place.leaving.size
+    return ~occluded(place.point, normal, direction, distance, place.occluders, size=size)
+
+
+@takes_numbers
+def visibility(
+    lights: Sequence[Light],
+    point: Vector,
+    occluders: Shapes,
+    leaving: Leaving,
+    *,
+    rule: Rule | Sequence[Rule] = DEFAULT_RULE,
+) -> Visible:
+    """Which samples of each light reach a point. No gradient.
+
+    Args:
+        lights: any number of sources.
+        point: (3,) m.
+        occluders: at least one shape; all of them block light.
+        leaving: how shadow rays leave the surface at the point.
+        rule: how extended lights are sampled, one rule for all or one for each light.
+
+    Returns:
+        (samples,) for each light, no unit: one for a light at one place; None for an extended light
+        under `Balanced`, the rays of which follow the material.
+
+    Example:
+        >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)
+        >>> lamps = [jv.PointLight([0, 0, z], [1.0]) for z in (1, 3)]
+        >>> [bool(seen[0]) for seen in jv.visibility(lamps, jnp.zeros(3), [roof], jv.Leaving(up))]
+        [True, False]
+    """
+    place, dtype = Place(point, leaving, sorted_shapes(occluders)), common_dtype(lights, point)
+    found: list[Bool[Array, " _"] | None] = [None] * len(lights)
+    for members, group, own in lights_by_rule(lights, rule_of_each(lights, rule)):
+        extended = can_be_seen(lights[members[0]])
+        if extended and isinstance(own, Balanced):
+            continue
+
+        def of_light(light: Light, own: Rule = own) -> Bool[Array, " _"]:
+            def of_node(node: tuple[Array, Array]) -> Bool[Array, ""]:
+                arriving = incident_sample(light, own, place.point, *node)
+                return clear(place, arriving.direction, _distance(arriving))
+
+            return jax.lax.map(of_node, light_nodes(light, own, dtype))
+
+        if extended or len(members) > UNROLLED:
+            flags = list(jax.lax.map(of_light, group))
+        else:
+            flags = [stored(_light_comes_through, place, lights[i])[None] for i in members]
+            flags = [checkpoint_name(flag, TRACED) for flag in flags]
+        for i, own_flags in zip(members, flags, strict=True):
+            found[i] = own_flags
+    return tuple(found)
+
+
+def _light_comes_through(place: Place, light: Light) -> Bool[Array, ""]:
+    """Whether a light at one place reaches the point, in one loop over the rays."""
+    arriving, leaving = incident(light, place.point), place.leaving
+    return ~blocked(
+        place.point,
+        leaving.normal,
+        arriving.direction,
+        _distance(arriving),
+        place.occluders,
+        leaving.size,
+    )
+
+
+def _distance(arriving: Incident) -> Scalar:
+    if arriving.distance is None:
+        return jnp.full_like(as_vec(arriving.direction).x, jnp.inf)
+    return arriving.distance

@@ -1,0 +1,55 @@
+"""Names that modules had before give the same modules, and say the new name."""
+
+import importlib
+import pickle
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+import jaxvision
+from jaxvision.core._moved import MOVED
+
+
+@pytest.mark.parametrize("old", sorted(MOVED))
+def test_an_old_name_gives_the_module_and_says_the_new_one(old):
+    name = old.removeprefix("jaxvision.")
+    sys.modules.pop(old, None)
+    with pytest.warns(DeprecationWarning, match=f"{old} is now {MOVED[old]}.") as said:
+        found = importlib.import_module(old)
+    assert len(said) == 1
+    assert found is importlib.import_module(MOVED[old]) is sys.modules[old]
+    assert found.__name__ == found.__spec__.name == MOVED[old]
+    with pytest.warns(DeprecationWarning, match=old) as said:
+        assert jaxvision.__getattr__(name) is found
+    assert said[0].filename == __file__
+
+
+def test_what_lies_below_an_old_name_is_there_once():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from jaxvision.measured_files import merl  # pyright: ignore
+    from jaxvision.files.measured import merl as same
+
+    assert merl is same
+
+
+def test_an_import_of_an_old_name_warns_where_it_stands():
+    program = "from jaxvision import io\nimport jaxvision.scene_files\nassert io.read_image"
+    done = subprocess.run(
+        [sys.executable, "-W", "default", "-c", program], capture_output=True, text=True
+    )
+    assert not done.returncode
+    where = [line.split(": ")[0] for line in done.stderr.splitlines()]
+    assert where == ["<string>:1", "<string>:2"]
+
+
+def test_records_that_were_pickled_under_old_names_are_read():
+    vector = jaxvision.Vec(1.0, 2.0, 3.0)
+    kept = pickle.dumps(vector, protocol=0).replace(b"jaxvision.core._vector", b"jaxvision._vector")
+    assert b"jaxvision._vector" in kept
+    sys.modules.pop("jaxvision._vector", None)
+    with pytest.warns(DeprecationWarning, match="_vector"):
+        found = pickle.loads(kept)
+    assert found == vector
