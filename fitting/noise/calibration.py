@@ -29,6 +29,7 @@ from ..inference.posterior import Posterior, estimates, sample
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
+from .drifting import drifting
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
 from .fit import LikelihoodFit, likelihood_sheet, noise_data
 from .flicker import extra_in_flats, without_flicker
@@ -182,7 +183,9 @@ def calibrate(
     data = noise_data(measurement, usable, window=window, offsets=offsets)
     likelihood, why, sheet = None, "", ()
     try:
-        linear, chosen = choose_model(measurement, within, data, standard.values)
+        linear, chosen = choose_model(
+            measurement, within, data, standard.values, trend=drifting(measurement, usable)
+        )
         posterior = _posterior(chosen, sampling, seed)
         of_chosen = _standard_gain_of(chosen, within, usable)
         likelihood = Likelihood(linear, chosen, posterior, of_chosen)

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.special import chdtri, stdtrit
 
 from ..inference.parameters import Parameter, ParameterSpace, names
+from .drifting import Drifting
 from .emva1288 import Ranges, Sheet
-from .fit import LikelihoodFit, base_space, fitted, observations
+from .fit import LikelihoodFit, base_space, fitted, gain_drop, observations
 from .levels import PhotonTransfer
 from .misfit import MISFIT, p_value
 from .model import NoiseData
@@ -69,7 +70,12 @@ def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
 
 
 def choose_model(
-    measurement: PhotonTransfer, within: Ranges, data: NoiseData, standard: Sheet
+    measurement: PhotonTransfer,
+    within: Ranges,
+    data: NoiseData,
+    standard: Sheet,
+    *,
+    trend: Drifting | None = None,
 ) -> tuple[LikelihoodFit, LikelihoodFit]:
     """The model that a camera calls for.
 
@@ -78,6 +84,7 @@ def choose_model(
         within: the standard's ranges.
         data: of the fit.
         standard: the standard's sheet, from which fits start.
+        trend: of the flats from frame to frame; None without.
 
     Returns:
         (linear camera, chosen model); the same fit twice where the linear camera does.
@@ -93,12 +100,40 @@ def choose_model(
     of_darks = dark_scatter(measurement)
     if BLACK_SCATTER not in of_darks and _drifts(measurement):
         candidates += (BLACK_SCATTER,)
-    whole = linear.space + of_darks + candidates
-    chosen = fitted(whole, data, standard, among=whole)
-    while unearned := _unearned(chosen, candidates):
-        space = tuple(p for p in chosen.space if p is not unearned)
-        chosen = fitted(space, data, standard, among=whole, near=chosen)
+    always = linear.space + of_darks
+    whole = always + candidates
+    chosen = _reduced(fitted(whole, data, standard, among=whole), whole, candidates, standard)
+    drifts = _may_be_drift(chosen, trend)
+    if drifts or (chosen.p_value < MISFIT and any(p in chosen.space for p in CURVE)):
+        # Light that drifts from level to level looks like a curve, to which a search can lead
+        # although the variances contradict it.
+        straight = tuple(p for p in candidates if p not in CURVE)
+        other = fitted(always + straight, data, standard, among=whole)
+        other = _reduced(other, whole, straight, standard)
+        described = drifts and other.p_value >= MISFIT
+        chosen = other if described else min(chosen, other, key=lambda fit: fit.bic)
     return (linear, chosen) if chosen.bic < linear.bic else (linear, linear)
+
+
+def _reduced(
+    fit: LikelihoodFit,
+    whole: ParameterSpace,
+    candidates: tuple[Parameter, ...],
+    standard: Sheet,
+) -> LikelihoodFit:
+    """The fit without the candidates that do not pay for themselves, the weakest left out first."""
+    while unearned := _unearned(fit, candidates):
+        space = tuple(p for p in fit.space if p is not unearned)
+        fit = fitted(space, fit.data, standard, among=whole, near=fit)
+    return fit
+
+
+def _may_be_drift(fit: LikelihoodFit, trend: Drifting | None) -> bool:
+    """Whether light that drifts over the flats as within their levels bends the curve as much."""
+    if trend is None or not any(p in fit.space for p in CURVE):
+        return False
+    # Means depart by half of what the slope does, and darks in between take as long again.
+    return bool(abs(float(gain_drop(fit.values, fit.data))) <= 4 * abs(trend.total))
 
 
 def _drifts(measurement: PhotonTransfer) -> bool:

@@ -10,6 +10,7 @@ from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
+from .drifting import drifting, drifting_in_words
 from .emva1288 import is_floored, least_dark_variance
 from .fit import gain_drop
 from .flicker import flicker_in_words
@@ -41,6 +42,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *measurement.dark.left_out,
         *(doubt.sentence for doubt in measurement.doubts),
         *flicker_in_words(measurement, calibration.flicker),
+        *drifting_in_words(drifting(measurement, calibration.usable)),
         *_processing(calibration),
         *_efficiency(calibration),
         *_periodic(calibration),

@@ -34,6 +34,7 @@ class LevelStatistics(NamedTuple):
     variance: float
     spatial: float
     frames: float
+    trend: float
     lines: tuple[float, ...]
     covariances: np.ndarray
     live: LivePixels
@@ -150,6 +151,7 @@ class LevelSums:
             variance=variance,
             spatial=float(average[live.mask].var(ddof=1)),
             frames=float(count),
+            trend=float(np.polyfit(np.arange(count), self._shifts, 1)[0]),
             lines=(
                 *(parts.rows, parts.columns),
                 *self._lines.fixed(average, parts, count),

@@ -58,6 +58,8 @@ class Levels(eqx.Module):
         combs: (levels, steps, 8, 8) of `raw_frames`, of a frame each; None where pixels are not
             known, or not next to each other.
         left_out: frames that do not belong, and why, in sentences.
+        trend: (levels,) slope of the frames' means over their order, DN a frame; None where only
+            sums over the frames are known.
     """
 
     light: Float[Array, " levels"]
@@ -77,6 +79,7 @@ class Levels(eqx.Module):
     left_out: tuple[str, ...] = eqx.field(static=True, default=())
     flicker: Float[Array, "2 levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())
+    trend: Float[Array, " levels"] | None = None
 
     @property
     def unsteady(self) -> Float[Array, " levels"] | None:

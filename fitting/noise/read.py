@@ -331,7 +331,7 @@ def _reduced(
     rows = [level for level in found if level is not None]
     live, of_lines = rows[0].live, np.array([row.lines for row in rows]).T
     shape = live.shape
-    mean, variance, spatial, frames = np.array([row[:4] for row in rows], float).T
+    mean, variance, spatial, frames, trend = np.array([row[:5] for row in rows], float).T
     # In a mosaic the nearest sites of one colour are two pixels apart.
     adjacent = rig.camera.cell == (1, 1) and min(shape) > 2 * REACH
     covariances = jnp.asarray([row.covariances for row in rows]) if adjacent else None
@@ -351,6 +351,7 @@ def _reduced(
         blocks=jnp.asarray([row.blocks for row in rows]) if adjacent else None,
         combs=jnp.asarray([row.combs for row in rows]) if adjacent else None,
         left_out=tuple(one.sentence for one in gone),
+        trend=jnp.asarray(trend),
     )
     return levels, [row.shown for row in rows]
 

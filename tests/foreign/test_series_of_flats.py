@@ -11,6 +11,7 @@ from fitting import noise
 from fitting.codes import converter_in_words, converter_of
 from fitting.frame_checks.heads import Stated, odd_heads
 from fitting.noise import calibration as calibrations
+from fitting.noise.drifting import drifting, drifting_in_words
 from fitting.noise.findings import _glow, _periodic
 from fitting.noise.levels import linear_levels
 from fitting.noise.levels_table import read_table
@@ -67,7 +68,7 @@ def test_dark_current_of_hot_and_unequal_pixels_is_no_light_that_leaks():
 
 
 def test_figures_of_the_standard_stand_where_the_likelihood_has_no_maximum(monkeypatch):
-    def none(*_):
+    def none(*_, **__):
         raise InputError("The best fit is no proper maximum, so it has no standard errors.")
 
     monkeypatch.setattr(calibrations, "choose_model", none)
@@ -368,3 +369,33 @@ def test_dim_flats_of_light_alone_are_as_skewed_as_poisson_noise(gain):
     levels = [[[frame(x) for _ in range(2)] for x in own] for own in (light, 0 * light)]
     found = noise.from_frames(*levels, [0.01] * 8, list(light), camera=noise.Camera(bits=14))
     assert found.doubts == ()
+
+
+def ageing(rng, fall, *, flicker=0.0):
+    """Fourteen levels of two frames in turn, under a lamp that falls by a share in all."""
+    light, order = np.linspace(300, 7000, 14), iter(np.linspace(0, 1, 28))
+
+    def lit(electrons):
+        return exposed(rng, electrons * (1 - fall * next(order)) * (1 + flicker * rng.normal()))
+
+    flats = [[lit(x), lit(x)] for x in light]
+    darks = [[exposed(rng, 0.0), exposed(rng, 0.0)] for _ in light]
+    times = list(light / light[-1])
+    return noise.from_frames(flats, darks, times, camera=noise.Camera(bits=12))
+
+
+def test_a_lamp_that_fades_over_the_series_is_no_curved_response():
+    found = noise.calibrate(ageing(np.random.default_rng(20), 0.08))
+    gain = found.shown["system_gain"]
+    assert abs(gain.value - K) < 3 * gain.standard_error < 0.03 * K
+    assert not any("not linear" in one for one in section(found).findings)
+    # 0.08 / 27 of the first frame is lost a frame, and 0.3084 % of a frame in the middle.
+    (told,) = drifting_in_words(drifting(found.measurement, found.usable))
+    assert abs(float(told.split("falls by ")[1].split()[0]) - 0.308) < 0.03
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.02])
+def test_a_lamp_that_flickers_does_not_drift(flicker):
+    for seed in range(3):
+        found = ageing(np.random.default_rng(seed), 0.0, flicker=flicker)
+        assert drifting(found, linear_levels(found)) is None

@@ -231,6 +231,7 @@ ELSEWHERE = (
         """
             fitting.*.findings.*
             fitting.noise.flicker: flicker_in_words
+            fitting.noise.drifting: drifting_in_words
             fitting.*.section.*
             fitting.report.*
             fitting.inference.formatting.*
@@ -642,6 +643,7 @@ ELSEWHERE = (
             fitting.noise.shared: believed_lines drift extra_lines fixed_lines one_pattern
             fitting.noise.shared: shared_noise shared_variance temporal_lines
             fitting.noise.flicker: extra_in_flats without_flicker
+            fitting.noise.drifting: drifting
         """,
     ),
     Elsewhere(

@@ -1,0 +1,86 @@
+"""Flats whose signal drifts in one direction from frame to frame, as while a lamp or a camera warms
+up. What drifts within levels drifts between them too, where it looks like a curved response.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+from scipy.special import stdtrit
+
+from ..inference.formatting import format_with_error
+from .levels import PhotonTransfer
+
+FEWEST_LEVELS = 5
+CHANCE = 1e-6  # that levels of a steady lamp, or of one that flickers, seem to drift
+
+
+class Drifting(NamedTuple):
+    """A drift of the signal.
+
+    Attributes:
+        share: relative change from one frame of a level to the next.
+        error: its standard error.
+        frames: how many flats were taken.
+    """
+
+    share: float
+    error: float
+    frames: int
+
+    @property
+    def total(self) -> float:
+        """Relative change over all flats, were they taken one after another."""
+        return self.share * (self.frames - 1)
+
+
+def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
+    """The drift of the flats, None where none is seen.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        The drift.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    if bright.trend is None or len(usable) < FEWEST_LEVELS:
+        return None
+    black = np.asarray(dark.mean)[np.asarray(measurement.dark_of)[usable]]
+    signal = np.asarray(bright.mean)[usable] - black
+    if not (signal > 0).all():
+        return None
+    frames = np.asarray(bright.frames)[usable]
+    squares = frames * (frames**2 - 1) / 12  # of the order about its mean
+    shares = np.asarray(bright.trend)[usable] / signal
+    noise = np.asarray(bright.variance)[usable] / float(bright.pixels) / squares / signal**2
+    weights = 1 / noise
+    share = float(np.sum(weights * shares) / np.sum(weights))
+    degrees = len(usable) - 1
+    scatter = max(float(np.sum(weights * (shares - share) ** 2)) / degrees, 1.0)
+    error = float(np.sqrt(scatter / np.sum(weights)))
+    if abs(share) < stdtrit(degrees, 1 - CHANCE / 2) * error:
+        return None
+    return Drifting(share, error, int(frames.sum()))
+
+
+def drifting_in_words(found: Drifting | None) -> list[str]:
+    """A sentence.
+
+    Args:
+        found: the drift.
+
+    Returns:
+        The sentence; none without a drift.
+    """
+    if found is None:
+        return []
+    way = "grows" if found.share > 0 else "falls"
+    change = format_with_error(100 * abs(found.share), 100 * found.error)
+    return [
+        f"From frame to frame of a level the signal {way} by {change} %, as while a lamp or a "
+        f"camera warms up. Over {found.frames} flats in a row that makes "
+        f"{100 * abs(found.total):.2g} %: a response that curves by less cannot be told from it. "
+        "Let lamp and camera warm up, or take the levels in random order."
+    ]
