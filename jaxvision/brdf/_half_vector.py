@@ -24,7 +24,7 @@ def elevation(w: Vec) -> Scalar:
 
 
 def azimuth(w: Vec) -> Scalar:
-    """phi in [-pi, pi]; 0, with gradient 0, on the normal."""
+    """Return the azimuth phi in [-pi, pi]. On the normal it is 0 with gradient 0."""
     aside = (w.x != 0) | (w.y != 0)
     return jnp.where(aside, jnp.arctan2(jnp.where(aside, w.y, 0), jnp.where(aside, w.x, 1)), 0)
 

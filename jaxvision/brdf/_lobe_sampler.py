@@ -126,7 +126,7 @@ def albedo(material: Any, wo: Direction) -> Colour:
 
 
 def table_bound(x: Ends[Any]) -> Reflection:
-    """The largest entry: what is linear between nodes stays below it, unless it is extrapolated."""
+    """The largest entry, which bounds linear interpolation between nodes, but not extrapolation."""
     values = np.maximum(*(np.abs(numbers(end.values)) for end in x))
     body = values.reshape(-1, values.shape[-1]).max(0)
     if getattr(x.low, "outside", "clamp") == "extrapolate":

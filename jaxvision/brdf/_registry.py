@@ -29,12 +29,12 @@ Bound = Callable[[Ends], Reflection]
 
 
 class Family(NamedTuple):
-    """The functions of one family; `brdf/__init__` says what each returns.
+    """The functions of one family. `brdf/__init__` describes their results.
 
-    `specular(material, w)`: where a ray that came from `w` goes on, of a family of delta functions,
-    else None. `absorption(material)`: (bands,) m^-1 or None, of the body behind the surface; None
-    for a family that bounds no body. `bound`: the suprema, or None where they are not known.
-    `table`: that of scene files, or None.
+    `specular(material, w)`: the continuation of a ray that came from `w`, for a family of delta
+    functions, else None. `absorption(material)`: (bands,) m^-1 of the body behind the surface; None
+    for a family that bounds no body. `bound`: the suprema, or None if they are unknown. `table`:
+    the table in scene files, or None.
     """
 
     evaluate: Callable[[Any, Vector, Vector], Colour]

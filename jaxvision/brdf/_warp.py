@@ -24,9 +24,10 @@ Square = tuple[Scalar, Scalar]
 
 
 class Warp(eqx.Module):
-    """`phi`: (p,), `theta`: (t,) rad, increasing nodes of the direction; outside them it is
-    clamped. `density`: (p, t, rows, columns), each slice of integral 1. `conditional`: its
-    integral along x up to each node. `marginal`: (p, t, rows) the integral up to each row."""
+    """`phi`: (p,), `theta`: (t,) rad, increasing nodes of the direction, which is clamped to them.
+    `density`: (p, t, rows, columns), each slice of integral 1. `conditional`: its integral along x
+    up to each node. `marginal`: (p, t, rows), the integral up to each row.
+    """
 
     phi: Float[Array, " p"]
     theta: Float[Array, " t"]

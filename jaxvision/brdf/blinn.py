@@ -1,6 +1,6 @@
 """Blinn: an ideal diffuse part plus a power of the cosine between normal and half vector.
 
-Three records share the lobe [n.h]^n and differ in what stands before it, as those of `phong`:
+Three records share the lobe [n.h]^n and differ in its factor, like the records of `phong`:
 
     record             specular term of f_r         ... of the shading, f_r cos(theta_i)
     Blinn              k_s lobe / cos(theta_i)      k_s lobe                SHADING, as published
@@ -9,11 +9,11 @@ Three records share the lobe [n.h]^n and differ in what stands before it, as tho
 
     C(n) = (n + 2) (n + 4) / (8 pi (n + 2^(-n / 2)))
 
-makes the lobe's albedo k_s along the normal, and nowhere larger. Blinn is not reciprocal, and
-reflects more than it receives under a grazing light; the other two are reciprocal. The lobe is as
-wide as Phong's with a quarter of the exponent, and narrows at grazing angles as real ones do.
-Sources: Blinn, "Models of Light Reflection for Computer Synthesized Pictures", SIGGRAPH 1977; C(n)
-by integration. Local frame, normal = +z; angles in radians.
+C(n) makes the lobe's albedo k_s along the normal, and at most k_s elsewhere. Blinn is not
+reciprocal, and reflects more than it receives under a grazing light. The other two are reciprocal.
+The lobe is as wide as Phong's with a quarter of the exponent. It narrows at grazing angles, as real
+lobes do. Sources: Blinn, "Models of Light Reflection for Computer Synthesized Pictures", SIGGRAPH
+1977; C(n) by integration. Local frame, normal = +z; angles in radians.
 """
 
 import jax.numpy as jnp
@@ -169,7 +169,7 @@ def _direction(material: PowerLobe, wo: Vec, u: Float[Array, "3"]) -> Vec:
 
 
 def _density(material: PowerLobe, wi: Vec, wo: Vec) -> Scalar:
-    """That of the half vector over 4 wo.h, sr^-1."""
+    """The density of the half vector divided by 4 wo.h, sr^-1."""
     both = wi + wo
     upright = Vec(both.x, both.y, jnp.abs(both.z))
     zero = jnp.zeros_like(both.z)

@@ -2,12 +2,12 @@
 
     f_r(wi, wo; lambda) = m_b(wi, wo) c_b(lambda) + m_i(wi, wo) c_i(lambda)
 
-The body term is light that entered the material and took its colour, the interface term light
-that did not. The geometry factors are any two neutral materials (one band) with a BRDF in sr^-1:
-Lambert and a microfacet lobe, say, but no mirror or glass, whose BRDF is a delta function.
-`dichromatic_separation` goes the other way, from a picture to the two terms.
-Local frame, normal = +z; f_r in sr^-1. Source: Shafer, "Using Color to Separate Reflection
-Components", Color Research and Application 10(4) (1985).
+The body term is light that entered the material and took its colour. The interface term is light
+reflected at the surface. The geometry factors are any two neutral materials (one band) with a BRDF
+in sr^-1, such as Lambert and a microfacet lobe. Mirror and glass are delta functions and are not
+allowed. `dichromatic_separation` separates a picture into the two terms. Local frame, normal = +z;
+f_r in sr^-1. Source: Shafer, "Using Color to Separate Reflection Components", Color Research and
+Application 10(4) (1985).
 """
 
 from collections.abc import Callable
@@ -101,8 +101,9 @@ def _body_part(material: Dichromatic) -> Scalar:
 
 @takes_numbers
 def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A unit direction from the body's or the interface's own sampler, as u_2 decides; what is
-    left of u_2 goes on to it."""
+    """A unit direction from the sampler of the body or of the interface. u_2 selects the sampler,
+    and the rescaled u_2 is passed on to it.
+    """
     part = _body_part(material)
     from_body = u[2] < part
     left_body = u[2] / or_one(part)

@@ -1,24 +1,26 @@
-"""A picture of ONE material taken apart into Shafer's two terms, body and interface.
+"""Separate a picture of ONE material into Shafer's two terms, body and interface.
 
-Each pixel is m_b c_b + m_i c_i: the colours lie in a plane through black, the dichromatic plane,
-spanned by the body's colour c_b and the illuminant's c_i; m_b and m_i >= 0 are the coordinates.
+Each pixel is m_b c_b + m_i c_i. The colours lie in a plane through black, the dichromatic plane,
+which is spanned by the body's colour c_b and the illuminant's c_i. m_b and m_i >= 0 are the
+coordinates.
 
     illuminant known, body not   c_b is the edge of the cloud farthest from c_i: `body_colour`
     illuminant unknown           two materials or more: where their planes meet, `plane_normal`
                                  and `illuminant_from_planes`
 
-It fails, and `Separation` says so in numbers, where
+The separation fails in these cases, and fields of `Separation` show them:
 
-* body and illuminant are alike (a neutral or metallic body, `angle` near 0): the noise of both
-  factors grows as 1 / sin(angle), `noise_gain`, and along one line nothing can be told apart;
-* the illuminant's colour is wrong, there are several materials, light of another colour or bounces
-  between surfaces: pixels leave the plane, `residual` above the noise. A wrong illuminant INSIDE
-  the plane mixes the terms and leaves no trace, unless pixels then lie outside the wedge of the two
-  colours;
-* no pixel is free of the interface term: then `body_colour` is tinted and m_i too low by a multiple
-  of m_b.
+* Body and illuminant have similar colours (a neutral or metallic body, `angle` near 0). The noise
+  of both factors grows as 1 / sin(angle), `noise_gain`. With equal colours the terms are not
+  identifiable.
+* The illuminant's colour is wrong, there are several materials, or there is light of another colour
+  or interreflection. Pixels then leave the plane, and `residual` exceeds the noise. A wrong
+  illuminant INSIDE the plane mixes the terms and cannot be detected, unless pixels are outside
+  the wedge of the two colours.
+* No pixel is free of the interface term. Then `body_colour` is tinted, and m_i is too low by a
+  multiple of m_b.
 
-Dark and saturated pixels belong masked, in `valid`. Colours are linear, relative; (..., bands),
+Mask dark and saturated pixels in `valid`. Colours are linear, relative; (..., bands),
 bands >= 2. Sources: Shafer, Color Research and Application 10(4) (1985); Klinker, Shafer & Kanade,
 "The Measurement of Highlights in Color Images", IJCV 2 (1988); Lee, JOSA A 3(10) (1986).
 """

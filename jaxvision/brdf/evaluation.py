@@ -114,8 +114,8 @@ def pdf(material: Material, wi: Direction, wo: Direction) -> Scalar:
 def albedo(material: Material, wo: Direction) -> Colour:
     """Directional albedo, the integral of f_r(wi, wo) cos(theta_i) over wi.
 
-    It is what a viewer sees of light that comes alike from everywhere; for a reciprocal BRDF it is
-    also the share of the light from `wo` that is reflected.
+    It is the relative radiance under uniform light from all directions. For a reciprocal BRDF it is
+    also the reflected share of the light from `wo`.
 
     Args:
         material: any material.

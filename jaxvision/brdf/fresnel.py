@@ -292,9 +292,10 @@ def _least_reflectance(x: Ends[Interface | None]) -> float:
 
 
 def _largest_dielectric(c: Any, least: float, most: float) -> Any:
-    """No less than Fresnel's reflectance of unpolarised light, of indices between two, >= 1; equal
-    to it where they are one. That of s grows with the index; that of p is largest at an end, or
-    where eta^2 is twice the squared sine."""
+    """Upper bound on Fresnel's reflectance of unpolarised light for indices between two values, >=
+    1; exact if they are equal. The reflectance of s grows with the index. The reflectance of p is
+    largest at an end, or where eta^2 is twice the squared sine.
+    """
 
     def amplitudes(eta: Any) -> tuple[Any, Any]:
         g = np.sqrt(eta**2 - 1 + c * c)

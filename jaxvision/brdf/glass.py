@@ -95,7 +95,7 @@ def specular(material: Glass, w: Vec) -> Specular:
 
 
 def _bound(x: Ends[Glass]) -> Reflection:
-    """In `render` glass is black; in a ray tree it passes at most all of what arrives."""
+    """In `render` glass is black. In a ray tree it transmits and reflects at most all light."""
     indices = least(x, "index"), most(x, "index")
     return Reflection(np.zeros(1), mirror=np.ones(1), indices=indices)
 

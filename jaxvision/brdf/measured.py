@@ -214,8 +214,8 @@ def tabulate_sampler(
 ) -> Table:
     """A table with a sampler of its own lobes.
 
-    `sample` then draws in proportion to the mean over bands of what is reflected; without it draws
-    follow the cosine.
+    `sample` then draws in proportion to the reflected light, averaged over the bands. Without the
+    sampler, draws follow the cosine.
 
     Args:
         material: a record with a `sampler` and `values`.
@@ -263,11 +263,11 @@ def samples_of(
     *,
     phi_i: Float[Array, " d"] | None = None,
 ) -> BRDFSamples:
-    """f_r (no cosine inside) of any material on a grid of angles, as samples to fit.
+    """Evaluate f_r (without the cosine) of any material on a grid of angles, as samples to fit.
 
-    All a * d * b * c combinations, in that order, theta_i slowest and phi_o fastest:
-    `values.reshape(a, b, c, bands)` are those of an `IsotropicTable` over phi_o, and
-    (a, d, b, c, bands) of an `AnisotropicTable`.
+    The samples are all a * d * b * c combinations, in that order: theta_i is the slowest index and
+    phi_o the fastest. `values.reshape(a, b, c, bands)` are the values of an `IsotropicTable` over
+    phi_o, and (a, d, b, c, bands) of an `AnisotropicTable`.
 
     Args:
         material: any material with a BRDF in sr^-1.

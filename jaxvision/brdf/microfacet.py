@@ -1,11 +1,11 @@
-"""Microfacet distributions and how facets hide each other. Local frame, unit directions.
+"""Microfacet distributions, and shadowing and masking between facets. Local frame, unit directions.
 
-`alpha`: (2,), the roughness along x and y, no unit: sqrt(2) times the root mean square slope of a
-Beckmann surface; below 1e-6 it counts as 1e-6 and has no gradient. `distribution`: "beckmann"
-(Gaussian slopes) or "ggx" (heavy tails); `shadowing`: "smith" (height-correlated) or "v-cavity"
-(the grooves of Torrance and Sparrow, whatever the distribution). Densities in sr^-1. Sources:
-Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; Heitz,
-"Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2) (2014).
+`alpha`: (2,), the roughness along x and y, no unit. For a Beckmann surface it is sqrt(2) times the
+root mean square slope. Below 1e-6 it counts as 1e-6 and has no gradient. `distribution`: "beckmann"
+(Gaussian slopes) or "ggx" (heavy tails). `shadowing`: "smith" (height-correlated) or "v-cavity"
+(the grooves of Torrance and Sparrow, for any distribution). Densities are in sr^-1. Sources: Walter
+et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007; Heitz, "Understanding
+the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2) (2014).
 """
 
 from typing import Literal

@@ -1,7 +1,8 @@
 """A perfect mirror: all light goes from one direction into the mirrored one. Local frame.
 
-Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i) with s = (-x, -y, z) of
-`wo`; the weight of light that arrives from s is the reflectance, in place of f_r cos / pdf.
+Its BRDF is a delta function, reflectance * delta(wi - s) / cos(theta_i), where s = (-x, -y, z) for
+`wo` = (x, y, z). Light that arrives from s has the reflectance as its weight, in place of f_r cos /
+pdf.
 """
 
 import equinox as eqx
@@ -38,7 +39,8 @@ class Mirror(Material):
 
 
 def specular(material: Mirror, w: Vec) -> Specular:
-    """The mirror direction of `w`, unit, local, and the reflectance, no unit, 0 from below."""
+    """Return the mirror direction of `w`, unit and local, and the reflectance. It is 0 from below.
+    """
     return Specular(mirrored(w), where_above(w.z, material.reflectance))
 
 

@@ -4,18 +4,17 @@ The measurement stores, for each direction (theta, phi) of one of its two direct
 
     f_r cos(theta_i) = values(s) ndf(h) / (4 sigma(wo)),    s = vndf^-1(h)
 
-on a unit square s that the material's own distribution of visible normals warps onto the half
-vectors h, so that one small grid resolves narrow and wide lobes alike. `luminance` is the density
-over s of what is reflected: warping uniform numbers by it and then by `vndf` samples the material.
-Source: Dupuy & Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and
-Rendering", 2018, equations 6, 7 and 13.
+The unit square s is warped onto the half vectors h by the material's own distribution of visible
+normals, so a small grid resolves narrow and wide lobes. `luminance` is the density of the reflected
+light over s. Warping uniform numbers by it and then by `vndf` samples the material. Source: Dupuy &
+Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and Rendering", 2018,
+equations 6, 7 and 13.
 
-The direction whose angles index the tables is `wo` here, as in other renderers (a path starts at
-the eye and samples `wi`); the goniometer lit the sample from it, so reciprocity is assumed. The
-stored value holds the cosine of the OTHER direction, which is theta_i: it is what multiplies
-irradiance, so `shading` is the stored value and `evaluate` divides it by cos(theta_i). Elevation
-is covered to pi / 2; negative stored values (colours out of gamut) count as 0.
-Units: radiance ratios in sr^-1, angles in radians.
+The tables are indexed by the angles of `wo` here, as in other renderers (a path starts at the eye
+and samples `wi`). The goniometer lit the sample from this direction, so reciprocity is assumed. The
+stored value contains the cosine of the OTHER direction, theta_i. `shading` is therefore the stored
+value, and `evaluate` divides it by cos(theta_i). Elevations go up to pi / 2. Negative stored values
+(colours out of gamut) count as 0. Units: radiance ratios in sr^-1, angles in radians.
 """
 
 import equinox as eqx
@@ -163,8 +162,9 @@ def _reflected_by(
 
 @takes_numbers
 def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
-    """f_r cos(theta_i), (bands,) in sr^-1: the tabulated quantity itself; 0 where either direction
-    lies below the surface. `wi`, `wo`: unit, local frame."""
+    """Return f_r cos(theta_i), (bands,) in sr^-1, which is the tabulated quantity. It is 0 if
+    either direction is below the surface. `wi`, `wo`: unit, local frame.
+    """
     wi, wo = as_vec(wi), as_vec(wo)
     height = jnp.minimum(wi.z, wo.z)
     wi, wo = _unfolded(material, wi, wo)
@@ -206,7 +206,9 @@ def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
 
 @takes_numbers
 def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
-    """The density of `sample`, sr^-1, over the whole sphere; 0 for `wo` below the surface."""
+    """Return the density of `sample`, sr^-1, over the whole sphere. It is 0 for `wo` below the
+    surface.
+    """
     wi, wo = _unfolded(material, as_vec(wi), as_vec(wo))
     at, origin, _ = _seen_from(material, wo)
     h = as_vec(normalize(wi + wo))

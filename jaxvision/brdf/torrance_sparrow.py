@@ -232,15 +232,16 @@ _WIDEST = 6.5  # the slope, in units of alpha, beyond which a Beckmann surface h
 
 @takes_numbers
 def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
-    """pi k_d + k_s times the lobe's albedo, (bands,), no unit; the latter is good to 4e-4
-    for every roughness and view, for Smith's facets where cos(theta_o) > 0.1 to 1e-4.
+    """Return pi k_d + k_s times the lobe's albedo, (bands,), no unit. The lobe's albedo has an
+    error of 4e-4 for every roughness and view, and 1e-4 for Smith's facets where cos(theta_o) >
+    0.1.
 
-    It is the mean, over the slopes of the surface, of F G wo.h / (h.z cos(theta_o)) where the
-    facet mirrors light from above. In units of alpha a slope is r (cos psi, sin psi), psi counting
-    from the viewer's azimuth. Along r the horizon is the positive root of a quadratic; the
-    rule ends there, and serves every roughness: 32 Gauss-Legendre nodes, times as many in each
-    half turn, crowded about psi = pi / 2, where that root leaps at a grazing view. What errs most
-    is the kink of a v-cavity's min.
+    The lobe's albedo is the mean of F G wo.h / (h.z cos(theta_o)) over the slopes of facets that
+    mirror light from above. In units of alpha a slope is r (cos psi, sin psi), with psi from the
+    viewer's azimuth. Along r the horizon is the positive root of a quadratic, where the quadrature
+    ends. It has 32 Gauss-Legendre nodes in r and 32 in each half turn of psi. They are denser near
+    psi = pi / 2, where the root changes fast at a grazing view. The largest error comes from the
+    kink of a v-cavity's min.
     """
     viewer, alpha = as_vec(wo), _alpha(material)
     cos_o = divisor(viewer.z)

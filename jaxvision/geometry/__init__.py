@@ -1,8 +1,8 @@
-"""Rays and the surfaces they meet. For ONE ray; the caller vmaps.
+"""Intersection of rays with surfaces. For ONE ray; the caller vmaps.
 
-Lengths are metres, directions unit vectors. A ray meets what lies at a distance > 0; a miss has
-distance inf, a zero normal, and gradients of zero. Each shape has a file; `nearest` finds the
-first of many and what lies in between.
+Lengths are metres, directions unit vectors. Only intersections at a distance > 0 count. A miss has
+distance inf, a zero normal, and gradients of zero. Each shape has a file. `nearest` finds the first
+of many shapes, and tests for occlusion.
 """
 
 from ..core.lazy_names import names_of

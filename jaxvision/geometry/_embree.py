@@ -1,9 +1,10 @@
-"""Large meshes by Embree, which says in whole numbers what a ray meets; optional (`embreex`).
+"""Intersect rays with large meshes by Embree, which returns the numbers of triangles; optional
+(`embreex`).
 
-Distances and normals are then computed here from the triangle found, so they keep gradients and
-the caller's dtype. Embree itself works in float32: where a float64 ray passes an edge within
-float32 rounding, the neighbouring triangle may be the one found, and a triangle nearer than that
-rounding of the mesh's size is not met.
+Distances and normals are computed here from the triangle, so they have gradients and the caller's
+dtype. Embree works in float32. If a float64 ray passes an edge within float32 rounding, Embree may
+return the neighbouring triangle. It misses a triangle that is nearer than the float32 rounding of
+the mesh's size.
 """
 
 import importlib.util

@@ -36,7 +36,7 @@ def reach_of(points: Sequence[Vec3]) -> Scalar:
 
 
 def size_of(shape: Shape) -> Scalar:
-    """The largest coordinate that a shape reaches, at most, m; of a plane that of its point."""
+    """Upper bound on the absolute coordinates of a shape, m. For a plane it is for its point."""
     match shape:
         case Sphere() | Disc():
             return largest_component(shape.centre) + jnp.abs(shape.radius)

@@ -5,9 +5,10 @@ the ray's own frame, where the ray is the z axis, and the three edge functions t
 
     U = c x b    V = a x c    W = b x a    t = (U a_z + V b_z + W c_z) / (U + V + W).
 
-Two triangles see one edge from the same two vertices, so their edge functions are opposite but for
-rounding, in which compiled code is free, of the products and of the vertices in the ray's frame; an
-edge function within that of zero counts as inside, for both.
+Two triangles compute the function of a shared edge from the same two vertices, so the values are
+opposite except for rounding. Compiled code may round the products and the transformed vertices
+differently. An edge function within this rounding error of zero therefore counts as inside, for
+both triangles.
 """
 
 import jax

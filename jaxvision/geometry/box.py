@@ -54,8 +54,9 @@ def _slabs(
 
 
 def _faces(ray: Ray, box: Box) -> tuple[Scalar, Int[Array, ""]]:
-    """(distance in m, number of the face that is met): inf and -1 for a miss; the number is twice
-    that of the axis, and one more on its positive side. On an edge the first axis is met."""
+    """Return (distance in m, number of the face): inf and -1 for a miss. The number is twice the
+    number of the axis, plus one on its positive side. On an edge the first axis counts.
+    """
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     enter, leave, between = _slabs(origin, direction, as_vec(box.half_extents))
     near = jnp.maximum(jnp.maximum(enter[0], enter[1]), enter[2])

@@ -9,12 +9,12 @@ _NAMED = 3  # of many bad vertices or faces, so many are named
 
 
 def problems(shape: Shape) -> list[str]:
-    """Everything about a shape that is not valid geometry.
+    """List everything about a shape that is not valid geometry.
 
-    Numbers that are not finite, radii and extents that are not positive, normals and edges without
-    a direction; faces without area, with vertices that do not exist, or whose vertex normals all
-    point to their back; a place so far from the origin that its numbers are too coarse for its
-    size.
+    These are problems: numbers that are not finite, radii and extents that are not positive,
+    normals and edges of length 0, faces without area, missing vertices, and faces whose vertex
+    normals all point backward. A position is a problem if it is so far from the origin that
+    floating-point numbers cannot resolve the size of the shape there.
 
     Args:
         shape: any shape, lengths in m.

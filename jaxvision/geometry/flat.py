@@ -105,9 +105,10 @@ def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
 
 
 class FlatQuad(Shown):
-    """A quad with all that no ray changes. `corner`: m. `normal`: unit, 0 for one without area.
-    `across_u`, `across_v`: m^-1, the reciprocal edges: their inner products with u edge_u +
-    v edge_v are u and v. `size`: () m, as `Hit.size`."""
+    """A quad with precomputed values that do not depend on the ray. `corner`: m. `normal`: unit; 0
+    for a quad without area. `across_u`, `across_v`: m^-1, the reciprocal edges, whose inner
+    products with u edge_u + v edge_v are u and v. `size`: () m, as `Hit.size`.
+    """
 
     corner: Vec
     normal: Vec

@@ -1,8 +1,8 @@
-"""Which of many surfaces a ray meets first, where, and whether anything lies in between. For ONE
-ray; the caller vmaps.
+"""Find the first of many surfaces that a ray intersects, and test for occlusion. For ONE ray; the
+caller vmaps.
 
-The search gives whole numbers and has no gradient; the hit is then computed once more, from the
-one shape that was found, and has all of them. A ray meets what lies at a distance > 0; a miss has
+The search returns integers and has no gradient. The hit is then computed once more from the shape
+that was found, and has all gradients. Only intersections at a distance > 0 count. A miss has
 distance inf, a zero normal, and gradients of zero. Lengths are metres.
 """
 
@@ -129,15 +129,16 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
 
 
 def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
-    """What a ray meets first; of equally near shapes of one kind the first.
+    """Find the shape that a ray intersects first. Of equally near shapes of one kind it is the
+    first.
 
     Args:
         ray: its origin in m.
         shapes: any shapes, m.
 
     Returns:
-        The numbers of the shape and of its triangle. Distances, m, are told apart but for their
-        last three bits. No gradient.
+        The numbers of the shape and of its triangle. Distances, m, are compared without their last
+        three bits. No gradient.
 
     Example:
         >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]

@@ -1,4 +1,4 @@
-"""Rays, what they meet, and where they go on from. For ONE ray; the caller vmaps.
+"""Rays, their hits, and the origins of continued rays. For ONE ray; the caller vmaps.
 
 Lengths are metres, directions unit vectors.
 """

@@ -74,7 +74,7 @@ Bound = Callable[[Ends], Source]
 
 
 class Discrete(NamedTuple):
-    """What a light at one place has registered; `register` describes the functions."""
+    """The registered functions of a light at one place. `register` describes them."""
 
     incident: Callable[..., Incident]
     emitted: Callable[..., Emitted] | None
@@ -83,7 +83,7 @@ class Discrete(NamedTuple):
 
 
 class Extended(NamedTuple):
-    """What an extended light has registered; `register_extended` describes the functions."""
+    """The registered functions of an extended light. `register_extended` describes them."""
 
     seen: Callable[..., Seen]
     sample: Callable[..., Incident]
@@ -208,7 +208,7 @@ def can_be_seen(light: Light) -> bool:
 
 
 def extended_kind(light: Light) -> Extended:
-    """What an extended light has registered; `ValueError` for one at one place."""
+    """Return the functions of an extended light. Raises `ValueError` for a light at one place."""
     kind = kind_of(light)
     if isinstance(kind, Discrete):
         raise ValueError(f"an extended light is needed, got {type(light).__name__}.")

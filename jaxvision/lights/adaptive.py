@@ -33,19 +33,20 @@ def adaptive_irradiance(
     *,
     tolerance: float = 1e-4,
 ) -> Float[Array, " receivers bands"]:
-    """Irradiance on receivers that lie together, within a tolerance.
+    """Compute the irradiance on neighbouring receivers within a tolerance.
 
-    All are computed by the fewest nodes that the nearest of them allows, or by the closed form
-    where it is too near or the light crosses the horizon of any. For a large field map this over
-    tiles (`jax.lax.map`), each of which takes its own rule; under `vmap` all rules are computed.
+    All receivers use the same number of nodes, the smallest that suffices for the nearest. They use
+    the closed form if the nearest is too near, or if the light crosses the horizon of any receiver.
+    For a large field, map this over tiles (`jax.lax.map`), so that each has its own rule. Under
+    `vmap` all rules are computed.
 
     Args:
         light: the rectangle.
         points: (receivers, 3) m.
         normals: (receivers, 3) unit, or (3,) for all.
-        tolerance: relative, > 0; static. Rounding comes on top, see `polygon.rectangle_irradiance`.
-            Where the light skims the horizon it is relative to what a receiver that faces the light
-            would get.
+        tolerance: relative, > 0; static. Rounding errors are added, see
+            `polygon.rectangle_irradiance`. If the light is near the horizon, the tolerance is
+            relative to the irradiance on a receiver that faces the light.
 
     Returns:
         The irradiance, (receivers, bands) W m^-2.

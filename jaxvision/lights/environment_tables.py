@@ -1,8 +1,9 @@
-"""What an environment's sampling needs, computed once from its picture, before any rendering.
+"""Tables for sampling an environment, computed once from its picture before rendering.
 
-A uniform float32 is a multiple of 2^-23, its resolution. The tables hold multiples of it too, and
-the density is read off their differences: it is that of the draws exactly, whatever was rounded on
-the way, and a sun of 1e9 times the sky leaves no pixel of the sky undrawn.
+A uniform float32 is a multiple of 2^-23, its resolution. The entries of the tables are multiples of
+it too, and the density is computed from their differences. It is therefore exactly the density of
+the draws, regardless of rounding, and a sun of 1e9 times the sky leaves no pixel of the sky
+unsampled.
 """
 
 import jax
@@ -21,16 +22,16 @@ _LEAST = 16
 
 
 def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -> EnvironmentMap:
-    """The light of a latitude-longitude picture of radiance.
+    """Make an environment light from a latitude-longitude picture of radiance.
 
-    A place is sampled in proportion to the mean over the bands of the bilinear picture over its
-    pixel, times solid angle (over the whole sphere alike if the picture is black); a place with
-    light is sampled with at least 16 times the resolution of its floats in its row, and its row in
-    the picture. Gradients do not enter the probabilities.
+    The probability of a pixel is proportional to the bilinear picture's mean over the pixel and the
+    bands, times the solid angle. If the picture is black, sampling is uniform over the sphere. The
+    probability of a pixel with light within its row, and of its row, is at least 16 times the
+    resolution of the floats. Probabilities have no gradients.
 
     Args:
         radiance: (h, w, bands) W m^-2 sr^-1, >= 0.
-        rotation: (3, 3), rows the map's axes in the world, no unit; by default the world's own.
+        rotation: (3, 3), whose rows are the map's axes in the world; by default the world's axes.
 
     Returns:
         The light.
@@ -40,7 +41,7 @@ def environment_map(radiance: ArrayLike, *, rotation: ArrayLike | None = None) -
             finite.
 
     Example:
-        Rows about the poles get as much less of the samples as they span less solid angle.
+        Rows near the poles get fewer samples, in proportion to their solid angle.
 
         >>> sky = jv.environment_map(np.ones((4, 8, 1)))
         >>> print(np.asarray(sky.rows).round(3))  # (1 - cos(theta)) / 2 at 0, 45, ... degrees

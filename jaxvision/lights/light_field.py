@@ -1,9 +1,9 @@
 """A 4-D light field: radiance on every line between two parallel windows, sampled on a grid.
 
-Through the aperture (s, t) the light leaves toward its front; the focal window (u, v), behind or
-before it, names the direction. Levoy and Hanrahan, "Light Field Rendering", SIGGRAPH 1996; Gortler
-et al., "The Lumigraph", SIGGRAPH 1996. Lengths in m, radiance in W m^-2 sr^-1. For ONE ray or
-point; the caller vmaps.
+Light leaves through the aperture (s, t) toward its front. The focal window (u, v), behind or in
+front of it, determines the direction. Levoy and Hanrahan, "Light Field Rendering", SIGGRAPH 1996;
+Gortler et al., "The Lumigraph", SIGGRAPH 1996. Lengths in m, radiance in W m^-2 sr^-1. For ONE ray
+or point; the caller vmaps.
 """
 
 from itertools import product
@@ -230,9 +230,10 @@ def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"])
 
 
 def _emitted(light: LightFieldLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray from a place of the aperture by u_0 and u_1, on the line through a place of the focal
-    window by u_2 and u_3, away from the scene behind; `u`: (4,) uniform in [0, 1). Its flux is the
-    radiance on that line times aperture, cosine and solid angle, (bands,) W."""
+    """Draw a ray. It starts at a point of the aperture, from u_0 and u_1, and lies on the line
+    through a point of the focal window, from u_2 and u_3. `u`: (4,) uniform in [0, 1). Its flux is
+    the radiance on that line times aperture area, cosine and solid angle, (bands,) W.
+    """
     start, target = as_vec(_point(light.aperture, u[:2])), as_vec(_point(light.focal, u[2:]))
     span = cross(light.aperture.edge_u, light.aperture.edge_v)
     normal, whole = as_vec(normalize(span)), norm(span)

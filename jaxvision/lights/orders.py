@@ -15,14 +15,14 @@ ORDERS = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 
 
 def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -> int:
-    """The order of `Quadrature` that brings a DIFFUSE receiver within a tolerance.
+    """Return the order of `Quadrature` that meets a tolerance for a DIFFUSE receiver.
 
-    It is chosen before the call, outside `jit`; a glossy lobe is another integrand and takes
-    `Balanced`. The order follows distance over size: either side of the foot of a near receiver the
-    map spans q = asinh(s / 2 d), and the integrand is singular at i pi / 2, so that the error falls
-    like 100 rho^(-2 n), rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2), the factor being measured. This
-    holds for receivers that see the whole light; where it crosses their horizon the error is that
-    of a kink, about 1 / (2 n^2).
+    Choose it before the call, outside `jit`. For a glossy lobe use `Balanced` instead. The order
+    depends on distance over size. On either side of the foot of a near receiver the map spans q =
+    asinh(s / 2 d), and the integrand is singular at i pi / 2. The error therefore falls like 100
+    rho^(-2 n), with rho = pi / 2 q + sqrt(1 + (pi / 2 q)^2), where the factor 100 was measured.
+    This assumes receivers that see the whole light. If the light crosses their horizon, the
+    integrand has a kink and the error is about 1 / (2 n^2).
 
     Args:
         light: the rectangle.

@@ -2,10 +2,10 @@
 
     E = L / 2 sum_i theta_i n . (v_i+1 x v_i) / |v_i+1 x v_i|
 
-over the edges of what lies above the receiver's horizon, v_i from the receiver to the corners and
-theta_i the angle each edge subtends (Lambert, Photometria, 1760; Baum, Rushmeier and Winget,
-"Improving Radiosity Solutions Through the Use of Analytically Determined Form-Factors", SIGGRAPH
-1989). For ONE receiver; the caller vmaps.
+The sum is over the edges of the part above the receiver's horizon. v_i is the vector from the
+receiver to a corner, and theta_i the angle that an edge subtends (Lambert, Photometria, 1760; Baum,
+Rushmeier and Winget, "Improving Radiosity Solutions Through the Use of Analytically Determined
+Form-Factors", SIGGRAPH 1989). For ONE receiver; the caller vmaps.
 """
 
 from collections.abc import Iterator, Sequence
@@ -139,11 +139,12 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
     or in its plane gets 0. `adaptive.adaptive_irradiance` takes many receivers, in a quarter of the
     time.
 
-    At distance d of a light of size s the terms of the contour cancel; beyond (3e-4 / eps)^(1/10)
-    of d / s, 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre nodes replace it. What rounding
-    leaves is 10 eps, 300 in float64 at that distance, of what the receiver would get were both face
-    to face, and d / s times as much where the horizon cuts the light: relative to a slanting
-    receiver or light it is more by both cosines, 1e-4 in float32 where their product is .01.
+    At a large distance d from a light of size s the terms of the contour integral cancel. For d / s
+    above (3e-4 / eps)^(1/10), which is 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre nodes
+    replace it. The rounding error is 10 eps (300 eps in float64 at that distance) of the irradiance
+    with receiver and light face to face, and d / s times as much if the horizon cuts the light.
+    Relative to a slanted receiver or light it is larger by both cosines: 1e-4 in float32 where
+    their product is .01.
 
     Args:
         light: the rectangle.
@@ -202,8 +203,9 @@ def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
 
 
 class _Edge(NamedTuple):
-    """What is seen of one edge, a to b. `area`: b x a. `cosine`: a . b, 1 where nothing is seen.
-    `of_start`, `of_end`: how much of each corner of the polygon a and b are."""
+    """The visible part of one edge, a to b. `area`: b x a. `cosine`: a . b, 1 if nothing is
+    visible. `of_start`, `of_end`: the weights of the polygon's corners in a and b.
+    """
 
     start: Vec
     end: Vec
@@ -245,11 +247,13 @@ def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
 
 @contour_integral.defjvp
 def _contour_integral_jvp(primals, tangents):
-    """By a and b of each edge, with w = b x a and f its angle over sine, of theta n . w / |w|:
+    """Derivatives of theta n . w / |w| with respect to a, b and n of each edge, with w = b x a and
+    f the angle over its sine:
 
     (f n + 2 f' (n . w) w) x b + f_c (n . w) b,   a x (f n + 2 f' (n . w) w) + f_c (n . w) a
 
-    and f w by n. Where on its edge a cut lies adds nothing: the cosine is 0 all along the horizon.
+    The last derivative is f w. The position of a cut on its edge contributes nothing, because the
+    cosine is 0 along the horizon.
     """
     (corners, normal), (moves, tilt) = primals, tangents
     value = contour_integral(corners, normal)

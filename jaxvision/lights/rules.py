@@ -1,8 +1,8 @@
-"""How finely an extended light is sampled: at fixed nodes or at random.
+"""Sampling rules for extended lights: fixed nodes or random samples.
 
-Every extended light is a map from the unit square to directions. A rule says where in the square
-the light is sampled, and with what weights; the cost is in proportion to the number of samples,
-which is the knob of accuracy.
+Every extended light is a map from the unit square to directions. A rule gives the sample points in
+the square and their weights. The number of samples sets the accuracy, and the cost is proportional
+to it.
 """
 
 import equinox as eqx
@@ -14,24 +14,24 @@ from ..core._types import Key, check_count, check_key, print_by_name
 class Quadrature(Shown):
     """Fixed nodes, `order` a side: order^2 for a rectangle, twice that for an environment.
 
-    For diffuse surfaces under area lights, and for gradients without noise.
+    Use it for diffuse surfaces under area lights, and for gradients without noise.
 
-    The error falls exponentially where light and surface are smooth, and like 1 / order^2 where the
-    light crosses the surface's horizon, as every sky does: under a constant one a diffuse surface
-    is off by up to 1.2 % at order 8, .3 % at 16. The nearer an area light, the more nodes it takes:
-    order 8, the default, facing the middle of a square one, is off by -1.2e-5 at a quarter of its
-    side, -1.2e-3 at a tenth, -1.9 % at .03 and -34 % at a hundredth (+47 % elsewhere);
-    order 32 by -4e-4 there. `orders.order_for` names the order that a distance needs, and
-    `adaptive.adaptive_irradiance` chooses it at once for many. What is smaller than the distance
-    between nodes falls between them, and no error is reported:
+    The error falls exponentially if light and surface are smooth. It falls like 1 / order^2 if the
+    light crosses the surface's horizon, as every sky does: under a constant sky the error of a
+    diffuse surface is up to 1.2 % at order 8, and .3 % at 16. A nearer area light needs more
+    nodes. At the middle of a square light, order 8 (the default) has an error of -1.2e-5 at a
+    quarter of its side, -1.2e-3 at a tenth, -1.9 % at .03 and -34 % at a hundredth (+47 % at other
+    points). Order 32 has -4e-4 at a hundredth. `orders.order_for` gives the order for a distance,
+    and `adaptive.adaptive_irradiance` chooses it for many receivers. Structure smaller than the
+    distance between nodes is missed, and no error is reported:
 
-      * the sun of a sky;
-      * a glossy lobe. The highlight of GGX facets in a square light at its own size's distance is
-        off by -.9 % (alpha .1), -16 % (.05), -67 % (.02) at order 8, by 2e-5, -.8 % and -27 % at
-        16, and by 0, 0 and -3 % at 32. That of Phong's exponent 1000 is off by up to 120 % at
-        order 8, 11 % at 16, .5 % at 24 and .04 % at 32: as many nodes a side as the light is lobe
-        widths, 1 / sqrt(exponent), wide. Under a constant sky by +4.6 % (alpha .1) and -57 % (.03)
-        at order 8, and by +4 % (.03) even at 32.
+      * The sun of a sky.
+      * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
+        side, the error is -.9 % (alpha .1), -16 % (.05) and -67 % (.02) at order 8; 2e-5, -.8 %
+        and -27 % at 16; and 0, 0 and -3 % at 32. For Phong's exponent 1000 it is up to 120 % at
+        order 8, 11 % at 16, .5 % at 24 and .04 % at 32. The number of nodes a side should be the
+        width of the light in lobe widths, 1 / sqrt(exponent). Under a constant sky the error is
+        +4.6 % (alpha .1) and -57 % (.03) at order 8, and +4 % (.03) even at 32.
 
     Attributes:
         order: nodes a side, whole, >= 1, no unit; static.
