@@ -39,7 +39,7 @@ class Mirror(Material):
 
 
 def specular(material: Mirror, w: Vec) -> Specular:
-    """Return the mirror direction of `w`, unit, local, and the reflectance, which is 0 from below."""
+    """Return the mirror direction of `w`, unit, local, and the reflectance, 0 from below."""
     return Specular(mirrored(w), where_above(w.z, material.reflectance))
 
 

@@ -1,14 +1,14 @@
-"""From a mosaic, one band a pixel, to a picture with every band at every pixel.
+"""Demosaicing: from a mosaic with one band a pixel to a picture with every band at every pixel.
 
-Mosaics are (..., h, w) in DN or relative, at least as large as one tile of the pattern; integers
+Mosaics are (..., h, w) in DN or relative, at least as large as one tile of the pattern. Integers
 become floating numbers of the same value. Pictures are (..., h, w, bands) in the same unit.
 Measured values are kept, except that Menon's green is refined. NaN spreads to the windows that
 contain it. Patterns are those of `colour_filters`. Three of the four methods are for Bayer tiles,
 two greens on a diagonal and two other bands, in any order and phase.
 
-`border` says what lies beyond. "in_phase" is c b | a b c d | c b, which continues the colours of
-such a tile. Any key of `padding.BORDERS` is allowed too; its values are then taken for those of the
-colour that is due there.
+`border` defines the values outside. "in_phase" is c b | a b c d | c b, which continues the colours
+of a Bayer tile. Any key of `padding.BORDERS` is allowed, too. Its values are then assigned to the
+colour of the pattern at that pixel.
 """
 
 from collections.abc import Callable

@@ -1,15 +1,14 @@
 """The loss of a JPEG file without the file: ITU-T T.81 (baseline) as libjpeg implements it.
 
-Colour to luma and chroma, chroma at half size, 8 x 8 cosine transforms, division by a table and
-rounding, and all the way back. Pictures are (..., h, w, bands) with one band or R'G'B', encoded and
-relative: 1 is code 255, values outside [0, 1] are cut, as bytes are. NaN spreads over its block,
-and to the pixels that share a chroma with it.
+The steps are conversion to luma and chroma, chroma at half size, 8 x 8 cosine transforms, division
+by a table and rounding, and their inverses. Pictures are (..., h, w, bands) with one band or
+R'G'B', encoded and relative. 1 is code 255, and values outside [0, 1] are clipped, like bytes. NaN
+spreads over its block, and to the pixels that share a chroma with it.
 
-`rounding` chooses how the digits that a file cannot hold are dropped:
-"straight_through": every code and coefficient is a whole number, equal to libjpeg's own (its
-accurate integer transform, its chroma filters); gradients pass as if nothing had been rounded;
-"cubic": only the coefficients are rounded, softly, by round(x) + (x - round(x))^3, which has a
-slope (Shin and Song, "JPEG-resistant adversarial images", NIPS workshop 2017).
+`rounding` is the method of rounding. "straight_through" rounds every code and coefficient to an
+integer, equal to libjpeg's own (its accurate integer transform, its chroma filters), and gradients
+ignore the rounding. "cubic" rounds only the coefficients, by the differentiable round(x) + (x -
+round(x))^3 (Shin and Song, "JPEG-resistant adversarial images", NIPS workshop 2017).
 
 Quality 1 to 100 is libjpeg's (Independent JPEG Group), and scales the tables of T.81, annex K.
 """

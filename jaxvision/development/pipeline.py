@@ -25,10 +25,10 @@ from .white_balancing import Gains, grey_world_gains, neutral_gains, white_balan
 
 @takes_numbers
 def develop(raw: Scalars, development: Development) -> Scalars:
-    """(raw - black) / (white - black), then the stages of a development in their order below.
+    """Compute (raw - black) / (white - black), then the stages of a development in order.
 
-    Nothing is clipped unless a stage says so: noise below black stays negative, except that a gamma
-    curve makes it 0.
+    Only stages that say so clip values. Noise below black stays negative, except that a gamma curve
+    makes it 0.
 
     Args:
         raw: DN. A mosaic (..., h, w) or (..., h, w, 1) if it is to be demosaiced, else (..., h, w,

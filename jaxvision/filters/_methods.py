@@ -67,9 +67,9 @@ def by_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result
 def by_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
     """The product of the transforms, planes last in memory.
 
-    A transform spreads the rounding of its largest values over the whole plane. That of the whole
-    picture stays where its rounding is small beside every sum, or, with numbers of either sign,
-    beside what each window holds. Else tiles take its place.
+    A transform spreads the rounding errors of its largest values over the whole plane. The
+    transform of the whole picture is used if this error is small relative to every sum, or, for
+    numbers of either sign, to the values in each window. Otherwise tiles are transformed instead.
     """
     given, size = image.dtype, kernel.shape[:2]
     dtype = given if given.itemsize >= 4 else np.dtype(np.float32)
@@ -124,9 +124,9 @@ def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
 
 
 def _range(image: Stack, k: Planes) -> tuple[Planes, Planes, Planes]:
-    """The largest magnitude, the most that the darkest window sums to, and a bound on `_least` of
-    which the mean square is that of the largest values of stretches of columns, each
-    (n, c, 1, 1)."""
+    """Return the largest magnitude, an upper bound on the sum in the darkest window, and a bound on
+    `_least`, whose mean square is taken over the largest values in groups of columns. Each is (n,
+    c, 1, 1)."""
     n, h, w, c = image.shape
     kh, kw = (min(side, taps, _SEEN) for side, taps in zip((h, w), k.shape[2:], strict=True))
     rows = image.reshape(n, h, w * c)  # whole rows of numbers are fast
@@ -153,7 +153,7 @@ def _in_tiles(
     whole: Planes,
     right: Bool[Array, ""],
 ) -> Planes:
-    """The sums, tile by tile, in place of those of the whole unless these are right."""
+    """Compute the sums tile by tile, unless the sums of the whole picture are accurate."""
     (n, c), (kh, kw), (rows, columns) = whole.shape[:2], k.shape[2:], map(len, around)
     rows, columns = rows - kh + 1, columns - kw + 1
     down, across = (

@@ -9,10 +9,10 @@ odd kernel and the second of the two middle entries of an even one, as in scipy 
 `correlate` and `convolve` also take a signal (n,) with a kernel (k,) and an anchor (entry,).
 
 `border` is a key of `padding.BORDERS`. "constant" puts `fill` outside. "normalised_zero" is
-filter(f) / filter(1), both with border "zero": a weighted mean of the pixels inside, for kernels
-without negative entries. Where filter(1) is 0 the result is 0; a sum counts as 0 within its
-rounding, which is (number of taps) eps filter(1) with |kernel|. It knows no coverage: blur a
-premultiplied layer with border "zero", and `compositing.unpremultiply` divides by its own alpha.
+filter(f) / filter(1), both with border "zero". For kernels without negative entries it is a
+weighted mean of the pixels inside. Where filter(1) is 0 within rounding, (number of taps) eps
+filter(1) with |kernel|, the result is 0. It ignores coverage: to blur a premultiplied layer use
+border "zero", and divide by its blurred alpha with `compositing.unpremultiply`.
 
 `method` chooses how the sum is computed, not its value: "conv" by `lax.conv_general_dilated`,
 "direct" by shifted pictures, "fft" by Fourier transforms, "separable" by passes over columns and
@@ -20,11 +20,11 @@ rows, as many as the kernel's rank. "auto" takes the method that was measured to
 size. On a GPU that is "conv" up to 9 x 9 and "fft" beyond. On a CPU it is "separable" for kernels
 of low rank (if the kernel is finite and not traced), else "direct" up to 15 x 15 and "fft" beyond.
 
-"fft" keeps the accuracy of the others: a pixel of a picture of eight decades is right to 1e-4 of
-itself, sums of non-negative numbers are not negative, and where a window holds only 0 the sum is 0.
-Pictures whose bright spots leave other windows 100 times darker than their root mean square take
-two to three times as long, in float64 and tile by tile. Sums of numbers of either sign are as
-accurate beside the largest value of their window.
+"fft" is as accurate as the other methods. In a picture with a range of eight decades the relative
+error of a pixel is at most 1e-4. Sums of non-negative numbers are not negative, and a window of
+zeros gives exactly 0. If bright spots make other windows 100 times darker than the root mean
+square, the sums are computed in float64 and tile by tile, which takes two to three times as long.
+For numbers of either sign the error is relative to the largest value in the window.
 
 NaN and infinity reach every pixel with one of them in its window, also under a weight of 0. With
 "conv" and one kernel a band they may reach all bands, depending on XLA's code.

@@ -2,18 +2,18 @@
 
 `sigma`, in pixels, may be traced. The caller then gives the size of the kernel, since that is the
 shape of an array. A sigma below 0.01 pixel counts as 0.01, where the sampled Gaussian is an impulse
-in either precision. `sampling` says what a weight means: "sampled" is the function at the pixel's
-centre, as in scipy and OpenCV; "integrated" is its mean over the pixel. For a narrow Gaussian of
-sigma 0.5 the first has 0.035 square pixels too little variance, and the second the pixel's own 1/12
-more, to 0.01. The kernel is cut off at `truncate` sigmas and rescaled to sum 1: that is the knob of
-accuracy.
+in either precision. `sampling` defines the weights. "sampled" is the function at the pixel's
+centre, as in scipy and OpenCV. "integrated" is its mean over the pixel. For a narrow Gaussian of
+sigma 0.5 the variance of the first is 0.035 square pixels too small. The variance of the second is
+larger by the pixel's own 1/12, to 0.01. The kernel is cut off at `truncate` sigmas and rescaled to
+sum 1. `truncate` sets the accuracy.
 
-Derivatives need a sigma of 0.7 or more; narrower ones fall between the pixels. For a ramp of slope
-1, the first order gives 0.085, 0.860 and 0.998 at sigma 0.3, 0.5 and 0.7 with "sampled", and 0.663,
-0.986 and 0.9999 with "integrated"; at sigma 0 it gives 0. For a flat picture of 1 and sigma 0.5,
-the second order gives -0.56 with "sampled" and rounding errors with "integrated".
-`derivatives.derivative` and `laplacian` of the blurred picture are exact for parabolas at any
-sigma.
+Derivatives need a sigma of at least 0.7, because narrower kernels are not resolved by the pixels.
+For a ramp of slope 1, the first order gives 0.085, 0.860 and 0.998 at sigma 0.3, 0.5 and 0.7 with
+"sampled", and 0.663, 0.986 and 0.9999 with "integrated"; at sigma 0 it gives 0. For a flat picture
+of 1 and sigma 0.5, the second order gives -0.56 with "sampled" and rounding errors with
+"integrated". `derivatives.derivative` and `laplacian` of the blurred picture are exact for
+parabolas at any sigma.
 """
 
 from functools import partial

@@ -1,9 +1,9 @@
 """A filter as a matrix: g = H f + offset, with the pixels of one plane row by row in f and g.
 
-Exact at every border and for kernels that change from pixel to pixel. The entries are those of the
-filter, without unit; only the border "constant" has an offset, in the picture's unit. H has h w
-rows and columns and some kh kw h w entries: it serves to inspect filters and to solve sparse
-systems. The same operator without a matrix is the filter itself, and its transpose is
+The matrix is exact at every border, and for kernels that change from pixel to pixel. Its entries
+are the weights of the filter, without unit. Only the border "constant" has an offset, in the
+picture's unit. H has h w rows and columns and about kh kw h w entries. Use it to inspect filters
+and to solve sparse systems. To apply the operator use the filter itself, and for its transpose
 `operators.adjoint`.
 """
 

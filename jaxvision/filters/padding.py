@@ -1,18 +1,17 @@
-"""Pictures continued beyond their border.
+"""Continue pictures beyond their border.
 
-A picture is (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a plane
-of its own. Values are relative or in any unit, which they keep. Integers become floating numbers of
-the same value; complex numbers are refused. Every border except "constant" is linear in the
-picture. Along one axis
+A picture is (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
+separate plane. Values keep their unit. Integers become floating numbers of the same value, and
+complex numbers are refused. Every border except "constant" is linear in the picture. Along one axis
 
     ghost[i] = own[i] f[source[i]] + first[i] f[0] + last[i] f[n - 1],
 
-with static numbers that `ghosts` gives for any reach, also beyond several widths of the picture.
-The names are those of Szeliski, Computer Vision, section 3.2; "reflect_101" is OpenCV's, whose
-default it is.
+where `ghosts` gives the static numbers for any reach, also beyond several widths of the picture.
+The names are from Szeliski, Computer Vision, section 3.2. "reflect_101" is OpenCV's name for its
+default border.
 
-"normalised_zero" divides by the blur of ones, not of a coverage. A premultiplied layer (light, then
-alpha) has weights of its own, and its exact blur, with colours from within, is
+"normalised_zero" divides by the blur of ones, not by the blur of a coverage. For a premultiplied
+layer (light, then alpha) the exact blur with the layer's own colours is
 `compositing.unpremultiply(filters.gaussian(layer, sigma, border="zero"))`.
 """
 

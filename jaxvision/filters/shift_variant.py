@@ -1,12 +1,12 @@
 """Filters whose kernel changes from pixel to pixel: lens blur, defocus by depth, foveation.
 
-There are three ways, from general to fast: a kernel for each pixel (exact); radial kernels that
-depend on the pixel through one number, its scale (exact, nothing stored); a bank of ordinary
-filters with interpolation between them, where the number of filters is the knob of accuracy.
-Pictures and borders as in `convolution`, in any unit. The kernel of a pixel is the one by which
-THAT pixel gathers. Gathering keeps a flat picture flat but not the sum of light. To scatter, so
-that each pixel spreads its own light by its rotated kernel and the sum is kept, take the transpose:
-`operators.adjoint` of the same filter.
+There are three ways, from general to fast. The first is a kernel for each pixel, which is exact.
+The second is radial kernels that depend on the pixel through one number, the scale, which is exact
+and stores no kernels. The third is a bank of ordinary filters with interpolation between them,
+whose number sets the accuracy. Pictures and borders are as in `convolution`, in any unit. The
+kernel of a pixel holds the weights with which THAT pixel gathers. Gathering keeps a flat picture
+flat but not the sum of light. To scatter, so that each pixel spreads its own light by its rotated
+kernel and the sum is kept, take the transpose: `operators.adjoint` of the same filter.
 """
 
 from collections.abc import Callable, Sequence
@@ -380,7 +380,7 @@ def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
 
 
 def _plane(picture: Picture) -> tuple[int, ...]:
-    """(h, w) of a picture; `ValueError` for any other array."""
+    """Return (h, w) of a picture. Raises `ValueError` for any other array."""
     check_picture(picture)
     return picture.shape if picture.ndim == 2 else picture.shape[-3:-1]
 

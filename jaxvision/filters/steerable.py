@@ -1,9 +1,9 @@
 """Filters of any orientation as sums of a few fixed ones (Freeman and Adelson, "The Design and Use
 of Steerable Filters", PAMI 13, 1991).
 
-Angles in rad, 0 to the right and pi/2 UP; () or (h, w), one for each pixel. `width`, in pixels, is
-the unit of length of the paper's exp(-x^2 - y^2): a Gaussian of sigma = width / sqrt(2).
-Responses have the picture's unit per pixel (first order), or its own.
+Angles are in rad, 0 to the right and pi/2 UP, with shape () or (h, w). `width`, in pixels, is the
+unit of length in the paper's exp(-x^2 - y^2), a Gaussian of sigma = width / sqrt(2). First-order
+responses have the picture's unit per pixel, the others the picture's unit.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,8 @@
-"""Contrast-limited adaptive equalisation (CLAHE; Zuiderveld, Graphics Gems IV, 1994): each tile has
-its own curve, from its clipped histogram, and each pixel is a bilinear blend of the curves of the
-four tiles about it. Values are codes (integer images) or relative. Gradients hold the curves fixed.
+"""Contrast-limited adaptive equalisation (CLAHE; Zuiderveld, Graphics Gems IV, 1994).
+
+Each tile has a curve, computed from its clipped histogram. Each pixel is a bilinear blend of the
+curves of the four nearest tiles. Values are codes (integer images) or relative. Gradients treat the
+curves as constants.
 """
 
 from collections.abc import Callable, Sequence
@@ -165,8 +167,9 @@ def _clipped(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array
 
 
 def _clipped_whole(counts: Int[Array, "groups bins"], limit: Scalars) -> Int[Array, "groups bins"]:
-    """`_clipped` in whole counts: the limit rounded down, at least 1; a remainder r after the even
-    handing out goes one by one to codes 0, s, 2 s ..., with s = bins // r."""
+    """`_clipped` for integer counts. The limit is rounded down to at least 1. The clipped counts
+    are distributed evenly, and the remainder r goes one by one to codes 0, s, 2 s ..., with s =
+    bins // r."""
     bins = counts.shape[-1]
     most = jnp.clip(jnp.floor(limit), 1, MOST_PIXELS).astype(counts.dtype)
     kept = jnp.minimum(counts, most)

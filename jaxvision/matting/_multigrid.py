@@ -23,8 +23,8 @@ _DAMPING = 0.7  # of Jacobi's iteration, for matting Laplacians
 
 
 class Grids(NamedTuple):
-    """`stencils`: from the finest grid to the last but one. `coarsest`: (n, n) the Cholesky factor
-    of the last one's matrix."""
+    """`stencils`: from the finest grid to the second coarsest. `coarsest`: (n, n), the Cholesky
+    factor of the matrix of the coarsest grid."""
 
     stencils: tuple[Float[Array, "5 5 _ _"], ...]
     coarsest: Float[Array, "n n"]
@@ -43,7 +43,8 @@ def coarsened(stencil: Stencil) -> Grids:
 
 
 def v_cycle(grids: Grids, residual: Plane) -> Plane:
-    """An approximate solution of A x = residual, (h, w), linear and symmetric in it; no unit."""
+    """Return an approximate solution of A x = residual, (h, w), that is a linear and symmetric
+    function of the residual; no unit."""
     if not grids.stencils:
         solution = jax.scipy.linalg.cho_solve((grids.coarsest, True), residual.ravel())
         return solution.reshape(residual.shape)

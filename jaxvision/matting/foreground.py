@@ -1,12 +1,12 @@
-"""The colours of foreground and background in a picture of known coverage.
+"""Estimate the colours of foreground and background in a picture of known coverage.
 
 They minimise, band by band,
 
     sum_i (alpha F + (1 - alpha) B - I)^2
         + sum_ij (regularisation + |alpha_i - alpha_j|) ((F_i - F_j)^2 + (B_i - B_j)^2)
 
-over pixels i and their four neighbours j: smooth, above all where alpha changes. Source: Germer,
-Uelwer, Conrad, Harmeling, "Fast Multi-Level Foreground Estimation", ICPR 2020.
+over pixels i and their four neighbours j. The colours are smooth, most of all where alpha changes.
+Source: Germer, Uelwer, Conrad, Harmeling, "Fast Multi-Level Foreground Estimation", ICPR 2020.
 """
 
 import math

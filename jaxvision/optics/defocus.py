@@ -1,6 +1,6 @@
 """Defocus of a sharp picture by its depth map.
 
-Approximates in one pass what sampling the lens needs hundreds of rays per pixel for.
+It approximates in one pass the result of sampling the lens with hundreds of rays per pixel.
 
 A point whose reciprocal distance differs by delta from that of the plane in focus is spread over
 the image of the aperture, of signed radius (d / 2) z_i delta: upright for points nearer than the
@@ -18,7 +18,7 @@ the light from behind it:
 Measured against 48 x 48 rays per pixel on patterns of amplitude 0.3 to 0.4, rms over 48 x 64
 pixels: a plane blurred by 7 to 10 pixels 3e-4 to 7e-4 for all methods; a blurred foreground before
 a sharp background 0.04 (gather), 0.11 (scatter), 0.03 (layers); a sharp foreground before a blurred
-background 0.001 to 0.007, 0.10 and 0.005 to 0.02; both blurred 0.01 to 0.04 for all.
+background 0.001 to 0.007, 0.10 and 0.005 to 0.02; both blurred 0.01 to 0.04 for all methods.
 
 Pictures are (h, w, bands) in any unit linear in light. `depth` is (h, w) m along the optical axis,
 not along the ray; NaN (no depth) counts as in focus. `radius` is the static radius in pixels of the
@@ -142,10 +142,11 @@ def layered_defocus(
 ) -> Picture:
     """Splits the picture into layers of depth, blurs each, and composites them from the nearest on.
 
-    The layers lie at equal steps of blur from the farthest to the nearest depth; each pixel is
-    shared by the two layers beside it. Surfaces at or before a layer cover A, their mask blurred as
-    that layer is; the layer is seen where A exceeds that of the next nearer layer. Colours are
-    means over the known part of a layer, so a flat picture stays flat.
+    The layers are at equal steps of blur from the farthest to the nearest depth. Each pixel is
+    divided between the two nearest layers. The coverage A of a layer is the mask of all surfaces at
+    or in front of it, blurred like the layer. The layer is visible where its A exceeds the A of the
+    next nearer layer. Colours are means over the known part of a layer, so a flat picture stays
+    flat.
 
     Args:
         view: the lens.

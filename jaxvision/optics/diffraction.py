@@ -143,8 +143,8 @@ def airy_kernel(
 
 
 def _leaving(scale: Scalar, size: int, order: int) -> Float[Array, "size size"]:
-    """Integral of (J_0^2 + J_1^2) / (2 pi r^2) (r . n) around each pixel, no unit; `scale`: x at a
-    distance of one pixel."""
+    """Return the integral of (J_0^2 + J_1^2) / (2 pi r^2) (r . n) around each pixel, no unit.
+    `scale`: x at a distance of one pixel."""
     nodes, weights = np.polynomial.legendre.leggauss(order)
     right = np.arange(size // 2 + 1)[:, None, None] + 0.5  # distances of edges from the middle
     along = np.arange(size)[:, None] - size // 2 + nodes / 2

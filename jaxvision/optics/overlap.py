@@ -102,8 +102,9 @@ def _overlap_with_polygon(
 
 @_overlap_with_polygon.defjvp
 def _overlap_with_polygon_jvp(primals, tangents):
-    """The area gains each arc with the radius, and with its corners what the chords sweep: those
-    move as their corners do, each by its distance from the other, and against the disc."""
+    """The derivative by the radius is the length of the arcs. The derivative by a corner is the
+    area that the chords sweep: a chord's point moves with its two corners in proportion to the
+    distances, relative to the disc."""
     radius, x, y = primals[2:]
     to_right, to_down, wider, x_by, y_by = tangents
     _, arcs, enters, leaves = _sides(*primals)

@@ -343,11 +343,11 @@ def _parts(z: Scalars, f: Scalars) -> tuple[Scalars, Scalars]:
 
 
 def _reciprocal(x: Scalars) -> Scalars:
-    """1 / x; at a size below `smallest_divisor` that of the divisor itself, with gradient 0."""
+    """Return 1 / x. If |x| is below `smallest_divisor`, return 1 / divisor with gradient 0."""
     least = smallest_divisor(x.dtype)
     return 1 / jnp.where(jnp.abs(x) <= least, jnp.where(x < 0, -least, least), x)
 
 
 def _positive_reciprocal(x: Scalars) -> Scalars:
-    """1 / x; inf, with gradient 0, at and below 0."""
+    """Return 1 / x, and inf with gradient 0 for x <= 0."""
     return divide(1, x, ~(x <= smallest_divisor(x.dtype)), jnp.inf)

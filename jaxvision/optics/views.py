@@ -3,12 +3,12 @@
 Camera axes are right, down and forward; pixel (0, 0) is the upper left one and (row, column) its
 centre, so the optical axis passes between the middle pixels of an even grid. Lengths are metres.
 
-A lens at distance z_i from the sensor images at (x, y) on it the direction of the chief ray, (x /
-z_i, y / z_i, 1). Through its point (a, b) passes the ray
+For a lens at distance z_i from the sensor, the chief ray of the image point (x, y) has the
+direction (x / z_i, y / z_i, 1). The ray through the point (a, b) of the lens is
 
     origin (a, b, 0),   direction (x / z_i - a / z_f, y / z_i - b / z_f, 1)
 
-with z_f the distance in focus: written in reciprocals, infinity is no special case.
+with z_f the distance in focus. Reciprocals of distances make infinity an ordinary case.
 """
 
 from collections.abc import Sequence
@@ -86,13 +86,13 @@ def opencv_view(
     translation: np.ndarray | None = None,
     pixel_pitch: float = 1e-5,
 ) -> Pinhole:
-    """The view of a camera that OpenCV calibrated: fx and fy may differ, (cx, cy) lie anywhere.
+    """Make the view of a camera that OpenCV calibrated, with any fx, fy, cx and cy.
 
-    OpenCV's conventions are those of views: x right, y down, z forward, and whole numbers at the
-    centres of pixels; `u` is the column, `v` the row. The result is an ordinary pinhole, whose
-    `Distortion` holds shift and stretch beside the coefficients; its fields may be traced or
-    fitted. Of pixels that are not square the irradiance on the sensor is that of square ones of the
-    pitch, behind a lens that stretches the image.
+    Views have OpenCV's conventions: x right, y down, z forward, and integers at the centres of
+    pixels. `u` is the column, `v` the row. The result is an ordinary pinhole, whose `Distortion`
+    contains shift and stretch besides the coefficients. Its fields may be traced or fitted. If fx
+    and fy differ, the irradiance on the sensor is computed for square pixels of the pitch, behind a
+    lens that stretches the image.
 
     Args:
         matrix: (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] pixels.
@@ -161,7 +161,7 @@ def opencv_view(
 
 
 def _by_rodrigues(vector: np.ndarray) -> np.ndarray:
-    """(3, 3), the rotation by the length of a vector, rad, about it."""
+    """Return the (3, 3) rotation about a vector, by its length in rad."""
     angle = np.linalg.norm(vector)
     if angle == 0:
         return np.eye(3)

@@ -1,15 +1,15 @@
-"""Results drawn: an image as five views (Szeliski, Computer Vision, fig. 3.3), as a picture, a map
-in false colour or a histogram; spectra and lobes; curves with their bands, errors against time, and
-posteriors beside the truth.
+"""Plots of results: images (as five views as in Szeliski, Computer Vision, fig. 3.3, as a picture,
+in false colour, or as a histogram), spectra and lobes, curves with their bands, errors against
+time, and posteriors with the true values.
 
-This is the edge of the library: eager, NumPy in, with matplotlib loaded on first use. Values are DN
-(integer images) or relative (floating images). What cannot be shown raises `InputError`, one
-sentence. Each plot of one axes takes `axes=`, of `matplotlib.pyplot.subplots` or any figure.
+Plots are eager and take NumPy arrays. matplotlib is loaded on first use. Values are DN (integer
+images) or relative (floating images). Data that cannot be shown raise `InputError` with one
+sentence. Each plot of one axes takes `axes=`, from `matplotlib.pyplot.subplots` or any figure.
 
-Figures that are made here are not known to `matplotlib.pyplot`, which would keep each of them until
-it is closed: `plt.show()` does not show them, and `plt.savefig` writes an empty page. A notebook
-shows what a cell returns. In a script write `axes.figure.savefig("plot.png")`, or `figure.savefig`
-where a figure is returned; for a window give the axes of pyplot:
+Figures made here are not registered with `matplotlib.pyplot`, which would keep each of them until
+it is closed. So `plt.show()` does not show them, and `plt.savefig` writes an empty page. A notebook
+shows the value of a cell. In a script write `axes.figure.savefig("plot.png")`, or `figure.savefig`
+if a figure is returned. For a window, pass the axes of pyplot:
 
     axes = jv.plots.lobe(material, axes=plt.subplot(projection="polar")); plt.show()
 """

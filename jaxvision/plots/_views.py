@@ -192,8 +192,8 @@ def _printed(pixel: np.ndarray) -> list[str]:
 
 
 def draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
-    """The mean of the colour bands as a height, each facet the mean of a block of pixels, over
-    what is finite there; a block without stands at the mean of all."""
+    """Draw the mean of the colour bands as a height. Each facet is the mean over the finite pixels
+    of a block. A block without finite pixels gets the mean of all."""
     height, width, _ = pixels.shape
     colours = colours_of(pixels).astype(float)
     step = max(1, -(-max(height, width) // SURFACE_SIDE))

@@ -1,4 +1,4 @@
-"""What was found, with its errors, beside what is true."""
+"""Plots of estimates with their errors, compared with the true values."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -149,11 +149,11 @@ def curves(
 
 
 def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None) -> "Axes":
-    """What settings cost: error against time.
+    """Plot error against time of several settings.
 
-    Those that none beats in both are joined by a line; where every setting is (method, value), each
-    method has a line, a colour and a mark. `accuracy.plot` draws a `Curve`, with its spread and the
-    error of its reference.
+    A line joins the Pareto front. If every setting is (method, value), each method has its own
+    line, colour and mark. `accuracy.plot` draws a `Curve`, with its spread and the error of its
+    reference.
 
     Args:
         trials: as from `accuracy.error_against_time`; those without a finite error above 0 are

@@ -29,8 +29,8 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Writes names beside points, where no other name and little else is; points that lie together
-    have one label, of all their names. The axes grow, so that there is room above the highest.
+    """Write names next to points, where few other marks are. Points that are close together share
+    one label with all their names. The axes grow to make room above the highest point.
 
     Args:
         axes: logarithmic, with the points drawn.
@@ -178,8 +178,8 @@ def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.
 
 
 def _drawn(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """(n, 3) places on marks, lines and bars, about `APART` from each other: pt from the lower left
-    corner, and what it costs to cover them."""
+    """Return (n, 3) points on marks, lines and bars, about `APART` from each other: their position
+    in pt from the lower left corner, and the cost of covering them."""
     paths = [
         (line.get_xydata(), line.get_marker() not in ("", " ", "None", None))
         for line in axes.lines

@@ -1,5 +1,5 @@
-"""How many bands spectra have together: asked of each kind of material and light, by the shapes of
-what it computes. Nothing here has a unit."""
+"""The common number of bands of several spectra, from the shapes of the results of each kind of
+material and light. Nothing here has a unit."""
 
 from collections.abc import Iterable
 from functools import partial

@@ -35,8 +35,8 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
     shaded by one piece of code, and shadows are traced once for all kinds.
 
     Args:
-        scene: `Scene.occluders` says which surfaces block light, `Scene.rules` how single lights
-            are sampled.
+        scene: `Scene.occluders` selects the surfaces that block light, `Scene.rules` the sampling
+            rules of single lights.
         ray: origin (3,) m, direction (3,) unit length.
         rule: how extended lights without a rule of their own are sampled.
 
@@ -155,29 +155,28 @@ def render(
     rule: Rule = DEFAULT_RULE,
     samples: PixelSamples | None = None,
 ) -> Image:
-    """The picture in radiance by direct light.
+    """Render the radiance picture of a scene by direct light.
 
-    What surfaces emit is seen, and lights nothing here; in `transport` it does. Glass is black and
-    throws full shadows, a mirror shows lamps with a size and no surfaces: `transport.missing_light`
-    says what that leaves out of a scene. A lamp that is turned away from all surfaces leaves them
-    dark: `scene_checks.idle_lamps` names it. The command `jaxvision render` prints both.
+    Emissive surfaces are visible but do not illuminate others here; in `transport` they do. Glass
+    is black and casts full shadows. A mirror shows lamps with a size, but no surfaces.
+    `transport.missing_light` lists the light that a scene loses by this. `scene_checks.idle_lamps`
+    names lamps that face away from all surfaces. The command `jaxvision render` prints both.
 
-    A derivative by the place of a lamp, a camera or a shape leaves out moving edges, those of
-    shadows and outlines: over a floor with a ball under a lamp of 0.5 m it is 30 % short. It is
-    right by radiance, materials and, where nothing shades and no outline moves, by places.
+    Derivatives with respect to radiance and materials are exact. Derivatives with respect to the
+    position of a lamp, a camera or a shape neglect moving edges of shadows and outlines: for a ball
+    on a floor under a lamp of 0.5 m they are 30 % too small.
 
-    On CPUs with
-    512-bit vectors, `jax.jit(render, compiler_options={"xla_cpu_prefer_vector_width": "512"})`
-    takes about three quarters of the time.
+    On CPUs with 512-bit vectors, `jax.jit(render, compiler_options={"xla_cpu_prefer_vector_width":
+    "512"})` takes about three quarters of the time.
 
     Args:
-        scene: `Scene.occluders` says which surfaces block light, `Scene.rules` how single lights
-            are sampled.
+        scene: `Scene.occluders` selects the surfaces that block light, `Scene.rules` the sampling
+            rules of single lights.
         view: any view; a thin lens needs `samples` to defocus.
-        rule: how extended lights without a rule of their own are sampled; a random rule draws anew
-            for each pixel and sample. The default, `Quadrature(8)`, suits diffuse surfaces; under a
-            gloss of roughness .03 it may lose half of a lamp's highlight, which `Balanced` holds
-            (`lights.rules` has the figures).
+        rule: sampling rule for extended lights without their own. A random rule draws new samples
+            for each pixel and sample. The default, `Quadrature(8)`, suits diffuse surfaces. For
+            gloss of roughness .03 it may lose half of a lamp's highlight, and `Balanced` is
+            accurate (`lights.rules` has the figures).
         samples: the mean over many rays of each pixel; None: one ray through each pixel's centre.
 
     Returns:

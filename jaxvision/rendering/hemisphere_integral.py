@@ -164,12 +164,12 @@ def lit_radiance(
     tangent: Vector | None = None,
     occluders: Shapes | None = None,
 ) -> Estimate:
-    """Radiance from a point under one extended light, by directions from light and material.
+    """Estimate the radiance from a point under one extended light by multiple importance sampling.
 
-    Each sample is a direction drawn from the light and one drawn from the material, joined by the
-    balance heuristic: the error is near that of the better of the two, whether the lobe or the
-    light is the smaller one. For several lights, and inside a `render`, `outgoing_radiance` does
-    the same by the rule `Balanced`.
+    Each sample is a direction drawn from the light and one drawn from the material, combined by the
+    balance heuristic. The error is close to the error of the better strategy, whether the lobe or
+    the light is smaller. For several lights, and inside a `render`, `outgoing_radiance` does the
+    same with the rule `Balanced`.
 
     Args:
         key: random key.
@@ -180,7 +180,7 @@ def lit_radiance(
         occluders: the shapes that block light, as in `outgoing_radiance`.
 
     Returns:
-        The mean and its standard error, which is 0 for a mirror: it shows what lies along one ray.
+        The mean and its standard error. The error is 0 for a mirror, which needs only one ray.
 
     Raises:
         ValueError: for fewer than 2 samples, or for a light at one place.

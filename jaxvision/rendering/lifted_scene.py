@@ -22,14 +22,16 @@ Record = TypeVar("Record", bound=eqx.Module)
 
 
 def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str = "D65") -> Scene:
-    """An RGB scene in the bands of a spectral camera, by the method of Mallett and Yuksel.
+    """Convert an RGB scene to the bands of a spectral camera, by the method of Mallett and Yuksel.
 
-    Reflectances become those of `spectra.rgb_to_reflectance`, which look under D65 as their colour
-    of linear sRGB. Light becomes the lamp's spectrum times the lifted colour, scaled so that white
-    light keeps its power, the sum over its bands. What has one band, neutral, stays so; what is the
-    same in all three, such as an index of refraction, becomes neutral.
+    Reflectances become the spectra of `spectra.rgb_to_reflectance`, which have the given linear
+    sRGB colour under D65. Light becomes the lamp's spectrum times the lifted colour. It is scaled
+    so that white light keeps its power, the sum over its bands. Neutral values with one band stay
+    as they are. Values that are equal in all three bands, such as an index of refraction, become
+    neutral.
 
-    Measured spectra are better: of the many that have one colour this takes a smooth one.
+    Many spectra have the same colour, and this method takes a smooth one. Measured spectra are
+    better.
 
     Args:
         scene: of three bands, red, green and blue of linear sRGB. Eager.

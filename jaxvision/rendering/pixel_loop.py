@@ -1,10 +1,10 @@
-"""The loop over the pixels of a view, which every way of rendering shares.
+"""The loop over the pixels of a view, which all integrators share.
 
-    photograph(along, view, samples)
+photograph(along, view, samples)
 
-`along` says what arrives along rays; integrators differ in it alone. What a pixel gets is a
-function of the key, the pixel and the numbers of its samples: it depends neither on how a picture
-is cut into blocks nor on which pixels are asked for.
+`along` computes the radiance along rays, and only this differs between integrators. The value
+of a pixel depends on the key, the pixel and the numbers of its samples. It does not depend on
+the division into blocks, or on which other pixels are requested.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,10 +40,10 @@ Along = Callable[[Ray, Stream], Any]
 class PixelSamples(Shown):
     """Rays spread over the square of each pixel, and over the lens of a thin-lens view.
 
-    The samples of a pixel are points of a Kronecker sequence, shifted at random for each pixel: as
-    free of bias as independent ones, and more even. Eight spheres with shadows through a pinhole
-    are off by .61, .58 and .37 of what independent samples are at 4, 16 and 64 of them, behind a
-    lens out of focus by .91, .65 and .71.
+    The samples of a pixel are points of a Kronecker sequence, shifted at random for each pixel.
+    They are unbiased, and stratified better than independent samples. For eight spheres with
+    shadows, the error through a pinhole is .61, .58 and .37 times the error of independent samples,
+    with 4, 16 and 64 samples. Behind a lens out of focus it is .91, .65 and .71 times.
 
     Attributes:
         key: random key.
@@ -235,13 +235,14 @@ def in_blocks(
     lanes: int = LANES,
     keep: Sequence[str] | None = None,
 ) -> Any:
-    """`function` of arrays that are cut along their leading axis into blocks of up to `size`
-    entries (None: as many as the device serves well), a multiple of `lanes`.
+    """Apply `function` to arrays in blocks along their leading axis, of up to `size` entries (None:
+    a good number for the device), a multiple of `lanes`.
 
-    Blocks are full, if need be with entries that are thrown away: where vector code ends and leaves
-    a rest to plain code, the last bit of an entry would tell how the arrays were cut. Of several
-    blocks a gradient keeps what has one of the names `keep`, and computes the rest again; with None
-    it keeps what the function's own checkpoints leave.
+    All blocks are full, padded with entries that are discarded. Otherwise plain code would compute
+    the last entries of a block, and the last bit of a result would depend on the division into
+    blocks. With several blocks, a gradient stores the values with one of the names `keep` and
+    recomputes the others. With None it stores the values that the function's own checkpoints
+    select.
     """
     count = len(arrays[0])
     size = min(at_a_time(BLOCK) if size is None else size, -(-count // lanes) * lanes)

@@ -2,10 +2,10 @@
 
     L(wo) = k_a L_a + sum_i E_i S(wi_i, wo)
 
-with E_i the irradiance a facing surface would receive from source i and S the material's shading:
-f_r cos+ of a BRDF, and what the textbook says of Phong and the Gaussian lobe, which put no cosine
-on the specular term (Szeliski, Computer Vision, section 2.2.2). Radiance in W m^-2 sr^-1, lengths
-in m. Direct light only. For ONE point: the caller vmaps.
+E_i is the irradiance of a facing surface from source i, and S the material's shading. For a BRDF, S
+is f_r cos+. Phong and the Gaussian lobe follow the textbook, without a cosine on the specular term
+(Szeliski, Computer Vision, section 2.2.2). Radiance in W m^-2 sr^-1, lengths in m. Direct light
+only. For ONE point: the caller vmaps.
 """
 
 from collections.abc import Callable, Sequence
@@ -77,19 +77,17 @@ def outgoing_radiance(
     occluders: Shapes | None = None,
     leaving: Leaving | None = None,
 ) -> Colour:
-    """Radiance that a surface point sends toward a viewer, the sum over all lights.
+    """Compute the radiance of a surface point toward a viewer, as the sum over all lights.
 
-    Shadows are hard for a light at one place; those of an extended light are as soft as its rule
-    has samples, each with a shadow ray of its own. Visibility has no gradient. A mirror shows the
-    extended light that it reflects.
+    A light at one place casts hard shadows. For an extended light, each sample of its rule has a
+    shadow ray. Visibility has no gradient. A mirror shows the extended light that it reflects.
 
     Args:
-        material: what the surface is made of, of any registered BRDF family.
-        lights: any number of sources, each of one number of bands.
+        material: of the surface, of any registered BRDF family.
+        lights: any number of sources with the same number of bands.
         point: (3,) m.
         normal: (3,) unit length, the shading normal.
-        wo: (3,) unit length, toward the viewer. Where it lies below the surface (n.wo <= 0) the
-            result is 0.
+        wo: (3,) unit length, toward the viewer. Below the surface (n.wo <= 0) the result is 0.
         ambient: light from everywhere; it counts only for a material with an ambient reflectance.
         tangent: (3,) of any length, for an anisotropic material; None: any tangent.
         rule: how extended lights are sampled, one rule for all or one for each light. The default,
@@ -97,7 +95,7 @@ def outgoing_radiance(
             with a sun, needs `Balanced` (`lights.rules` has the figures).
         occluders: the shapes that block light, the surface's own among them if it can block; None
             or an empty sequence: nothing blocks, and no shadow ray is traced.
-        leaving: how shadow rays leave the surface, for a `normal` that is interpolated or a surface
+        leaving: offset of shadow rays from the surface, for an interpolated `normal` or a surface
             of known size; None: along `normal`.
 
     Returns:
@@ -229,8 +227,8 @@ def _seen_along(light: Lighting, direction: Vec) -> Colour:
 
 
 def _in_numbers(material: Material) -> Callable[[], Material]:
-    """The material, assembled from scalars at each use. All lights add to the cotangents of these
-    scalars; those of arrays would be stacked light by light before they are added."""
+    """Assemble the material from scalars at each use. The cotangents of scalars are summed over the
+    lights directly, whereas those of arrays would be stacked first."""
     leaves, tree = jax.tree.flatten(material)
     few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
     numbers = [apart(leaves[i].reshape(-1), leaves[i].size) for i in few]
