@@ -7,7 +7,7 @@ point, and the caller vmaps. A spectrum is (bands,), or (1,) if it is neutral an
 
     evaluate   f_r in sr^-1, 0 where either direction lies below the surface
     sample     a direction `wi` from three uniform numbers, near where f_r is large
-        pdf        its density in sr^-1, over the whole sphere; samples below the surface are dark
+    pdf        its density in sr^-1, over the whole sphere; samples below the surface are dark
     albedo     integral of f_r cos(theta_i) over wi
     shading    f_r cos(theta_i), which multiplies the irradiance of a surface that FACES the light
 

@@ -1,13 +1,13 @@
-"""Light that bounces: scenes in, radiance out. Radiance in W m^-2 sr^-1.
+"""Global illumination: the radiance of a scene with interreflections, in W m^-2 sr^-1.
 
-    paths        path tracing, from the eye: all that a scene's light does, with its standard error,
-                 but for caustics of lights without size
-    ray_tree     ray tracing: direct light, mirrors and glass, without chance
-    light_paths  light tracing, from the sources: caustics and small lights
+    paths        path tracing from the eye: all light except caustics of lights without size, with
+                 its standard error
+    ray_tree     ray tracing: direct light, mirrors and glass, deterministic
+    light_paths  light tracing from the sources: caustics and small lights
     radiosity    diffuse surfaces in patches
-    missing      what each of them cannot find in a scene
+    missing      the light of a scene that each of them neglects
 
-Each has its own reach and cost, which its file states.
+Each file states which light its integrator includes, and its cost.
 """
 
 from ..core.lazy_names import names_of

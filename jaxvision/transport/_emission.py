@@ -11,8 +11,9 @@ from ._emitters import Emissive, Emitters, of_drawn
 
 
 def emitted(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> Emitted:
-    """A ray of one emitter, chosen by u_4, from a place by u_0, u_1 in a direction by u_2, u_3,
-    uniform in [0, 1); its flux, W, stands for all emitters. `around`: a sphere around the scene."""
+    """Draw a ray from one emitter, selected by u_4. u_0 and u_1 give its point, and u_2 and u_3 its
+    direction, all uniform in [0, 1). Its flux, W, is an estimate for all emitters. `around`: a
+    sphere around the scene."""
 
     def ray(emitter: Light | Emissive) -> Emitted:
         if isinstance(emitter, Emissive):

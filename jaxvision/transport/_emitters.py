@@ -53,10 +53,10 @@ class Emissive(eqx.Module):
 
 
 class Toward(eqx.Module):
-    """A direction toward an emitter. `distance`: () m, inf for one that is infinitely far.
-    `clear`: () m, so much of it must be free: up to where rounding may put a surface that shines.
-    `irradiance`: (bands,) radiance over density, W m^-2, on a surface facing it. `density`: ()
-    sr^-1, inf for a light at one place."""
+    """A direction toward an emitter. `distance`: () m, inf for an infinitely distant emitter.
+    `clear`: () m, the part of the distance that must be unoccluded; it ends before an emissive
+    surface, by the rounding error of its position. `irradiance`: (bands,) radiance over density, W
+    m^-2, on a surface facing it. `density`: () sr^-1, inf for a light at one place."""
 
     direction: Vec
     distance: Scalar
@@ -66,11 +66,12 @@ class Toward(eqx.Module):
 
 
 class Emitters(eqx.Module):
-    """All that shines in a scene, sorted once. `groups`: what can be drawn, stacked by structure;
-    `members`: static, their numbers. `lights`: what a ray can meet beside surfaces. `emission`:
-    (surfaces, bands) W m^-2 sr^-1 of each surface, or None where none shines. `area`: (surfaces,)
-    m^2, inf where it has no end. `two_sided`: (surfaces,). `count`: static, how many can be
-    drawn. `endless`: static, whether a surface shines that has no place to draw."""
+    """The emitters of a scene, sorted once. `groups`: the emitters that can be sampled, stacked by
+    structure. `members`: static, their numbers. `lights`: lights that a ray can intersect.
+    `emission`: (surfaces, bands) W m^-2 sr^-1 of each surface; None without emissive surfaces.
+    `area`: (surfaces,) m^2, inf for an infinite surface. `two_sided`: (surfaces,). `count`: static,
+    the number of emitters that can be sampled. `endless`: static, whether an infinite surface is
+    emissive."""
 
     groups: tuple[Light | Emissive, ...]
     lights: tuple[Light, ...]
@@ -230,12 +231,12 @@ def shining_ahead(
     strategy: Strategy,
     bands: int,
 ) -> tuple[Bands, Bool[Array, ""]]:
-    """What a ray finds by chance, W m^-2 sr^-1, and whether a light ends it there.
+    """Return the emitted radiance that a ray hits, W m^-2 sr^-1, and whether it ends at a light.
 
-    `surface`, `distance`, `cosine`: what it meets (-1: none), at how many m, and the cosine
-    between its outward normal and the way back. `density`: sr^-1 of the ray's direction, inf for a
-    ray that looks. `absorption`: (bands,) m^-1 of the body around, or None. What could have been
-    drawn on purpose counts by the `strategy`'s weight.
+    `surface`, `distance`, `cosine`: the number of the surface (-1: none), its distance in m, and
+    the cosine between its outward normal and the reversed ray. `density`: sr^-1 of the ray's
+    direction, inf for a ray from the camera. `absorption`: (bands,) m^-1 of the surrounding body,
+    or None. Emitters that next-event estimation can sample are weighted by the `strategy`.
     """
     looks = jnp.isinf(density)
     left = apart(transmitted(absorption, distance), bands)

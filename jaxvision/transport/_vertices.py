@@ -46,11 +46,11 @@ SEARCHED = "searched"  # results of a search among all shapes: a gradient stores
 
 
 class Surfaces(eqx.Module):
-    """The surfaces of a scene, sorted once. `materials`: stacked by structure; `members`: static,
-    their numbers. `turns`: (surfaces,) whether the normal turns to the viewer. `filled`:
+    """The surfaces of a scene, sorted once. `materials`: stacked by structure. `members`: static,
+    their numbers. `turns`: (surfaces,) whether the normal is flipped toward the viewer. `filled`:
     (surfaces,) whether it bounds a body, as glass does. `absorption`: (surfaces, bands) m^-1 of the
-    body behind each, or None where all are clear; `bodies`: else, every body alone, and their
-    numbers. `splits`: static, whether a ray goes on in two from some surface."""
+    body behind each, or None if all are clear. `bodies`: else, each body separately, and their
+    numbers. `splits`: static, whether a ray splits in two at some surface."""
 
     shapes: Sorted
     materials: tuple[Material, ...]
@@ -64,14 +64,15 @@ class Surfaces(eqx.Module):
 
 
 class Met(eqx.Module):
-    """`surface`: () number of what was met, -1 for nothing. `hit`: where, in m."""
+    """`surface`: () number of the surface that was hit, -1 for none. `hit`: the intersection, in
+    m."""
 
     surface: Int[Array, ""]
     hit: Hit
 
 
 class Onward(eqx.Module):
-    """Where a path goes. `direction`: unit. `weight`: in bands, what is carried on over its
+    """The continuation of a path. `direction`: unit. `weight`: (bands,), reflected share over
     density, no unit. `density`: () sr^-1, inf at a mirror or glass."""
 
     direction: Vec
@@ -80,9 +81,9 @@ class Onward(eqx.Module):
 
 
 class Vertex(eqx.Module):
-    """What a surface does. `shaded`: in bands, sr^-1 toward the asked direction; `density`: ()
-    sr^-1 with which the path would have gone there, None where no weight needs it. `onward`: where
-    it goes instead."""
+    """The result of one vertex. `shaded`: (bands,), sr^-1 toward the requested direction.
+    `density`: () sr^-1, the density with which the path would continue there; None if no weight
+    needs it. `onward`: the actual continuation."""
 
     shaded: Bands
     density: Scalar | None
@@ -147,12 +148,12 @@ def vertex(
     bands: int,
     weighed: bool = True,
 ) -> Vertex:
-    """What the surface that was met sends toward `asked`, and where the path goes by `u`, uniform
-    in [0, 1); `back`, `asked`: unit, world. All is 0 where the surface is seen from behind.
+    """Shade the surface toward `asked`, and draw the continuation of the path by `u`, uniform in
+    [0, 1). `back`, `asked`: unit, world. All is 0 if the surface is seen from behind.
 
-    The drawn direction is a constant to gradients, in its place and in its density: they are then
-    right for every parameter of a material, though a draw by other parameters would have gone
-    elsewhere. `weighed`: static; without it no density toward `asked` is computed, and it is None.
+    Gradients treat the drawn direction and its density as constants. They are then right for every
+    parameter of a material, although other parameters would draw another direction. `weighed`:
+    static; without it the density toward `asked` is not computed and is None.
     """
     frame, viewer, light, flat = _seen_from(surfaces, met, back, asked)
     chosen = None
@@ -326,10 +327,10 @@ def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | N
 def absorption_after(
     surfaces: Surfaces, met: Met, came: Vec, onward: Ray, before: Colour | None
 ) -> Colour | None:
-    """Absorption, (bands,) m^-1, of the body that a path is in after a vertex, where it `came`
-    along one unit direction and goes `onward` along another: that of the glass it has entered, that
-    of the surroundings of the glass it has left, otherwise as `before`. None where no body
-    absorbs."""
+    """Return the absorption, (bands,) m^-1, of the body that contains a path after a vertex. The
+    path `came` along one unit direction and continues `onward` along another. It is in the glass
+    that it has entered, or in the surroundings of the glass that it has left, otherwise in the same
+    body as `before`. None if no body absorbs."""
     if surfaces.absorption is None or before is None:
         return None
     surface = jnp.maximum(met.surface, 0)

@@ -1,12 +1,12 @@
-"""Light tracing: random walks from what shines to the camera.
+"""Light tracing: random walks from the emitters to the camera.
 
-Flux leaves an emitter, is thrown on by surfaces, and at each of them what goes to the camera's hole
-is added to the pixel that sees it (Arvo, "Backward Ray Tracing", SIGGRAPH 1986 course 12; Veach,
-1997, section 10.3). What a path from the eye finds once in a million, light that mirrors and glass
-gather on another surface, a caustic, it finds at once, and a lamp may be a point. What it cannot
-find are mirrors and glass themselves, which throw nothing into the hole but by one direction: in
-such a picture they are black, and `paths` has them. Radiance in W m^-2 sr^-1, flux in W, lengths
-in m.
+Flux leaves an emitter and is reflected by surfaces. At each surface the light toward the camera's
+pinhole is added to the pixel that sees it (Arvo, "Backward Ray Tracing", SIGGRAPH 1986 course 12;
+Veach, 1997, section 10.3). Light tracing finds caustics efficiently: light that mirrors and glass
+focus on another surface, which a path from the eye finds once in a million. A lamp may be a point.
+It cannot find light that mirrors and glass send directly to the pinhole, because only one direction
+reaches it. They are black in the picture, and `paths` shows them. Radiance in W m^-2 sr^-1, flux in
+W, lengths in m.
 """
 
 import equinox as eqx
@@ -39,9 +39,9 @@ from .paths import Paths, path_traced
 
 
 class _Arrival(eqx.Module):
-    """How a camera sees a vertex.
+    """The view of a vertex from the camera.
 
-    `toward`: unit, to the camera; `distance`: () m. `row`, `column`: () pixels, fractional.
+    `toward`: unit, to the camera. `distance`: () m. `row`, `column`: () pixels, fractional.
     `response`: () m^-2, radiance of the pixel per flux and per sr^-1 of the reflection; 0 outside
     the picture.
     """

@@ -1,17 +1,17 @@
-"""Light that an integrator cannot find, said in sentences.
+"""Sentences about light that an integrator cannot find.
 
-What each integrator finds of a path from a lamp to the eye, written from the lamp: L a lamp with a
-size, P one at a place (a point or a direction), D a surface with a BRDF, S a mirror or glass, E the
-eye; S* stands for any number of them, S+ for one or more.
+Each integrator finds these paths, written from the lamp to the eye. L is a lamp with a size, P a
+lamp without (a point or a direction), D a surface with a BRDF, S a mirror or glass, and E the eye.
+S* means any number of S, and S+ one or more.
 
-    direct      L D E and P D E, L E, L S E by an opaque mirror; glass is black and throws shadows
+    direct      L D E and P D E, L E, L S E by an opaque mirror; glass is black and casts shadows
     rays        the same, and (L | P) D S* E, L S* E
     path        all paths of L; those of P whose first surface is a D
     light       all paths whose last surface is a D, and L E
     radiosity   all paths of D alone; it refuses S
 
-Hence P S+ D S+ E, a point lamp behind a window through which the camera looks too, is found by none
-of them.
+So no integrator finds P S+ D S+ E: a point lamp behind a window, seen by a camera through the same
+window.
 """
 
 from collections.abc import Sequence

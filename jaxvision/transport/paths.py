@@ -1,21 +1,20 @@
-"""Path tracing: radiance along a ray as a mean over random walks from the eye to what shines.
+"""Path tracing: radiance along a ray as a mean over random walks from the eye to the emitters.
 
     L = L_e + integral over directions of L S(wi, wo)              (Kajiya, SIGGRAPH 1986)
 
-At every surface one emitter is drawn on purpose and one direction is drawn as the material
-reflects; where both find the same light, each counts by a weight, and the weights sum to 1 (Veach
-and Guibas, SIGGRAPH 1995). Unbiased but for what lies beyond `depth`, and for light that reaches a
-surface by way of mirrors or glass from points and directions: neither aim nor chance finds those,
-and they are missing; `light_paths` has them, and `missing` says so of a scene. The numbers of a
-sample are a function of its pixel and its number alone (`_random`), so a picture does not depend on
-how it is cut. `Scene.ambient`, which stands for light that bounces, is not added to the light that
-does.
+At every surface one emitter is sampled (next-event estimation), and one direction is drawn from the
+material. If both find the same light, their weights sum to 1 (Veach and Guibas, SIGGRAPH 1995). The
+result is unbiased except for two kinds of light. Paths longer than `depth` are missing. Light from
+points and directions that reaches a surface through mirrors or glass is missing, because neither
+strategy finds it; `light_paths` includes it, and `missing` names it for a scene. The random numbers
+of a sample depend only on its pixel and its number (`_random`), so a picture does not depend on the
+division into blocks. `Scene.ambient` is a substitute for interreflections and is not added.
 Radiance in W m^-2 sr^-1, lengths in m.
 
-Gradients by reverse mode reach emission, reflectances, roughnesses, indices, the lights and the
-shapes. Where one thing ends before another (shadow and outline) the picture leaps, and no
-gradient sees an edge move: the position of a lamp has its right gradient under "lights" up to the
-shadows that it throws, and with the other strategies also lacks the lamp's own edge.
+Reverse-mode gradients exist for emission, reflectances, roughnesses, indices, the lights and the
+shapes. They neglect moving edges of shadows and outlines, where the picture is discontinuous. Under
+"lights" the gradient by the position of a lamp neglects its shadows only. The other strategies also
+neglect the lamp's own outline.
 """
 
 import dataclasses
@@ -109,9 +108,9 @@ class Paths(Shown):
 
 
 class _Path(eqx.Module):
-    """A path under way: its ray, the weight of the light it will find, the radiance found so far,
-    the density of its direction (inf from the camera and after a mirror or glass), the absorption
-    around it (None where nothing absorbs), and whether it continues."""
+    """The state of a path: its ray, its throughput, the radiance found so far, the density of its
+    direction (inf from the camera and after a mirror or glass), the absorption around it (None if
+    nothing absorbs), and whether it continues."""
 
     ray: Ray
     weight: Bands
@@ -149,8 +148,9 @@ def _walk(
     depth: Array | None = None,
     of_each: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function,
 ) -> tuple[Scalars, ...]:
-    """The radiance of one path; with `jax.vmap` as `of_each`, of one for each ray and pixel of
-    arrays. `vmap` of a loop would trace the body of the loop anew to find out what is batched."""
+    """Compute the radiance of one path, or with `jax.vmap` as `of_each` of one path for each ray
+    and pixel of arrays. `vmap` of the whole loop would trace its body several times to find the
+    batched values."""
     method = _simplest(world, method)
 
     def begun(ray: Ray, pixel: Word) -> _Path:

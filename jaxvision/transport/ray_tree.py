@@ -1,15 +1,15 @@
-"""Ray tracing: direct light, and what is seen in mirrors and through glass, without chance.
+"""Deterministic ray tracing: direct light, seen also in mirrors and through glass.
 
-Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6) (1980). A ray that meets
-glass goes on in two, a tree of up to 2^n rays after n surfaces, most of which carry nothing. Here
-the rays that are still to be followed wait in a pool, and the one that counts most goes next: the
-best `rays` of the tree, whatever its depth. What is left in the pool is black. Light that mirrors
-and glass throw onto other surfaces (caustics) and light between diffuse surfaces are missing:
-`paths` and `light_paths` have them. Radiance in W m^-2 sr^-1, lengths in m.
+Source: Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6) (1980). A ray
+splits in two at glass, so the tree has up to 2^n rays after n surfaces, most of which carry almost
+no light. Here pending rays are stored in a pool, and the ray with the largest weight is traced
+next. This gives the best `rays` rays of the tree, at any depth. The rays that remain in the pool
+count as black. Caustics and light between diffuse surfaces are missing; `paths` and `light_paths`
+include them. Radiance in W m^-2 sr^-1, lengths in m.
 
-A picture costs one hit and one shadow ray to each node of each light (order^2 of a rectangle, twice
-that of an environment) for each ray that is followed: one of most pixels, up to `rays` of those
-that see a mirror or glass, for trees without a ray left are passed over, a block at a time.
+Each traced ray costs one intersection, and one shadow ray for each node of each light (order^2 for
+a rectangle, twice that for an environment). Most pixels trace one ray, and pixels that see a mirror
+or glass up to `rays`. Finished trees are skipped, a block at a time.
 """
 
 import equinox as eqx
@@ -46,8 +46,8 @@ _BLOCK = 512  # rays that a processor follows, or skips, together
 
 
 class _Tree(eqx.Module):
-    """Rays to be followed: from where, where to, through what, None where nothing absorbs, and what
-    they count; and the radiance that those before them found."""
+    """The pool of pending rays: origins, directions, absorption of the surroundings (None if
+    nothing absorbs) and weights; and the radiance found so far."""
 
     origin: Float[Array, "slots 3"]
     direction: Float[Array, "slots 3"]

@@ -42,7 +42,8 @@ def lengths(shape: Shape) -> list[tuple[float, float]]:
 
 
 def face_point(shape: Shape, part: int, u: Scalars, v: Scalars) -> Vec:
-    """The point of a shape's part at a place of the unit square, m; `u`, `v` broadcast."""
+    """Return the point, m, of a shape's part at (u, v) in the unit square. `u` and `v`
+    broadcast."""
     u, v = jnp.broadcast_arrays(u, v)
     match shape:
         case Quad() | Box():
@@ -83,8 +84,8 @@ def _half_sides(box: Box) -> list[Vec]:
 def face_place(
     shape: Shape, point: Vec, primitive: Int[Array, ""] | None
 ) -> tuple[Int[Array, ""], Scalar, Scalar]:
-    """(part, u, v) of a point of a shape, m: the inverse of `face_point`. `primitive`: the
-    triangle of a mesh. What is off the surface by rounding is moved to its nearest place."""
+    """Return (part, u, v) of a point of a shape, m: the inverse of `face_point`. `primitive`: the
+    triangle of a mesh. A point off the surface by rounding is moved to the nearest point on it."""
     none = jnp.zeros((), jnp.int32)
     match shape:
         case Quad():

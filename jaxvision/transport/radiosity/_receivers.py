@@ -1,7 +1,7 @@
-"""Where the elements of a plan receive light: in the part that no other body covers.
+"""The receiving parts of the elements of a plan: the parts that no other body covers.
 
-Each is cut into parts once more, and what comes straight from a lamp is the mean over these: where
-the edge of a shadow runs through an element, only its lit part counts. Lengths in m.
+Each element is divided into parts once more, and its direct irradiance is the mean over these. If
+the edge of a shadow crosses an element, only its lit part counts. Lengths in m.
 """
 
 import equinox as eqx
@@ -22,8 +22,8 @@ _LEAST = 1e-3  # of an element, far less than a part is
 
 
 class Receivers(eqx.Module):
-    """`patches`: all of the plan's. `elements`, `parts`: those that are covered have no area; an
-    element that is covered in part has the area of the rest, and its centre lies in the open."""
+    """`patches`: all patches of the plan. `elements`, `parts`: covered ones have no area. A partly
+    covered element has the area of the uncovered part, and its centre is uncovered."""
 
     patches: Patches
     elements: Patches

@@ -201,9 +201,9 @@ def _unpacked(tile: Tile, like: Patches) -> Numbered:
 
 
 def _far_factor(rounding: Scalar, receiver: Numbered, sender: Numbered) -> Scalar:
-    """The far-field factor; -1 where the patch is too near for it, and 0 where the element is less
-    than `rounding`, m, in front of the patch, where the contour integral is noise. It is one
-    number, not a number and a flag: XLA may compute the two in different places with different
+    """Return the far-field factor. It is -1 if the patch is too near, and 0 if the element is less
+    than `rounding`, m, in front of the patch, where the contour integral is noise. The result is
+    one number instead of a number and a flag, because XLA may compute these two with different
     rounding, and a pair could then count as neither near nor far."""
     element, patch = receiver[0], sender[0]
     above = [dot(element.normal, corner - element.centre) > 0 for corner in patch.corners]

@@ -1,11 +1,11 @@
-"""Form factors: the fraction of what a diffuse surface sends out that another one receives.
+"""Form factors: the fraction of the light from a diffuse surface that another surface receives.
 
     F_ij = 1 / A_i integral over A_i and A_j of cos_i cos_j / (pi d^2)
 
-Closed forms for rectangles whose sides are parallel to common axes, the contour integral for a
-polygon seen from a point, and quadrature over one of two polygons. Lengths in m, exchange areas
-A_i F_ij in m^2, form factors without unit; nothing stands between. Closed forms hold to rounding
-and keep reciprocity; each other function states its error. For ONE pair: the caller vmaps.
+There are closed forms for rectangles with sides parallel to common axes, the contour integral for a
+polygon seen from a point, and quadrature over one of two polygons. Lengths are in m, exchange areas
+A_i F_ij in m^2, and form factors have no unit. There is no occlusion. Closed forms are exact to
+rounding and reciprocal. Each other function states its error. For ONE pair: the caller vmaps.
 """
 
 from functools import partial
@@ -147,7 +147,7 @@ def _rise(h: Scalars, w: Scalars) -> Scalars:
 
 
 def _ratio(side: Scalars, unit: Scalars) -> Scalars:
-    """side / unit within [0, _LARGEST]; NaN of NaN."""
+    """Return side / unit clipped to [0, _LARGEST]; NaN for NaN."""
     fits = ~(side >= _LARGEST * unit)
     return divide(jnp.maximum(side, 0), unit, fits, _LARGEST)
 
@@ -301,9 +301,10 @@ def _corners(sides: Float[Array, "2 2"], z: Scalar, *, upward: bool) -> Polygon:
 
 
 def _surest(terms: Array, first: Array, second: Array, corners: tuple[Polygon, Polygon]) -> Scalar:
-    """What is off by least, m^2: the sum of the terms, by rounding; the contour of one rectangle
-    seen from nodes of the smaller one; nodes of both, whose terms are positive. Nodes are left out
-    that lie further apart than the rectangles."""
+    """Return the result with the smallest error, m^2. The candidates are the sum of the terms,
+    which has rounding errors; the contour integral of one rectangle, seen from nodes of the smaller
+    one; and nodes of both, whose terms are positive. Nodes are not used if they are farther apart
+    than the rectangles."""
     smaller = _area(first) <= _area(second)
     small, large = (
         jax.tree.map(partial(jnp.where, which), *corners) for which in (smaller, ~smaller)

@@ -200,8 +200,8 @@ def _enclosure_of(scene: Scene, plan: Plan, solution: Solution) -> _Enclosure:
 
 
 class _Met(eqx.Module):
-    """What a ray meets: where, the normal on the side it came from, the number of the surface,
-    whether that side is a front, and the elements around with their weights."""
+    """The hit of a ray: its point, the normal on the side of the ray, the number of the surface,
+    whether this side is the front, and the neighbouring elements with their weights."""
 
     distance: Scalar
     point: Vec
@@ -250,7 +250,7 @@ def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
 
 
 def _gathered(enclosure: _Enclosure, met: _Met, gather: MonteCarlo) -> Colour:
-    """The irradiance from rays of cosine density: the mean of what they find."""
+    """Return the irradiance as the mean over rays with cosine density."""
     sent = enclosure.solution.sent
     frame, size = local_frame(met.normal), enclosure.shapes.size
 

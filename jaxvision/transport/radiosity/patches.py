@@ -1,10 +1,10 @@
 """Surfaces cut into small flat patches, each face a grid of rows and columns.
 
-A face is a side of a surface that the unit square maps onto: a quad, a side of a box, a disc (by
-radius and angle), a sphere (by polar angle and azimuth), a triangle (collapsed onto one vertex).
-A patch is a cell of its grid, flat: spheres become polyhedra, discs polygons. How many cells a
-face has is settled first, by `plan_patches` from numbers at hand; `patches_of` then computes where
-they are, under `jit` and with gradients. Lengths in m, areas in m^2.
+A face is a part of a surface with a map from the unit square: a quad, a side of a box, a disc (by
+radius and angle), a sphere (by polar angle and azimuth), or a triangle (collapsed onto one vertex).
+A patch is a flat cell of its grid, so spheres become polyhedra and discs polygons. `plan_patches`
+first chooses the number of cells from concrete numbers. `patches_of` then computes their geometry,
+under `jit` and with gradients. Lengths in m, areas in m^2.
 """
 
 from collections.abc import Sequence

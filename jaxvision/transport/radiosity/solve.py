@@ -1,10 +1,11 @@
-"""The radiosity equation, solved: how bright patches are that light each other.
+"""Solve the radiosity equation: the radiosity of patches that illuminate each other.
 
     B_i = M_i + rho_i (E_i + sum_j F_ij B_j)
 
-B radiosity, M emitted, E the irradiance straight from lights, all (patches, bands) in W m^-2; rho
-albedo (patches, bands), F the (patches, patches) form factors, without unit. Goral, Torrance,
-Greenberg and Battaile, "Modeling the Interaction of Light Between Diffuse Surfaces", SIGGRAPH 1984.
+B is the radiosity, M the emitted light and E the direct irradiance from lights, all (patches,
+bands) in W m^-2. rho is the albedo (patches, bands) and F the (patches, patches) form factors,
+without unit. Goral, Torrance, Greenberg and Battaile, "Modeling the Interaction of Light Between
+Diffuse Surfaces", SIGGRAPH 1984.
 """
 
 from collections.abc import Callable
@@ -40,15 +41,15 @@ def solve_radiosity(
     tolerance: float = 1e-4,
     limit: int = 1_000_000,
 ) -> PatchSpectra:
-    """B of B = M + rho E + rho F B, band by band.
+    """Solve B = M + rho E + rho F B for B, band by band.
 
-    Light that is seldom absorbed makes any answer uncertain: in a closed room of albedo rho
-    rounding counts 1 / (1 - rho) times. In float32, at albedo .999, "direct" and "iterative" are
-    within 3e-4 of the brightest patch; "progressive" is not meant for it: of 294 patches it reaches
-    the limit there, 1e-3 off in float64 and, with the rounding of as many shots, 4e-3 in float32.
-    Where none is lost, all albedos 1 in a closed room, there is no solution, and each method
-    returns some large numbers of any sign. Gradients of all three are those of the exact solution,
-    from the transposed equation.
+    High albedos amplify rounding errors: in a closed room of albedo rho they grow by 1 / (1 - rho).
+    In float32, at albedo .999, "direct" and "iterative" are within 3e-4 of the brightest patch.
+    "progressive" is not suitable there: with 294 patches it reaches its limit of shots with an
+    error of 1e-3 in float64, and 4e-3 in float32 with the rounding of that many shots. If all
+    albedos are 1 in a closed room, there is no solution, and each method returns large numbers of
+    either sign. Gradients of all three methods are those of the exact solution, from the transposed
+    equation.
 
     Args:
         table: (patches, patches) form factors F, no unit; or, for "iterative", a function that
@@ -56,9 +57,9 @@ def solve_radiosity(
         albedo: (patches, bands) rho in [0, 1], no unit.
         sent: (patches, bands) M + rho E, W m^-2.
         method: static. "direct": LU, exact to rounding, at a cost of patches^3. "iterative": GMRES,
-            until the residual is `tolerance` of the brightest that is sent, or for as long as
-            rounding lets it fall. "progressive": `shoot`, until no patch is off by `tolerance` of
-            the brightest, or after `limit` shots, which leave what is then unshot.
+            until the residual is `tolerance` of the largest `sent`, or as small as rounding allows.
+            "progressive": `shoot`, until the error of every patch is below `tolerance` of the
+            brightest, or after `limit` shots. The remaining light is then lost.
         tolerance: static, relative to the brightest patch.
         limit: static, most shots.
 
@@ -241,10 +242,10 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
 def ambient_estimate(
     albedo: PatchSpectra, unshot: PatchSpectra, area: Float[Array, " patches"]
 ) -> PatchSpectra:
-    """What unshot light will add to each patch in the mean of a closed scene, for display after a
-    few shots.
+    """Estimate the light that unshot radiosity will add to each patch of a closed scene, for
+    display after a few shots.
 
-    rho times the area-weighted mean of what is unshot, with all its reflections.
+    It is rho times the area-weighted mean of the unshot light, with all its reflections.
 
     Args:
         albedo: (patches, bands) in [0, 1], no unit.
