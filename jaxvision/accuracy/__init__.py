@@ -1,13 +1,19 @@
-"""What accuracy costs in time: error against time for any knob, on the user's own problem, and the
-cheapest settings that suffice.
+"""Error against time for any approximation, on the user's own problem, and the choice of settings.
 
-    records          knobs, problems, trials, curves
-    curves           `curve` measures within a budget; `session` times, `reference` makes the truth,
-                     `norms`, `spread` and `fitted` say how far off, within what, by what order
-    choice several   `choose` one setting; `combined`: those of several knobs at once
+A `Knob` is the setting of an approximation, such as a number of samples.
+
+    records          the records of knobs, problems, trials and curves
+    curves           `curve` measures error against time within a budget of time
+    session          times the calls of a problem
+    reference        computes the reference result
+    norms            norms of errors
+    spread           bounds on the error of another seed
+    fitted           the measured order of convergence
+    choice several   choose one setting, or a combination for several knobs
     knobs examples   every approximation of the library by name, and a problem for each
     scenes           scene files as problems; `scene_settings`: their settings for a tolerance
-    tables plots pages   what is shown; `together`: all knobs at once, checked
+    tables plots pages   output
+    together         tests of the combination of all knobs
 
 Timing is eager and stays outside pure functions: measure, choose, then call.
 """

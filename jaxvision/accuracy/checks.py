@@ -150,8 +150,8 @@ def checked(
 def _finer(
     problem: Problem, curves: Sequence[Curve], best: Combination, finer: int
 ) -> tuple[dict[str, Any], float]:
-    """Settings for a reference, and s of a call: of each knob those of its own reference, of random
-    ones so many times the chosen number."""
+    """Return settings for a reference, and the time of a call in s. Each knob has the setting of
+    its own reference, and a random knob a multiple of the chosen number."""
     measured = [one for one in curves if one.knob.name not in best.unknown]
     fine = {c.knob.name: c.reference.setting for c in measured if c.reference.setting is not None}
     each = part_seconds(problem, best.seconds)

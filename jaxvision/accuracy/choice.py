@@ -15,9 +15,10 @@ STEP = 2**0.5  # between settings that are inferred
 
 
 def candidates(curve: Curve) -> tuple[Trial, ...]:
-    """The settings that were run and, where the knob takes any whole number and the measured errors
-    fall at least as fast as its declared order, those between and beyond, inferred by the
-    slower of the two orders from the next coarser one.
+    """List the measured settings and the inferred ones. A setting between or beyond the measured
+    ones is inferred if the knob takes any whole number and the measured errors fall at least as
+    fast as its declared order. Its error follows from the next coarser setting, by the slower of
+    the two orders.
 
     Args:
         curve: of the knob.

@@ -1,4 +1,4 @@
-"""Error against time for one knob of one problem, within a budget."""
+"""Measurement of error against time for one knob of one problem, within a budget of time."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
@@ -45,14 +45,14 @@ def curve(
     metrics: Sequence[str] = ("rms", "p99", "max"),
     clock: Clock | None = None,
 ) -> Curve:
-    """Measures the error and the time of the settings of a knob.
+    """Measure the error and the time of the settings of a knob.
 
-    Two calls of each setting, the cheapest first; then a reference; then the settings in turns with
-    other seeds, so that a machine of drifting speed favours none. An interrupt ends it and keeps
-    what was measured. A call that takes longer than was foreseen, and than what is left, is left
-    behind, whatever it does: a program that XLA compiles meanwhile goes on in the background. What
-    is measured after it waits for its end, up to a quarter of the time; what is timed beside it
-    says so.
+    First each setting is called twice, the cheapest first. Then the reference is computed. Then the
+    settings are called in alternation with other seeds, so that a drift of the machine's speed
+    favours none. An interrupt ends the measurement and keeps its results. A call that exceeds its
+    predicted time and the remaining time is abandoned. If XLA is compiling a program then, the
+    compilation continues in the background. Later calls wait for its end, up to a quarter of the
+    time. Calls timed while it still runs are marked.
 
     Args:
         problem: what is computed.
@@ -251,10 +251,10 @@ def _told(
 def _gap(
     session: Session, others: Sequence[Point], exact: np.ndarray, reference: Reference
 ) -> float:
-    """How far the finest setting is from the reference where that is more than their scatter
-    allows, so that one of the two is wrong; else 0. Where all seeds of the reference agree, its
-    scatter tells nothing of its error: then how far the nearest other setting is from it, and no
-    less than that one's own scatter; infinite without another."""
+    """Return the distance of the finest setting from the reference if it exceeds their scatter, so
+    that one of the two is wrong; else 0. If all seeds of the reference agree, its scatter is no
+    measure of its error. The result is then the distance of the nearest other setting, at least
+    that setting's own scatter, and infinite without another."""
     from scipy.special import stdtrit
 
     error, known = reference.error, [one for one in others if len(one.results) > 1]

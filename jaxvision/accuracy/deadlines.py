@@ -1,9 +1,9 @@
-"""Work that is left behind when its time is over, whatever it is doing.
+"""Run work in another thread, and abandon it when its time is over.
 
-Nothing in Python ends a program that XLA compiles or runs. So the work is done by another thread,
-while the caller waits as long as it may. A thread that is left behind goes on to the end of its
-work. At its own end a Python process waits for that, since XLA's threads do not outlive what they
-use; a command does not.
+Python cannot end a program that XLA compiles or runs. The work is therefore done by another thread,
+and the caller waits until the deadline. An abandoned thread continues to the end of its work. A
+Python process waits for it before it exits, because XLA's threads must not outlive their data. A
+command does not wait.
 """
 
 import atexit

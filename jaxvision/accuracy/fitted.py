@@ -64,9 +64,10 @@ def _is_number(setting: object) -> bool:
 
 
 def holds(knob: Knob, order: Order | None) -> bool:
-    """Whether what was measured falls at least as fast as the declared order, so that it may be
-    relied upon beyond the settings that were run: the interval reaches it, and its middle is not so
-    much shallower that only its width does."""
+    """Return whether the measured errors fall at least as fast as the declared order, so that the
+    order may be used beyond the measured settings. The interval of the measured order must reach
+    the declared one, and its middle must not be so much shallower that only the width of the
+    interval reaches it."""
     if order is None or knob.order is None or order.points < 3:
         return False
     return order.low <= knob.order and order.exponent <= SHALLOWEST * knob.order

@@ -1,7 +1,7 @@
-"""Every approximation of the library by name, with its settings and the order that theory declares.
+"""Every approximation of the library by name, with its settings and its theoretical order.
 
-Knobs of scene files are keys of `[render]` (`scenes`); the others have an example of their own
-(`examples`), on which they are measured.
+Knobs of scene files are keys of `[render]` (`scenes`). The others are measured on their own example
+(`examples`).
 """
 
 from collections.abc import Mapping

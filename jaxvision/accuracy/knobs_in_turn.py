@@ -43,16 +43,17 @@ def in_turn(
     worth: float = WORTH,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """The curves of several knobs, the time shared equally; an interrupt keeps those there are.
+    """Measure the curves of several knobs with equal shares of the time. An interrupt keeps the
+    finished curves.
 
-    What time is left in the end is for those whose share was too short, such as one that takes a
-    new program for each setting: they are measured again, those with the fewest settings first.
+    The remaining time goes to knobs whose share was too short, such as one that compiles a new
+    program for each setting. They are measured again, those with the fewest settings first.
 
     Args:
         names: of the knobs.
         measure: from a name and its share of the time, s, to the curve.
         seconds: s, for all.
-        worth: times its share, that must be left for a knob to be measured again.
+        worth: the remaining time in shares that is needed to measure a knob again.
         clock: seconds as a function; None: the machine's.
 
     Returns:

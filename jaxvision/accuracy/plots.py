@@ -24,9 +24,9 @@ def plot(
     others: Sequence[tuple[str, float, float]] = (),
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Draws a curve: filled points with their spread, hollow ones near the reference's own error
-    (dashed, unless it is far below), on the lower axis those that are equal to the reference, and
-    the Pareto front as a line.
+    """Draw a curve. Filled points have their spread. Hollow points are near the reference's own
+    error, which is dashed unless it is far below. Points on the lower axis equal the reference. A
+    line is the Pareto front.
 
     Args:
         curve: from `curve`.

@@ -1,4 +1,4 @@
-"""What the measurement of an approximation consists of: knobs, problems, and what was found."""
+"""Records for the measurement of an approximation: knobs, problems, trials and curves."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -181,14 +181,14 @@ class Curve:
 
     Attributes:
         problem: its name.
-        knob: that was turned.
+        knob: whose settings were measured.
         trials: of each setting that was run, cheapest first; none where time was too short.
         reference: of the errors.
         order: fitted, or None for fewer than two points.
         pareto: indices of the trials that no other beats in both error and time.
         not_run: settings for which time was too short.
-        stopped: "" where all was done; else why not, such as "out of time", with the setting that
-            took longer than was foreseen and was given up, or "interrupted".
+        stopped: "" if all was measured; else the reason, such as "out of time", with the abandoned
+            setting, or "interrupted".
         taken: s, of the whole measurement.
         error_axis: what its errors are, with their unit, as the label of an axis.
     """

@@ -1,5 +1,5 @@
-"""What errors are measured against, made apart from what is measured, and how far it may itself be
-off: by other seeds where a knob is random, by ever finer settings where it is not."""
+"""The reference result for errors, independent of the measured ones, and its own error. For a
+random knob the error comes from other seeds, for a deterministic one from ever finer settings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -32,10 +32,10 @@ def _rms(values: np.ndarray) -> float:
 
 
 def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.ndarray, float]:
-    """What is compared of the mean of at least two independent results, and its standard error as a
-    root mean square over its numbers, by the jackknife: what leaves one of them out, in turns. Of
-    results that are compared as they are that is their standard deviation over the root of their
-    number.
+    """Return the compared function of the mean of at least two independent results, and its
+    standard error as a root mean square over its numbers. The error comes from the jackknife, which
+    leaves out one result in turn. If the results are compared directly, this is their standard
+    deviation over the root of their number.
 
     Source: Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982), ch. 3.
     """
@@ -47,8 +47,8 @@ def mean_of(draws: Sequence[np.ndarray], compared: Compared | None) -> tuple[np.
 
 
 def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
-    """The mean of independent draws of the finest setting that time allows; its error, in the unit
-    of the result, is that of the mean by their scatter."""
+    """Return the mean of independent draws of the finest setting that time allows. Its error is the
+    standard error of the mean, in the unit of the result."""
     run = tuple(session.points)
     setting = _finest(session, calls=DRAWS)
     try:
@@ -70,8 +70,9 @@ def random_reference(session: Session) -> tuple[Reference, np.ndarray]:
 
 
 def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
-    """Independent draws of a setting, as many as are worth their time; what was foreseen wrongly
-    leaves something for a coarser one, and a seed that fails after others is left out."""
+    """Return independent draws of a setting, as many as are worth their time. If a prediction was
+    too short, some time is left for a coarser setting. A seed that fails after others is left
+    out."""
     draws: list[np.ndarray] = []
     until = session.taken + SHARE * max(session.left, 0.0)
     latest = session.taken + LATEST * session.left
@@ -155,8 +156,8 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
 
 
 def _finest(session: Session, *, calls: int) -> Any:
-    """The finest setting, of those that were run and those of the reference, whose calls fit; else
-    the cheapest."""
+    """Return the finest setting whose calls fit the time, of the measured ones and those of the
+    reference; else the cheapest."""
     chosen = next(iter(session.points))
     for setting in (*session.points, *session.knob.reference):
         if session.expected(setting, calls=calls) <= SHARE * session.left:
@@ -165,13 +166,13 @@ def _finest(session: Session, *, calls: int) -> Any:
 
 
 def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.ndarray]]) -> float:
-    """What the last of a sequence of two results or more is off by.
+    """Estimate the error of the last of a sequence of at least two results.
 
-    With errors E exp(-k x), x being what the knob's law is in, the step from one result to the next
-    is the difference of two errors where all numbers move to one side, and the root of the sum of
-    their squares where they move at random. The steps give k and with it the last error; which of
-    the two they are is told by the correlation of one with the next. The rates of three steps tell
-    whether a law that is taken for geometric is a power instead, as of Gauss's rule across an edge.
+    Assume errors E exp(-k x), where x is the variable of the knob's law. The step between two
+    results is the difference of their errors if all numbers move in one direction, and the root of
+    their sum of squares if they move at random. The correlation between steps shows which of the
+    two applies. The steps give k, and k gives the last error. The rates of three steps show whether
+    a law declared as geometric is a power law instead, as for Gauss's rule across an edge.
     """
     if len(ladder) < 2:
         return float("inf")
@@ -199,8 +200,9 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
 
 
 def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[Law, ...]:
-    """The laws that a sequence may follow: where none but a power is declared, that; else the one
-    at whose rate three steps fall most steadily, and of fewer steps, which do not tell, both."""
+    """Return the laws that a sequence may follow. If only a power law is declared, it is this. Else
+    it is the law under which the rates of three steps are most constant, and both laws for fewer
+    steps."""
     if law == "power":
         return (law,)
     if len(steps) < 3 or min(steps) == 0:

@@ -39,18 +39,18 @@ PRUNING = 0.5  # of the budget, after which the scene is rendered whole
 
 @dataclass(frozen=True)
 class Chosen:
-    """Settings of a scene file, and what they promise.
+    """Chosen settings of a scene file, and their predicted error and time.
 
     Attributes:
         render: `[render]` to render with.
-        effects: what the tolerance allows to leave out besides, or None.
+        effects: the effects that the tolerance allows to drop, or None.
         promised: relative root mean square error of the picture that no run is expected to exceed.
         predicted_seconds: s, of the whole picture, with compilation.
-        checked: whether runs with fresh seeds against a finer picture have confirmed it; else time
-            was too short.
-        settings: of the knobs that were turned.
-        unknown: those that stay where they were, as time was too short to know their errors, which
-            `promised` does not hold.
+        checked: whether runs with fresh seeds against a finer picture have confirmed it; False if
+            there was too little time.
+        settings: of the knobs that were changed.
+        unknown: knobs that keep their setting, because there was too little time to estimate their
+            errors; `promised` does not include these.
         curves: of each knob; empty where the settings were remembered.
     """
 
@@ -129,11 +129,12 @@ def settings(
     cache: bool = True,
     clock: Clock | None = None,
 ) -> Chosen:
-    """The cheapest settings of a scene file within a tolerance, or the most accurate in a time.
+    """Choose the cheapest settings of a scene file within a tolerance, or the most accurate in a
+    given time.
 
-    A quarter of the tolerance is for effects that can be proved to matter less and are left out
-    (`effects.prune`); what that uses is taken off, and the rest is for the knobs. Of a time all is
-    for the knobs, and only what is proved not to matter is left out.
+    A quarter of the tolerance is for dropping effects with a proved bound (`effects.prune`). The
+    part that this uses is subtracted, and the rest is for the knobs. With a given time, only
+    effects that are proved to change nothing are dropped.
 
     Args:
         scene_file: from `read_scene`.
@@ -216,7 +217,7 @@ def settings(
 def _compiling(
     problem: Problem, curves: Sequence[Curve], *, chosen: Mapping[str, Any] | None = None
 ) -> float:
-    """s that the programs of the chosen settings take to compile; None: those of any."""
+    """Return the compile time, s, of the programs of the chosen settings; None: of any settings."""
     return max(
         problem.compiling,
         *(

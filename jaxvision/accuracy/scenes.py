@@ -91,7 +91,7 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 
 
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
-    """What the knobs of a scene file are set to while another is turned; samples are few."""
+    """The settings of the other knobs of a scene file while one is measured, with few samples."""
     found = {}
     for name in (name for name in names if name not in APART):
         value = getattr(settings, "order" if name == "light samples" else name)
@@ -108,20 +108,20 @@ def scene_problem(
     seconds: float = np.inf,
     clock: Clock | None = None,
 ) -> Problem:
-    """A scene file as a problem.
+    """Make a problem of a scene file.
 
-    What is computed is a grid of the picture's own pixels (light tracing: a smaller picture); its
-    time is scaled to the whole by calls of both with the cheapest settings, or by their numbers of
-    pixels where one more program would take too long. Radiance above twice its 95 % quantile counts
-    as that much: a lamp in view would outweigh all that it lights.
+    The problem computes a grid of the picture's own pixels (light tracing: a smaller picture). Its
+    time is scaled to the whole picture by calls of both with the cheapest settings, or by the
+    numbers of pixels if another program would take too long. Radiance is clipped at twice its 95 %
+    quantile, because a visible lamp would otherwise dominate the error.
 
     Args:
         source: the scene and its view.
         settings: `[render]`; None: those of the file.
-        expand: (all bands, bands) of a scene with fewer bands than were asked for, as in
+        expand: (all bands, bands) for a scene with fewer bands than requested, as in
             `effects.Pruned`, or None.
         probe: pixels along each side of the grid.
-        seconds: s, that everything may take, of which little is for the scale of the times.
+        seconds: s, for everything; a small part is for the scale of the times.
         clock: seconds as a function; None: the machine's.
 
     Returns:
@@ -212,8 +212,9 @@ def scene_problem(
 
 
 def _at_once(entry: RenderEntry) -> int:
-    """Samples of one call, of which several make any number, so that one program serves all: one
-    path; of the others, for which one sample is the pixel's middle, two or all."""
+    """Return the number of samples of one call. Several calls give any number of samples, so one
+    program serves all. It is one for paths. For the others, whose single sample is the pixel's
+    middle, it is two or all."""
     if entry.integrator == "path":
         return 1
     return 2 if entry.samples % 2 == 0 else entry.samples

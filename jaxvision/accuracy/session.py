@@ -1,6 +1,6 @@
-"""Calls of a problem, timed: cheapest settings first, within a budget, with an estimate of what the
-next one will take from how compiling and running have grown so far; a call that was foreseen
-wrongly is left behind."""
+"""Timed calls of a problem within a budget of time, the cheapest settings first. The time of the
+next setting is predicted from the growth of compile and run times so far. A call that exceeds its
+prediction is abandoned."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -81,7 +81,8 @@ class Session:
         return self.seconds - self.taken
 
     def wait_for_the_rest(self) -> None:
-        """Waits a while for what was left behind, beside which times are too long."""
+        """Wait for abandoned work to finish, because timings taken while it runs would be too
+        long."""
         until = self.taken + WAIT * self.left
         wait_for_the_rest(lambda: until - self.taken)
 
@@ -214,7 +215,7 @@ def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
 
 
 def part_seconds(problem: Problem, seconds: float) -> float:
-    """s of a call of the part, from that of the whole."""
+    """Return the time of a call of the part, s, from the time of the whole."""
     once = min(problem.once(), seconds)
     return once + (seconds - once) / problem.whole
 

@@ -19,14 +19,14 @@ from .records import Curve
 
 @dataclass(frozen=True)
 class Combination:
-    """Settings of several knobs, and what they are expected to give.
+    """Settings of several knobs, and their expected error and time.
 
     Attributes:
         settings: by the name of the knob.
         error: relative; no run is expected to exceed it.
         seconds: s, of a warm call.
-        unknown: knobs that stay where they were, as time was too short to know their errors, which
-            `error` does not hold.
+        unknown: knobs that keep their setting, because there was too little time to estimate their
+            errors; `error` does not include these.
     """
 
     settings: Mapping[str, Any]
@@ -42,12 +42,12 @@ def combined(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Combination:
-    """The best of all combinations of settings that no other setting of their knob beats. A bias of
-    which nothing is known stays where it was.
+    """Choose the best combination of settings from the Pareto fronts of several knobs. A
+    deterministic knob with unknown error keeps its setting.
 
     Args:
         curves: of one problem, one a knob; each was measured with the others at `base`.
-        base: the settings of all knobs while another was turned.
+        base: the settings of the other knobs while one was measured.
         tolerance: relative, of the error of any run.
         seconds: s, of a warm call.
 
@@ -116,7 +116,8 @@ Front = list[tuple[Any, float, float]]
 
 
 def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...]:
-    """Knobs without an error; `InputError` where one of them is random or all are."""
+    """Return the knobs without an error. Raises `InputError` if one of them is random, or if all
+    lack an error."""
     found = [c.knob for c, front in zip(curves, fronts, strict=True) if not front]
     lost = next((k for k in found if k.random or len(found) == len(curves)), None)
     if lost is not None:

@@ -1,10 +1,10 @@
-"""What a few runs say about the next one: bounds on the error of a run with another seed.
+"""Bounds on the error of a run with another seed, from a few runs.
 
-The logarithm of a run's error is taken for normal, so that Student's t predicts the next one from
-few. Its error is at least as steady as that of one number, though, whose square over the mean of
-the others follows Fisher's F with 1 and k degrees of freedom: no bound lies farther out. Nor is one
-nearer than the errors that were seen. Of 3,000 next errors, chi with 1 to 3,000 degrees of freedom
-or log-normal, 1.2 to 3.8 in 100 lay above the upper bound, from 2 runs as from 8.
+The logarithm of a run's error is assumed normal, so that Student's t predicts the next one from a
+few. The scatter is at most the scatter of a single random number, whose square over the mean of the
+others follows Fisher's F with 1 and k degrees of freedom. This limits the bounds. The bounds also
+include all observed errors. In a test with 3,000 further errors (chi with 1 to 3,000 degrees of
+freedom, or log-normal), 1.2 to 3.8 of 100 exceeded the upper bound, for 2 runs and for 8.
 
 Source: Hahn and Meeker, "Statistical Intervals", Wiley (1991), ch. 4: one future observation.
 """

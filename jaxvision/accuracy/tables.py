@@ -1,5 +1,5 @@
-"""What was measured as a table on the terminal and as JSON: for 10, 1 and 0.1 % the cheapest
-setting of each knob, and of all together."""
+"""Measured curves as a table on the terminal and as JSON: the cheapest setting of each knob for 10,
+1 and 0.1 %, and of all together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -153,13 +153,13 @@ def as_dict(
     together: Sequence[Together] | None = None,
     **more: Any,
 ) -> dict[str, Any]:
-    """All that was measured, for JSON; what is not a finite number is null.
+    """Return all measurements for JSON. A number that is not finite becomes null.
 
     Args:
         problem: whose knobs they are.
         curves: of the knobs.
         together: from `all_together`; None: without checks.
-        more: what else to tell, such as the machine.
+        more: further entries, such as the machine.
 
     Returns:
         Numbers and text; times in s, errors relative.

@@ -54,10 +54,10 @@ def pixels_of(
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
-    """From a seed, by what comes before the first pixel, to the function of rows, columns and,
-    where there are several samples, the number of the first of them; of paths also another depth,
-    at least 2, for which nothing is compiled. A second seed, where it is given, is that of where
-    rays meet a pixel.
+    """Return a function from a seed to the function that computes pixels. It does the work before
+    the first pixel. The second function takes rows, columns and, if there are several samples, the
+    number of the first sample. For paths it also takes another depth, at least 2, without compiling
+    again. A second seed, if given, is for the positions of rays within a pixel.
 
     Args:
         source: the scene and its view.

@@ -281,8 +281,9 @@ def _attributes(
 
 
 def _display(rows: Rows, source: SceneFile) -> np.ndarray:
-    """The picture in 8-bit sRGB: 95 % of what is not black lie below 0.8 of white. Bands that are
-    wavelengths are seen by the standard observer, bands without as grey."""
+    """Return the picture in 8-bit sRGB. 95 % of the pixels that are not black are below 0.8 of
+    white. Bands with wavelengths are converted by the standard observer, and other numbers of bands
+    become grey."""
     height, width = source.view.resolution
     step = math.ceil(height * width / _SHOWN)
     to_rgb = linear_srgb(source.bands, source.wavelengths)

@@ -125,15 +125,15 @@ def pruned_for(
 def left_of(
     source: SceneFile, settings: RenderEntry, pruned: Pruned | None
 ) -> tuple[SceneFile, RenderEntry]:
-    """The scene file and the settings of what is left; lengths in m.
+    """Return the scene file and the settings of the pruned scene; lengths in m.
 
     Args:
         source: the whole scene.
-        settings: of the whole scene, or what is to be rendered of what is left.
-        pruned: what is left of it; None: all.
+        settings: of the whole scene, or those to render the pruned one with.
+        pruned: the pruned scene; None: the whole scene.
 
     Returns:
-        Both, of fewer bands where `pruned.expand` gives the others.
+        Both, with fewer bands if `pruned.expand` gives the others.
     """
     if pruned is None:
         return source, settings
