@@ -1,19 +1,13 @@
-"""Exposure times that were rounded as cameras print them: 1/60 for 1/64, 1/125 for 1/128.
-
-Shutters keep to whole, half or third stops, 2^(k / 3) s. Where light is counted in seconds, times
-as printed are off by up to 7 %, and light seems to scatter from level to level.
+"""Flats whose exposure times were rounded as cameras print them: light seems to scatter from level
+to level where it is counted in seconds.
 """
-
-from fractions import Fraction
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..frame_checks.dialled import LESS, exact_times, worst_in_words
 from .levels import PhotonTransfer
 
-STOPS = (1, 2, 3)  # parts of a stop that dials have
-PRINTED = 0.08  # relative error of a printed time, at most
-LESS = 1 / 3  # of the scatter, that exact times must leave at most
 FEWEST_LEVELS = 6
 
 
@@ -35,15 +29,12 @@ def printed_times_in_words(
     if measurement.photons_known or len(times) < FEWEST_LEVELS or np.any(times * signal <= 0):
         return []
     stated = _scatter(signal, times)
-    for parts in STOPS:
-        exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)
-        off = np.abs(exact / times - 1)
+    for exact in exact_times(times):
         left = _scatter(signal, exact)
-        if off.max() < PRINTED and left < LESS * stated:
-            worst = int(np.argmax(off))
+        if left < LESS * stated:
             return [
                 f"The exposure times are rounded as cameras print them: with whole fractions of a "
-                f"stop ({_fraction(exact[worst])} s for {_fraction(times[worst])} s, and so on) "
+                f"stop ({worst_in_words(times, exact)}, and so on) "
                 f"the light departs from a smooth response by {100 * left:.2g} % rms, with the "
                 f"stated times by {100 * stated:.2g} %; state the exact times."
             ]
@@ -57,10 +48,3 @@ def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " le
     rates = np.log(signal / times)
     rest = rates - design @ np.linalg.lstsq(design, rates)[0]
     return float(np.sqrt(np.sum(rest**2) / (len(x) - design.shape[1])))
-
-
-def _fraction(seconds: float) -> str:
-    """As a dial has it."""
-    if seconds >= 0.5:
-        return f"{seconds:.4g}"
-    return str(Fraction(1, round(1 / seconds)))

@@ -10,6 +10,7 @@ from jaxtyping import Float, Integer
 
 from jaxvision.errors import InputError
 
+from ..frame_checks.dialled import LESS, exact_times, worst_in_words
 from ..inference.emcee_run import Emcee, for_group
 from ..inference.given import require_kind
 from ..inference.precision import in_double
@@ -100,7 +101,44 @@ def calibrate(
         plane, reason = skipped[0]
         suspects = _suspects(plane, stack, seed)
         raise InputError(f"This stack ({plane.label}): {reason}{_of_suspects(suspects)}")
+    stack, channels = _as_dialled(stack, channels, sampling, seed)
     return ResponseCalibration(stack, tuple(channels), tuple(skipped), sampling, seed)
+
+
+def _as_dialled(
+    stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
+) -> tuple[ExposureStack, list[ChannelResponse]]:
+    """The stack, and what it gives, with exact times where the images agree on these and the stated
+    ones are rounded as cameras print them."""
+    stated = _shutter_error_of(channels)
+    times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
+    for exact in exact_times(times) if stated else ():
+        own = [
+            replace(c.plane, exposures=exact[np.searchsorted(times, c.plane.exposures)])
+            for c in channels
+        ]
+        try:
+            found = [_calibrate(plane, stack, sampling, seed) for plane in own]
+        except InputError:
+            continue
+        left = _shutter_error_of(found)
+        if left < LESS * stated:
+            rest = f"by {100 * left:.2g} % rms" if left else "by no more than noise"
+            said = (
+                "The exposure times are rounded as cameras print them: with whole fractions of a "
+                f"stop ({worst_in_words(times, exact)}, and so on), which were used, the images "
+                f"disagree on their times {rest}, with the stated times by "
+                f"{100 * stated:.2g} %."
+            )
+            planes = {id(c.plane): plane for c, plane in zip(channels, own, strict=True)}
+            used = tuple(planes.get(id(plane), plane) for plane in stack.planes)
+            return replace(stack, planes=used, remarks=(*stack.remarks, said)), found
+    return stack, channels
+
+
+def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
+    """The largest; 0 where no channel shows one."""
+    return max(channel.curve.shutter_error or 0.0 for channel in channels)
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:

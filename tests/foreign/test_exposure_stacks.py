@@ -615,3 +615,28 @@ def test_black_points_of_each_image_are_named():
             shutter_offset_errors=np.full(8, error),
         )
         assert ("black point" in " ".join(_shutter_in_words([channel]))) == named
+
+
+@pytest.mark.parametrize(("parts", "printed"), [(1, "60 30 15 8 4 2"), (3, "25 20 15 13 10 8 6")])
+def test_times_that_cameras_print_are_replaced_by_whole_fractions_of_a_stop(parts, printed):
+    times = 1 / np.array(printed.split(), float)
+    exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)
+    rng, light = np.random.default_rng(3), ramp(60, 120, low=3000, high=100_000)
+    images = [shot(light * t, rng, read_noise=20.0, top=10**6) / 65535 for t in exact]
+    images = [
+        np.round(255 * np.clip(image, 0, 1) ** (1 / 2.2)).astype(np.uint16) for image in images
+    ]
+    found = calibrate(from_stack(images, times, camera=Camera(bits=8)))
+    (channel,) = found.channels
+    np.testing.assert_allclose(channel.plane.exposures, np.sort(exact), rtol=1e-12)
+    gamma = channel.gamma.gamma
+    assert gamma.interval_95[0] < 2.2 < gamma.interval_95[1]
+    assert any("rounded as cameras print them" in remark for remark in found.stack.remarks)
+
+
+def test_times_as_printed_that_were_kept_are_left_alone():
+    times = 1 / np.array([60, 30, 15, 8, 4, 2])
+    rng, light = np.random.default_rng(4), ramp(60, 120, low=3000, high=300_000)
+    images = [shot(light * t, rng, read_noise=20.0, top=65535) for t in times]
+    found = calibrate(from_stack(images, times, camera=Camera(bits=16, black_level=0.0)))
+    np.testing.assert_array_equal(found.channels[0].plane.exposures, np.sort(times))

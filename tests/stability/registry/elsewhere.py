@@ -247,6 +247,7 @@ ELSEWHERE = (
         """
             fitting.codes: converter_in_words
             fitting.frame_checks.frame: listed refuse_half shown
+            fitting.frame_checks.dialled: worst_in_words
             fitting.noise.raw_frames: processing_in_words
             fitting.noise.printed_times: printed_times_in_words
             fitting.noise.periodic: periodic_in_words
@@ -651,6 +652,7 @@ ELSEWHERE = (
         "test_codes foreign/test_frames foreign/test_series_of_flats",
         """
             fitting.codes: converter_of
+            fitting.frame_checks.dialled: exact_times
             fitting.frame_checks.exposures: blank_images odd_exposures
             fitting.frame_checks.levels: odd_frames
             fitting.frame_checks.heads: odd_heads

@@ -1,0 +1,53 @@
+"""Exposure times that were rounded as cameras print them: 1/60 for 1/64, 1/125 for 1/128.
+
+Shutters keep to whole, half or third stops, 2^(k / 3) s, so that times as printed are off by up to
+7 %.
+"""
+
+from collections.abc import Iterator
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float
+
+STOPS = (1, 2, 3)  # parts of a stop that dials have
+PRINTED = 0.08  # relative error of a printed time, at most
+ROUNDED = 0.01  # and of the worst of a series, at least
+LESS = 1 / 3  # of the scatter, that exact times must leave at most
+
+
+def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:
+    """Times of whole, half and third stops of which these may be the printed ones.
+
+    Args:
+        times: (n,) s, as stated.
+
+    Yields:
+        (n,) s each.
+    """
+    for parts in STOPS:
+        exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)
+        off = np.abs(exact / times - 1).max()
+        if ROUNDED < off < PRINTED and len(np.unique(exact)) == len(np.unique(times)):
+            yield exact
+
+
+def worst_in_words(times: Float[np.ndarray, " n"], exact: Float[np.ndarray, " n"]) -> str:
+    """The time that is off most.
+
+    Args:
+        times: (n,) s, as stated.
+        exact: (n,) s, as they would be.
+
+    Returns:
+        Such as "1/64 s for 1/60 s".
+    """
+    worst = int(np.argmax(np.abs(exact / times - 1)))
+    return f"{_fraction(exact[worst])} s for {_fraction(times[worst])} s"
+
+
+def _fraction(seconds: float) -> str:
+    """As a dial has it."""
+    if seconds >= 0.5:
+        return f"{seconds:.4g}"
+    return str(Fraction(1, round(1 / seconds)))
