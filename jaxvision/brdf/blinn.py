@@ -88,17 +88,11 @@ class NormalisedBlinn(PowerLobe):
 
 @takes_numbers
 def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
-    """Logarithm of the cosine between the normal and the half vector.
+    """Logarithm of the cosine n.h of the half vector, () <= 0, no unit, of unit local directions; 0
+    where H.z <= 0, below the surface.
 
     With H = wi + wo, -log(1 + (H.x^2 + H.y^2) / H.z^2) / 2, which keeps its digits for the
     sharpest lobe.
-
-    Args:
-        wi: (3,) unit, local, toward the light.
-        wo: (3,) unit, local, toward the viewer.
-
-    Returns:
-        The logarithm, () <= 0, no unit; 0 where H.z <= 0, which happens only below the surface.
     """
     both = as_vec(wi) + as_vec(wo)
     above = ~(both.z <= smallest_divisor(both.z.dtype))
@@ -109,14 +103,7 @@ def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
 
 @takes_numbers
 def normalisation(exponent: Scalar) -> Scalar:
-    """The factor C(n) of the normalised lobe.
-
-    Args:
-        exponent: () n >= 0, no unit.
-
-    Returns:
-        C(n) of the table above, () in sr^-1.
-    """
+    """The factor C(n) of the table above, () in sr^-1."""
     n = exponent
     rest = jnp.exp2(-n / 2)
     return (1 + (2 - rest) / (n + rest)) * (n + 4) / (8 * jnp.pi)
@@ -124,19 +111,13 @@ def normalisation(exponent: Scalar) -> Scalar:
 
 @takes_numbers
 def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of the lobe over directions of light above the horizon.
+    """Integrals of (n.h)^n, n of no unit, and of it times cos(theta_i), over directions of light
+    above the horizon, () each in sr.
 
     In the half vector's angle t to the normal and its azimuth phi from the viewer's, with
     dwi = 4 d dh, d = wo.h = P + Q cos(phi), P = cos_o cos(t), Q = sin_o sin(t), and
     cos(theta_i) = 2 d cos(t) - cos_o, the azimuths are integrals of polynomials in cos(phi) up to
     the horizon, cos(phi_m) = -cot(2 t) cot(theta_o). What remains in t is quadrature, to 1e-10.
-
-    Args:
-        cos_o: () polar cosine of the viewer, in [0, 1], no unit.
-        exponent: () n >= 0, no unit.
-
-    Returns:
-        The integrals of (n.h)^n, and of it times cos(theta_i), () each in sr.
     """
     width = 2 * 8.5 / jnp.sqrt(exponent + 1)
     (inner, inner_weight), (outer, outer_weight), (p, q) = circles(cos_o, width=width, end=np.pi)

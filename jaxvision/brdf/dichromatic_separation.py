@@ -72,19 +72,8 @@ class Separation(Shown):
 
 @takes_numbers
 def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Scalar) -> Mask:
-    """Which pixels are neither dark nor saturated.
-
-    Args:
-        image: (..., bands) linear, relative.
-        dark: the brightest band must lie above it, relative.
-        saturated: every band must lie below it, relative.
-
-    Returns:
-        A mask, (...).
-
-    Raises:
-        ValueError: for an image without bands.
-    """
+    """The mask, (...), of pixels of a linear image whose brightest band lies above `dark` and each
+    band below `saturated`, relative."""
     if image.ndim == 0 or image.shape[-1] == 0:
         raise ValueError(f"image must be (..., bands), with at least one, got shape {image.shape}.")
     return (image < saturated).all(axis=-1) & (image.max(axis=-1) > dark)
@@ -159,21 +148,13 @@ def separate(
 def body_colour(
     image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
 ) -> Colour:
-    """The colour of a material from a picture that shows it somewhere without highlight.
+    """The colour of a material, (bands,) of length 1, no unit, from a linear picture that shows it
+    somewhere without highlight; `quantile` lies in (0, 1).
 
     Without its part along the illuminant each pixel is m_b times one direction, the main one of the
     valid pixels. How much of the illuminant the body itself holds is the smallest ratio of the two
     parts, taken at a quantile of the pixels weighted by m_b, so that noise and a few outliers do
     not decide. A cloud along the illuminant (a neutral body) gives the illuminant.
-
-    Args:
-        image: (..., bands) linear, relative.
-        illuminant: (bands,) relative colour of the light.
-        valid: (...) pixels to use; all by default.
-        quantile: in (0, 1), no unit.
-
-    Returns:
-        The colour, (bands,) of length 1, no unit.
     """
     c_i = _unit(illuminant)
     weight = jnp.ones(image.shape[:-1], image.dtype)
@@ -196,20 +177,11 @@ def body_colour(
 
 @takes_numbers
 def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, Colour]:
-    """The dichromatic plane of one material.
+    """The unit normal, (3,), of the dichromatic plane of one material in a linear picture, and the
+    root mean squares, (3,), of the pixels along their main axes, ascending, in the picture's unit.
 
-    Args:
-        image: (..., 3) linear, relative.
-        valid: (...) pixels to use; all by default.
-
-    Returns:
-        The unit normal, (3,), and the root mean squares, (3,), of the pixels along their main axes,
-        ascending, in the picture's unit. For a plane the first is at the noise and the second above
-        it; where the second is at the noise too, the colours lie on a line and the normal means
-        nothing.
-
-    Raises:
-        ValueError: unless the picture has three bands.
+    For a plane the first is at the noise and the second above it; where the second is at the noise
+    too, the colours lie on a line and the normal means nothing.
     """
     check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
     pixels = image.reshape(-1, 3)

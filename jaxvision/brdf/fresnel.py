@@ -87,14 +87,7 @@ _COSINE = Range(-1.001, 1.001, nan=True)  # with its rounding
 
 @takes_numbers
 def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
-    """Reflectance of any interface.
-
-    Args:
-        interface: `Dielectric`, `Conductor` or `Schlick`.
-        cos_theta: () cosine of incidence, no unit.
-
-    Returns:
-        The reflectance, (bands,), no unit.
+    """Reflectance of any interface, (bands,), no unit, at a cosine of incidence, ().
 
     Example:
         >>> print(np.asarray(jv.brdf.fresnel.fresnel(jv.Dielectric([1.33]), 1.0)).round(3))  # water
@@ -112,23 +105,14 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 @takes_numbers
 @in_range(cos_theta=_COSINE, eta=DIVISOR)
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
-    """Reflectance of a clear interface, (r_s^2 + r_p^2) / 2, with g^2 = eta^2 - 1 + c^2 and
+    """Reflectance of a clear interface of relative index eta, (bands,), no unit, 1 in total
+    reflection (g^2 <= 0): (r_s^2 + r_p^2) / 2, with g^2 = eta^2 - 1 + c^2 and
 
         r_s = (c - g) / (c + g)                = (1 - eta^2) / (c + g)^2
         r_p = (eta^2 c - g) / (eta^2 c + g)    = (eta^2 - 1) (c^2 (eta^2 + 1) - 1) / (eta^2 c + g)^2
 
     The right-hand forms are the same fractions with rational numerators, which keep their digits
     where the fractions are small.
-
-    Args:
-        cos_theta: () cosine of incidence c, no unit.
-        eta: (bands,) relative index, no unit.
-
-    Returns:
-        The reflectance, (bands,), no unit; 1 where g^2 <= 0 (total reflection).
-
-    Raises:
-        ValueError: for a known cosine outside [-1, 1], or an index that is not above 0.
 
     Source: Cook & Torrance, ACM TOG 1(1) (1982).
 
@@ -161,21 +145,11 @@ def _index(x: Colour) -> Colour:
 @takes_numbers
 @in_range(cos_theta=_COSINE, eta=AMOUNT, k=AMOUNT)
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
-    """Reflectance of a metal, (R_s + R_p) / 2, with (a + i b)^2 = (eta + i k)^2 - sin^2 and
+    """Reflectance of a metal of relative index eta + i k, (bands,), no unit: (R_s + R_p) / 2, with
+    (a + i b)^2 = (eta + i k)^2 - sin^2 and
 
         R_s = ((a - c)^2 + b^2) / ((a + c)^2 + b^2)
         R_p = R_s ((a c - s^2)^2 + b^2 c^2) / ((a c + s^2)^2 + b^2 c^2)
-
-    Args:
-        cos_theta: () cosine of incidence c, no unit.
-        eta: (bands,) real part of the relative index, no unit.
-        k: (bands,) its imaginary part, no unit.
-
-    Returns:
-        The reflectance, (bands,), no unit.
-
-    Raises:
-        ValueError: for a known cosine outside [-1, 1], or a negative part of the index.
 
     Source: Born & Wolf, Principles of Optics, section 14.2.
 
@@ -212,17 +186,8 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 @takes_numbers
 @in_range(cos_theta=_COSINE)
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
-    """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5.
-
-    Args:
-        cos_theta: () cosine of incidence c, no unit.
-        f0: (bands,) reflectance along the normal, no unit.
-
-    Returns:
-        The reflectance, (bands,), no unit.
-
-    Raises:
-        ValueError: for a known cosine outside [-1, 1].
+    """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5, (bands,), no unit; f0 is
+    that along the normal.
 
     Source: Schlick, Computer Graphics Forum 13(3) (1994).
 

@@ -183,18 +183,12 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
 
 @takes_numbers
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
-    """Square of the angle between unit vectors, within a few units in the last place from 0 to pi.
+    """Square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few units in the
+    last place.
 
     A series of the squared chord |u - v|^2 up to a right angle; beyond, of |u + v|^2, the chord of
     the rest to pi. Neither an arccos nor a root is taken of small angles, which would lose their
     digits and gradients.
-
-    Args:
-        u: (3,) unit.
-        v: (3,) unit.
-
-    Returns:
-        The squared angle, () in [0, pi^2] rad^2.
     """
     apart, together = u - v, u + v
     chord, other = dot(apart, apart), dot(together, together)
@@ -205,16 +199,8 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
 
 @takes_numbers
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of the lobe over the directions above the horizon, by quadrature over 6 widths of
-    the lobe, to 1e-10.
-
-    Args:
-        cos_axis: () cosine of the lobe's axis to the normal, in [0, 1], no unit.
-        concentration: () c_s in rad^-1.
-
-    Returns:
-        The integrals of exp(-(c_s alpha)^2), alpha being the angle to the axis, and of it times
-        cos(theta_i), () each in sr.
+    """Integrals of exp(-(c_s alpha)^2), c_s in rad^-1, and of it times cos(theta_i), over the
+    directions above the horizon, () each in sr; by quadrature over 6 widths of the lobe, to 1e-10.
     """
     width = 6 / divisor(jnp.abs(concentration))
     return lobe_integrals(

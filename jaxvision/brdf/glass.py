@@ -60,15 +60,11 @@ class Glass(Material):
 
 @takes_numbers
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
-    """The direction of a refracted ray: -x / eta, -y / eta, and the rest of a unit vector.
+    """The unit direction of a refracted ray on the other side of the interface: -x / eta, -y / eta,
+    and the rest of a unit vector; eta is the index behind the interface over that before it.
 
-    Args:
-        w: (3,) unit, local, on either side of the interface, from where the ray came.
-        eta: () index behind the interface over that before it, > 0, no unit.
-
-    Returns:
-        A unit local direction on the other side than `w`. In total reflection, where nothing goes
-        through, it is the direction along the surface, with z = 0.
+    In total reflection, where nothing goes through, it is the direction along the surface, with z =
+    0.
 
     Example:
         >>> bent = jv.brdf.glass.refracted_direction([0.6, 0.0, 0.8], 1.5)

@@ -212,20 +212,11 @@ Table = TypeVar("Table", bound=Material)
 def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
-    """A table with a sampler of its own lobes.
+    """A table with a sampler of its own lobes, tabulated at static numbers of elevations and
+    azimuths of `wo` and half vectors (rows, columns), in rad.
 
     `sample` then draws in proportion to the reflected light, averaged over the bands. Without the
     sampler, draws follow the cosine.
-
-    Args:
-        material: a record with a `sampler` and `values`.
-        thetas: elevations of `wo` to tabulate; static.
-        phis: azimuths of `wo`, 1 for an isotropic material; static.
-        rows: half vectors along one side; static.
-        columns: half vectors along the other, closest near the normal; static.
-
-    Returns:
-        The same record with its sampler; angles in rad.
     """
     dtype = jnp.result_type(*jax.tree.leaves(material))
     theta = jnp.linspace(0, 0.999 * jnp.pi / 2, thetas, dtype=dtype)

@@ -185,15 +185,8 @@ def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
 
 @takes_numbers
 def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A direction drawn in proportion to the luminance reflected toward `wo`.
-
-    Args:
-        material: the material.
-        wo: (3,) unit, local, toward the viewer.
-        u: (3,) uniform in [0, 1), no unit; two are used.
-
-    Returns:
-        A unit local direction; one below the surface (at the edge of the tables) reflects nothing.
+    """A unit local direction drawn in proportion to the luminance reflected toward `wo`, by two of
+    `u`, (3,) uniform in [0, 1); one below the surface (at the edge of the tables) reflects nothing.
     """
     wo = as_vec(wo)
     _, turned = _unfolded(material, wo, wo)

@@ -73,12 +73,6 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
     They become arrays of the floating dtype that is beside them. A shape that the annotation
     excludes, a direction that is not unit and a number for a random key raise `ValueError`;
     optional arguments without their names, and names of none, `TypeError`.
-
-    Args:
-        function: whose annotations say which of its parameters are arrays.
-
-    Returns:
-        The same function of the same parameters.
     """
 
     @wraps(function)

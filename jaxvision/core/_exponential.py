@@ -46,15 +46,9 @@ class Decay(NamedTuple):
 
 
 def decay(x: Scalars, rest: Scalars) -> Decay:
-    """The exponential of -(x + rest), to 1e-9 of a float32 and 1e-17 of a float64, in parts.
-
-    Args:
-        x: (...) >= 0, no unit.
-        rest: (...) far smaller, no unit.
-
-    Returns:
-        Its parts; `left` is 0 where exp(-x) is below the smallest number to the power 3/2.
-    """
+    """The parts of the exponential of -(x + rest), x >= 0 and rest far smaller, no units, to 1e-9
+    of a float32 and 1e-17 of a float64; `left` is 0 where exp(-x) is below the smallest number to
+    the power 3/2."""
     whole, bias, digits, terms, ln_2, ln_2_rest = _FORMAT[x.dtype.itemsize]
     half = bias // 2  # below the half of the range even the rests keep their digits
     most = half + bias - 1

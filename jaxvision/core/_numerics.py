@@ -59,17 +59,11 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
 
 def exact_cross(u: Vec3, v: Vec3) -> Vec:
-    """u x v of nearly parallel vectors: the differences of products lose thousands of times less.
+    """u x v of nearly parallel vectors, in the product of their units: the differences of products
+    lose thousands of times less.
 
     Factors are split into halves of which the products are exact, so that compiled code, free to
     contract a product and a sum, cannot round them in another way.
-
-    Args:
-        u: (..., 3) or `Vec`, in any unit.
-        v: (..., 3) or `Vec`, in any unit.
-
-    Returns:
-        In the product of the units.
 
     Source: after Dekker, "A Floating-Point Technique for Extending the Available Precision",
     Numerische Mathematik 18 (1971), with halves by their bits.

@@ -410,12 +410,9 @@ SHARE = Range(0, 1, nan=True)
 
 def check_fields(record: Any, **ranges: Range) -> None:
     """Raises `ValueError` unless the fields of a record are as annotated: arrays of their shape, in
-    which an axis name is one size throughout the record, and records of their kind.
-
-    Args:
-        record: a record; its fields of other types, such as static ones, are not looked at.
-        ranges: the numbers that a field may hold, by its name; a record there has its own.
-    """
+    which an axis name is one size throughout the record, and records of their kind. `ranges` holds
+    the numbers that a field may hold, by its name; a record there has its own, and fields of other
+    types, such as static ones, are not looked at."""
     sizes: dict[int | str, int] = {}
     kind = type(record).__name__
     for name, (shapes, kinds) in _annotated(type(record)).items():

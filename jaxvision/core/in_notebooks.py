@@ -23,18 +23,7 @@ def record_html(
     summary: str = "",
     notes: Iterable[str] = (),
 ) -> str:
-    """A table with what is said of it.
-
-    Args:
-        heads: of the columns, plain text as all that follows.
-        rows: cells of each.
-        title: above.
-        summary: a line below.
-        notes: sentences below it.
-
-    Returns:
-        HTML, in which the text is escaped.
-    """
+    """A table in HTML, with a title above, a line and notes below; all text is escaped."""
 
     def row(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
@@ -50,16 +39,7 @@ def record_html(
 
 
 def with_picture(png: bytes, html: str, *, meaning: str) -> str:
-    """A picture beside a table.
-
-    Args:
-        png: the picture's file.
-        html: of the table.
-        meaning: of the picture, for those who do not see it.
-
-    Returns:
-        HTML.
-    """
+    """HTML of a picture beside a table; `meaning` is the picture's, for those who do not see it."""
     data = base64.b64encode(png).decode()
     return (
         '<div style="display: flex; flex-wrap: wrap; gap: 1em">'
@@ -69,14 +49,8 @@ def with_picture(png: bytes, html: str, *, meaning: str) -> str:
 
 
 def preview_png(pixels: np.ndarray) -> bytes:
-    """A PNG of an image, thinned to 320 pixels.
-
-    Args:
-        pixels: (h, w, 1 or 3) encoded, relative to white; what is no number is black.
-
-    Returns:
-        The file.
-    """
+    """A PNG of encoded pixels, (h, w, 1 or 3) relative to white, thinned to 320; what is no number
+    is black."""
     from matplotlib.image import imsave
 
     step = -(-max(pixels.shape[:2]) // PREVIEW)
@@ -88,14 +62,7 @@ def preview_png(pixels: np.ndarray) -> bytes:
 
 
 def figure_png(figure: "Figure") -> bytes:
-    """A PNG of a figure, small enough to stand beside a table.
-
-    Args:
-        figure: of matplotlib.
-
-    Returns:
-        The file.
-    """
+    """A PNG of a figure, small enough to stand beside a table."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
     return file.getvalue()

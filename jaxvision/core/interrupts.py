@@ -52,11 +52,7 @@ _ending = _Ending()
 
 
 def say_if_interrupted(sentence: str) -> None:
-    """Sets the line that an interrupt prints from now on.
-
-    Args:
-        sentence: after the command's name and a colon.
-    """
+    """Sets the line, after the command's name and a colon, that an interrupt prints from now on."""
     _ending.sentence = sentence
 
 
@@ -80,11 +76,7 @@ def leaves_work_behind() -> None:
 @contextmanager
 def raised_interrupts() -> Iterator[None]:
     """Context in which an interrupt raises `KeyboardInterrupt`, for those who catch it; it may hold
-    another such.
-
-    Returns:
-        A context manager.
-    """
+    another such."""
     outermost = not _ending.raised.is_set()
     _ending.raised.set()
     try:
@@ -96,14 +88,7 @@ def raised_interrupts() -> Iterator[None]:
 
 @contextmanager
 def removed_if_interrupted(file: Path) -> Iterator[None]:
-    """Context at whose end a file is complete or gone; an interrupt removes it.
-
-    Args:
-        file: that is being written.
-
-    Returns:
-        A context manager.
-    """
+    """Context at whose end a file is complete or gone; an interrupt removes it."""
     _ending.unfinished.add(file)
     try:
         yield
@@ -112,13 +97,8 @@ def removed_if_interrupted(file: Path) -> Iterator[None]:
 
 
 def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
-    """Does a command's work; an interrupt meanwhile ends the process. Afterwards there is nothing
-    left to interrupt: Python ends as it would.
-
-    Args:
-        command: its name, the beginning of the line.
-        work: what it does, the imports included.
-    """
+    """Does the work of a command of that name, imports included; an interrupt meanwhile ends the
+    process. Afterwards there is nothing left to interrupt: Python ends as it would."""
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)

@@ -15,16 +15,11 @@ Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 
 
 def names_of(package: str, file: str) -> Attached:
-    """What a package's stub lists, loaded at first use.
+    """`__getattr__`, `__dir__` and `__all__` of a package, by its `__name__` and `__file__`, beside
+    which its stub lies: each listed name is loaded at first use.
 
-    Args:
-        package: its `__name__`.
-        file: its `__file__`, beside which the stub lies.
-
-    Returns:
-        `__getattr__`, `__dir__` and `__all__` of the package. The first raises `AttributeError`
-        for a name that is not listed, which says how to get it from below the package, or the
-        nearest.
+    For a name that is not listed the first raises an `AttributeError` which says how to get it from
+    below the package, or the nearest.
     """
     load, listed, offered = lazy_loader.attach_stub(package, file)
 

@@ -35,20 +35,13 @@ _NO_NUMBERS = {"V": "fields by name", "M": "dates", "S": "text", "U": "text"}
 
 
 def plain_array(name: str, value: Any) -> Any:
-    """The argument as numbers alone, if nothing is lost by that.
+    """The argument as numbers alone, if nothing is lost by that: a masked array with NaN where a
+    floating number is masked, an array of the other byte order (as of FITS files) in this
+    machine's; lists are looked through.
 
-    Args:
-        name: of the argument, for the message.
-        value: what the caller gave; lists are looked through.
-
-    Returns:
-        The same, but a masked array as its numbers, NaN where a floating number is masked, and an
-        array of the other byte order (as of FITS files) in this machine's, which JAX needs.
-
-    Raises:
-        InputError: for masked whole numbers, which cannot be NaN, for arrays with units,
-            coordinates or an index, for spans of time, which have a unit too, and for arrays of
-            text, dates, fields by name or objects that are no numbers.
+    `InputError`, which names the argument, for masked whole numbers, which cannot be NaN, for
+    arrays with units, coordinates or an index, for spans of time, which have a unit too, and for
+    arrays of text, dates, fields by name or objects that are no numbers.
 
     Example:
         >>> jv.core.plain_arrays.plain_array("data", np.ma.masked_greater([1.0, 9.0], 5))

@@ -6,15 +6,8 @@ from contextlib import contextmanager
 
 @contextmanager
 def progress_bar(title: str, *, shown: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error, where that is a terminal; it counts parts, no unit.
-
-    Args:
-        title: beside the bar.
-        shown: whether there is one at all.
-
-    Yields:
-        What moves it, called with how many parts are done and how many there are.
-    """
+    """A bar on standard error, where that is a terminal, and what moves it, called with how many
+    parts are done and how many there are, no unit."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining

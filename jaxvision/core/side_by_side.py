@@ -23,14 +23,7 @@ def cores() -> int:
 
 def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
     """Work that may run in another thread with the settings of this one: its precision, and what
-    its context holds.
-
-    Args:
-        work: function without arguments.
-
-    Returns:
-        A function that does it, once.
-    """
+    its context holds."""
     context, double = contextvars.copy_context(), _double()
 
     def done() -> T:
@@ -49,18 +42,11 @@ def _double() -> bool:
 def side_by_side(
     pieces: Sequence[Callable[[], T]], *, progress: Callable[[int, int], None] | None = None
 ) -> list[T]:
-    """Does pieces of work, as many at a time as there are cores.
+    """What pieces of work return, in their order, done as many at a time as there are cores; none
+    may wait for another, and `progress` is called with (pieces done, all pieces).
 
-    Args:
-        pieces: functions without arguments, none of which waits for another.
-        progress: called with (pieces done, all pieces).
-
-    Returns:
-        What they return, in their order.
-
-    Raises:
-        Exception: the first of a piece, at once; pieces not yet begun are left out, and those that
-            run go on to their end unheard.
+    The first exception of a piece is raised at once; pieces not yet begun are left out, and those
+    that run go on to their end unheard.
     """
     threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
     waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]

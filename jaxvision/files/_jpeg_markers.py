@@ -11,15 +11,8 @@ _END = 0xD9  # of the picture
 
 
 def jpeg_extras(file: Path) -> list[str]:
-    """What is no part of the picture and no note about it.
-
-    Args:
-        file: a JPEG.
-
-    Returns:
-        Its further pictures, gain maps and bytes after its end (a film, say), each in words; none
-        for a plain picture.
-    """
+    """What of a JPEG is no part of the picture and no note about it: further pictures, gain maps
+    and bytes after its end (a film, say), each in words."""
     data = file.read_bytes()
     found, pictures, listed, rest = [], 0, False, b""
     for kind, content in _segments(data):

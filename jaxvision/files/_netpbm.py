@@ -51,18 +51,8 @@ class NetpbmHead:
 
 
 def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
-    """Reads the head of a file.
-
-    Args:
-        file: Netpbm.
-        data: its bytes, where they are known.
-
-    Returns:
-        The head.
-
-    Raises:
-        InputError: for a file that is not Netpbm, or of a kind that is not read.
-    """
+    """The head of a Netpbm file, of which the bytes may be known; `InputError` for other files and
+    for kinds that are not read."""
     if data is None:
         with file.open("rb") as stream:
             data = stream.read(1 << 16)  # comments may be long
@@ -90,18 +80,9 @@ def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
 
 
 def read_netpbm(file: Path) -> np.ndarray:
-    """The samples of a file.
-
-    Args:
-        file: Netpbm.
-
-    Returns:
-        (h, w) or (h, w, 3): uint8 where the largest code is below 256, else uint16; of a bitmap 1
-        for white and 0 for black; float32 of a PFM, the first row at the top.
-
-    Raises:
-        InputError: for a file that is damaged, cut short or not Netpbm.
-    """
+    """The samples of a file, (h, w) or (h, w, 3): uint8 where the largest code is below 256, else
+    uint16; of a bitmap 1 for white and 0 for black; float32 of a PFM, the first row at the top.
+    `InputError` for a file that is damaged, cut short or not Netpbm."""
     data = file.read_bytes()
     head = netpbm_head(file, data)
     channels = _CHANNELS[head.magic]

@@ -13,29 +13,15 @@ _BITS = 14_000  # of a whole number: about as many digits as Python prints
 
 
 def check_size(file: Path) -> None:
-    """Refuses a text file that is too large to be one of ours.
-
-    Args:
-        file: there.
-
-    Raises:
-        InputError: names both sizes.
-    """
+    """`InputError` for a text file that is too large to be one of ours."""
     size = file.stat().st_size
     if size > LARGEST:
         raise InputError(f"{file}: holds {size >> 20} MiB, more than {LARGEST >> 20}; divide it.")
 
 
 def check_content(place: str, content: Any) -> None:
-    """Refuses content that is nested too deeply, and numbers and names that are too long.
-
-    Args:
-        place: the file, for messages.
-        content: of dictionaries, lists and plain values.
-
-    Raises:
-        InputError: says where.
-    """
+    """`InputError` for content that is nested too deeply, and for numbers and names that are too
+    long; `place` is the file."""
     waiting: list[tuple[Any, tuple[str, ...]]] = [(content, ())]
     while waiting:
         value, path = waiting.pop()

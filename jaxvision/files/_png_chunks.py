@@ -43,15 +43,8 @@ class PngChunks:
 
 
 def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
-    """Reads the chunks of a file.
-
-    Args:
-        file: any.
-        head: those before the picture alone, whether or not the picture is whole.
-
-    Returns:
-        What they say; None for a file without a PNG's signature.
-    """
+    """What the chunks of a file say, with `head` those before the picture alone, whether or not the
+    picture is whole; None for a file without a PNG's signature."""
     kept: dict[bytes, bytes] = {}
     with file.open("rb") as stream:
         if stream.read(len(SIGNATURE)) != SIGNATURE:

@@ -24,12 +24,8 @@ _PLY_TYPES = {
 
 
 def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
-    """(triangles, 3) of each polygon: places among its own corners.
-
-    Args:
-        vertices: (vertices, 3) m.
-        polygons: at least three corners each, within the vertices.
-    """
+    """(triangles, 3) of each polygon of at least three corners, places among its own corners;
+    vertices in m."""
     counts = np.array([len(one) for one in polygons])
     found = [fan(count) for count in counts]
     for count in np.unique(counts[counts > 3]):

@@ -27,17 +27,8 @@ def is_radiance(file: Path) -> bool:
 
 
 def read_radiance(file: Path) -> np.ndarray:
-    """The radiance of a picture.
-
-    Args:
-        file: of Radiance.
-
-    Returns:
-        (h, w, 3) float32, W m^-2 sr^-1 or relative, upright.
-
-    Raises:
-        InputError: for a file that is damaged, cut short or not Radiance, and for XYZ.
-    """
+    """The radiance of a picture of Radiance, (h, w, 3) float32, W m^-2 sr^-1 or relative, upright;
+    `InputError` for a file that is damaged, cut short or not Radiance, and for XYZ."""
     data = file.read_bytes()
     lines, at = _head(file, data)
     if b"FORMAT=32-bit_rle_xyze" in lines:

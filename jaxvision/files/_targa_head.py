@@ -7,14 +7,8 @@ _PALETTES = (1, 9)
 
 
 def targa_bits(file: Path) -> int:
-    """Bits of each colour.
-
-    Args:
-        file: a TGA.
-
-    Returns:
-        5 for pixels, or colours of a palette, of 15 or 16 bits; else 8.
-    """
+    """Bits of each colour of a TGA: 5 for pixels, or colours of a palette, of 15 or 16 bits; else
+    8."""
     with file.open("rb") as stream:
         head = stream.read(18)
     if len(head) < 18 or head[2] in _GREY:

@@ -73,15 +73,9 @@ class TiffPicture:
 
 
 def tiff_pictures(file: Path) -> list[TiffPicture]:
-    """Reads the tags of all pictures of the main chain of a file.
-
-    Args:
-        file: any.
-
-    Returns:
-        One entry a picture, in order, each with those in its own directories; none for a file that
-        is not TIFF. A damaged chain ends where the damage is: its decoder says more.
-    """
+    """The tags of all pictures of the main chain of a file, in order, each with those in its own
+    directories; none for a file that is not TIFF. A damaged chain ends where the damage is: its
+    decoder says more."""
     with file.open("rb") as stream:
         head = stream.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2], "")

@@ -73,17 +73,8 @@ class Primitive:
 
 
 def read_gltf(path: str | os.PathLike[str]) -> Gltf:
-    """Reads the JSON of a file, and the binary part of a `.glb`.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The content; its buffers are read where they are used.
-
-    Raises:
-        InputError: there is no such file, or it is not glTF 2.
-    """
+    """The JSON of a file, and the binary part of a `.glb`; other buffers are read where they are
+    used. `InputError` for a file that is not there, or not glTF 2."""
     file = Path(path)
     try:
         raw = file.read_bytes()
@@ -119,19 +110,11 @@ def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:
 
 
 def primitive_of(file: Gltf, mesh: int, primitive: int) -> Primitive:
-    """The triangles of a primitive, in the order of the file.
+    """The triangles of a primitive of a mesh, both by number from 0, in the order of the file, with
+    normals where it has them.
 
-    Args:
-        file: of glTF.
-        mesh: its number, from 0.
-        primitive: its number in the mesh, from 0.
-
-    Returns:
-        Vertices, faces and, where the file has them, normals.
-
-    Raises:
-        InputError: there is no such primitive, it is no set of triangles, or it is moved by morph
-            targets, compressed or damaged.
+    `InputError` where there is no such primitive, where it is no set of triangles, or is moved by
+    morph targets, compressed or damaged.
     """
     label = f"{file.path}: meshes[{mesh}].primitives[{primitive}]"
     parts = file.item("meshes", mesh).get("primitives", [])

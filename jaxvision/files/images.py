@@ -71,18 +71,10 @@ _MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR hol
 
 @contextmanager
 def replaced_on_success(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, which replaces it only when the block ends without error.
+    """Context with a temporary path beside `path`, which replaces it only when the block ends
+    without error; missing folders are made. `InputError` if the folder cannot be written.
 
     So no half-written file is ever left under the final name.
-
-    Args:
-        path: the final file; missing folders are made.
-
-    Returns:
-        A context manager that gives the temporary path.
-
-    Raises:
-        InputError: if the folder cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -113,16 +105,9 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """Checks, before the work that an image file is for, that it can be written.
-
-    Args:
-        path: the file. Missing folders are made later, with the file.
-        kind: type of its samples.
-
-    Raises:
-        InputError: if the format of the suffix holds no such samples, if a folder has that name, or
-            if its folder cannot be written.
-    """
+    """`InputError`, before the work that an image file is for, if the format of the suffix holds no
+    samples of that type, if a folder has that name, or if its folder cannot be written; missing
+    folders are made later."""
     _check_format(path, np.dtype(kind))
     if path.is_dir():
         raise InputError(f"{path}: is a folder; choose another name for the image.")
@@ -692,18 +677,11 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
 
 def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
-    """The numbers in the precision of a file, none of them lost.
+    """The numbers, in any unit, rounded to the precision of the file of that path; NaN and infinity
+    stay.
 
-    Args:
-        path: the file that is to hold them, for the message.
-        numbers: (...) in any unit; NaN and infinity stay.
-
-    Returns:
-        (...) float32, rounded.
-
-    Raises:
-        InputError: for finite numbers beyond 3.4e38, for whole numbers that float32 does not hold,
-            and where all numbers are so small, below 1e-31, that it would round them coarsely.
+    `InputError` for finite numbers beyond 3.4e38, for whole numbers that float32 does not hold, and
+    where all numbers are so small, below 1e-31, that it would round them coarsely.
     """
     if numbers.dtype == np.float32:
         return numbers

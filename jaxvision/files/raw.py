@@ -56,18 +56,8 @@ def read_raw(file: Path) -> np.ndarray:
 
 @contextmanager
 def opened_raw(file: Path) -> Iterator[Any]:
-    """A raw file as rawpy gives it: a context.
-
-    Args:
-        file: the file.
-
-    Yields:
-        `rawpy.RawPy`.
-
-    Raises:
-        InputError: for a file that it cannot read, also within the context, where it reads the
-            pixels, and without the `raw` extra.
-    """
+    """Context with a raw file as a `rawpy.RawPy`; `InputError` for one that it cannot read, also
+    within the context, where it reads the pixels, and without the `raw` extra."""
     rawpy = extra("rawpy", "raw", file)
     try:
         with rawpy.imread(str(file)) as raw:
@@ -135,18 +125,8 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
 @contextmanager
 def opened_fits(file: Path) -> Iterator[Any]:
-    """A FITS file as astropy gives it: a context.
-
-    Args:
-        file: the file.
-
-    Yields:
-        `astropy.io.fits.HDUList`.
-
-    Raises:
-        InputError: for a file that it cannot read, also within the context, where it reads heads
-            and pixels, and without the `fits` extra.
-    """
+    """Context with a FITS file as an `astropy.io.fits.HDUList`; `InputError` for one that it cannot
+    read, also within the context, where it reads heads and pixels, and without the `fits` extra."""
     fits = extra("astropy.io.fits", "fits", file)
     try:
         with fits.open(file, memmap=False) as units:
@@ -159,17 +139,8 @@ def opened_fits(file: Path) -> Iterator[Any]:
 
 
 def fits_header(file: Path) -> dict[str, Any]:
-    """The keywords of the first image of a FITS file, and those of the file's first unit.
-
-    Args:
-        file: the file.
-
-    Returns:
-        Values by keyword.
-
-    Raises:
-        InputError: as `read_fits` does.
-    """
+    """Values by the keywords of the first image of a FITS file, and of the file's first unit;
+    `InputError` as of `read_fits`."""
     extra("astropy.io.fits", "fits", file)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `read_fits` says what they are
@@ -210,19 +181,8 @@ def _listed(words: Sequence[str], most: int = 6) -> str:
 
 
 def extra(module: str, name: str, file: Path) -> Any:
-    """A library that an extra of the package brings.
-
-    Args:
-        module: to import.
-        name: of the extra.
-        file: that needs it, for the message.
-
-    Returns:
-        The module.
-
-    Raises:
-        InputError: if it is not installed.
-    """
+    """A module that an extra of the package, `name`, brings; `InputError`, which names the file
+    that needs it, if it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:

@@ -60,14 +60,8 @@ def write_record(
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
-    """The table from which `record_of` makes the same record.
-
-    Args:
-        record: of numbers, records and static values.
-
-    Returns:
-        Values by the names of its fields, its `kind` among them; what is None is left out.
-    """
+    """The table from which `record_of` makes the same record of numbers, records and static values:
+    values by the names of its fields, its `kind` among them; what is None is left out."""
     table: dict[str, Any] = {"kind": type(record).__name__}
     for field in fields(record):
         value = getattr(record, field.name)
@@ -83,18 +77,8 @@ def table_of(record: eqx.Module) -> dict[str, Any]:
 
 
 def with_draws(file: Path, record: Record, count: int) -> Record:
-    """A record with a leading axis of draws, those that lie beside its file.
-
-    Args:
-        file: of the record.
-        record: as it was read.
-        count: of draws, spread evenly over those that are there.
-
-    Returns:
-        The record, every number of it with a leading axis of that length, for `jax.vmap`.
-
-    Raises:
-        InputError: without draws, with fewer, and with draws of another record.
+    """A record with a leading axis, for `jax.vmap`, of `count` draws, spread evenly over those that
+    lie beside its file; `InputError` without draws, with fewer, and with draws of another record.
     """
     beside = _beside(file)
     if not beside.is_file():
@@ -173,16 +157,9 @@ class Reading(NamedTuple):
 
 @cache
 def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
-    """The keys of the table from which a record is made: the fields of the record, or the arguments
-    by name of the function that makes it.
-
-    Args:
-        make: the class of a record, or a function.
-        record: whose other fields a function takes as `**fields`.
-
-    Returns:
-        The keys by their names; fields of the record first, in its order.
-    """
+    """The keys, by name, of the table from which a record is made: the fields of the record, in its
+    order, or the arguments by name of the function that makes it, and then those of `record` that
+    it takes as `**fields`."""
     said = meanings(make)
     if isinstance(make, type):
         hints = get_type_hints(make, include_extras=True)
@@ -208,20 +185,9 @@ def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str
 def record_of(
     reading: Reading, where: str, make: Callable[..., Any], table: Mapping[str, Any]
 ) -> Any:
-    """A record from its table; tables within it become records too.
-
-    Args:
-        reading: the file.
-        where: the table in it.
-        make: the class of the record, or what makes it of the values.
-        table: values by the names of its keys.
-
-    Returns:
-        The record.
-
-    Raises:
-        InputError: for an unknown or a missing key, and a value out of range.
-    """
+    """A record, by its class or by the function that makes it, from the table of values at `where`;
+    tables within it become records too. `InputError` for an unknown or a missing key, and a value
+    out of range."""
     values = values_of(reading, where, keys_of(make), table)
     try:
         return make(**values)
@@ -246,20 +212,8 @@ def values_of(
 
 
 def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
-    """A value as what its key takes.
-
-    Args:
-        reading: the file.
-        where: the key.
-        hint: its type.
-        value: what was read.
-
-    Returns:
-        The value; lists as tuples, numbers as arrays.
-
-    Raises:
-        InputError: for what is not of that type.
-    """
+    """What was read at the key `where` as what its type takes: lists as tuples, numbers as arrays;
+    `InputError` for what is not of that type."""
     kinds = tuple(kind for kind in members_of(hint) if kind is not NoneType)
     for kind in kinds:
         try:
@@ -297,20 +251,7 @@ _PLAIN = {bool: "true or false", str: "text", int: "a whole number"}
 
 
 def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> str:
-    """A word of those that are known.
-
-    Args:
-        reading: the file.
-        where: the key.
-        value: what was read.
-        words: the known ones.
-
-    Returns:
-        The word.
-
-    Raises:
-        InputError: with the nearest known one.
-    """
+    """A word at the key `where`, of those that are known; else `InputError` with the nearest."""
     if not isinstance(value, str) or value not in words:
         hint = nearest(str(value), words)
         raise InputError(f"{reading.place}: {where} = {in_short(value)} is unknown; {hint}.")
@@ -429,17 +370,8 @@ def _in_range(reading: Reading, where: str, number: Any, hints: tuple[Any, ...])
 
 
 def check_keys(reading: Reading, where: str, table: Mapping[str, Any], known: Any) -> None:
-    """Refuses keys that a table does not have.
-
-    Args:
-        reading: the file.
-        where: the table in it.
-        table: what was read.
-        known: the names of all keys.
-
-    Raises:
-        InputError: with the nearest known one.
-    """
+    """`InputError` for keys that the table at `where` does not have, with the nearest of all known
+    names."""
     for key in table:
         if key not in known:
             name = f"{where}.{key}".lstrip(".")

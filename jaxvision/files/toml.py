@@ -54,18 +54,8 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
-    """Reads the tables of a TOML file.
-
-    Args:
-        path: the file.
-        kind: what the file should be ("scene"), for messages.
-
-    Returns:
-        The tables by name.
-
-    Raises:
-        InputError: there is no such file, or it is not TOML.
-    """
+    """The tables of a TOML file by name; `kind` is what it should be ("scene"). `InputError` for a
+    file that is not there, or not TOML."""
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such {kind} file; check the name and the folder.")
@@ -108,22 +98,11 @@ def checked(
     first: int = 1,
     called: Mapping[str, str] | None = None,
 ) -> Model:
-    """Checks the content of a file against its schema.
+    """The content of a file as an instance of its schema; `InputError` for the first mistake.
 
-    Args:
-        path: the file, for messages.
-        content: its tables.
-        schema: the model that describes them.
-        kind: what the file should be ("scene"), for messages.
-        first: the number of an array's first item, for messages.
-        called: what messages call a list that stands key by key in the tables of an array, by the
-            array and the key: {"flat.exposure": "exposures"}.
-
-    Returns:
-        The content as an instance of `schema`.
-
-    Raises:
-        InputError: the first mistake in the content.
+    Messages name the file, what it should be (`kind`), the items of an array from the number
+    `first` on, and by `called`, from an array and a key, a list that stands key by key in the
+    tables of that array: {"flat.exposure": "exposures"}.
     """
     try:
         return schema.model_validate(content)

@@ -74,16 +74,8 @@ class Ghosts(NamedTuple):
 
 
 def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
-    """Checks the name of a border.
-
-    Args:
-        border: a key of `BORDERS`.
-        refused: the borders that the calling filter cannot take.
-
-    Raises:
-        ValueError: for an unknown border (the message lists all of them with their names in numpy
-            and scipy), and for one that is refused.
-    """
+    """`ValueError` for an unknown border, with all of them by their names in numpy and scipy, and
+    for one that the calling filter refuses."""
     if border not in BORDERS:
         known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())
         raise ValueError(f"border must be one of the following, got {border!r}. {known}.")
@@ -92,14 +84,8 @@ def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
 
 
 def check_picture(picture: ArrayLike) -> None:
-    """Checks that an array is a picture.
-
-    Args:
-        picture: (h, w) or (..., h, w, bands), any unit.
-
-    Raises:
-        ValueError: for fewer than two axes, for no pixels, and for complex numbers.
-    """
+    """`ValueError` for an array that is no picture, (h, w) or (..., h, w, bands): of fewer than two
+    axes, without pixels, or complex."""
     shape = jnp.shape(picture)
     if len(shape) == 1 and shape[0]:
         raise ValueError(
@@ -126,19 +112,8 @@ def check_picture(picture: ArrayLike) -> None:
 
 
 def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
-    """The coefficients that continue one axis of a picture.
-
-    For "constant" and "normalised_zero" they are those of "zero".
-
-    Args:
-        border: a key of `BORDERS`.
-        n: samples along the axis.
-        before: samples to add ahead of the first.
-        after: samples to add behind the last.
-
-    Returns:
-        Four NumPy arrays of length before + n + after, no unit.
-    """
+    """The coefficients, of length before + n + after, no unit, that continue one axis of n samples;
+    for "constant" and "normalised_zero" they are those of "zero"."""
     i = np.arange(-before, n + after)
     inside = (i >= 0) & (i < n)
     own, first, last = np.ones(len(i)), np.zeros(len(i)), np.zeros(len(i))
@@ -262,18 +237,8 @@ def continued(
 def as_planes(
     picture: Picture,
 ) -> tuple[Float[Array, "images h w bands"], Callable[[Filtered], Filtered]]:
-    """A picture as a stack of floating images, and the way back.
-
-    Args:
-        picture: (h, w) or (..., h, w, bands), any unit.
-
-    Returns:
-        (images, h, w, bands) in the picture's unit, and the function that gives a stack the
-        picture's own axes again.
-
-    Raises:
-        ValueError: for an array that is no picture (see `check_picture`).
-    """
+    """A picture, (h, w) or (..., h, w, bands), as floating (images, h, w, bands) in its unit, and
+    the function that gives a stack the picture's own axes again."""
     check_picture(picture)
     image, shape = as_float(picture), jnp.shape(picture)
     if len(shape) == 2:

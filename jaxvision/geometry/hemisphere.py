@@ -171,21 +171,11 @@ def _at_turns(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
 def product_nodes(
     polar: int, azimuths: int
 ) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
-    """Nodes and weights of a quadrature over the local hemisphere.
+    """Unit directions, (nodes, 3), and weights, (nodes,) sr of sum 2 pi, of a quadrature over the
+    local hemisphere: NumPy float64, made while tracing.
 
     Gauss-Legendre in cos(theta) times the trapezium rule in phi: exact for polynomials in the
     components of the direction up to degree min(2 polar - 1, azimuths - 1).
-
-    Args:
-        polar: static, nodes in cos(theta), >= 1.
-        azimuths: static, nodes in phi, >= 1.
-
-    Returns:
-        Directions (nodes, 3), unit length, and weights (nodes,) sr, which sum to 2 pi: NumPy
-        float64, made while tracing.
-
-    Raises:
-        ValueError: for a count below 1.
     """
     if polar < 1 or azimuths < 1:
         raise ValueError(f"polar and azimuths must be at least 1, got {polar} and {azimuths}.")

@@ -38,15 +38,8 @@ class DirectionalLight(Light):
 
 @takes_numbers
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
-    """Light that arrives from infinity: the same everywhere.
-
-    Args:
-        light: the light.
-        point: (3,) m, not used.
-
-    Returns:
-        The unit direction and the irradiance, (bands,) W m^-2; the distance is None.
-    """
+    """Light that arrives from infinity, the same everywhere: its unit direction and irradiance,
+    (bands,) W m^-2, without a distance."""
     del point
     return Incident(normalize(light.direction), light.irradiance)
 

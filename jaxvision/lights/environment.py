@@ -60,15 +60,10 @@ class EnvironmentMap(Light):
 
 @takes_numbers
 def environment_radiance(environment: EnvironmentMap, direction: Direction) -> Colour:
-    """Radiance from a direction, bilinear between the pixels.
+    """Radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between the pixels.
 
-    Args:
-        environment: the map.
-        direction: (3,) unit.
-
-    Returns:
-        The radiance, (bands,) W m^-2 sr^-1. Its gradient by the direction is finite everywhere; at
-        a pole, where longitude is undefined, the part along the circle of latitude is 0.
+    Its gradient by the direction is finite everywhere; at a pole, where longitude is undefined, the
+    part along the circle of latitude is 0.
     """
     row, column = _place(environment, _to_map(environment, direction))
     return _bilinear(environment.radiance, row, column)
@@ -78,17 +73,9 @@ def environment_radiance(environment: EnvironmentMap, direction: Direction) -> C
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """A direction drawn where the map is bright, and L / pdf.
-
-    Args:
-        environment: the map.
-        point: (3,) m, not used.
-        u: (2,) uniform in [0, 1), no unit: the row from u_0, the column from u_1, uniform in solid
-            angle within the pixel.
-
-    Returns:
-        A unit direction and L / pdf, (bands,) W m^-2; the distance is None.
-    """
+    """A unit direction drawn where the map is bright, and L / pdf, (bands,) W m^-2: by `u`, (2,)
+    uniform in [0, 1), the row from u_0, the column from u_1, uniform in solid angle within the
+    pixel."""
     row, row_place = _invert(environment.rows, u[0])
     column, column_place = _invert(environment.columns[row], u[1])
     h, w, _ = environment.radiance.shape
@@ -105,16 +92,7 @@ def environment_sample(
 
 @takes_numbers
 def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -> Scalar:
-    """Density of `environment_sample` toward a direction.
-
-    Args:
-        environment: the map.
-        point: (3,) m, not used.
-        wi: (3,) unit.
-
-    Returns:
-        The density, () in sr^-1.
-    """
+    """Density of `environment_sample` toward a unit direction, () in sr^-1."""
     del point
     h, w, _ = environment.radiance.shape
     row, column = _place(environment, _to_map(environment, wi))
@@ -125,16 +103,8 @@ def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -
 
 @takes_numbers
 def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A direction spread evenly over the sphere, and 4 pi L: what quadrature uses.
-
-    Args:
-        environment: the map.
-        point: (3,) m, not used.
-        u: (2,) in [0, 1], no unit.
-
-    Returns:
-        A unit direction and 4 pi L, (bands,) W m^-2; the distance is None.
-    """
+    """A unit direction spread evenly over the sphere by `u`, (2,) in [0, 1], and 4 pi L, (bands,) W
+    m^-2: what quadrature uses."""
     direction = _direction(1 - 2 * u[0], u[1])
     radiance = _bilinear(environment.radiance, *_place(environment, direction))
     return Incident(_to_world(environment, direction, point), radiance * (4 * jnp.pi))

@@ -19,14 +19,8 @@ _COSINE = np.pi * np.repeat([1, 2 / 3, 1 / 4], [1, 3, 5])
 
 @takes_numbers
 def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
-    """The nine real spherical harmonics of order <= 2, orthonormal.
-
-    Args:
-        direction: (..., 3) unit.
-
-    Returns:
-        (9, ...), no unit: (l, m) in the order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2).
-    """
+    """The nine real spherical harmonics of order <= 2 of unit directions, orthonormal: (9, ...), no
+    unit, (l, m) in the order (0,0), (1,-1), (1,0), (1,1), (2,-2) ... (2,2)."""
     d = as_vec(direction)
     x, y, z = d.x, d.y, d.z
     c0, c1, c2 = (float(np.sqrt(share / np.pi)) for share in (0.25, 0.75, 3.75))
@@ -46,13 +40,8 @@ def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
 
 
 def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 bands"]:
-    """The nine coefficients of the irradiance under a map, from every pixel.
-
-    Args:
-        environment: the map.
-
-    Returns:
-        (9, bands) W m^-2, in the map's own axes.
+    """The nine coefficients of the irradiance under a map, (9, bands) W m^-2, in the map's own
+    axes, from every pixel.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))
@@ -76,20 +65,13 @@ def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 band
 def harmonic_irradiance(
     environment: EnvironmentMap, coefficients: Float[Array, "9 bands"], normal: Direction
 ) -> Colour:
-    """Irradiance of an environment by spherical harmonics of order <= 2.
+    """Irradiance of an environment on a surface that faces `normal`, (bands,) W m^-2, by spherical
+    harmonics of order <= 2 from `irradiance_coefficients`.
 
     Off by at most 3/32 of the integral of the radiance over the sphere, which a single bright
     direction reaches on its horizon (6 % of its irradiance where it stands overhead), and possibly
     negative; about 1 % off on average under natural skies. A map that is itself of order <= 2 is
     exact, to the pixels' own error.
-
-    Args:
-        environment: the map.
-        coefficients: (9, bands) W m^-2, of `irradiance_coefficients`.
-        normal: (3,) unit, where the surface faces.
-
-    Returns:
-        The irradiance, (bands,) W m^-2.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))  # W m^-2 sr^-1 from everywhere

@@ -97,16 +97,9 @@ def _check_windows(aperture: Window, focal: Window) -> None:
 
 
 def light_field_radiance(light_field: LightFieldLight, ray: Ray) -> Colour:
-    """Radiance against the direction of a ray, quadrilinear between the samples.
-
-    Args:
-        light_field: the light field.
-        ray: its origin in m, before the aperture; the distance to it does not matter.
-
-    Returns:
-        The radiance, (bands,) W m^-2 sr^-1; 0 for a ray that misses either window or meets the
-        aperture from behind.
-    """
+    """Radiance against the direction of a ray, (bands,) W m^-2 sr^-1, quadrilinear between the
+    samples; 0 for a ray that misses either window or meets the aperture from behind. The ray starts
+    before the aperture, at any distance."""
     return light_field_seen(light_field, ray).radiance
 
 
@@ -124,16 +117,8 @@ def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
 def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """A direction toward a place of the aperture, chosen by a point of the unit square.
-
-    Args:
-        light_field: the light field.
-        point: (3,) m.
-        u: (2,) in [0, 1], no unit.
-
-    Returns:
-        A unit direction, L times solid angle, (bands,) W m^-2, and the distance, m.
-    """
+    """A unit direction toward a place of the aperture chosen by `u`, (2,) in [0, 1], L times solid
+    angle, (bands,) W m^-2, and the distance, m."""
     direction, distance, solid_angle, _ = window_sample(light_field.aperture, point, u)
     radiance = light_field_radiance(light_field, Ray(point, direction))
     wi = as_array(direction) if isinstance(point, Array) else direction
@@ -148,16 +133,8 @@ def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Direction) 
 
 @takes_numbers
 def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -> Ray:
-    """The viewing ray of one sample of a light field: what to trace to record one.
-
-    Args:
-        aperture: the window (s, t), m.
-        focal: the window (u, v), m.
-        place: (4,) s, t, u, v in [0, 1], no unit.
-
-    Returns:
-        A ray that starts in the aperture, m, and looks away from its front.
-    """
+    """The viewing ray of one sample of a light field, at s, t, u, v in [0, 1] of the windows, m:
+    what to trace to record one. It starts in the aperture and looks away from its front."""
     start = _point(aperture, place[:2])
     return Ray(start, _inward(aperture, start, _point(focal, place[2:])))
 

@@ -43,16 +43,11 @@ class PointLight(Light):
 
 @takes_numbers
 def from_point_light(light: PointLight, point: Vector) -> Incident:
-    """Light that arrives from a point, E = I / d^2 on a surface that faces it.
+    """Light that arrives from a point, E = I / d^2 on a surface that faces it: the unit direction,
+    the irradiance, (bands,) W m^-2, and the distance, m.
 
-    Args:
-        light: the light.
-        point: (3,) m. Nearer than `smallest_divisor` (3e-10 m in float32) the point is the light
-            itself: direction, irradiance and gradients are 0. Farther than 1e19 m in float32 the
-            irradiance is 0.
-
-    Returns:
-        The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
+    Nearer than `smallest_divisor` (3e-10 m in float32) the point is the light itself: direction,
+    irradiance and gradients are 0. Farther than 1e19 m in float32 the irradiance is 0.
     """
     direction, distance, dilution = _toward(light.position, point)
     return Incident(direction, by_band(lambda band: band * dilution, light.intensity), distance)

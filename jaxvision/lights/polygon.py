@@ -333,16 +333,7 @@ def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
 
 
 def nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, *, order: int) -> Scalars:
-    """The integral of `contour_integral` over a parallelogram by Gauss-Legendre nodes.
-
-    Args:
-        corner: m, as seen from receivers of any shape.
-        u: m, one edge.
-        v: m, the other edge.
-        normal: unit, where the receivers face.
-        order: nodes a side; static. `adaptive` has the error.
-
-    Returns:
-        The integral, sr; 0 for receivers behind the parallelogram.
-    """
+    """The integral of `contour_integral` over a parallelogram, sr, by `order` Gauss-Legendre nodes
+    a side, whose error `adaptive` has; corner and edges in m, as seen from receivers of any shape,
+    0 for those behind it."""
     return _nodes_integral(corner, u, v, normal, order)

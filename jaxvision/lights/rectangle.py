@@ -91,16 +91,8 @@ def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
 
 @takes_numbers
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A direction toward a place of the rectangle, chosen by a point of the unit square.
-
-    Args:
-        light: the rectangle.
-        point: (3,) m.
-        u: (2,) in [0, 1], no unit.
-
-    Returns:
-        A unit direction, L times solid angle, (bands,) W m^-2, and the distance, m.
-    """
+    """A unit direction toward a place of the rectangle chosen by `u`, (2,) in [0, 1], L times solid
+    angle, (bands,) W m^-2, and the distance, m."""
     direction, distance, solid_angle, _ = window_sample(window_of(light), point, u)
     wi = direction if not isinstance(point, Array) else as_array(direction)
     return Incident(wi, light.radiance * solid_angle, distance)

@@ -52,16 +52,11 @@ class SmallLight(Light):
 
 @takes_numbers
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
-    """Light that arrives from a small light: E = I cos(theta) / d^2 on a surface that faces it.
+    """Light that arrives from a small light, E = I cos(theta) / d^2 on a surface that faces it: the
+    unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
 
-    Args:
-        light: the light.
-        point: (3,) m. Behind the light and in its plane the irradiance is 0. Nearer than
-            `smallest_divisor` (3e-10 m in float32) the point is the light itself: direction,
-            irradiance and gradients are 0.
-
-    Returns:
-        The unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
+    Behind the light and in its plane the irradiance is 0. Nearer than `smallest_divisor` (3e-10 m
+    in float32) the point is the light itself: direction, irradiance and gradients are 0.
     """
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)

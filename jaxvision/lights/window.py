@@ -147,19 +147,12 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
-    """A place of the window by a point of the unit square, dense where the window is near.
+    """A place of the window by `u`, (2,) in [0, 1], dense where the window is near: x = D sinh(p +
+    u q) along each edge, which stays even where the window is far.
 
-    x = D sinh(p + u q) along each edge, which stays even where the window is far.
-
-    Args:
-        window: the window, m.
-        point: (3,) m, from where it is seen.
-        u: (2,) in [0, 1], no unit.
-
-    Returns:
-        The unit direction toward the place, the distance, m, the solid angle per unit of the
-        square, sr, which is 0 for a point behind the window or in its plane, and the place, (2,) in
-        [0, 1] along the edges.
+    Gives the unit direction toward the place, the distance, m, the solid angle per unit of the
+    square, sr, which is 0 for a point behind the window or in its plane, and the place, (2,) in [0,
+    1] along the edges.
 
     Source: Johnston & Elliott, "A sinh transformation for evaluating nearly singular boundary
     element integrals", Int. J. Numer. Meth. Engng 62 (2005).
@@ -179,16 +172,8 @@ def window_sample(
 
 @takes_numbers
 def window_pdf(window: Window, point: Vector, wi: Direction) -> Scalar:
-    """Density of the directions of `window_sample` for `u` uniform in the square.
-
-    Args:
-        window: the window, m.
-        point: (3,) m.
-        wi: (3,) unit, from the point.
-
-    Returns:
-        The density, () in sr^-1; 0 where `wi` misses the front of the window.
-    """
+    """Density of the directions of `window_sample` for `u` uniform in the square, () in sr^-1; 0
+    where `wi` misses the front of the window."""
     at, hit = hit_window(Ray(point, wi), window)
     spread_u, spread_v = _spreads(window, point)
     per_place = _density(spread_u, at.u) * _density(spread_v, at.v)

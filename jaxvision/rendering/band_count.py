@@ -17,11 +17,8 @@ from ..scene import Light, Material
 def band_count(
     materials: Iterable[Material], lights: Iterable[Light], *, spectra: Iterable[jax.Array] = ()
 ) -> int:
-    """The number of bands that all share; a neutral spectrum, of one band, goes with any.
-
-    Raises:
-        ValueError: if they differ.
-    """
+    """The number of bands that all share, no unit; a neutral spectrum, of one band, goes with any,
+    and others that differ raise `ValueError`."""
     reflected = [(type(own).__name__, _reflected(own)) for own in _one_each(materials)]
     emitted = [_emitted(light) for light in _one_each(lights)]
     emitted += [spectrum.shape[-1] for spectrum in spectra]

@@ -32,7 +32,8 @@ _ROUNDING = 1e-6  # of a length in float32
 def scene_problems(
     scene: Scene, view: View, surfaces: Sequence[str], lights: Sequence[str]
 ) -> list[str]:
-    """One sentence for each problem of a scene.
+    """One sentence for each problem of a scene, which begins with the name of the surface or light;
+    none for a sound scene.
 
     Reports: the problems of each shape (`geometry.problems`, but for places far from the origin);
     closed meshes turned inside out; emitters without area and lights without direction; a scene
@@ -40,15 +41,6 @@ def scene_problems(
     hidden inside; a point light on a
     surface other than a mesh, which it would not light. Objects may lie inside glass or a two-sided
     surface: there the inside is seen, and a ray that starts in glass is taken to be in it.
-
-    Args:
-        scene: the scene.
-        view: the projection of the camera.
-        surfaces: name of each surface, for messages.
-        lights: name of each light, for messages.
-
-    Returns:
-        The sentences, each beginning with the name of the object; empty for a sound scene.
     """
     found = [
         f"{name}: {problem}"
@@ -97,17 +89,11 @@ def scene_problems(
 
 
 def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str]:
-    """One sentence for each lamp that lights no surface, whatever stands between.
+    """One sentence for each lamp that lights no surface, whatever stands between, which begins with
+    its name or, without names, its place in the scene.
 
     A lamp is idle if it is black, if all surfaces lie behind a flat lamp, or if all of them show it
     their back. Skies, light fields and lamps of your own are not looked at.
-
-    Args:
-        scene: surfaces and lights, with known numbers.
-        lights: name of each light; None: their places in the scene.
-
-    Returns:
-        The sentences, each beginning with the name of the lamp.
 
     Example:
         >>> floor = jv.Surface(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), jv.Lambert([0.25]))
@@ -183,17 +169,8 @@ def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
 
 
 def lost_numbers(exact: object, kept: object) -> list[str]:
-    """One sentence for each field whose numbers its dtype cannot hold.
-
-    A number is lost if it becomes infinite, or if a field becomes all zeros.
-
-    Args:
-        exact: the record before conversion.
-        kept: the record in the other dtype.
-
-    Returns:
-        The sentences.
-    """
+    """One sentence for each field whose numbers become infinite, or all zeros, in the dtype of
+    `kept`."""
     found = []
     fields = jax.tree_util.tree_leaves_with_path(exact)
     for (place, before), after in zip(fields, map(np.asarray, jax.tree.leaves(kept)), strict=True):
@@ -212,17 +189,10 @@ def lost_numbers(exact: object, kept: object) -> list[str]:
 
 
 def is_inside(shape: Shape, point: np.ndarray) -> bool:
-    """Whether a point lies within a closed shape.
+    """Whether a point, (3,) m, lies within a closed shape.
 
     A mesh counts as closed around the point where its triangles together cover most of all
     directions.
-
-    Args:
-        shape: the shape.
-        point: (3,) m.
-
-    Returns:
-        True if inside; False for shapes that are not closed.
 
     Source:
         van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Transactions on

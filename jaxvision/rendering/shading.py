@@ -128,15 +128,8 @@ def lighting(
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
     occluders: Shapes | None = None,
 ) -> Lighting:
-    """The light on one point of a surface, with all its shadows but those that follow a material.
-
-    Args:
-        lights, point, ambient, rule, occluders: as in `outgoing_radiance`, lengths in m.
-        leaving: how shadow rays leave the surface.
-
-    Returns:
-        What `reflected_radiance` needs, for any number of materials.
-    """
+    """The light on one point of a surface, m, with all its shadows but those that follow a
+    material: what `reflected_radiance` needs, for any number of materials."""
     rules = rule_of_each(lights, rule)
     place = visible = None
     if occluders is not None and (ready := sorted_shapes(occluders)).size is not None:
@@ -153,17 +146,11 @@ def reflected_radiance(
     *,
     tangent: Vector | None = None,
 ) -> Colour:
-    """The sum at the top of this file: (bands,) in W m^-2 sr^-1.
+    """The sum at the top of this file: (bands,) in W m^-2 sr^-1, 0 where `wo` lies below the
+    surface.
 
     The samples of one light, and more than eight lights at one place, are a loop over one piece of
     code; up to eight lights at one place are summed in one pass over the rays.
-
-    Args:
-        material, normal, wo, tangent: as in `outgoing_radiance`.
-        light: from `lighting`.
-
-    Returns:
-        (bands,) W m^-2 sr^-1, 0 where `wo` lies below the surface.
     """
     frame, viewer = in_frame(normal, wo, tangent)
     point, dtype = light.point, common_dtype(material, light, normal, wo)

@@ -110,18 +110,8 @@ class Bands:
 
 
 def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) -> Bands:
-    """The bands that a scene file asks for.
-
-    Args:
-        count: number of bands, or None: 3.
-        wavelengths: list or grid in nm, or None.
-
-    Returns:
-        The bands, wavelengths in m.
-
-    Raises:
-        InputError: the wavelengths do not ascend, or were meant in another unit.
-    """
+    """The bands that a scene file asks for, 3 by default; a list or a grid of wavelengths is in nm.
+    `InputError` for wavelengths that do not ascend, or were meant in another unit."""
     if wavelengths is None:
         return Bands(3 if count is None else count)
     if isinstance(wavelengths, Grid):
@@ -137,20 +127,8 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
 
 
 def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity) -> np.ndarray:
-    """A spectrum of a scene file in the bands of the scene.
-
-    Args:
-        spectrum: a number, a list of one per band, or a table.
-        bands: the bands of the scene.
-        folder: where the file's paths start.
-        quantity: "reflectance" or "light".
-
-    Returns:
-        (bands,) in the unit of the spectrum.
-
-    Raises:
-        InputError: another number of values than bands, or an unknown table.
-    """
+    """A spectrum of a scene file, of reflectance or light, (bands,) in its unit, in the bands of
+    the scene; `InputError` for another number of values than bands, and for an unknown table."""
     if isinstance(spectrum, Tabulated):
         return _tabulated(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))
@@ -163,19 +141,8 @@ def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quan
 
 
 def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndarray:
-    """Matrix from a spectrum at given wavelengths to the bands of the scene, before clipping.
-
-    Args:
-        known: (known,) m, ascending.
-        bands: the bands of the scene.
-        quantity: "reflectance" or "light".
-
-    Returns:
-        (known, bands), no unit.
-
-    Raises:
-        InputError: no wavelength of the scene lies within those that are known.
-    """
+    """Matrix, (known, bands), no unit, from a spectrum at ascending wavelengths, m, to the bands of
+    the scene, before clipping; `InputError` where no wavelength of the scene lies within them."""
     nm, wanted = known * 1e9, _samples(bands) * 1e9
     half = np.diff(wanted) / 2
     edges = np.r_[wanted[0] - half[0], wanted[:-1] + half, wanted[-1] + half[-1]]
@@ -290,15 +257,8 @@ def _samples(bands: Bands) -> np.ndarray:
 
 
 def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """Linear sRGB of a spectrum that is 1 at one wavelength and 0 at the others.
-
-    Args:
-        wavelengths: (wavelengths,) m.
-        quantity: "reflectance" or "light", as described above.
-
-    Returns:
-        (wavelengths, 3), relative.
-    """
+    """Linear sRGB, (wavelengths, 3), relative, of a spectrum of reflectance or light that is 1 at
+    one wavelength, m, and 0 at the others."""
     grid, each = jnp.asarray(wavelengths), jnp.eye(len(wavelengths))
     observer = colour_data.observer(grid)
     if quantity == "reflectance":

@@ -86,15 +86,8 @@ def idle(integrator: str, given: Mapping[str, Any]) -> list[str]:
 
 
 def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]:
-    """The materials and the keys of `[render]` in a file that change no picture.
-
-    Args:
-        content: of the file.
-        entry: the same, checked.
-
-    Returns:
-        A sentence each, without its stop.
-    """
+    """The materials and the keys of `[render]` in a file that change no picture, a sentence each,
+    without its stop; `entry` is the content, checked."""
     integrator = entry.render.integrator
     given = content.get("render", {})
     used = {surface.get("material") for surface in entry.surface}
@@ -108,20 +101,11 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
 
 
 def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
-    """Settings of a file with some values replaced.
+    """Settings of a file with those replaced that are given and not None; `InputError` for the
+    first that is out of range or belongs to another integrator.
 
     Samples and depth belong to the integrator beside which they were written: another integrator
     starts from its own defaults.
-
-    Args:
-        settings: those of the file.
-        given: replacements by name; None leaves a setting.
-
-    Returns:
-        The settings.
-
-    Raises:
-        InputError: the first value that is out of range or belongs to another integrator.
     """
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()

@@ -53,19 +53,13 @@ _NO_LENGTH = {"hz", "thz", "ev", "frequency", "energy"}
 
 
 def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths and values of one column of a CSV.
+    """Wavelengths, (n,) m, ascending, and values, (n,) in the unit of the file, of one column of a
+    CSV below a line of heads; lines before it may begin with #. A reflectance in % is given without
+    it.
 
-    Args:
-        file: columns separated by commas, below a line of heads; lines before it may begin with #.
-        column: head of the values; None for the only column that holds neither wavelengths nor an
-            index nor an uncertainty, or else the only one whose head names the quantity.
-        quantity: "reflectance" or "light".
-
-    Returns:
-        (n,) m, ascending, and (n,) in the unit of the file; a reflectance in % without it.
-
-    Raises:
-        InputError: heads that leave column or unit open, or rows that are no spectrum.
+    Without a column it is the only one that holds neither wavelengths nor an index nor an
+    uncertainty, or else the only one whose head names the quantity. `InputError` for heads that
+    leave column or unit open, and for rows that are no spectrum.
     """
     lines = plain_text(file).splitlines()
     first = next((n for n, line in enumerate(lines) if line.strip()[:1] not in ("", "#")), None)

@@ -278,14 +278,7 @@ def keys_of_kind(table: Table) -> dict[str, Key]:
 
 
 def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> Reading:
-    """How the tables of a scene file are read.
-
-    Args:
-        file: for messages.
-        bands: of the scene.
-        folder: where the file's paths start.
-        quantity: what a spectrum is of.
-    """
+    """How the tables of a scene file are read, with spectra of that quantity."""
 
     def typed(hint: Any, where: str, value: Any) -> Any:
         if hint == Colour:
@@ -332,21 +325,9 @@ def material_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Mater
 def surface_of(
     reading: Reading, where: str, entry: Mapping[str, Any], folder: Folder, dtype: str
 ) -> tuple[Shape, dict[str, Any]]:
-    """The shape of a table `[[surface]]` and what stands beside it.
-
-    Args:
-        reading: the file.
-        where: the table in it.
-        entry: the table.
-        folder: where the file's paths start.
-        dtype: of the rendering, for meshes.
-
-    Returns:
-        The shape; the name of the material, the emission and whether it is two-sided.
-
-    Raises:
-        InputError: for what cannot be a surface.
-    """
+    """The shape of the table `[[surface]]` at `where`, a mesh in the dtype of the rendering, and
+    what stands beside it: the name of the material, the emission and whether it is two-sided.
+    `InputError` for what cannot be a surface."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(beside_shape)
     values = _values(reading, where, beside | keys_of(make), rest)

@@ -39,17 +39,8 @@ _UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change what is se
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """The content of a glTF file as that of a TOML scene file.
-
-    Args:
-        file: `.gltf` or `.glb`.
-
-    Returns:
-        The tables by name.
-
-    Raises:
-        InputError: the first part that is not read, or is wrong.
-    """
+    """The tables of a TOML scene file, by name, with the content of a `.gltf` or `.glb`;
+    `InputError` for the first part that is not read, or is wrong."""
     content = content_of(file, read_gltf(file).content)
     for name in content.extensionsRequired or ():
         if name not in _EXTENSIONS:

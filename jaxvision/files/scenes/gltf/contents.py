@@ -201,18 +201,8 @@ class Content(Entry):
 
 
 def content_of(path: object, content: Mapping[str, Any]) -> Content:
-    """The JSON of a file as records.
-
-    Args:
-        path: the file, for messages.
-        content: its JSON.
-
-    Returns:
-        The content.
-
-    Raises:
-        InputError: the first key that is not read, or value that cannot be.
-    """
+    """The JSON of the file at `path` as records; `InputError` for the first key that is not read,
+    or value that cannot be."""
     try:
         return Content.model_validate(content)
     except ValidationError as error:

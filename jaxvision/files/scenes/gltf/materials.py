@@ -20,18 +20,8 @@ LEAST_ALPHA = 1e-6  # of a polished metal, as `TorranceSparrow` takes it
 
 
 def material_of(material: Material, label: str) -> dict[str, Any]:
-    """The keys of a material.
-
-    Args:
-        material: of glTF.
-        label: its name in messages.
-
-    Returns:
-        `family` and its numbers.
-
-    Raises:
-        InputError: a transparent material without an exact counterpart.
-    """
+    """`family` and the other keys of a material that messages call `label`; `InputError` for a
+    transparent one without an exact counterpart."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     colour, metal = np.array(surface.baseColorFactor[:3]), surface.metallicFactor
     factors = {
@@ -84,13 +74,6 @@ def _glass(material: Material, label: str) -> dict[str, Any]:
 
 
 def emission_of(material: Material) -> np.ndarray:
-    """What a material shines by itself.
-
-    Args:
-        material: of glTF.
-
-    Returns:
-        (3,) cd m^-2.
-    """
+    """What a material shines by itself, (3,) cd m^-2."""
     strength = material.extensions.KHR_materials_emissive_strength.emissiveStrength
     return strength * np.array(material.emissiveFactor)

@@ -10,18 +10,8 @@ from .contents import Content, Node
 
 
 def placed(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
-    """The nodes of the file's scene, parents first.
-
-    Args:
-        path: the file, for messages.
-        content: of the file.
-
-    Yields:
-        Name, node, and its (4, 4) map of points, as columns, to the world.
-
-    Raises:
-        InputError: a node that is not there, or is reached twice.
-    """
+    """The nodes of the file's scene, parents first: name, node, and its (4, 4) map of points, as
+    columns, to the world. `InputError` for a node that is not there, or is reached twice."""
     if not content.scenes:
         raise InputError("has no scene; export it again.")
     if content.scene >= len(content.scenes):

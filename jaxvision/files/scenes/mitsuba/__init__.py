@@ -30,17 +30,8 @@ _READ = ("shape", "bsdf", "emitter", "sensor", "integrator")
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """The content of a scene of Mitsuba as that of a TOML scene file.
-
-    Args:
-        file: XML.
-
-    Returns:
-        The tables by name.
-
-    Raises:
-        InputError: the first part that is not read, or is wrong.
-    """
+    """The tables of a TOML scene file, by name, with the content of a scene of Mitsuba;
+    `InputError` for the first part that is not read, or is wrong."""
     root = root_of(file)
     root.must_be_read(tags=_READ)
     sensors = root.within("sensor")

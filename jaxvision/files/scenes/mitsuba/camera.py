@@ -15,17 +15,8 @@ _UNUSED = ("near_clip", "far_clip", "shutter_open", "shutter_close")
 
 
 def camera_of(node: Node) -> tuple[dict[str, Any], int]:
-    """The keys of the camera.
-
-    Args:
-        node: of the `<sensor>`.
-
-    Returns:
-        `kind` and its numbers, m and degrees; samples a pixel.
-
-    Raises:
-        InputError: a camera that has no counterpart.
-    """
+    """The keys of the camera of a `<sensor>`, `kind` among them, in m and degrees, and samples a
+    pixel; `InputError` for a camera that has no counterpart."""
     kind = node.must_be(*SENSORS)
     rows, columns = _resolution(node.only("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))

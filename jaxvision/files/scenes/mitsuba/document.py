@@ -99,12 +99,8 @@ class Node:
         return self.kind
 
     def must_be_read(self, *, tags: tuple[str, ...] = (), without: tuple[str, ...] = ()) -> None:
-        """`InputError` for the first value or object within that nothing has taken.
-
-        Args:
-            tags: of the objects within that are read.
-            without: names of values that change nothing here.
-        """
+        """`InputError` for the first value or object within that nothing has taken; objects of
+        `tags` are read, values of the names `without` change nothing here."""
         for name in self.values:
             if name not in self._taken and name not in without:
                 hint = nearest(name, self._taken) if self._taken else "remove it"
@@ -121,16 +117,8 @@ class Node:
 
 
 def root_of(file: Path) -> Node:
-    """The root of a file.
-
-    Args:
-        file: of Mitsuba 0.5 or later; the names of the versions before 2 are changed to today's.
-
-    Returns:
-        The node of `<scene>`.
-
-    Raises:
-        InputError: it is not such a file, or names what it does not hold.
+    """The node of `<scene>` of a file of Mitsuba 0.5 or later; the names of the versions before 2
+    are changed to today's. `InputError` for another file, or one that names what it does not hold.
     """
     root = _parsed(file)
     if root.tag != "scene":

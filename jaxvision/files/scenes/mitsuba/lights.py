@@ -12,17 +12,8 @@ EMITTERS = ("point", "directional", "constant", "envmap")
 
 
 def light_entry(node: Node) -> dict[str, Any]:
-    """The keys of a light.
-
-    Args:
-        node: of an `<emitter>` of the scene.
-
-    Returns:
-        `kind` and its numbers; lengths in m.
-
-    Raises:
-        InputError: an emitter that has no counterpart.
-    """
+    """`kind` and the other keys of an `<emitter>` of the scene, lengths in m; `InputError` for one
+    that has no counterpart."""
     kind = node.must_be(*EMITTERS)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     match kind:

@@ -37,16 +37,8 @@ _INDICES = {
 
 
 def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
-    """The keys of a material.
-
-    Args:
-        node: of a `<bsdf>`; None: Mitsuba's default, diffuse with albedo 0.5.
-
-    Returns:
-        `family` and its numbers; whether both sides are fronts.
-
-    Raises:
-        InputError: a BSDF that has no counterpart.
+    """`family` and the other keys of a `<bsdf>`, of Mitsuba's default (diffuse with albedo 0.5)
+    without one, and whether both sides are fronts; `InputError` for a BSDF that has no counterpart.
     """
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False

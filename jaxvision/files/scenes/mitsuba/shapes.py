@@ -18,17 +18,8 @@ SHAPES = ("sphere", "rectangle", "disk", "cube", "obj", "ply")
 
 
 def shape_of(node: Node) -> dict[str, Any]:
-    """The keys of a shape.
-
-    Args:
-        node: of a `<shape>`.
-
-    Returns:
-        `shape` and its numbers, m.
-
-    Raises:
-        InputError: a shape, or a stretched one, that has no counterpart.
-    """
+    """`shape` and the other keys of a `<shape>`, m; `InputError` for a shape, or a stretched one,
+    that has no counterpart."""
     kind = node.must_be(*SHAPES)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     flip = node.take("flip_normals", bool, False)

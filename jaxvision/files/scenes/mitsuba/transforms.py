@@ -12,18 +12,8 @@ Affine = Float[np.ndarray, "4 4"]
 
 
 def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> Affine:
-    """The product of all steps, the last one applied last.
-
-    Args:
-        steps: each one's tag and attributes.
-        place: for messages.
-
-    Returns:
-        The map to the world.
-
-    Raises:
-        InputError: a step that is unknown, or without an inverse.
-    """
+    """The map to the world: the product of all steps, each with its tag and attributes, the last
+    one applied last. `InputError` for a step that is unknown, or without an inverse."""
     whole = np.eye(4)
     for tag, given in steps:
         whole = _step(tag, given, f"{place}, {tag}") @ whole
