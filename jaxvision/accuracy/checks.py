@@ -46,23 +46,9 @@ def settled(
     seconds: float,
     clock: Clock | None = None,
 ) -> tuple[Combination, bool]:
-    """The best combination, checked by fresh runs; one that they find beyond the tolerance or the
-    time is tightened.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs.
-        wanted: relative error; None: a time is given.
-        allowed: s; None: an error is given.
-        seconds: s, for the runs.
-        clock: seconds as a function; None: the machine's.
-
-    Returns:
-        The combination with error and time of those runs, and whether there was time for them.
-
-    Raises:
-        InputError: where no combination is within the tolerance or the time.
-    """
+    """The best combination with error and time of fresh runs, and whether there was time for them;
+    one that they find beyond the wanted error (relative) or the allowed time (s) is tightened.
+    `InputError` where no combination is within."""
     now = clock or time.perf_counter
     until = now() + seconds
     aim, within, off, slow = wanted, allowed, 1.0, 1.0
@@ -108,19 +94,9 @@ def checked(
     seconds: float,
     clock: Clock | None = None,
 ) -> Check | None:
-    """Error and time of a combination, by runs with fresh seeds against finer settings of all
-    knobs. What the settings of a bias in that reference are off by is added.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs.
-        best: the combination.
-        seconds: s, the time that is left.
-        clock: seconds as a function; None: the machine's.
-
-    Returns:
-        Error and time; None where time is too short for a reference of half of that error.
-    """
+    """Error and time of a combination, by runs of `seconds` at most with fresh seeds against finer
+    settings of all knobs; None where time is too short for a reference of half of that error. What
+    the settings of a bias in that reference are off by is added."""
     now = clock or time.perf_counter
     until = now() + seconds
     own = sum(

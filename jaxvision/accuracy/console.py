@@ -19,16 +19,9 @@ _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """Checks the options that all measuring commands share. What draws a page is imported here,
-    since an interrupted run still writes one and has little time for it.
-
-    Args:
-        seconds: s, to measure in.
-        out: folder of the page, or None.
-
-    Raises:
-        InputError: for no time, a file where a folder is to be, and one that cannot be written.
-    """
+    """`InputError` where a measuring command has no time, s, or is to write its page to a file's
+    name or where it cannot. What draws a page is imported here, since an interrupted run still
+    writes one and has little time for it."""
     if not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: give a time above 0.")
     if out is not None and out.exists() and not out.is_dir():
@@ -44,18 +37,7 @@ def check_request(seconds: float, out: Path | None) -> None:
 def repeating(
     command: str, what: object, *, knobs: Sequence[str], seconds: float, out: Path | None
 ) -> str:
-    """The line that measures the same again.
-
-    Args:
-        command: and sub-command.
-        what: scene or rig.
-        knobs: those asked for; none: all.
-        seconds: s, to measure in.
-        out: folder of the page, or None.
-
-    Returns:
-        Text for a shell.
-    """
+    """The line for a shell that measures the same again, of a scene or a rig; no knobs: all."""
     words = [*command.split(), str(what)]
     for knob in knobs:
         words += ["--knob", knob]
@@ -71,21 +53,8 @@ def show(
     command: str,
     as_json: bool = False,
 ) -> dict[str, Any]:
-    """Prints the table at once.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs, error against time in s.
-        together: settings of all of them, checked or not.
-        command: by which it can be repeated.
-        as_json: whether JSON is printed instead, by `print_json`.
-
-    Returns:
-        All that was measured, for JSON.
-
-    Raises:
-        InputError: where time was too short for any setting of any knob.
-    """
+    """Prints the table at once, or JSON, and returns all that was measured, for JSON; `InputError`
+    where time was too short for any setting of any knob."""
     if not any(curve.trials for curve in curves):
         raise InputError(
             f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "
@@ -107,16 +76,8 @@ def keep(
     command: str,
     as_json: bool = False,
 ) -> None:
-    """Writes the page and its numbers, where a folder is given.
-
-    Args:
-        out: folder of the page, or None.
-        problem: whose knobs they are.
-        curves: of the knobs, error against time in s.
-        together: settings of all of them, checked or not.
-        command: by which it can be repeated.
-        as_json: whether JSON is printed, and the files are not named.
-    """
+    """Writes the page and its numbers, where a folder is given, and names the files, but not beside
+    JSON."""
     if out is None:
         return
     for path in write_page(out, problem, curves, command=command, together=together):
@@ -125,23 +86,12 @@ def keep(
 
 
 def print_json(sheet: Mapping[str, Any]) -> None:
-    """Prints one JSON document.
-
-    Args:
-        sheet: numbers and text.
-    """
+    """Prints one JSON document."""
     print(json.dumps(sheet, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
 
 
 def in_columns(rows: Sequence[tuple[str, ...]]) -> str:
-    """Rows of cells as lines, columns below each other.
-
-    Args:
-        rows: of text, equally long.
-
-    Returns:
-        Lines; no unit.
-    """
+    """Rows of equally many cells as lines, columns below each other."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

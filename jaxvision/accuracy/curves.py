@@ -340,14 +340,7 @@ def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
 
 
 def pareto_of(trials: Sequence[Trial]) -> tuple[int, ...]:
-    """Indices of the trials that no other beats in both error and time.
-
-    Args:
-        trials: of one problem.
-
-    Returns:
-        The indices, fastest first; times in s.
-    """
+    """Indices of the trials that no other beats in both error and time, fastest first."""
     found: list[int] = []
     for i in sorted(range(len(trials)), key=lambda i: (trials[i].seconds, trials[i].error)):
         if not found or trials[i].error < trials[found[-1]].error:

@@ -77,28 +77,14 @@ def something_left_behind() -> bool:
 
 
 def wait_for_the_rest(left: Callable[[], float]) -> None:
-    """Waits until the threads that were left behind have ended, or the time is over.
-
-    Args:
-        left: s that are left for it.
-    """
+    """Waits until the threads that were left behind have ended, or the s `left` are over."""
     while something_left_behind() and left() > 0:
         _left_behind[0].ended.wait(TICK)
 
 
 def in_time(work: Callable[[], Any], left: Callable[[], float]) -> Any:
-    """What some work returns, unless its time is over before.
-
-    Args:
-        work: a function without arguments; nothing that it changes may matter to who leaves it.
-        left: s that are left for it; infinite where it may take as long as it likes.
-
-    Returns:
-        Its result.
-
-    Raises:
-        OutOfTime: where nothing was left before it ended.
-    """
+    """What some work returns; `OutOfTime` where the s that are `left` end before. Nothing that it
+    changes may matter to who leaves it."""
     if np.isinf(left()):
         return work()
     hand, job = _idle.pop() if _idle else _Hand(), _Job(work)

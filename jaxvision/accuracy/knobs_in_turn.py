@@ -15,19 +15,8 @@ KEPT = 0.5  # the same of a problem that keeps its programs
 
 
 def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
-    """The knobs to turn, by the names that a user gives.
-
-    Args:
-        of: what is measured, the beginning of a complaint.
-        names: those asked for; None: all.
-        known: those that change it.
-
-    Returns:
-        Names of knobs.
-
-    Raises:
-        InputError: for one that is not known.
-    """
+    """The names of knobs to turn, of those known: those asked for, or all; `InputError` for one
+    that is not known, which begins with what is measured."""
     for name in names or ():
         if name not in known:
             words = ", ".join(repr(one) for one in known)
@@ -43,21 +32,12 @@ def in_turn(
     worth: float = WORTH,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """Measure the curves of several knobs with equal shares of the time. An interrupt keeps the
-    finished curves.
+    """Measure the curves of several knobs, by `measure` from a name and its share of the s in all,
+    with equal shares. An interrupt keeps the finished curves.
 
     The remaining time goes to knobs whose share was too short, such as one that compiles a new
-    program for each setting. They are measured again, those with the fewest settings first.
-
-    Args:
-        names: of the knobs.
-        measure: from a name and its share of the time, s, to the curve.
-        seconds: s, for all.
-        worth: the remaining time in shares that is needed to measure a knob again.
-        clock: seconds as a function; None: the machine's.
-
-    Returns:
-        The curves.
+    program for each setting. They are measured again, those with the fewest settings first, while
+    `worth` shares remain.
     """
     now = clock or time.perf_counter
     until = now() + seconds

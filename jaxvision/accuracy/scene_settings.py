@@ -270,11 +270,8 @@ def _remembered(source: SceneFile, tolerance: float | None, render_seconds: floa
 
 
 def machine() -> str:
-    """The machine that measured times belong to: processor, cores that may be used, and JAX.
-
-    Returns:
-        One line of text.
-    """
+    """The machine that measured times belong to, in a line: processor, cores that may be used, and
+    JAX."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

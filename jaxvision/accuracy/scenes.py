@@ -72,15 +72,7 @@ def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
 
 
 def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
-    """`[render]` with knobs turned.
-
-    Args:
-        settings: as they were.
-        turned: settings by the name of the knob, each in the knob's unit.
-
-    Returns:
-        The settings as they are then.
-    """
+    """`[render]` with knobs turned, each setting in its knob's unit."""
     update: dict[str, Any] = {}
     for name, value in turned.items():
         if name == "rule":

@@ -87,19 +87,9 @@ class Session:
         wait_for_the_rest(lambda: until - self.taken)
 
     def call(self, setting: Any, seed: int, *, within: float = np.inf) -> Point:
-        """Runs a setting once more, and keeps time and result.
-
-        Args:
-            setting: of the knob.
-            seed: of the call.
-            within: s, that it may take at most; never more than what is left.
-
-        Returns:
-            The calls of the setting.
-
-        Raises:
-            OutOfTime: where it was left behind; what was known of the setting stays.
-        """
+        """Runs a setting once more, within that many s and what is left, and gives its calls with
+        time and result; `OutOfTime` where it was left behind, and what was known of the setting
+        stays."""
         begun, beside = self.clock(), something_left_behind()
         point = self.points.get(setting) or Point(setting)
 
@@ -221,18 +211,10 @@ def part_seconds(problem: Problem, seconds: float) -> float:
 
 
 def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> float:
-    """s of the next setting, by the growth from one to the next before it: as a power of the
+    """s of the next setting, no less than the last of those before, (setting, s) in the order in
+    which they were run, and 0 without any: by the growth from one to the next, as a power of the
     setting or as a factor, whichever makes it more. Of the last two steps the lesser growth counts,
-    so that one slow setting does not keep those behind it from being run.
-
-    Args:
-        before: (setting, s) in the order in which they were run.
-        setting: the next.
-        power: of the setting, where one alone was run.
-
-    Returns:
-        s, no less than the last; 0 where none was run.
-    """
+    so that one slow setting does not keep those behind it from being run."""
     if not before:
         return 0.0
     last, taken = before[-1]

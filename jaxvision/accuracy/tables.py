@@ -79,14 +79,7 @@ def _all(together: Together) -> str:
 
 
 def in_seconds(seconds: float) -> str:
-    """A time with two digits that count.
-
-    Args:
-        seconds: s.
-
-    Returns:
-        Text in ms, s, min or h.
-    """
+    """A time with two digits that count, as text in ms, s, min or h."""
     if seconds < 0.1:
         return f"{1e3 * seconds:.2g} ms"
     if seconds < 600:
@@ -95,14 +88,7 @@ def in_seconds(seconds: float) -> str:
 
 
 def in_percent(error: float) -> str:
-    """A relative error with two digits that count.
-
-    Args:
-        error: relative.
-
-    Returns:
-        Text in percent.
-    """
+    """A relative error with two digits that count, as text in percent."""
     return f"{100 * error:.0f} %" if error >= 1 else f"{100 * error:.2g} %"
 
 
@@ -153,17 +139,8 @@ def as_dict(
     together: Sequence[Together] | None = None,
     **more: Any,
 ) -> dict[str, Any]:
-    """Return all measurements for JSON. A number that is not finite becomes null.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs.
-        together: from `all_together`; None: without checks.
-        more: further entries, such as the machine.
-
-    Returns:
-        Numbers and text; times in s, errors relative.
-    """
+    """Return all measurements, and more such as the machine, for JSON: times in s, errors relative.
+    A number that is not finite becomes null."""
     sheet: dict[str, Any] = {
         "problem": problem.name,
         "about": problem.about,
@@ -209,14 +186,8 @@ def _finite(value: Any) -> Any:
 
 
 def choice_in_words(chosen: Chosen) -> str:
-    """What was chosen for a render, in one sentence or two.
-
-    Args:
-        chosen: from `settings`.
-
-    Returns:
-        The settings, the promised error in percent, and the predicted time in s.
-    """
+    """What was chosen for a render, in one sentence or two: the settings, the promised error in
+    percent, and the predicted time in s."""
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
     how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
     said = (

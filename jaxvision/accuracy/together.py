@@ -35,15 +35,8 @@ class Together:
 
 
 def turned_together(problem: Problem, curves: Sequence[Curve]) -> list[Curve]:
-    """The curves of the knobs that stand at a setting of the problem while others are turned.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs, error against time in s.
-
-    Returns:
-        Those, or none where there are fewer than two.
-    """
+    """The curves of the knobs that stand at a setting of the problem while others are turned; none
+    where there are fewer than two."""
     found = [curve for curve in curves if curve.knob.name in problem.settings]
     return found if len(found) > 1 else []
 
@@ -55,17 +48,8 @@ def all_together(
     seconds: float = 0.0,
     clock: Clock | None = None,
 ) -> tuple[Together, ...]:
-    """The cheapest combination of settings for each of `TOLERANCES`. An interrupt ends the checks.
-
-    Args:
-        problem: whose knobs they are.
-        curves: of the knobs.
-        seconds: s, for the checks, the widest tolerance first.
-        clock: seconds as a function; None: the machine's.
-
-    Returns:
-        One for each tolerance; none for fewer than two knobs.
-    """
+    """The cheapest combination of settings for each of `TOLERANCES`, checked for that many s, the
+    widest tolerance first; none for fewer than two knobs. An interrupt ends the checks."""
     known = turned_together(problem, curves)
     if not known:
         return ()

@@ -114,16 +114,8 @@ class _Group(TyperGroup):
 def command_app(
     name: str, about: str, *, elsewhere: Mapping[str, str] | None = None
 ) -> typer.Typer:
-    """A command to which sub-commands are added.
-
-    Args:
-        name: as it is typed.
-        about: one sentence, the head of its help.
-        elsewhere: the command that has a sub-command of that name, by the name.
-
-    Returns:
-        The command; it knows `--help`, `--version` and `--verbose`.
-    """
+    """A command to which sub-commands are added, with `--help`, `--version` and `--verbose`;
+    `elsewhere` says, by the name of a sub-command, which other command has it."""
     app = typer.Typer(
         name=name,
         cls=_Group,
@@ -158,15 +150,8 @@ def command_app(
 def sub_command(
     app: typer.Typer, *examples: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that adds a function to a command.
-
-    Args:
-        app: the command, of `command_app`.
-        *examples: lines that its help shows at the end, as one would type them.
-
-    Returns:
-        A decorator; the docstring of what it decorates is the help, in one paragraph.
-    """
+    """Decorator that adds a function to a command; its docstring is the help, in one paragraph, and
+    the examples stand at the end of that, as one would type them."""
 
     def added(function: Callable[..., None]) -> Callable[..., None]:
         sentences = " ".join((function.__doc__ or "").split())
@@ -236,21 +221,13 @@ class _Elapsed(logging.Formatter):
 
 @contextmanager
 def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") -> Iterator[None]:
-    """Context in which errors that a user can correct end the command with one line.
+    """Context in which errors that a user can correct end the command with one line, which begins
+    with its name.
 
-    Input errors and file errors end with exit status 2, an interrupt with 130. A warning becomes
-    one line; of warnings that many files share, the first is printed, and then their number. A
-    command whose output is no longer read ends without a line, with 141.
-
-    Args:
-        command: name of the command, the beginning of each line.
-        interrupted: sentence for an interrupt that has none of its own.
-
-    Returns:
-        A context manager.
-
-    Raises:
-        typer.Exit: in place of `InputError`, `OSError` and `KeyboardInterrupt`.
+    Input errors and file errors end with exit status 2, an interrupt with 130 and `interrupted`,
+    unless it has a sentence of its own. A warning becomes one line; of warnings that many files
+    share, the first is printed, and then their number. A command whose output is no longer read
+    ends without a line, with 141.
     """
     say_if_interrupted(interrupted)
     alike: Counter[str] = Counter()
@@ -285,13 +262,8 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
 
 
 def print_table(title: str, records: Sequence[Any]) -> None:
-    """Prints dataclasses of one kind as tables: a row a field, a column a record, as many side by
-    side as fit 80 columns.
-
-    Args:
-        title: above it.
-        records: one or more; the field `name` is text, the others are numbers.
-    """
+    """Prints dataclasses of one kind, whose field `name` is text and others are numbers, as tables:
+    a row a field, a column a record, as many side by side as fit 80 columns."""
     from rich.console import Console
     from rich.table import Table
 
@@ -314,15 +286,7 @@ def print_table(title: str, records: Sequence[Any]) -> None:
 
 
 def leave(command: str, sentence: str, status: int) -> NoReturn:
-    """Prints one line on standard error and ends the command.
-
-    Args:
-        command: name of the command, the beginning of the line.
-        sentence: what went wrong and what to do.
-        status: exit status.
-
-    Raises:
-        typer.Exit: always.
-    """
+    """Prints one line on standard error, the command's name and what went wrong and what to do, and
+    ends the command with that exit status."""
     print(f"{command}: {sentence}", file=sys.stderr)
     raise typer.Exit(status)

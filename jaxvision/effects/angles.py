@@ -43,15 +43,9 @@ def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 def lobe_angles(
     cells: Cells, eye: Eye, wi: np.ndarray, width: np.ndarray, cos_i: np.ndarray
 ) -> Angles:
-    """The angles of lobes toward the eye.
-
-    Args:
-        cells: c of them.
-        eye: where they are seen from.
-        wi: (c, s, 3) unit, toward the middle of each place of light.
-        width: (c, s) rad, by how much that varies.
-        cos_i: (c, s), the largest cosine of incidence.
-    """
+    """The angles of lobes of c cells toward the eye, for light from `wi`, (c, s, 3) unit toward the
+    middle of each place, which varies by `width`, (c, s) rad, with the largest cosine of incidence
+    `cos_i`, (c, s)."""
     wo, seen = toward_eye(cells, eye)
     axis, wo, spread, seen = cells.axis[:, None], wo[:, None], cells.spread[:, None], seen[:, None]
     mirrored = 2 * (wi * axis).sum(-1, keepdims=True) * axis - wi

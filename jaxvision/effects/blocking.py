@@ -151,17 +151,9 @@ def may_block(
     occluders: Sequence[int] | None = None,
     wanted: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Whether a surface can come between a light and a lit point of a surface.
-
-    Args:
-        sources: the lights.
-        surfaces: of the scene.
-        occluders: numbers of the surfaces that block at all; None: all.
-        wanted: (lights, receivers), the pairs that matter; None: all.
-
-    Returns:
-        (lights, receivers, occluders); False is certain, but for the rounding of coordinates.
-    """
+    """Whether a surface can come between a light and a lit point of a surface: (lights, receivers,
+    occluders), where False is certain, but for the rounding of coordinates. `occluders` numbers the
+    surfaces that block at all, `wanted`, (lights, receivers), the pairs that matter; None: all."""
     n = len(surfaces)
     may = np.zeros((len(sources), n, n), bool)
     may[:, :, list(range(n)) if occluders is None else list(occluders)] = True

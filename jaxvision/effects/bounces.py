@@ -37,15 +37,8 @@ _MOST = 400  # pieces after which a sum that does not settle has no bound
 
 
 def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
-    """Rows "bounces", of the shortest paths first: what paths of more pieces than n add at most.
-
-    Args:
-        sums: of the scene.
-        depth: pieces of the longest path that is followed; None: direct light, no rows.
-
-    Returns:
-        The rows; bounds in W m^-2 sr^-1.
-    """
+    """Rows "bounces", of the shortest paths first, for each n what paths of more pieces add at
+    most, W m^-2 sr^-1; none for direct light, `depth` None."""
     if depth is None:
         return ()
     onward, wanted = Onward(sums, depth), shorter(depth)
@@ -70,14 +63,8 @@ def shorter(depth: int) -> list[int]:
 
 
 def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
-    """The row of paths of at most so many pieces.
-
-    Args:
-        amount: (bands,) W m^-2 sr^-1 that longer ones add at most.
-        pieces: that are left.
-        depth: that were followed.
-        assumes: "" where that is proved, else what an estimate rests on.
-    """
+    """The row of paths of at most `pieces` of the `depth` pieces that were followed; longer ones
+    add at most `amount`, (bands,) W m^-2 sr^-1, which is proved where `assumes` is ""."""
     bound = float(np.max(amount))
     why = f"paths of at most {pieces} pieces"
     rank = "estimate" if assumes else "exact" if bound == 0 else "bound"
@@ -134,16 +121,9 @@ class Onward:
     def __call__(
         self, cells: np.ndarray, around: np.ndarray | None = None, *, pieces: int = DIRECT
     ) -> np.ndarray:
-        """What cells send to the eye in the end.
-
-        Args:
-            cells: (c, bands) W m^-2 sr^-1 that they send to the eye at first.
-            around: the same toward any viewer; None: no more.
-            pieces: of the paths of that light.
-
-        Returns:
-            (c, bands) W m^-2 sr^-1.
-        """
+        """What cells send to the eye in the end, (c, bands) W m^-2 sr^-1, of what they send there
+        at first by paths of that many pieces; `around` is the same toward any viewer, None: no
+        more."""
         if self.depth is None:
             return cells
         least = self._of_surfaces(cells if around is None else around)

@@ -221,14 +221,8 @@ def _rows(certificate: Certificate) -> Iterable[tuple[str, tuple[str, ...]]]:
 
 
 def summary(certificate: Certificate) -> str:
-    """A certificate in one sentence.
-
-    Args:
-        certificate: from `prune`.
-
-    Returns:
-        How much was dropped, and the bound in the certificate's unit (relative, DN or sigma).
-    """
+    """A certificate in one sentence: how much was dropped, and the bound in its unit (relative, DN
+    or sigma)."""
     c, unit = certificate, "" if certificate.unit == "relative" else f" {certificate.unit}"
     count = len(c.dropped) + len(c.kept)
     line = (

@@ -207,17 +207,8 @@ def lipschitz(development: Development | None) -> Factor:
 
 
 def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
-    """The rows of a development: only steps that are the identity can go.
-
-    Args:
-        development: at both ends of what may change.
-
-    Returns:
-        A row for each step that is present; bounds in DN of the raw data.
-
-    Raises:
-        ValueError: for a development with traced numbers.
-    """
+    """A row for each step of a development that is present, bounds in DN of the raw data: only
+    steps that are the identity can go. `ValueError` for traced numbers."""
     refuse_tracers(development)
     low, high = development
     if low is None or high is None:

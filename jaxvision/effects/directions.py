@@ -20,15 +20,8 @@ from .sums import Sums, lobe_sent, pictured
 
 def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
     """The most by which the radiance of any point in the picture differs between two points of the
-    lens.
-
-    Args:
-        sums: of the scene, as the lens sees it.
-        onward: what light does after its first reflection.
-
-    Returns:
-        (bands,) W m^-2 sr^-1; 0 of a pinhole, inf where a mirror or glass is in view.
-    """
+    lens, (bands,) W m^-2 sr^-1: 0 of a pinhole, inf where a mirror or glass is in view; `onward` is
+    what light does after its first reflection."""
     eye, cells, of_cell = sums.eye, sums.cells, sums.cells.surface
     radius = eye.size - eye.moves
     if radius <= 0:

@@ -15,14 +15,8 @@ from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
 
 
 def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Electrons that an irradiance frees in the pixel that sees most of it.
-
-    Args:
-        sensor: its fields by name, None where they are gone.
-        irradiance: (bands,) W m^-2, or photons s^-1 per pixel.
-
-    Returns:
-        Electrons per exposure.
+    """Electrons per exposure that an irradiance, (bands,) W m^-2, or photons s^-1 per pixel, frees
+    in the pixel that sees most of it; the sensor is its fields by name, None where they are gone.
     """
     electrons = np.asarray(irradiance, float)
     conversion = sensor["photon_conversion"]
@@ -51,14 +45,9 @@ def exposure(sensor: Mapping[str, Any]) -> float:
 
 
 def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
-    """Variance of each source of noise behind the conversion that every pixel has.
-
-    Args:
-        sensor: its fields by name, None where they are gone.
-
-    Returns:
-        electrons^2 by the name of the field; pattern and temporal noise alike.
-    """
+    """Variance, electrons^2 by the name of the field, of each source of noise behind the conversion
+    that every pixel has, pattern and temporal noise alike; the sensor is its fields by name, None
+    where they are gone."""
     found = {}
     for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise"):
         if sensor[name] is not None:
@@ -81,14 +70,8 @@ def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
 
 
 def kernel_slopes(kernel: Any) -> float:
-    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets, of rows and columns together.
-
-    Args:
-        kernel: (rows, columns) per electron, at offsets of 0, 1, ... rows and columns.
-
-    Returns:
-        Per electron.
-    """
+    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets of 0, 1, ... rows and columns,
+    of both together, per electron."""
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
     whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)
     return float(sum(np.abs(np.diff(whole, axis=axis)).sum() for axis in (0, 1))) / 2

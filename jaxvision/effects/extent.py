@@ -26,16 +26,9 @@ _NEAREST = 0.9  # of half the diagonal over the distance
 
 
 def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
-    """What it changes at most on each cell, the small light, and the reason.
-
-    Args:
-        sums: of the scene.
-        k: number of an extended light with a window.
-
-    Returns:
-        (c, bands) W m^-2 sr^-1; the light of (bands,) W sr^-1, or None where the lamp must stay;
-        a few words.
-    """
+    """What an extended light k with a window changes at most on each cell when it is small, (c,
+    bands) W m^-2 sr^-1; the small light of (bands,) W sr^-1, or None where the lamp must stay; and
+    the reason."""
     nothing = np.zeros((len(sums.seen), sums.spectrum.shape[1]))
     own = sums.sources[k]
     if not own.even:

@@ -85,15 +85,8 @@ def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
 def of_lobes(
     arrived: Arrived, source: Source, lobes: Sequence[Lobe | None], cells: Cells, eye: Eye
 ) -> np.ndarray:
-    """(c,) sup of E f_r cos / k_s, per unit of the source's spectrum, toward the eye.
-
-    Args:
-        arrived: of the cells, from `source`.
-        source: the light.
-        lobes: of each surface; None: none.
-        cells: of all surfaces; lengths in m.
-        eye: where they are seen from.
-    """
+    """(c,) sup of E f_r cos / k_s of the lobes of each surface (None: none), per unit of the
+    source's spectrum, toward the eye; lengths in m."""
     found, e = np.zeros(len(cells.radius)), arrived.e
     has = np.array([own is not None for own in lobes], bool)[cells.surface]
     angles = None

@@ -30,21 +30,13 @@ def scene_rows(
     whole_paths: bool = False,
     caustics: bool = False,
 ) -> tuple[tuple[Row, ...], Arriving]:
-    """All rows of a scene, and what arrives at the camera at most.
+    """All rows of a scene between its two ends, at rest, and what arrives at the camera at most.
 
-    Args:
-        scene, view: at their two ends, at rest.
-        depth: pieces of the longest path, or None: direct light.
-        motion: as in `capture`, or None.
-        sensor: whose exposure time and shutter place the moments, s.
-        moments: of a motion.
-        estimates: whether what long paths add is also probed, in a small picture.
-        whole_paths: whether paths are followed whatever the depth, so that none can be cut.
-        caustics: whether paths start at the lights, too.
-
-    Returns:
-        Rows and `Arriving`. A scene that moves keeps its lights and its bands, which a motion may
-        name by number.
+    Exposure time and shutter of the sensor place the moments of a motion, s; `depth` is that of the
+    longest path, None: direct light. `estimates`: what long paths add is also probed, in a small
+    picture; `whole_paths`: paths are followed whatever the depth, so that none can be cut;
+    `caustics`: paths start at the lights, too. A scene that moves keeps its lights and its bands,
+    which a motion may name by number.
     """
     rows, arriving, sums = scene_stage(scene, view, depth=depth, caustics=caustics)
     if motion is None or sensor.exposure_time is None:

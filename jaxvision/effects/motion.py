@@ -50,21 +50,9 @@ def motion_stage(
     sensor: Ends[Sensor],
     moments: int | None,
 ) -> tuple[Row, ...]:
-    """The rows of a motion and of a rolling shutter.
-
-    Args:
-        scene: at rest, at both ends of what may change.
-        view: likewise.
-        motion: as in `capture`, or None.
-        sensor: exposure time and shutter, at both ends.
-        moments: how many moments of the exposure are rendered.
-
-    Returns:
-        "motion" if there is one, and "sensor.shutter" if there is one.
-
-    Raises:
-        ValueError: for records with traced numbers.
-    """
+    """The rows "motion" and "sensor.shutter", where there are such, of a scene at rest and that
+    many moments of the exposure, all at both ends of what may change; `ValueError` for traced
+    numbers."""
     refuse_tracers(scene, view, sensor)
     shutter = sensor.high.shutter
     if motion is None:
@@ -91,16 +79,7 @@ def motion_stage(
 
 
 def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
-    """The times at which a motion is asked.
-
-    Args:
-        sensor: with an exposure time.
-        rows: of the picture.
-        moments: how many.
-
-    Returns:
-        (moments,) s.
-    """
+    """The times, (moments,) s, at which a motion is asked for a picture of that many rows."""
     assert sensor.exposure_time is not None
     times, _ = exposure_slots(sensor.shutter, sensor.exposure_time, rows=rows, slots=moments)
     return np.asarray(times, float)
@@ -109,17 +88,8 @@ def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
 def moved(
     motion: Motion, scene: Scene, view: View, times: Sequence[float] | np.ndarray
 ) -> tuple[float, bool, str]:
-    """How far anything moves from where it rests.
-
-    Args:
-        motion: as in `capture`.
-        scene: at rest.
-        view: at rest.
-        times: s, all at which the motion is asked.
-
-    Returns:
-        Pixels, inf where it is not bounded; whether nothing at all changes; and why.
-    """
+    """How far anything moves from where it rests at any of the times, s: pixels, inf where it is
+    not bounded; whether nothing at all changes; and why."""
     farthest, still = 0.0, True
     dtype = view.pixel_pitch.dtype
     for time in times:
@@ -186,11 +156,7 @@ def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray
 
 def steepest_slope(view: View) -> float:
     """Slope of the chief ray of the picture's farthest corner; with distortion, of any pixel on its
-    border.
-
-    Args:
-        view: a pinhole or a lens.
-    """
+    border."""
     assert not isinstance(view, Orthographic)
     height, width = view.resolution
     across, down = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5

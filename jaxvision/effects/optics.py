@@ -45,20 +45,8 @@ GEOMETRY = {
 def optics_stage(
     view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
 ) -> tuple[tuple[Row, ...], OnSensor]:
-    """The rows of a view, and the light that reaches the sensor.
-
-    Args:
-        view: at both ends of what may change.
-        arriving: radiance and depths of what is in the picture.
-        samples: `PixelSamples` of the picture, or None.
-        oversampling: of `Sensor.pixel_aperture`: the lens acts on the finer grid.
-
-    Returns:
-        A row for each part that is present, and irradiance and opening at most.
-
-    Raises:
-        ValueError: for a view with traced numbers.
-    """
+    """A row for each part of a view that is present, and irradiance and opening on the sensor at
+    most; the lens acts on a grid finer by `oversampling`. `ValueError` for traced numbers."""
     refuse_tracers(view)
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view, oversampling)
@@ -154,11 +142,8 @@ _brightness_of = jax.jit(sensor_irradiance)
 
 def opening_of(view: View) -> float:
     """W m^-2 per W m^-2 sr^-1 on the axis: pi / (4 N^2), or the aperture's area over the square of
-    the distance to the sensor; 1 for a view that passes radiance on.
-
-    Args:
-        view: its rim, distortion and diffraction are not looked at.
-    """
+    the distance to the sensor; 1 for a view that passes radiance on. Rim, distortion and
+    diffraction are not looked at."""
     if isinstance(view, ThinLens):
         area = float(aperture_area(view.aperture, view.focal_length / view.f_number))
         return area * float(sensor_vergence(view)) ** 2
@@ -242,16 +227,10 @@ def diffraction(
 
 
 def on_pixel(width: np.ndarray) -> np.ndarray:
-    """Share of Airy's pattern that falls on the pixel in its middle: the least of any pattern that
-    is no wider.
+    """Share of Airy's pattern, (...) no unit, that falls on the pixel in its middle for a `width`
+    of lambda N in pixels: the least of any pattern that is no wider.
 
         1 - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds   around the pixel
-
-    Args:
-        width: (...) lambda N in pixels.
-
-    Returns:
-        (...) of all light, no unit.
 
     Source:
         Rayleigh's encircled energy and Gauss's theorem; Born and Wolf, Principles of Optics,
@@ -267,20 +246,13 @@ def on_pixel(width: np.ndarray) -> np.ndarray:
 
 
 def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) -> float:
-    """The farthest that a ray is off, pixels: r z_i |1 / z - 1 / z_f| over the pitch.
+    """The farthest that a ray is off between the depths `near` and `far`, m, pixels: r z_i |1 / z -
+    1 / z_f| over the pitch, times by which distortion magnifies small distances at most; inf where
+    things touch the lens.
 
     r is that of the aperture's farthest point; of a round one, this is half the largest circle of
     confusion. It is monotone in 1 / z, in the focal length, the f-number and the focus distance, so
     that the ends of what is in view and of what may change hold the largest.
-
-    Args:
-        view: thin lenses.
-        near: m along the axis, the least depth in the picture.
-        far: m, the largest; inf is allowed.
-        wider: by which distortion magnifies small distances at most.
-
-    Returns:
-        Pixels; inf where things touch the lens.
 
     Source:
         Szeliski, Computer Vision, section 2.2.3.
@@ -300,16 +272,9 @@ def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) ->
 
 
 def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
-    """By how much distortion magnifies small distances on the sensor at most: the norm of its
-    derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r.
-
-    Args:
-        view: the lens.
-        steepest: r, the largest slope of a chief ray in the picture.
-
-    Returns:
-        Relative, at least 1.
-    """
+    """By how much distortion magnifies small distances on the sensor at most, relative, >= 1: the
+    norm of its derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r, r being the largest
+    slope of a chief ray in the picture."""
     if view.distortion is None:
         return 1.0
     radial = np.abs(np.asarray(view.distortion.radial, float))

@@ -53,16 +53,10 @@ class Charge:
 
 
 def excess(charge: Charge, level: float) -> Excess:
-    """By how much a charge exceeds a level.
+    """Bounds on mean and rms of (N - w)+, by how much a charge exceeds a level w, electrons; inf is
+    never exceeded.
 
     Beside Chernoff's bounds stand those of the variance: E (N - w)+^2 <= var + (mean - w)+^2.
-
-    Args:
-        charge: the random charge.
-        level: w, electrons; inf is never exceeded.
-
-    Returns:
-        Bounds on mean and rms of (N - w)+.
     """
     if math.isinf(level):
         return Excess(0.0, 0.0)
@@ -117,12 +111,6 @@ def _tail_mean(rms: float) -> float:
 
 
 def sensitivity_bias(prnu: float) -> float:
-    """What cutting the pixels' sensitivities at 0 adds to their mean.
-
-    Args:
-        prnu: their relative rms before.
-
-    Returns:
-        Relative to the mean sensitivity, no unit.
-    """
+    """What cutting the pixels' sensitivities of relative rms `prnu` at 0 adds to their mean,
+    relative to it."""
     return max(_tail_mean(prnu), 0.0)

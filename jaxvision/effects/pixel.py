@@ -330,14 +330,11 @@ class Pixel:
         return min(rows * trail * columns, pixels)
 
     def moved(self, by: float, *, patterned: bool) -> float:
-        """DN by which charge that comes or goes moves a pixel's law.
+        """DN by which `by` electrons d of charge that comes or goes, weighted by the pixels'
+        sensitivities where `patterned`, move a pixel's law.
 
         The mean moves by d, the pattern of sensitivities by p d, and the variance of what is
         counted by d, which shows most in the darkest pixel: sqrt(V + d) - sqrt(V).
-
-        Args:
-            by: d, electrons.
-            patterned: whether the charge is weighted by the pixels' sensitivities.
         """
         if not math.isfinite(by):
             return INF
@@ -347,17 +344,12 @@ class Pixel:
         return self.read(math.hypot(mean, noise) + cut)
 
     def at_the_well(self, by: float) -> tuple[float, float]:
-        """What a full well changes in the distance of two charges, before and after a change of d.
+        """What a full well changes in the distance of two charges, before and after a change of d
+        electrons: the largest V to be counted on, electrons^2, and electrons to be added.
 
         Where it is hardly reached, cutting off either moves it by the excess at most. Otherwise,
         laws that are cut come nearer to each other; but then the noise beside the change is that of
         the light alone, at least a quarter of the well where that matters.
-
-        Args:
-            by: d, electrons.
-
-        Returns:
-            The largest V to be counted on, electrons^2, and electrons to be added.
         """
         if self.spilt.rms <= 1e-3 * by:
             return INF, 2 * self.spilt.rms
@@ -376,14 +368,8 @@ def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
 def pixel_of(
     sensor: Ends[Sensor], irradiance: np.ndarray, shape: tuple[int, int], gone: Gone
 ) -> Pixel:
-    """The sensor without what is gone.
-
-    Args:
-        sensor: at both ends of what may change.
-        irradiance: (bands,) W m^-2, the supremum over all pixels.
-        shape: (rows, columns).
-        gone: names of what was left out, such as "sensor.read_noise".
-    """
+    """The sensor, of (rows, columns), without what is gone, by names such as "sensor.read_noise",
+    under an irradiance of at most (bands,) W m^-2 on any pixel."""
 
     def left(of: Sensor) -> Mapping[str, Any]:
         fields = vars(of).items()

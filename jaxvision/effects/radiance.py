@@ -41,17 +41,11 @@ _SAVES = {"light": 0.3, "shadows": 0.4, "lobe": 0.2, "extent": 0.9, "own": 0.02}
 def scene_stage(
     scene: Ends[Scene], view: Ends[View], *, depth: int | None = None, caustics: bool = False
 ) -> tuple[tuple[Row, ...], Arriving, Sums]:
-    """The rows of a scene, what arrives at the camera at most, and the suprema behind both.
+    """The rows of a scene between its two ends, what arrives at the camera at most, W m^-2 sr^-1,
+    and the suprema behind both.
 
-    Args:
-        scene: at its two ends.
-        view: likewise; lengths in m.
-        depth: pieces of the longest path that is followed, for light that goes on from surface to
-            surface; None: direct light, as `render` shows it.
-        caustics: whether paths start at the lights, too.
-
-    Returns:
-        Rows, `Arriving` (radiance in W m^-2 sr^-1) and the suprema.
+    `depth` is that of the longest path, for light that goes on from surface to surface; None:
+    direct light, as `render` shows it. `caustics`: paths start at the lights, too.
     """
     eye = eye_of(view)
     sums = sums_of(scene, eye, bounces=depth is not None, caustics=caustics)

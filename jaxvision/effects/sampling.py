@@ -21,12 +21,8 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 
 
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
-    """Rays inside a pixel stand for places up to its corners; its middle takes their place.
-
-    Args:
-        view: at both ends of what may change; a lens must have stopped blurring before.
-        radiance: (bands,) W m^-2 sr^-1.
-    """
+    """Rays inside a pixel stand for places up to its corners; its middle takes their place. The
+    radiance is at most (bands,) W m^-2 sr^-1, and a lens must have stopped blurring before."""
 
     def drop(draft: Draft) -> Draft:
         return replace(draft, samples=None)
@@ -42,14 +38,8 @@ def oversampling_row(
     view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
 ) -> Row:
     """One sample in a pixel's middle for all: none is farther away than those in the corners, and
-    the fall-off by cos^4 changes by 1.04 of the slope at most.
-
-    Args:
-        view: at both ends of what may change, without parts that act between pixels.
-        opening: W m^-2 per W m^-2 sr^-1.
-        radiance: (bands,) W m^-2 sr^-1.
-        oversampling: samples along each side.
-    """
+    the fall-off by cos^4 changes by 1.04 of the slope at most. The opening is in W m^-2 per W m^-2
+    sr^-1, and no part of the view acts between pixels."""
 
     def drop(draft: Draft) -> Draft:
         sensor = draft.camera.sensor

@@ -45,18 +45,12 @@ class _Part(NamedTuple):
 def seconds_of(
     rows: Sequence[Row], start: Draft, scene: Scene, *, whole: bool, advance: Advance | None = None
 ) -> list[float | None]:
-    """What a picture takes less without each effect.
+    """What a picture takes less without each effect, s, below 0 where it takes longer; None where
+    nothing can be left out on its own. Effects that go together share what they save.
 
-    Args:
-        rows: of all effects.
-        start: what nothing has been left out of.
-        scene: the same.
-        whole: whether a sensor and a development follow the lens.
-        advance: called with the number of programs that have run and that of all; None: nobody is.
-
-    Returns:
-        s for each row, below 0 where the picture takes longer without; None where nothing can be
-        left out on its own. Effects that go together share what they save.
+    `start` is the scene that nothing has been left out of, `whole` whether a sensor and a
+    development follow the lens; `advance` is called with the number of programs that have run and
+    that of all.
     """
     view = start.camera.view
     scale = max(max(view.resolution) / _SIDE, 1.0)

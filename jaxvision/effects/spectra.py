@@ -26,15 +26,7 @@ _ROUNDING = 1e-15  # of each term, and so of each pixel, for each band
 
 
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
-    """Rows "bands", of fewest bands first, from which at most one is taken.
-
-    Args:
-        sums: of the scene.
-        direct: whether only direct light is followed.
-
-    Returns:
-        The rows; bounds in W m^-2 sr^-1.
-    """
+    """Rows "bands", of fewest bands first, of which at most one goes; bounds in W m^-2 sr^-1."""
     bands = sums.own.shape[1]
     if bands == 1:
         return ()
@@ -177,19 +169,13 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
 
 
 def folded(camera: Camera, kept: np.ndarray, expand: np.ndarray) -> Camera | None:
-    """A camera that takes the kept bands for all of them.
+    """A camera with a colour filter of all bands that takes the r kept ones for all of them.
 
     With w the electrons per unit of irradiance that the sensor makes of a band before its filter,
     the transmission becomes (T w) @ expand / w of the kept bands.
 
-    Args:
-        camera: with a colour filter of all bands.
-        kept: (r,) numbers of the bands that are rendered.
-        expand: (bands, r) no unit.
-
-    Returns:
-        The camera; None where there is none: without a filter each band has raw numbers of its
-        own, diffraction may differ between bands, and no filter transmits less than nothing.
+    None where there is none: without a filter each band has raw numbers of its own, diffraction may
+    differ between bands, and no filter transmits less than nothing.
     """
     sensor, diffraction = camera.sensor, getattr(camera.view, "diffraction", None)
     filters = sensor.colour_filter

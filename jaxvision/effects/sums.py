@@ -95,17 +95,8 @@ def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
 
 
 def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = False) -> Sums:
-    """All suprema of a scene.
-
-    Args:
-        scene: at its two ends.
-        eye: where it is seen from; lengths in m.
-        bounces: whether light goes on from surface to surface, so that glass and mirrors show all.
-        caustics: as in `Sums`.
-
-    Returns:
-        The suprema.
-    """
+    """All suprema of a scene between its two ends, lengths in m; `bounces`: light goes on from
+    surface to surface, so that glass and mirrors show all."""
     low, high = scene
     surfaces, lights = pairs(low.surfaces, high.surfaces), pairs(low.lights, high.lights)
     sources = tuple(source_of(light) for light in lights)
@@ -350,17 +341,8 @@ def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
 
 
 def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = None) -> np.ndarray:
-    """The most that each cell makes of one light.
-
-    Args:
-        sums: of the scene.
-        k: number of the light.
-        around: whether toward any viewer, not only toward the eye.
-        only: (c,) which cells count; None: all.
-
-    Returns:
-        (c, bands) W m^-2 sr^-1.
-    """
+    """The most that each cell makes of the light k, (c, bands) W m^-2 sr^-1, toward the eye or,
+    with `around`, toward any viewer; `only`, (c,), says which cells count, None: all."""
     of_cell = sums.cells.surface
     total = times(sums.body[k][:, None] * np.ones(1), times(sums.k_body, sums.spectrum[k])[of_cell])
     total = total + lobe_sent(sums, k, around=around)

@@ -46,18 +46,9 @@ def shaded(
     may: np.ndarray,
     wanted: np.ndarray,
 ) -> np.ndarray:
-    """Whether anything can come between a light and a cell.
-
-    Args:
-        sources: l lights.
-        surfaces: n of them.
-        cells: c of them; lengths in m.
-        may: (l, n, n), of `may_block`.
-        wanted: (l, c), the cells that matter.
-
-    Returns:
-        (l, c); False is certain where wanted; it is False of all others.
-    """
+    """Whether anything can come between a light and a cell, (l, c), of the pairs that are wanted,
+    (l, c); False is certain there, and of all others it is False. `may`, (l, n, n), is that of
+    `may_block`."""
     found = wanted & np.any(may, axis=2)[:, cells.surface]
     count = sum(int((found[k][:, None] & may[k][cells.surface]).sum()) for k in range(len(found)))
     if not 0 < count <= _PAIRS:
@@ -196,17 +187,9 @@ def in_umbra(
     *,
     occluders: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """Whether a cell as a whole lies in the full shadow of one flat occluder.
-
-    Args:
-        sources: l lights.
-        surfaces: n of them; lengths in m.
-        cells: c of them.
-        occluders: numbers of the surfaces that block at all; None: all.
-
-    Returns:
-        (l, c); True is certain, but for the rounding of coordinates.
-    """
+    """Whether a cell as a whole lies in the full shadow of one flat occluder, (l, c), lengths in m;
+    True is certain, but for the rounding of coordinates. `occluders` numbers the surfaces that
+    block at all, None: all."""
     dark = np.zeros((len(sources), len(cells.radius)), bool)
     relative = touching(surfaces)
     found = [body_of(surface.of("shape")) for surface in surfaces]

@@ -13,16 +13,8 @@ _ROUNDS = 40
 def refined(
     function: Callable[[np.ndarray], np.ndarray], places: np.ndarray, *, peaks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places, ascending, and the values of a function there.
-
-    Args:
-        function: of (n,) places to (n,) values, finite.
-        places: (n,) ascending, of the first look.
-        peaks: where a narrow peak may stand; it is looked for at all distances from there.
-
-    Returns:
-        (m,) each, m >= n.
-    """
+    """Places, (m,) ascending, m >= n, and the values of a function there, from (n,) places of the
+    first look; narrow peaks are looked for at all distances from where they may stand."""
     low, high = places[0], places[-1]
     steps = (high - low) * np.geomspace(NARROWEST, 0.05, 24)
     about = np.concatenate([peaks, *(peaks[:, None] + sign * steps for sign in (-1, 1))], axis=None)

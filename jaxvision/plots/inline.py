@@ -31,16 +31,9 @@ DOTS_PER_INCH = 130  # of pictures and clouds of points, which stay pixels
 def inline_svg(
     draw: "Callable[[Axes], None]", *, size: tuple[float, float] = (4.8, 3.6), font: float = 11
 ) -> str:
-    """One axes as SVG that stands inside HTML and takes the width that it is given.
-
-    Args:
-        draw: draws on the axes; what it draws in `INK` has the colour of the page's text.
-        size: width and height, inches at the size of `font`.
-        font: points.
-
-    Returns:
-        The `<svg>` element; its text is text.
-    """
+    """One axes as an `<svg>` element that stands inside HTML and takes the width that it is given;
+    its text is text, of that many points, and what `draw` draws in `INK` has the colour of the
+    page's. The size is in inches."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure
@@ -53,16 +46,10 @@ def inline_svg(
 
 
 def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
-    """A figure as SVG that stands inside HTML and takes the width that it is given.
+    """A figure as an `<svg>` element that stands inside HTML and takes the width that it is given;
+    its text is text, of that many points, and artists that it rasterises stay pixels.
 
     Black and white follow the page's text and background; the background itself is not drawn.
-
-    Args:
-        draw: makes the figure; artists that it rasterises stay pixels.
-        font: points.
-
-    Returns:
-        The `<svg>` element; its text is text.
     """
     (whole,) = figure_strips(draw, widest=math.inf, font=font)
     return whole
@@ -71,17 +58,9 @@ def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
 def figure_strips(
     draw: "Callable[[], Figure]", *, widest: float, font: float = 10
 ) -> tuple[str, ...]:
-    """A figure as `figure_svg` gives it, cut between its columns of panels: side by side the strips
-    are the figure, and a narrow page places them below each other.
-
-    Args:
-        draw: makes the figure; artists that it rasterises stay pixels.
-        widest: of a strip, points; a single column may be wider.
-        font: points.
-
-    Returns:
-        The `<svg>` elements from left to right, as few as `widest` allows.
-    """
+    """A figure as `figure_svg` gives it, cut between its columns of panels into as few elements as
+    `widest`, points, allows: side by side the strips are the figure, and a narrow page places them
+    below each other."""
     import matplotlib
     from matplotlib.transforms import Bbox
 

@@ -29,16 +29,9 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Write names next to points, where few other marks are. Points that are close together share
-    one label with all their names. The axes grow to make room above the highest point.
-
-    Args:
-        axes: logarithmic, with the points drawn.
-        points: (name, s, error) of each.
-        below: whether rather under the points than above.
-        color: of matplotlib.
-        size: of the letters, pt.
-    """
+    """Write the names of points, (name, s, error) each, next to them on logarithmic axes, where few
+    other marks are. Points that are close together share one label with all their names. The axes
+    grow to make room above the highest point."""
     from matplotlib import rcParams
 
     if not points:
@@ -81,11 +74,7 @@ def name_points(
 
 def few_ticks(axes: "Axes") -> None:
     """At most `MOST` numbers on either axis, which do not touch: powers of ten, or 1, 2 and 5 of
-    each, or equal steps, whichever are more. Times below a second are written in ms.
-
-    Args:
-        axes: logarithmic, of final limits; along x lie times in s.
-    """
+    each, or equal steps, whichever are more. Times below a second are written in ms."""
     from matplotlib import rcParams
     from matplotlib.font_manager import FontProperties
     from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator

@@ -308,15 +308,7 @@ def _rule(settings: RenderEntry, key: Key) -> Rule:
 
 
 def in_words_of(source: SceneFile, text: str) -> str:
-    """A text in which surfaces and lights have the names of their scene file.
-
-    Args:
-        source: the scene and its view.
-        text: with names as `surfaces[0]`; no unit.
-
-    Returns:
-        The text.
-    """
+    """A text in which surfaces and lights have the names of their scene file."""
     names = {"surfaces": source.surfaces, "lights": source.lights}
     return re.sub(
         r"(?:Scene\.)?\b(surfaces|lights)\[(\d+)\]",

@@ -15,11 +15,7 @@ ROOMS = ("light", "cameras", "pictures")
 
 
 def examples() -> dict[str, Callable[[], Problem]]:
-    """By the name of its knob, a function that makes the problem.
-
-    Returns:
-        The functions; each takes no argument.
-    """
+    """By the name of its knob, a function without arguments that makes the problem."""
     found: dict[str, Callable[[], Problem]] = {}
     for room in ROOMS:
         found |= import_module(f"{__name__}.{room}").EXAMPLES
