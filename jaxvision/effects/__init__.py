@@ -1,13 +1,17 @@
-"""Only the effects that a scene calls for: what each can change in a picture, and what to drop.
+"""Bounds on the change that each effect makes in a picture, and pruning of negligible effects.
 
-    certificate   the records: effects, tolerances, and what was dropped with its bound
-    stages        how a stage of the camera plugs in
-    pruning       `inspect` and `prune`; `choice` decides, `boxes` reads what a fit may change,
-                  `seconds` measures what each effect takes
-    radiance      the rows of a scene: lights, shadows, lobes, emission, ambient light; `extent`,
-                  `bounces` and `spectra` those of area lights, of paths and of bands; `probes`
-                  estimates what long paths add
-    sums          what each part of a scene sends at most, from `illumination`, `reflection`,
+    certificate   the records: effects, tolerances, and the dropped effects with their bounds
+    stages        the interface of a stage of the camera
+    pruning       `inspect` and `prune`
+    choice        the choice of the effects to drop
+    boxes         the range of the free parameters of a fit
+    seconds       the measured time of each effect
+    radiance      the effects of a scene: lights, shadows, lobes, emission, ambient light
+    extent        the effects of area lights
+    bounces       the effects of paths
+    spectra       the effects of bands
+    probes        estimates of the light of long paths
+    sums          bounds on the light of each part of a scene, from `illumination`, `reflection`,
                   `angles`, `blocking`, `umbra`, `cells` and `bodies`
 
 NumPy in float64, outside `jit`: records with traced numbers are refused.

@@ -63,9 +63,9 @@ def touching(surfaces: Sequence[Ends[Surface]]) -> float:
 
 @once
 def is_convex(shape: Ends[Shape]) -> bool:
-    """Whether a shape bounds a convex body and is shaded as one: balls, boxes, and closed meshes
-    without shading normals of which no corner lies above the plane of a face, but for a few
-    roundings of its coordinates."""
+    """Return whether a shape bounds a convex body and is shaded as one. This is so for balls,
+    boxes, and closed meshes without shading normals whose corners are all below the plane of each
+    face, within a few rounding errors of the coordinates."""
     mesh = shape.low
     if not isinstance(mesh, TriangleMesh):
         return isinstance(mesh, Sphere | Box)

@@ -1,11 +1,11 @@
-"""Convex bodies, how far apart they are at least, and what may come between two of them.
+"""Convex bodies, lower bounds of their distances, and bodies that may be between two of them.
 
 A body is the convex hull of balls: a box is eight points, a sphere one ball, a disc the polygon
-about it. What is wanted of two bodies is a lower bound of their distance that is certain: every
-direction u gives one, the least height of one body along u less the greatest of the other.
-Gilbert's algorithm looks for the best u, and an early stop makes the bound less sharp, never wrong.
-Source: Gilbert, "An Iterative Procedure for Computing the Minimum of a Quadratic Form on a Convex
-Set", SIAM J. Control 4(1) (1966). Lengths in m; NumPy float64.
+around it. Every direction u gives a certain lower bound of the distance of two bodies: the least
+height of one body along u minus the greatest height of the other. Gilbert's algorithm searches for
+the best u. If it stops early, the bound is less sharp but still valid. Source: Gilbert, "An
+Iterative Procedure for Computing the Minimum of a Quadratic Form on a Convex Set", SIAM J. Control
+4(1) (1966). Lengths in m; NumPy float64.
 """
 
 from collections.abc import Sequence
@@ -108,9 +108,9 @@ def faces_of(mesh: TriangleMesh) -> np.ndarray:
 
 @once
 def is_closed(shape: Ends[Shape]) -> bool:
-    """Whether a shape bounds a body with outward normals: balls, boxes, and a mesh that stays as it
-    is, of which each edge runs once each way and each part has a volume above 0. Such a mesh is
-    taken not to cut through itself."""
+    """Return whether a shape bounds a body with outward normals. This is so for balls, boxes, and a
+    fixed mesh whose edges are each used once in each direction and whose parts have positive
+    volume. Such a mesh is assumed not to intersect itself."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

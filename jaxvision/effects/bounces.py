@@ -163,7 +163,8 @@ class Onward:
         return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]
 
     def series(self, sent: np.ndarray, last: int) -> np.ndarray:
-        """The sum of T^k of what is sent, (n, bands), k from 1 to `last`, inclusive."""
+        """Return the sum of T^k applied to the sent light, (n, bands), for k from 1 to `last`,
+        inclusive."""
         return self.tails(sent, [1], last)[0]
 
     def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
@@ -193,8 +194,9 @@ class Onward:
 
 
 def gathered(shares: np.ndarray, sent: np.ndarray) -> np.ndarray:
-    """The most that arrives of what all send, (n, bands), where each may have a share, (i, n), and
-    all together 1: it is spent on the brightest first. (i, bands)"""
+    """Return an upper bound on the light that arrives, (i, bands), if the senders have the
+    radiosities (n, bands). Each sender has at most a share, (i, n), and all shares sum to at most
+    1. The bound assigns the shares to the brightest senders first."""
     found = np.zeros((len(shares), sent.shape[1]))
     for band, own in enumerate(sent.T):
         order = np.argsort(-own)

@@ -142,8 +142,8 @@ def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
 
 
 def cells_of(surfaces: Sequence[Ends[Surface]], *, about: np.ndarray) -> Cells:
-    """All surfaces in cells, both sides of those that have two; `about`: (3,) m, the middle of what
-    matters of an endless one."""
+    """Divide all surfaces into cells, with both sides of two-sided ones. `about`: (3,) m, the
+    middle of the relevant part of an infinite surface."""
     side = int(np.sqrt(_BUDGET / max(len(surfaces), 1) / 3))
     side = min(max(side, _COARSEST), _FINEST)
     found = []

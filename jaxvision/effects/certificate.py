@@ -1,12 +1,13 @@
-"""What was kept, what was dropped, and what that can do to a picture at most.
+"""Records of kept and dropped effects, with upper bounds on the change in the picture.
 
-Bounds are suprema over all pixels of one number, how far apart the laws of a pixel before rounding
-are with an effect and without it: sqrt((m_1 - m_2)^2 + (s_1 - s_2)^2) of their means and standard
-deviations, the 2-Wasserstein distance where they are Gaussian (`pixel` says what it is of others).
-A mean moved by d is d; noise that is dropped is the difference of two standard deviations. The
-distance obeys the triangle inequality, so the bounds of successive drops add. Beside it stands
-`place`, the most by which anything moves in the picture, in pixels: at an edge no bound on the
-value of a pixel follows from it. Bounds are of the exact integrals, whatever rule samples a light.
+A bound is a supremum over all pixels. It is for the distance between the distributions of a pixel's
+value before rounding, with and without an effect: sqrt((m_1 - m_2)^2 + (s_1 - s_2)^2) with means m
+and standard deviations s. For Gaussians this is the 2-Wasserstein distance (`pixel` describes other
+distributions). A shift of the mean by d gives d. Dropped noise gives the difference of two standard
+deviations. The distance obeys the triangle inequality, so the bounds of successive drops add.
+`place` is a separate bound: the largest displacement in the picture, in pixels. At an edge it gives
+no bound on the value of a pixel. Bounds are for the exact integrals, with any sampling rule of a
+light.
 """
 
 import math
@@ -168,8 +169,8 @@ class Certificate:
 
     @property
     def saves(self) -> float:
-        """Share of the picture's work that went: each effect its declared share of what the others
-        leave."""
+        """Share of the picture's work that is saved. Each effect saves its declared share of the
+        work remaining after the others."""
         return 1 - math.prod(1 - effect.saves for effect in self.dropped)
 
     def _repr_html_(self) -> str:

@@ -166,7 +166,7 @@ class Choice:
         return taken
 
     def result(self, scene: Scene, camera: Camera | View) -> Pruned:
-        """The records of what is left, and the certificate."""
+        """Return the remaining records, and the certificate."""
         draft, expand, own = self.draft, None, self.draft.camera
         left = finished(scene, draft)
         if draft.bands is not None:
@@ -263,7 +263,8 @@ def bands_of(draft: Draft) -> int:
 
 
 def finished(scene: Scene, draft: Draft) -> Scene:
-    """The scene of what a draft still holds; `()` occludes where no light has shadows left."""
+    """Return the scene of a draft's remaining records. Without remaining shadows its `occluders`
+    are `()`."""
     left = [k for k, light in enumerate(draft.lights) if light is not None]
     rules = scene.rules
     if rules is not None:

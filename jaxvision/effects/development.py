@@ -1,10 +1,10 @@
-"""The stage of development: by how much each step can magnify a change of the raw data.
+"""The stage of development: the factor by which each step can magnify a change of the raw data.
 
-Nothing is left out of a development but steps that are the identity: promises are made of the raw
-data. What they mean for the picture is told by the factor of each step, its Lipschitz constant in
-the largest norm over pixels: if every number of its input moves by at most d (in mean square, under
-one coupling), every number of its output moves by at most the factor times d. Some steps have none,
-and say why.
+Bounds are for the raw data, and only steps that are the identity are dropped from a development.
+The factor of each step translates a bound to the picture. It is the step's Lipschitz constant in
+the maximum norm over pixels: if every number of the input moves by at most d (in mean square, under
+one coupling), every number of the output moves by at most the factor times d. Some steps have no
+finite factor, and say why.
 """
 
 import math

@@ -1,10 +1,11 @@
-"""How far the radiance of one point may differ between two points of a lens.
+"""Bounds on the difference in radiance of one point between two points of a lens, W m^-2 sr^-1.
 
-What a matt surface, an emitter or a lamp of even radiance sends is the same in all directions, so
-that a point in focus looks the same through every part of a lens. A lobe changes by its slope times
-the angle under which the lens is seen, and never by more than its largest value; a body that is no
-Lambertian's by twice its difference from one, and never by more than all of it. What a mirror or
-glass shows through each part of a lens is another thing: there is no bound. W m^-2 sr^-1.
+A matte surface, an emitter and a lamp of uniform radiance look the same from all directions, so a
+point in focus looks the same through every part of a lens. A lobe changes by at most its slope
+times the angle that the lens subtends, and at most by its largest value. A body reflection that is
+not Lambertian changes by at most twice its difference from a Lambertian one, and at most by its
+whole value. A mirror or glass shows different objects through each part of the lens, so there is no
+bound.
 """
 
 import numpy as np

@@ -1,10 +1,10 @@
-"""How much light reaches each cell at most.
+"""Upper bounds on the light that reaches each cell.
 
-A light is a few places, each a ball with an intensity: a point is one, a rectangle is cut into
-pieces. E, the irradiance of a facing surface, is at most I cos(theta) / d^2 of each, with d a lower
-bound of the distance and the cosines at their largest; of a light of radiance L no more than pi L
-arrives with the receiver's cosine, and no more than 2 pi L without. Without spectra: E is per unit
-of the light's own `spectrum`. Lengths in m.
+A light is represented by a few balls, each with an intensity: a point is one, and a rectangle is
+divided into pieces. The irradiance E of a facing surface is at most the sum of I cos(theta) / d^2,
+with d a lower bound of the distance and the cosines at their largest. From a light of radiance L,
+at most pi L arrives with the receiver's cosine, and at most 2 pi L without. E is per unit of the
+light's own `spectrum`. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -61,8 +61,8 @@ class Arrived(NamedTuple):
 
 
 def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
-    """What a source sends to cells; `least`: (c,) m, a lower bound of their distance that is known
-    from elsewhere."""
+    """Bound the light from a source to cells. `least`: (c,) m, a known lower bound of their
+    distance."""
     count = len(cells.radius)
     if source.kind == "sky":
         e = np.full((count, 1), 2 * np.pi * source.share)

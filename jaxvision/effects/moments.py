@@ -71,8 +71,8 @@ def _uncut(row: Row) -> Row:
 
 
 def _free(row: Row) -> Row:
-    """Of a scene that may change and moves: a motion may map values of the box out of what it makes
-    of its ends, so that nothing is known."""
+    """Rows for a scene with free parameters and motion. The motion of a value inside the box may be
+    outside the motions of its ends, so there is no bound."""
     why = f"{row.effect.why}; a motion may take what is free anywhere"
     effect = replace(row.effect, why=why, bound=np.inf, rank="bound")
     return replace(row, effect=effect, amount=0 * row.amount + np.inf, after=None, drop=None)
@@ -86,7 +86,7 @@ def _as_steps(row: Row) -> float:
 def _moved(
     scene: Ends[Scene], view: Ends[View], motion: Motion, times: Sequence[float] | np.ndarray
 ) -> Iterator[tuple[Ends[Scene], Ends[View]]]:
-    """The scene and the view at each time, s, of which nothing is free."""
+    """Return the scene and the view at each time, s, without free parameters."""
     dtype = view.low.pixel_pitch.dtype
     for time in times:
         there, seen = motion(scene.low, view.low, jnp.asarray(time, dtype))
@@ -94,7 +94,7 @@ def _moved(
 
 
 def _by_name(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
-    """The rows of all moments, each once; what a motion brings or takes away stays."""
+    """Return the rows of all moments, each once. Objects that a motion adds or removes are kept."""
     found: dict[str, list[Row]] = {}
     for rows in moments:
         for row in rows:

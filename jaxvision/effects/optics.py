@@ -1,11 +1,11 @@
-"""The stage of the lens: what its parts do to irradiance, and how far they move things.
+"""The stage of the lens: bounds on the change of irradiance and on displacements.
 
-Radiance becomes irradiance by a gain for each pixel, the picture of a scene of radiance 1: its
-`brightness`. Parts that change this gain (rim, distortion) are bounded by the change of the
+Radiance becomes irradiance by a gain for each pixel, its `brightness`, which is the picture of a
+scene of radiance 1. Parts that change this gain (rim, distortion) are bounded by the change of the
 brightness over the whole grid of pixels, times the largest radiance. Parts that move light
-(distortion, defocus, sampling inside a pixel) are bounded by the largest displacement in pixels:
-the irradiance of a pixel is then a mean of what stands within it; defocus also by how far what is
-seen looks different from the parts of the lens.
+(distortion, defocus, sampling inside a pixel) are bounded by the largest displacement in pixels.
+The irradiance of a pixel is then a mean over this distance. Defocus is also bounded by the
+difference in radiance between parts of the lens.
 """
 
 import math
@@ -201,10 +201,11 @@ def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, 
 def diffraction(
     view: Ends[View], irradiance: np.ndarray, oversampling: int
 ) -> tuple[np.ndarray, float, str]:
-    """(1 - k_0) sup E: the library's kernel is positive, of sum 1, and keeps k_0 in its middle.
+    """Return the bound (1 - k_0) sup E. The library's kernel is positive with sum 1, and has k_0 in
+    its middle.
 
-    Of a lens that may change, k_0 is at least what the whole pattern puts on the pixel where it is
-    widest: a pattern that shrinks leaves no less there, and light beyond the kernel is put back.
+    For a lens with free parameters, k_0 is at least the share of the widest pattern on the middle
+    pixel. A narrower pattern has a larger share there, and the kernel is normalised to sum 1.
     """
     middles, lenses = [], corners(view)
     for lens in lenses:
@@ -246,13 +247,15 @@ def on_pixel(width: np.ndarray) -> np.ndarray:
 
 
 def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) -> float:
-    """The farthest that a ray is off between the depths `near` and `far`, m, pixels: r z_i |1 / z -
-    1 / z_f| over the pitch, times by which distortion magnifies small distances at most; inf where
-    things touch the lens.
+    """Return the largest displacement of a ray, pixels: r z_i |1 / z - 1 / z_f| over the pitch.
 
-    r is that of the aperture's farthest point; of a round one, this is half the largest circle of
-    confusion. It is monotone in 1 / z, in the focal length, the f-number and the focus distance, so
-    that the ends of what is in view and of what may change hold the largest.
+    `near` and `far` are the depths in the picture, m (inf is allowed). `wider` is the largest
+    factor by which distortion magnifies small distances. The result is inf if objects touch the
+    lens.
+
+    r is the radius of the aperture's farthest point. For a round aperture the result is half the
+    largest circle of confusion. It is monotone in 1 / z, the focal length, the f-number and the
+    focus distance, so the largest value is at the ends of the depths and of the free parameters.
 
     Source:
         Szeliski, Computer Vision, section 2.2.3.
@@ -288,8 +291,9 @@ def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
 
 
 def _defocus_row(view: Ends[View], grids: _Grids, arriving: Arriving, radiance: np.ndarray) -> Row:
-    """A pinhole at the lens, with the sensor at its distance and as bright a picture. What is out
-    of focus moves; what shines differently to the parts of the lens changes its brightness."""
+    """The row that replaces the lens by a pinhole with the same sensor distance and brightness.
+    Light out of focus moves. Radiance that differs between parts of the lens changes the
+    brightness."""
     lens = view.high
     assert isinstance(lens, ThinLens)
     wider = 1.0

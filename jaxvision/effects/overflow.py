@@ -53,10 +53,10 @@ class Charge:
 
 
 def excess(charge: Charge, level: float) -> Excess:
-    """Bounds on mean and rms of (N - w)+, by how much a charge exceeds a level w, electrons; inf is
-    never exceeded.
+    """Bound the mean and rms of (N - w)+, the excess of a charge above a level w in electrons.
 
-    Beside Chernoff's bounds stand those of the variance: E (N - w)+^2 <= var + (mean - w)+^2.
+    Besides Chernoff's bounds, the variance gives E (N - w)+^2 <= var + (mean - w)+^2. A level of
+    inf is never exceeded.
     """
     if math.isinf(level):
         return Excess(0.0, 0.0)

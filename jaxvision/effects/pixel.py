@@ -1,17 +1,19 @@
-"""The law of a pixel: its mean and rms in electrons, and how far a change can move both.
+"""The distribution of a pixel's value, by its mean and rms in electrons, and bounds on its change.
 
-Of two laws with means m and rms s the distance is
+The distance of two distributions with means m and rms s is
 
     D^2 = (m_1 - m_2)^2 + (s_1 - s_2)^2,
 
-the 2-Wasserstein distance of Gaussians, and for any laws a lower bound of it (Gelbrich, "On a
-formula for the L2 Wasserstein metric", Mathematische Nachrichten 147 (1990)). It is the distance of
-two points of a plane, so bounds of successive changes add; and the rms of independent parts is the
-length of the vector of their rms, so it moves by no more than that vector does.
+This is the 2-Wasserstein distance for Gaussians, and a lower bound of it for other distributions
+(Gelbrich, "On a formula for the L2 Wasserstein metric", Mathematische Nachrichten 147 (1990)). It
+is the distance between two points (m, s) of a plane, so bounds of successive changes add. The rms
+of independent parts is the length of the vector of their rms, and changes by at most the change of
+that vector.
 
-Where counted electrons come or go beside Gaussian noise of 1 e- rms the Wasserstein distance is at
-most 1.03 times the bound; beside less it is more (1.3 times at 0.5 e-, twice at 0.2 e-), as whole
-numbers show through: a rare further electron then moves a small share of the draws by all of it.
+If the number of counted electrons changes and Gaussian noise of 1 e- rms is added, the Wasserstein
+distance is at most 1.03 times the bound. With less noise the ratio is larger (1.3 at 0.5 e-, 2 at
+0.2 e-), because the counts are integers: one rare extra electron moves a small share of the draws
+by a whole electron.
 
 A pixel's electrons are read as
 
@@ -20,11 +22,11 @@ A pixel's electrons are read as
     read        (converted + offsets + noise) (1 + q),   q: rms of the column gains
     DN          K read + offset
 
-A change of the charge by D moves the numbers by at most K sqrt((1 + c^2)(1 + q^2)) D. The more
-noise there is, the less a change of its variance shows; all pixels hold at least that of the dark.
+A change of the charge by D changes DN by at most K sqrt((1 + c^2)(1 + q^2)) D. With more noise, a
+change of the variance has less effect on the rms. All pixels have at least the noise in the dark.
 
-All quantities are NumPy float64, electrons unless said otherwise. What lowers a bound is taken at
-the end of its range that lowers it least.
+All quantities are NumPy float64, in electrons unless said otherwise. A quantity that lowers a bound
+is taken at the end of its range that lowers it least.
 """
 
 import math
@@ -194,8 +196,8 @@ class Pixel:
 
     @property
     def surely_counted(self) -> float:
-        """Least variance of the brightest charge; 0 if a full well may cut it or charges repel each
-        other, both of which reduce it."""
+        """Smallest variance of the brightest charge. It is 0 if a full well may limit the charge or
+        charges repel each other, because both reduce the variance."""
         sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.own
         return self.light + self.dark if sure else 0.0
 
@@ -276,15 +278,15 @@ class Pixel:
 
     @cached_property
     def spilt(self) -> Excess:
-        """What the brightest charge exceeds the full well by; 0 without one."""
+        """Excess of the brightest charge above the full well; 0 without a full well."""
         well = self.sensor.low["full_well"]
         return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
 
     @cached_property
     def flood(self) -> Flood:
-        """What reaches a pixel of what each other pixel of its column spills: of the excess at a
-        distance of d rows the share b^d / 2, for every full well on the way passes on b. It is most
-        in the middle of a column."""
+        """Share of the spilt charge of all other pixels of a column that reaches one pixel. From a
+        distance of d rows the share b^d / 2 arrives, because every full well on the way passes on
+        b. It is largest in the middle of a column."""
         blooming, others = self.high("blooming"), self.shape[0] - 1
         distances = np.concatenate([np.arange(others // 2), np.arange(others - others // 2)]) + 1
         shares = blooming**distances / 2
@@ -330,11 +332,11 @@ class Pixel:
         return min(rows * trail * columns, pixels)
 
     def moved(self, by: float, *, patterned: bool) -> float:
-        """DN by which `by` electrons d of charge that comes or goes, weighted by the pixels'
-        sensitivities where `patterned`, move a pixel's law.
+        """Change of a pixel's distribution, DN, for a change d of the charge, `by` electrons.
 
-        The mean moves by d, the pattern of sensitivities by p d, and the variance of what is
-        counted by d, which shows most in the darkest pixel: sqrt(V + d) - sqrt(V).
+        The mean changes by d, the pattern of sensitivities by p d (if the charge is `patterned`),
+        and the variance of the counts by d. The change of the rms is largest in the darkest pixel:
+        sqrt(V + d) - sqrt(V).
         """
         if not math.isfinite(by):
             return INF
@@ -344,12 +346,12 @@ class Pixel:
         return self.read(math.hypot(mean, noise) + cut)
 
     def at_the_well(self, by: float) -> tuple[float, float]:
-        """What a full well changes in the distance of two charges, before and after a change of d
-        electrons: the largest V to be counted on, electrons^2, and electrons to be added.
+        """Effect of a full well on the distance between two charges that differ by d electrons.
 
-        Where it is hardly reached, cutting off either moves it by the excess at most. Otherwise,
-        laws that are cut come nearer to each other; but then the noise beside the change is that of
-        the light alone, at least a quarter of the well where that matters.
+        The result is the largest V to be counted on, electrons^2, and electrons to be added. If the
+        well is rarely reached, the limit changes each charge by at most the excess. Otherwise the
+        limit reduces the distance. Then the noise that is added to the change is only that of the
+        light, at least a quarter of the well where this matters.
         """
         if self.spilt.rms <= 1e-3 * by:
             return INF, 2 * self.spilt.rms

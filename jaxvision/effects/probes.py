@@ -1,9 +1,9 @@
-"""What long paths add, by a small picture: an estimate where no proof is sharp.
+"""Estimates of the light of long paths from a small picture, where the proved bound is not sharp.
 
-In a bright closed room the proved bound of `bounces` is of no use: of the Cornell box's own light
-it asks for tens of pieces. There a picture of 16 x 16 pixels and 64 paths each, with n, n + 1 and
-n + 2 pieces of the same random numbers, shows what each further piece adds and by which factor r
-that falls; from then on it is taken to fall so at every piece,
+In a bright closed room the proved bound of `bounces` is too wide: for the Cornell box it requires
+tens of segments. Instead, pictures of 16 x 16 pixels with 64 paths each are rendered with n, n + 1
+and n + 2 segments and the same random numbers. They give the light of each further segment and the
+factor r by which it falls. The factor is assumed to be the same for all further segments,
 
     sum over k > m of D r^(k - n - 1) = D r^(m - n) (1 - r^(depth - m)) / (1 - r)
 

@@ -42,7 +42,8 @@ def _chain(
     whole_paths: bool,
     caustics: bool,
 ) -> Chain:
-    """The rows from the scene to the picture; of a bare view those of scene and lens."""
+    """Return the rows from the scene to the picture; for a view without a camera, the rows of scene
+    and lens."""
     view, sensor = camera.of("view"), camera.of("sensor")
     rows, arriving = scene_rows(
         scene,
@@ -323,8 +324,8 @@ def _of_a_new_kind(scene: Scene, draft: Draft) -> tuple[str, ...]:
 
 
 def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> bool:
-    """Whether what is left moves as all of it does: a motion may name what is gone, which raises an
-    error of its own, write it anew, or give it to another surface."""
+    """Return whether the remaining scene moves like the whole one. A motion may refer to a dropped
+    record, which raises an error, or restore it, or assign it to another surface."""
     draft = choice.draft
     if motion is None or draft.motion is None:
         return True

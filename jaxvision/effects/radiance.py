@@ -60,7 +60,8 @@ def scene_stage(
 
 
 def top(sums: Sums, onward: Onward) -> np.ndarray:
-    """The supremum of the picture, (bands,): all lights, what is emitted, what is seen of lamps."""
+    """Return the supremum of the picture, (bands,), over reflected light, emission and visible
+    lamps."""
     found = onward(sums.own[sums.cells.surface], pieces=EMITTED)
     for k in range(len(sums.sources)):
         found = found + onward(sent(sums, k), sent(sums, k, around=True))
@@ -230,8 +231,8 @@ def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
 def _all_lights(
     sums: Sums, i: int, of_light: Callable[[int], np.ndarray], others: np.ndarray
 ) -> np.ndarray:
-    """(c_i, bands): the sum over all lights of what the cells of a surface make of them, and of
-    what other surfaces send, (bands,)."""
+    """Return (c_i, bands): the reflected light of a surface's cells, summed over all lights and
+    over light from other surfaces, (bands,)."""
     cells = len(sums.cells.surface[part_of(sums.cells, i)])
     none = np.zeros((cells, 1)) + others
     return sum((of_light(k) for k in range(len(sums.sources))), none)
@@ -240,8 +241,8 @@ def _all_lights(
 def _of_cells(
     sums: Sums, onward: Onward, i: int, sent: np.ndarray, around: np.ndarray | None = None
 ) -> np.ndarray:
-    """What the cells of one surface send to the eye, and `around` to any viewer, (c_i, bands), in
-    the picture, (bands,)."""
+    """Return the light from the cells of one surface to the eye, and `around` to any viewer, (c_i,
+    bands); in the picture (bands,)."""
     part = part_of(sums.cells, i)
     if onward.depth is None:
         return np.max(sent, axis=0, initial=0, where=sums.seen[part, None])
@@ -341,8 +342,9 @@ def emission(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def absorption(sums: Sums, onward: Onward, i: int) -> Row:
-    """1 - exp(-a x) of all that glass passes, x at most its diameter for each crossing, and without
-    bound behind what is not closed; in direct light glass is black, and nothing passes."""
+    """Bound on the effect of absorption: 1 - exp(-a x) of all light through glass, where x is at
+    most the diameter for each crossing. A surface that is not closed has no bound. In direct light
+    glass is black, and the effect is 0."""
     material, shape = sums.surfaces[i].of("material"), sums.surfaces[i].of("shape")
     a = np.max([numbers(end.absorption).max() for end in material])
     body = body_of(shape)
@@ -366,7 +368,7 @@ def absorption(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def ambient(scene: Ends[Scene], sums: Sums, onward: Onward) -> Row:
-    """k_a L_a of what is seen; transport leaves it out."""
+    """Return k_a L_a of the visible surfaces. Transport ignores ambient light."""
     present = scene.low.ambient is not None
     own = ambient_reflected(scene, sums.surfaces, sums.own.shape[1])
     if onward.depth is not None:

@@ -1,6 +1,6 @@
-"""Samples inside a pixel: what one sample in its middle leaves out, as a displacement in pixels.
+"""Samples inside a pixel: the error of a single sample in its middle, as a displacement in pixels.
 
-The mean over a pixel is of what stands within half of its diagonal.
+The mean over a pixel is over points within half of its diagonal.
 """
 
 import math

@@ -1,10 +1,10 @@
-"""Seconds of a picture that go with each effect, measured: with it and without, in turns.
+"""Measure the time, s, of each effect in a picture, by alternating calls with and without it.
 
-A picture is four programs, each of its own records: the scene as rays see it, the lens, the sensor
-and the development. Leaving an effect out changes the records of some of them; the difference of
-what they take is what goes with it. Programs of the same records and sizes, in whatever order the
-surfaces stand, are compiled and run once for all effects; one program follows paths of any number
-of pieces. s.
+A picture consists of four programs, each with its own records: the scene, the lens, the sensor and
+the development. Dropping an effect changes the records of some programs, and the difference of
+their times is the time of the effect. Programs with the same records and sizes, in any order of the
+surfaces, are compiled and run once for all effects. One program serves paths of any number of
+segments.
 """
 
 import time

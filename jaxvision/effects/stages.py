@@ -1,7 +1,8 @@
-"""How a stage of the camera plugs in: it gives rows, each an effect and how to leave it out.
+"""The interface of a stage of the camera: it returns rows, each with an effect and a way to drop
+it.
 
-Light runs scene -> optics -> sensor -> development, and so does what one stage must know of the one
-before it. All numbers are NumPy float64, outside `jit`.
+Light goes scene -> optics -> sensor -> development, and each stage passes on what the next one
+needs. All numbers are NumPy float64, outside `jit`.
 
     scene_stage(scene, view)                -> rows, Arriving     radiance.py
     optics_stage(view, arriving, ...)       -> rows, OnSensor     optics.py
@@ -9,14 +10,14 @@ before it. All numbers are NumPy float64, outside `jit`.
     sensor_stage(sensor, light, shape=...)  -> rows, Response     sensor.py
     development_stage(development)          -> rows               development.py
 
-Each record arrives as `Ends`, its two copies at the low and at the high end of what a fit may
-change (the same record twice where nothing is free). A bound takes from each field the end at which
-it is largest: sizes, albedos, radiances, gains and noises at `high`, distances and wells at `low`.
-A field whose effect on a bound is not monotone must give inf where the two ends differ. A stage
-does not look at what is free otherwise: `prune` never drops a free effect.
+Each record is given as `Ends`: two copies at the low and high ends of its free parameters (the same
+record twice if nothing is free). A bound uses the end at which it is largest: sizes, albedos,
+radiances, gains and noises at `high`, distances and wells at `low`. If the effect of a field on a
+bound is not monotone, the bound must be inf where the two ends differ. A stage need not know which
+effects are free, because `prune` never drops a free effect.
 
-Bounds must hold on every picture between the full and the pruned one, so they use suprema that
-ignore all that only takes light away (shadows, rims, wells).
+Bounds must be valid for every picture between the full and the pruned one. They therefore use
+suprema that ignore everything that only removes light (shadows, rims, wells).
 """
 
 from collections.abc import Callable
@@ -105,10 +106,10 @@ class Row:
 
 
 class Arriving(NamedTuple):
-    """What the scene sends to the camera: `radiance`, (bands,) W m^-2 sr^-1, its supremum in the
-    picture (inf: none known); `near`, `far`: m along the axis, the depths of all that may be in
-    view (far: inf with a sky or an endless plane); `turning`, (bands,) W m^-2 sr^-1: the most by
-    which the radiance of a point differs between two points of the lens."""
+    """Bounds on the light from the scene to the camera. `radiance`: (bands,) W m^-2 sr^-1, the
+    supremum in the picture (inf: unknown). `near`, `far`: m along the axis, the range of depths
+    that may be in view (far: inf with a sky or an infinite plane). `turning`: (bands,) W m^-2
+    sr^-1, the largest difference in the radiance of a point between two points of the lens."""
 
     radiance: np.ndarray
     near: float
@@ -117,18 +118,18 @@ class Arriving(NamedTuple):
 
 
 class OnSensor(NamedTuple):
-    """What the lens makes of it: `irradiance`, (bands,) W m^-2, its supremum; `opening`, W m^-2 per
-    W m^-2 sr^-1: the largest gain of any pixel, with nothing that takes light away."""
+    """Bounds on the light behind the lens. `irradiance`: (bands,) W m^-2, its supremum. `opening`:
+    W m^-2 per W m^-2 sr^-1, the largest gain of any pixel, without parts that remove light."""
 
     irradiance: np.ndarray
     opening: float
 
 
 class Response(NamedTuple):
-    """What the sensor makes of a change: `dn`, from a change of irradiance, (bands,) W m^-2, in any
-    pixel, and the names of what is gone to the most by which the law of a pixel moves, DN (with
-    less noise left, light that changes its shot noise shows more); `dark`: DN rms of all noise in
-    the dark, the unit "sigma"."""
+    """The response of the sensor to a change. `dn`: from a change of irradiance, (bands,) W m^-2,
+    in any pixel, and the names of dropped effects, to the largest change of a pixel's distribution,
+    DN. (With less noise a change of the shot noise has a larger effect.) `dark`: DN rms of all
+    noise in the dark, the unit "sigma"."""
 
     dn: Callable[[np.ndarray, Gone], float]
     dark: float

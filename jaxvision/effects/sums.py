@@ -28,11 +28,11 @@ _ROUNDING = 1e-6  # rad, by which a mirrored ray in float32 may miss its directi
 
 
 class Sums(NamedTuple):
-    """What a scene sends at most; n surfaces, l lights, c cells.
+    """Upper bounds on the light of a scene with n surfaces, l lights and c cells.
 
     Attributes:
         surfaces, lights: the records between their two ends.
-        sources, reflections: what bounds know of each.
+        sources, reflections: the bounds of each.
         cells: of all surfaces.
         seen: (c,) whether a pixel may see the cell.
         body, lobe: (l, c) the suprema of E f_r cos / k_d and of E f_r cos / k_s, per unit of the
@@ -170,10 +170,11 @@ def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = Fal
 
 
 def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
-    """By how much radiance may grow at a mirror or an interface of glass, no unit. Radiance over
-    the square of the index is kept, so that what enters a body of an index above 1 and leaves it
-    again has gained nothing; within one where the eye may be, or that of a lower index, it has, and
-    so it has wherever a surface bounds no body and is met from behind only."""
+    """Return the largest factor by which radiance may grow at a mirror or an interface of glass, no
+    unit. Radiance over the squared index is constant, so light that enters a body of an index above
+    1 and leaves it again has not grown. It has grown inside such a body, if the eye may be there,
+    and in a body of a lower index. It may also grow at a surface that bounds no body and is hit
+    only from behind."""
     if own.indices is None:
         return 1.0
     (least, most), body = own.indices, body_of(surface.of("shape"))
@@ -362,8 +363,8 @@ def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
 
 
 def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
-    """The most that a ray sees of lights, of their (l, bands) radiance: one with a place hides what
-    is behind it, and skies add. (bands,)"""
+    """Return the largest radiance, (bands,), that a ray may see of lights with (l, bands). A light
+    with a place hides the lights behind it, and skies add."""
     skies = np.array([source.kind == "sky" for source in sums.sources], bool)[:, None]
     around = np.where(skies, radiance, 0).sum(0)
     return np.maximum(around, np.where(skies, 0, radiance).max(0, initial=0))

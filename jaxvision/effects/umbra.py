@@ -120,8 +120,8 @@ def _from_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.n
 
 
 def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
-    """(c,) which side of a convex body a cell is of: 1 the outer, -1 the inner; 0 of others, of
-    what may move, and where many triangles of a mesh are one cell."""
+    """Return (c,), the side of a convex body that a cell belongs to: 1 outer, -1 inner. It is 0 for
+    other shapes, for shapes that may move, and for cells of many triangles of a mesh."""
     side = np.zeros(len(cells.radius))
     for i, surface in enumerate(surfaces):
         shape = surface.low.shape
@@ -290,8 +290,8 @@ def _rim(shape: Shape) -> np.ndarray:
 def _beyond(
     cells: Cells, of_ball: np.ndarray, shadow: _Shadow, least: np.ndarray, deep: np.ndarray
 ) -> np.ndarray:
-    """(c,) whether a cell is beyond the occluder and not in its plane, where nothing tells which of
-    the two is in front; a cell of a ball, or a flat one, may touch it."""
+    """Return (c,), whether a cell is beyond the occluder. It is False in the plane of the occluder,
+    where their order is unknown. A cell of a ball, or a flat one, may touch the occluder."""
     normal, offset = shadow.normals[0], shadow.offsets[0]
     lean = np.sqrt(np.maximum(1 - (cells.axis @ normal) ** 2, 0))
     share = np.where(of_ball, 1.0, np.where(cells.spread == 0, lean, 0.0))
