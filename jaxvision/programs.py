@@ -1,6 +1,6 @@
-"""How programs are compiled: for a processor or an accelerator; by the commands not again what an
-earlier run has compiled, and quickly where most programs run once. JAX and XLA read the latter two
-from the environment, before their first use.
+"""Settings for compiling programs: for a processor or an accelerator, with compiled programs kept
+between runs, and with quick compilation if most programs run once. JAX and XLA read the last two
+from the environment before their first use.
 """
 
 import hashlib

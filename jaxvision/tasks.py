@@ -378,7 +378,8 @@ def _environment() -> dict[str, Any]:
 
 
 def _difference(wanted: Mapping[str, Any]) -> str:
-    """What a worker lacks, in words; its precision is set instead."""
+    """Describe the difference of a worker from the command, in words. A different precision is set
+    instead."""
     import jax
 
     jax.config.update("jax_enable_x64", wanted["x64"])

@@ -50,8 +50,8 @@ Scheduler = Annotated[
 
 
 def _in_plain_words(params: Any, ctx: Any) -> Any:
-    """Parameters of a command whose help says in a word what an option takes: nothing beside a
-    flag, and beside an argument its name alone."""
+    """Return the parameters of a command with a short word for the value of each option in the
+    help. Flags have no word, and arguments have their name."""
     for param in params:
         if param.param_type_name == "argument":
             param.display_type_rich = lambda ctx: None
@@ -171,8 +171,8 @@ def _print_version(context: typer.Context, wanted: bool) -> bool:
 
 
 def surroundings() -> list[str]:
-    """What a result depends on beside the package: Python, dependencies, where compiled programs
-    are kept, and the devices, a line each."""
+    """List everything besides the package that a result depends on, a line each: Python,
+    dependencies, the folder of compiled programs, and the devices."""
     import platform
 
     import jax

@@ -1,7 +1,7 @@
-"""What a caller may pass: plain numbers and lists become arrays, a function of one point says so
-when it is given several, and directions must be unit.
+"""Conversion and checks of arguments. Plain numbers and lists become arrays. A function of one
+point refuses several points, and directions must be unit.
 
-Numbers are looked at where they are known, outside `jax.jit` and its like; NaN passes.
+Values are checked if they are concrete, outside `jax.jit` and similar transforms. NaN passes.
 """
 
 import sys
@@ -190,7 +190,7 @@ def _keys(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
-    """What a union holds, aliases by their name; any other hint alone."""
+    """Return the members of a union, with aliases by name; any other hint by itself."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 

@@ -1,8 +1,8 @@
-"""What a kind says of its largest effects: the light that a lamp sends at most, the suprema of a
-material's shading, and the records and angles that these are asked with.
+"""Bounds on the effects of a kind: the largest light of a lamp, the suprema of a material's
+shading, and the records and angles that these functions take.
 
-A bound is NumPy float64, outside of `jit`. It is asked of a record at both ends of what a fit may
-change, and takes from each field the end at which it is largest.
+A bound is NumPy float64, outside of `jit`. It is computed for a record at both ends of its free
+parameters, and uses for each field the end at which it is largest.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,7 +22,7 @@ SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
 @register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ends(Generic[T]):
-    """A record at the two ends of what a fit may change; one record twice where nothing is free.
+    """A record at the two ends of its free parameters; the same record twice if nothing is free.
 
     Attributes:
         low: the record with each number at its low end.
@@ -82,7 +82,8 @@ def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class Angles(NamedTuple):
-    """What a lobe asks of a cell and a place of light, each (c, s) unless said otherwise.
+    """Angles between cells and light positions for the bound of a lobe, (c, s) unless said
+    otherwise.
 
     Attributes:
         off_mirror: rad, the least angle between the mirrored light and the viewer.

@@ -114,8 +114,8 @@ def _format(x: Scalars) -> tuple[DTypeLike, int, int]:
 
 
 def power_of_two_in(x: Scalars) -> Scalars:
-    """The largest power of two up to x > 0 whose inverse is normal, a constant to gradients; 1 for
-    what is 0, infinite or NaN."""
+    """Return the largest power of two up to x > 0 whose inverse is normal, as a constant for
+    gradients. It is 1 if x is 0, infinite or NaN."""
     whole, _, digits = _format(x)
     bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole)
     power = jax.lax.bitcast_convert_type(bits >> digits << digits, x.dtype)

@@ -43,7 +43,8 @@ class Shown(eqx.Module):
 
 
 def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, str]]:
-    """(depth, field, numbers, unit and meaning) of what is there, records inside it below."""
+    """List (depth, field, numbers, unit and meaning) of the fields that are not None, with nested
+    records below."""
     about = meanings(type(record))
     for field in fields(record):
         value, meaning = getattr(record, field.name), about.get(field.name, "")

@@ -47,7 +47,7 @@ def print_by_name(aliases: dict[str, Any], *names: str) -> None:
 
 
 def members_of(hint: Any) -> tuple[Any, ...]:
-    """What a union holds, those of unions with a name too; any other hint alone."""
+    """Return the members of a union, also of named unions inside it; any other hint by itself."""
     named = getattr(hint, "kinds", ()) if isinstance(hint, _OneOf) else ()
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else named
     return tuple(one for part in parts for one in members_of(part)) if parts else (hint,)
@@ -168,8 +168,8 @@ def as_relative(x: Any) -> Array:
 
 
 def map_beside(values: Any, picture: Array) -> Any:
-    """A map (..., h, w) as (..., h, w, 1), beside a picture of bands where it does not fit as it
-    is; all else unchanged."""
+    """Return a map (..., h, w) as (..., h, w, 1) if it needs this to broadcast with a picture of
+    bands; anything else unchanged."""
     shape = np.shape(values)
     sides = zip(shape[::-1], picture.shape[::-1], strict=False)
     fits = all(a == b or 1 in (a, b) for a, b in sides)
@@ -314,9 +314,9 @@ def as_tile(pattern: Any) -> Any:
 def check_tile(
     name: str, pattern: Any, *, bands: int | None = None, holder: str = "the picture"
 ) -> None:
-    """Raises `ValueError` unless `pattern` is rows of one length (else it does not tile the plane)
-    of the bands 0 to its largest, all of them there; `bands`: how many `holder` has, which must be
-    as many."""
+    """Check that `pattern` has rows of one length, which tile the plane, and contains each band
+    from 0 to its largest. `bands`: the number of bands of `holder`, which must be the same. Raises
+    `ValueError` otherwise."""
     if not isinstance(pattern, tuple) or not all(
         isinstance(row, tuple) and all(isinstance(cell, int | np.integer) for cell in row)
         for row in pattern
@@ -409,10 +409,10 @@ SHARE = Range(0, 1, nan=True)
 
 
 def check_fields(record: Any, **ranges: Range) -> None:
-    """Raises `ValueError` unless the fields of a record are as annotated: arrays of their shape, in
-    which an axis name is one size throughout the record, and records of their kind. `ranges` holds
-    the numbers that a field may hold, by its name; a record there has its own, and fields of other
-    types, such as static ones, are not looked at."""
+    """Check that the fields of a record are as annotated: arrays of their shape, with one size for
+    an axis name throughout the record, and records of their kind. `ranges` gives the allowed
+    numbers of a field, by name. Nested records have their own check, and fields of other types,
+    such as static ones, are not checked. Raises `ValueError` otherwise."""
     sizes: dict[int | str, int] = {}
     kind = type(record).__name__
     for name, (shapes, kinds) in _annotated(type(record)).items():

@@ -1,4 +1,4 @@
-"""What a notebook shows of a record: its numbers as an HTML table, its picture beside them."""
+"""The display of a record in a notebook: its numbers as an HTML table, and its picture."""
 
 import base64
 import io
@@ -49,8 +49,8 @@ def with_picture(png: bytes, html: str, *, meaning: str) -> str:
 
 
 def preview_png(pixels: np.ndarray) -> bytes:
-    """A PNG of encoded pixels, (h, w, 1 or 3) relative to white, thinned to 320; what is no number
-    is black."""
+    """Return a PNG of encoded pixels, (h, w, 1 or 3) relative to white, subsampled to 320 pixels.
+    NaN is black."""
     from matplotlib.image import imsave
 
     step = -(-max(pixels.shape[:2]) // PREVIEW)
@@ -62,7 +62,7 @@ def preview_png(pixels: np.ndarray) -> bytes:
 
 
 def figure_png(figure: "Figure") -> bytes:
-    """A PNG of a figure, small enough to stand beside a table."""
+    """Return a small PNG of a figure, to be shown next to a table."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
     return file.getvalue()

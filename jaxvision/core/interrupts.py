@@ -1,13 +1,13 @@
-"""An interrupt ends a command at once, whatever it is doing, with one line and status 130.
+"""An interrupt ends a command at once, with one line and status 130.
 
-Python's own way is to raise `KeyboardInterrupt` wherever it happens to be: not before XLA has
-compiled or computed, which may take minutes; in a callback, where it is lost; or while a compiled
-library is imported, which may crash the process, as may its end while XLA's threads still work. So
-a thread beside the command sees the signal, prints the line and ends the process. What a command
-writes is complete at every moment, as it must be for `kill -9`, and the same command goes on from
-there. Only where a command asks for it, to keep what it has measured, is the exception raised.
+Python raises `KeyboardInterrupt` only after XLA has finished compiling or computing, which may take
+minutes. In a callback the exception is lost. During the import of a compiled library, or while
+XLA's threads still work, it may crash the process. Therefore a separate thread receives the signal,
+prints the line and ends the process. The files of a command are complete at every moment, as `kill
+-9` requires, and the same command continues from them. The exception is raised only if a command
+requests it, to keep its measurements.
 
-Nothing here is slow to import: a command comes here before it imports anything else.
+This module imports nothing slow, because a command imports it first.
 """
 
 import os
@@ -62,7 +62,7 @@ def is_said() -> None:
 
 
 def is_handled() -> None:
-    """Tells that the command has caught the exception, keeps what it has, and ends by itself; a
+    """Report that the command has caught the exception, keeps its results and ends by itself. A
     second interrupt ends it at once."""
     _ending.handled.set()
 

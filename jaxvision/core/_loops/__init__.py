@@ -1,3 +1,5 @@
-"""The machinery of loops: `fusion` says what one loop computes and what is stored between loops,
-`primitives` holds the parts of JAX below its documented interface that this needs, `bands` a
-spectrum as one number a band, and `groups` records of equal structure in one stack."""
+"""Control of compiled loops.
+
+`fusion` controls which values are computed in one loop and which are materialised. `primitives`
+contains the internal parts of JAX that this needs. `bands` represents a spectrum by one number a
+band. `groups` stacks records of equal structure."""

@@ -162,9 +162,9 @@ def bilinear(
 def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
     """`vmap(function)(*trees)` over the leading axes of all arrays, up to `size` entries at a time.
 
-    What lies between the stages of one tile stays in the cache, and a gradient computes a tile
-    again rather than keep it: both take half the time and a tenth of the memory. Tiles are equal,
-    the last one filled up: a remainder would be compiled as a program of its own.
+    The intermediate results of one tile stay in the cache, and a gradient recomputes a tile instead
+    of storing it. Both take half the time and a tenth of the memory. All tiles have the same size,
+    with padding in the last one, because a remainder would need a program of its own.
     """
     count = len(jax.tree.leaves(trees)[0])
     if count <= size:
