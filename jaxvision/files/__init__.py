@@ -1,9 +1,9 @@
-"""Files: images, raw files and what their heads say; cameras, materials and scenes as TOML tables;
-meshes and measured BRDFs.
+"""Reading and writing of files.
 
-`images`, `raw` and `image_settings` read pictures; `scenes`, `cameras` and `materials` records, by
-`records` and `toml`; `meshes`, `gltf` and `measured` what other programs wrote. `shipped` holds the
-cameras and scenes that come with the package.
+images raw image_settings   images, raw files, and their metadata
+scenes cameras materials    records as TOML tables, by `records` and `toml`
+meshes gltf measured        meshes and measured BRDFs from other programs
+shipped                     the cameras and scenes that come with the package
 """
 
 from ..core.lazy_names import names_of

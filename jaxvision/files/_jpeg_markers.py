@@ -1,4 +1,4 @@
-"""What a JPEG file holds beside its picture. Sources: ITU-T T.81, annex B; CIPA DC-007
+"""Contents of a JPEG file besides its picture. Sources: ITU-T T.81, annex B; CIPA DC-007
 (Multi-Picture Format); ISO 21496-1 and Adobe's gain maps."""
 
 import struct

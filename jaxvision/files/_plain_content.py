@@ -1,5 +1,5 @@
-"""How large what a parser reads may be: checked before and after, so that a damaged or hostile file
-ends in one sentence and takes no more memory than a sound one."""
+"""Limits on the size of parsed content, checked before and after. A damaged or hostile file ends in
+one sentence, and takes at most as much memory as a valid one."""
 
 from pathlib import Path
 from typing import Any

@@ -11,10 +11,10 @@
     [sensor.shot_noise]
     kind = "PoissonShotNoise"
 
-A view without `position` and `rotation` stands at the origin and looks along +z, +x to its right
-and +y down. `[sensor.colour_filter]` may name measured sensitivities of colour-science,
-`sensitivities = "Nikon 5100 (NPL)"`, with `peak`, electrons per photon where it is largest, instead
-of a `transmission`; `[bands]` then gives the wavelengths, `first`, `last` and `step` in m. A Bayer
+A view without `position` and `rotation` is at the origin and looks along +z, with +x to its right
+and +y down. Instead of a `transmission`, `[sensor.colour_filter]` may name measured sensitivities
+of colour-science, `sensitivities = "Nikon 5100 (NPL)"`, with `peak`, the largest number of
+electrons per photon. `[bands]` then gives the wavelengths, `first`, `last` and `step` in m. A Bayer
 `pattern` may be written as "RGGB". `about` is free text.
 """
 

@@ -191,7 +191,7 @@ def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
 
 
 def _bytes_at(path: Path, uri: str) -> bytes:
-    """What a URI holds: a file beside the glTF, or bytes in base 64."""
+    """Return the bytes of a URI: a file relative to the glTF, or data in base 64."""
     if uri.startswith("data:"):
         try:
             return base64.b64decode(uri.partition("base64,")[2], validate=True)

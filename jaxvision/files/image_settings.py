@@ -1,5 +1,5 @@
-"""What an image file says of its making: exposure, sensitivity, date, camera, depth. EXIF of JPEG,
-TIFF and PNG by OpenImageIO, of raw files by exifread, headers of FITS by astropy."""
+"""Metadata of an image file: exposure, sensitivity, date, camera, depth. EXIF of JPEG, TIFF and PNG
+is read by OpenImageIO, of raw files by exifread, and FITS headers by astropy."""
 
 import datetime
 import os
@@ -46,22 +46,22 @@ _CODES = "bits of codes"  # beside the names of OpenImageIO
 
 @dataclass(frozen=True)
 class ImageSettings:
-    """What a file says; None where it does not.
+    """The metadata of a file; a value is None if the file does not state it.
 
     Attributes:
         exposure: s.
         iso: sensitivity.
         f_number: of the lens.
-        taken: when, in the camera's own time.
+        taken: date and time, by the camera's clock.
         temperature: K, of the sensor.
-        camera: maker's name of it.
+        camera: maker and model.
         black_level: DN; of a mosaic whose sites differ, one for each in the order of `pattern`.
         saturation: DN.
         pattern: phase of a Bayer mosaic, such as "RGGB", counted from the first pixel of the file.
         bits: of the codes that `jaxvision.read_image` gives, by the file's own depth: a 12-bit
             TIFF has 12. The camera's converter may have fewer, not more.
         kind: IMAGETYP of FITS, such as "Flat Field".
-        gain: GAIN of FITS, what the amplifier was set to in the camera's own unit.
+        gain: GAIN of FITS, the setting of the amplifier in the camera's own unit.
     """
 
     exposure: float | None = None
@@ -357,7 +357,8 @@ def _time(said: Any) -> datetime.datetime | None:
 
 
 def _name(*parts: Any) -> str | None:
-    """Maker and model, the maker once; `?` for what is no letter, as where the head is damaged."""
+    """Return maker and model, without a repeated maker. Characters that are not text, as in damaged
+    metadata, become `?`."""
     texts = ("".join(c if c.isprintable() else "?" for c in str(part)) for part in parts if part)
     words = [text.strip("? ") for text in texts]
     if len(words) > 1 and words[-1].startswith(words[0]):

@@ -105,9 +105,9 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def check_writable(path: Path, *, kind: type = np.float32) -> None:
-    """`InputError`, before the work that an image file is for, if the format of the suffix holds no
-    samples of that type, if a folder has that name, or if its folder cannot be written; missing
-    folders are made later."""
+    """Check that an image file can be written, before the work for it. Raises `InputError` if the
+    format of the suffix does not support that type of samples, if a folder has that name, or if its
+    folder cannot be written. Missing folders are made later."""
     _check_format(path, np.dtype(kind))
     if path.is_dir():
         raise InputError(f"{path}: is a folder; choose another name for the image.")
@@ -120,20 +120,20 @@ def check_writable(path: Path, *, kind: type = np.float32) -> None:
 
 
 def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -> np.ndarray:
-    """The pixels of an image file as they are stored.
+    """Read the pixels of an image file as they are stored.
 
-    Codes are those of the file: 12-bit samples run from 0 to 4095 and a bitmap's are 0 and 1, of
-    which `image_settings.read_settings` gives the bits. Rows and columns are those of the file,
-    too: a tag of orientation is not applied, and a warning says so. A palette becomes its colours;
-    where white is stored as zero, numbers are reversed, so that more is brighter. An EXR is the
-    picture of its display window, black outside its data window; its channels R, G, B and A, or Y,
-    are found by their names. An HDR is radiance as it was before EXPOSURE.
+    Codes are those of the file: 12-bit samples range from 0 to 4095, and bitmaps have 0 and 1.
+    `image_settings.read_settings` gives the number of bits. Rows and columns are those of the file,
+    too: an orientation tag is not applied, and a warning says so. A palette is replaced by its
+    colours. If white is stored as zero, numbers are reversed, so that more is brighter. An EXR is
+    the picture of its display window, black outside its data window. Its channels R, G, B and A, or
+    Y, are found by their names. An HDR is the radiance before EXPOSURE.
 
-    Colours of an EXR are multiplied by its alpha, as its standard says; those of other files are as
-    stored, as a rule not multiplied.
+    Colours of an EXR are premultiplied by alpha, as its standard says. Those of other files are as
+    stored, usually not premultiplied.
 
-    A warning, one sentence each, names what a file holds beside the picture that is read: further
-    pictures, channels, pixels outside the window.
+    A warning, with one sentence each, names the contents that are not read: further pictures,
+    channels, or pixels outside the window.
 
     Args:
         path: a PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, PFM, TGA or `.npy` file; DNG and other raw
@@ -478,7 +478,7 @@ def _from_palette(file: Path, number: int, page: TiffPicture) -> np.ndarray:
 def _name_unused(
     file: Path, kind: str, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> None:
-    """Warns of what the head says and no array holds."""
+    """Warn about metadata that the array does not contain."""
     said = [
         f"its picture of {x.first(ROWS)} x {x.first(COLUMNS)} and {x.first(BITS, 1)} bits in a "
         "SubIFD: export it as a file of its own"

@@ -77,8 +77,9 @@ def table_of(record: eqx.Module) -> dict[str, Any]:
 
 
 def with_draws(file: Path, record: Record, count: int) -> Record:
-    """A record with a leading axis, for `jax.vmap`, of `count` draws, spread evenly over those that
-    lie beside its file; `InputError` without draws, with fewer, and with draws of another record.
+    """Return a record with a leading axis of `count` draws, for `jax.vmap`, spread evenly over the
+    draws stored with its file. Raises `InputError` without draws, with fewer, and for draws of
+    another record.
     """
     beside = _beside(file)
     if not beside.is_file():
@@ -157,9 +158,9 @@ class Reading(NamedTuple):
 
 @cache
 def keys_of(make: Callable[..., Any], *, record: type | None = None) -> dict[str, Key]:
-    """The keys, by name, of the table from which a record is made: the fields of the record, in its
-    order, or the arguments by name of the function that makes it, and then those of `record` that
-    it takes as `**fields`."""
+    """Return the keys, by name, of the table of a record. They are the fields of the record in its
+    order, or the keyword arguments of the function that makes it, followed by the fields of
+    `record` that it takes as `**fields`."""
     said = meanings(make)
     if isinstance(make, type):
         hints = get_type_hints(make, include_extras=True)

@@ -98,11 +98,12 @@ def checked(
     first: int = 1,
     called: Mapping[str, str] | None = None,
 ) -> Model:
-    """The content of a file as an instance of its schema; `InputError` for the first mistake.
+    """Return the content of a file as an instance of its schema. Raises `InputError` for the first
+    mistake.
 
-    Messages name the file, what it should be (`kind`), the items of an array from the number
-    `first` on, and by `called`, from an array and a key, a list that stands key by key in the
-    tables of that array: {"flat.exposure": "exposures"}.
+    Messages name the file, its expected `kind`, and the items of an array, counted from `first`.
+    `called` maps an array and a key to the name of a list that is written key by key in the tables
+    of that array: {"flat.exposure": "exposures"}.
     """
     try:
         return schema.model_validate(content)

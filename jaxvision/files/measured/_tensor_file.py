@@ -1,9 +1,9 @@
 """Tensor files: named arrays in one file.
 
-"tensor_file", a zero byte, version 1.0 in two bytes, a little-endian uint32 count of fields; for
-each a uint16 length and the name, uint16 number of dimensions, uint8 type, uint64 offset from the
-file's start and uint64 per dimension. Source: the loader published with the RGL database,
-rgl.epfl.ch/materials.
+The file begins with "tensor_file", a zero byte, version 1.0 in two bytes, and a little-endian
+uint32 count of fields. Each field has a uint16 length and the name, uint16 number of dimensions,
+uint8 type, uint64 offset from the file's start and uint64 per dimension. Source: the loader
+published with the RGL database, rgl.epfl.ch/materials.
 """
 
 import math

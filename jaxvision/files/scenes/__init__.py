@@ -1,9 +1,9 @@
 """Scene files: TOML with lights, surfaces, materials and a camera, read as records; and scenes of
-Mitsuba and of glTF, of which `mitsuba` and `gltf` say what is read.
+Mitsuba and glTF (`mitsuba` and `gltf` list the supported parts).
 
-`tables` and `schema` say what a file may hold. Eager; every mistake is an `InputError` of one
-sentence that names the file and the object. The scenes that ship with the library are read by
-their names.
+`tables` and `schema` define the contents of a file. Reading is eager. Every mistake is an
+`InputError` of one sentence that names the file and the object. Shipped scenes are read by their
+names.
 """
 
 import hashlib

@@ -1,14 +1,17 @@
 """Spectra of a scene file, reduced to the bands in which the scene is rendered.
 
-A table is linear between its wavelengths; beyond them a reflectance keeps its end value and a light
-is 0. With wavelengths, a band of a reflectance is the value at its wavelength. So is a band of
-light, unless the table has further wavelengths within the band, which reaches half-way to its
-neighbours: then it is the mean over the part of the band that the table covers, so that no line of
-a lamp is lost between the bands. Without wavelengths, three bands are linear sRGB: for a
-reflectance its colour under D65, 1 for perfect white; for light the integral of S(lambda)
-xyz(lambda) over that of y(lambda), so that a flat spectrum of 1 has Y = 1. Colours outside the sRGB
-gamut are clipped at 0; those of a reflectance of at most 1 are clipped at 1 too, and a warning says
-so.
+A table is linear between its wavelengths. Beyond them a reflectance keeps its end value and a light
+is 0.
+
+With wavelengths, a band of a reflectance is the value at its wavelength. A band of light reaches
+half-way to its neighbours. If the table has further wavelengths within the band, the value is the
+mean over the part that the table covers, so that no line of a lamp is lost between the bands.
+Otherwise it is the value at the wavelength.
+
+Without wavelengths, three bands are linear sRGB. For a reflectance they are its colour under D65,
+with 1 for perfect white. For light they are the integral of S(lambda) xyz(lambda) over the integral
+of y(lambda), so that a flat spectrum of 1 has Y = 1. Colours outside the sRGB gamut are clipped at
+0. Colours of a reflectance of at most 1 are clipped at 1 too, and a warning says so.
 """
 
 import warnings
@@ -90,7 +93,7 @@ Spectrum = np.ndarray | Tabulated
 
 
 def spectrum_of(reading: Reading, where: str, value: Any) -> Spectrum:
-    """A spectrum as a file states it; `InputError` for what is none."""
+    """Read a spectrum from its entry in a file. Raises `InputError` for other entries."""
     if isinstance(value, Mapping):
         return record_of(reading, where, Tabulated, value)
     return value_of(reading, where, Annotated[Float[Array, "..."], NOT_NEGATIVE], value)

@@ -2,9 +2,8 @@
 
 A scene file is TOML. Lengths are metres, angles degrees, radiance W m^-2 sr^-1; paths are relative
 to the file. Most scenes need `[camera]`, `[[surface]]` and `[material.NAME]`; `[[light]]`,
-`[ambient]`, `[render]` and `wavelengths` are optional. `tables` reads each kind of table: the
-meaning of a number is that of the field of the same name in the record made from it (`Pinhole`,
-`Quad`, `Lambert`, ...).
+`[ambient]`, `[render]` and `wavelengths` are optional. `tables` reads each kind of table. A number
+has the same meaning as the field of that name in the record (`Pinhole`, `Quad`, `Lambert`, ...).
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
-"""Spectra in CSV files: which column holds the wavelengths, in which unit, and which the values.
+"""Spectra in CSV files: the columns of wavelengths and values, and their units.
 
-The heads say it. What they leave open is refused with their names, because a wrong column or unit
-gives numbers of the right shape.
+The headers state them. Ambiguous headers are refused by name, because a wrong column or unit would
+give numbers of the right shape.
 """
 
 import csv

@@ -1,9 +1,9 @@
 """The tables of a scene file as records.
 
-A table is a call: its keys are the fields of the record that it becomes, or the arguments of what
-makes that record, and mean the same. Lights and materials bring theirs by `register`; shapes,
-cameras and what stands beside them are below. Lengths in m, angles in degrees, radiance in
-W m^-2 sr^-1.
+A table corresponds to a call. Its keys are the fields of a record, or the arguments of the function
+that makes the record, with the same meaning. Lights and materials register their tables by
+`register`. The tables of shapes and cameras are below. Lengths are in m, angles in degrees,
+radiance in W m^-2 sr^-1.
 """
 
 from collections.abc import Callable, Mapping
@@ -119,7 +119,7 @@ def beside_shape(
     emission: Colour | None = None,
     two_sided: bool = False,
 ) -> dict[str, Any]:
-    """What a table `[[surface]]` holds beside its shape.
+    """The keys of a table `[[surface]]` besides its shape.
 
     Args:
         name: for messages.
@@ -142,7 +142,7 @@ def beside_camera(
     up: Point = (0.0, 0.0, 1.0),  # type: ignore[assignment]
     resolution: tuple[Count, Count],
 ) -> dict[str, Any]:
-    """What a table `[camera]` holds whatever its kind.
+    """The keys of a table `[camera]` of any kind.
 
     Args:
         position: m.
@@ -179,8 +179,8 @@ def _pinhole(
     distortion: Float[np.ndarray, " coefficients"] | None = None,
     **placed: Any,
 ) -> Pinhole:
-    """Central projection; either `field_of_view`, or `focal_length` and `pixel_pitch`, or the
-    `matrix` of a calibration by OpenCV.
+    """Central projection, with `field_of_view`, or `focal_length` and `pixel_pitch`, or the
+    `matrix` of an OpenCV calibration.
 
     Args:
         field_of_view: degrees across the width of the picture.
@@ -248,7 +248,7 @@ VIEWS: dict[str, Callable[..., View]] = {
 
 
 def beside_light(*, name: str | None = None) -> None:
-    """What a table `[[light]]` holds whatever its kind.
+    """The keys of a table `[[light]]` of any kind.
 
     Args:
         name: for messages.
@@ -266,7 +266,8 @@ def material_tables() -> dict[str, Table]:
 
 
 def keys_of_kind(table: Table) -> dict[str, Key]:
-    """The keys of a light or a material; what has a `diffuse` takes its `albedo` instead."""
+    """Return the keys of a light or a material. A material with `diffuse` takes `albedo`
+    instead."""
     keys = keys_of(table.make, record=table.record)
     if "diffuse" not in keys or not issubclass(table.record, Material):
         return keys

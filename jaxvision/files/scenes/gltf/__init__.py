@@ -1,4 +1,4 @@
-"""Scenes of glTF 2.0 (`.gltf`, `.glb`), of them the part that has a counterpart.
+"""Scenes of glTF 2.0 (`.gltf`, `.glb`): the parts that have a counterpart here.
 
     meshes      triangles, with their normals; every node that shows one
     materials   metallic-roughness with factors, KHR_materials_ior, KHR_materials_emissive_strength,
@@ -7,10 +7,10 @@
     lights      point and directional, of KHR_lights_punctual
     cameras     perspective and orthographic
 
-glTF counts light in candela, lux and cd m^-2; here 683 lumens are 1 W. Blender writes so the lamps
-of its lighting mode "Standard", but no mesh that shines; a warning names a file with both.
-Colours are linear sRGB. What is not read is refused with its name, never left out; a warning tells
-of what is a little different.
+glTF measures light in candela, lux and cd m^-2. Here 683 lumens are 1 W. Blender writes lamps in
+these units in its lighting mode "Standard", but not emissive meshes. A warning names a file with
+both. Colours are linear sRGB. Unsupported parts are refused by name and never dropped. A warning
+names small differences.
 """
 
 import warnings

@@ -30,7 +30,7 @@ class Perspective(Named):
 
 
 class Parallel(Named):
-    """A camera of parallel projection; m, half the width and half the height of the picture."""
+    """A camera with parallel projection: half the width and half the height of the picture, m."""
 
     xmag: Positive
     ymag: Positive
@@ -47,7 +47,7 @@ class Camera(Named):
 
 
 class Light(Named):
-    """A light of KHR_lights_punctual; cd, or lux of a directional one."""
+    """A light of KHR_lights_punctual, in cd, or in lux if it is directional."""
 
     type: str
     color: Colour = (1.0, 1.0, 1.0)
@@ -125,7 +125,7 @@ class Strength(Entry):
 
 
 class Ior(Entry):
-    """KHR_materials_ior: the refractive index of what is no metal."""
+    """KHR_materials_ior: the refractive index of a dielectric."""
 
     ior: Annotated[float, Field(strict=True, ge=1)] = 1.5
 

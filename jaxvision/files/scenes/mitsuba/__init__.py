@@ -1,4 +1,4 @@
-"""Scenes of Mitsuba (versions 0.5 to 3), of its XML the part that has an exact counterpart.
+"""Scenes in Mitsuba's XML (versions 0.5 to 3): the parts that have an exact counterpart here.
 
     shapes      sphere, rectangle, disk, cube, obj, ply
     BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor
@@ -7,8 +7,8 @@
     integrators path, volpath and direct (as paths), ptracer
 
 Values: float, integer, boolean, string, vector, point, rgb and spectrum, transforms, `<default>`,
-`<ref>`, `<alias>` and `<include>`. Colours are those of Mitsuba's RGB variants. What is not read is
-refused with its name, never left out; a warning tells of what is a little different.
+`<ref>`, `<alias>` and `<include>`. Colours are those of Mitsuba's RGB variants. Unsupported parts
+are refused by name and never dropped. A warning names small differences.
 """
 
 import warnings

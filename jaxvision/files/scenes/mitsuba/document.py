@@ -117,8 +117,9 @@ class Node:
 
 
 def root_of(file: Path) -> Node:
-    """The node of `<scene>` of a file of Mitsuba 0.5 or later; the names of the versions before 2
-    are changed to today's. `InputError` for another file, or one that names what it does not hold.
+    """Return the node of `<scene>` of a file of Mitsuba 0.5 or later, with names of versions before
+    2 changed to the current ones. Raises `InputError` for another file, or for a reference to
+    something missing.
     """
     root = _parsed(file)
     if root.tag != "scene":

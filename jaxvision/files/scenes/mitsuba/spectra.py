@@ -18,8 +18,8 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
 
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
-    """A radiance, an intensity or an irradiance by its name. A flat spectrum is that of equal
-    energy, which is not the white of sRGB; where nothing is given, Mitsuba takes that white."""
+    """Return a radiance, an intensity or an irradiance by its name. A flat spectrum has equal
+    energy, which is not the white of sRGB. If nothing is given, Mitsuba uses the white of sRGB."""
     match node.take(name, SPECTRUM, otherwise):
         case Table(pairs):
             return {"pairs": [list(pair) for pair in pairs]}
