@@ -77,9 +77,9 @@ def thinned_draws(posterior: Posterior, draws: int) -> np.ndarray:
 
 @eqx.filter_jit
 def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Array:
-    """Draws pushed through a function.
+    """Evaluate a function for all draws.
 
-    Returns (draws, ...) in the unit of what it returns."""
+    Returns (draws, ...) in the unit of the function."""
 
     def one(natural: Array) -> Array:
         found = give(problem, function, values_from(problem, natural), problem.inputs)

@@ -127,9 +127,9 @@ def budget(
     """Divides the variance of a quantity by its sources.
 
     `noise`: variance of a datum by source, in the square of the data's unit: a number, an array of
-    the data's shape, or a function of the prediction; what they leave of the likelihood's variance
-    is "other noise". None takes those of the sensor of `SensorNoise` (photons, read noise,
-    rounding), or all as one.
+    the data's shape, or a function of the prediction. The remaining variance of the likelihood is
+    "other noise". None takes the sources of the sensor in `SensorNoise` (photons, read noise,
+    rounding), or one source for all.
     """
     vector = optimum.vector
     value, slope = slope_of(problem, target, vector)

@@ -1,8 +1,9 @@
-"""A problem of only the effects that its scene and camera call for.
+"""A problem without the negligible effects of its scene and camera.
 
-`jaxvision.effects` bounds what each effect can do to the law of a pixel over the whole box of what
-is fitted; what stays below a tolerance goes from the records, and so from the prediction and from
-the likelihood of their sensor. The problem carries the certificate, and a fit's report lists it.
+`jaxvision.effects` bounds the change that each effect makes in a pixel's distribution, over the
+whole box of the fitted parameters. Effects below a tolerance are dropped from the records, and so
+from the prediction and from the likelihood of the sensor. The problem has the certificate, and the
+report of a fit lists it.
 """
 
 from collections.abc import Iterator
@@ -129,8 +130,8 @@ def _named(problem: Problem, kind: type) -> str:
 def _boxes(
     problem: Problem, records: dict[str, Any], among: tuple[str, ...]
 ) -> Iterator[tuple[str, tuple[Any, Any]]]:
-    """From the names of fields to the ends of what a fit may make of them; what is fixed, and what
-    others decide, has one value or none."""
+    """Return the range of each free field, by name. Fixed fields, and fields that depend on others,
+    have one value or none."""
     for name in problem.tied:
         if is_path(name) and head(name) in among:
             raise InputError(f"called_for: {name} is tied, so that nothing is known of its range.")

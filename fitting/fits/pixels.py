@@ -39,22 +39,22 @@ def fit_map(
     chunk: int = 4096,
     seed: int = 0,
 ) -> FitMap:
-    """Fits a problem at every pixel, each by itself, or once for all pixels of each label.
+    """Fit a problem at every pixel separately, or once for all pixels of each label.
 
-    Pixels are fitted side by side, `chunk` at a time, by one compiled program, in memory bounded by
-    one chunk and the maps themselves; estimates, errors and verdict (but for the correlation of
-    neighbouring residuals) are those of `fit` for that pixel's data. Where nothing can be fitted,
-    because data are missing or not finite, the maps are NaN, and the findings count it.
+    One compiled program fits `chunk` pixels at a time, so the memory is bounded by one chunk and
+    the maps. Estimates, errors and verdict are those of `fit` for the pixel's data, except for the
+    test of neighbouring residuals. If a pixel cannot be fitted, because data are missing or not
+    finite, the maps are NaN, and the findings count it.
 
     Args:
-        problem: of one pixel: what is unknown of it, and how its data, such as one datum an image,
-            follow. Its own data and inputs give the shapes.
-        data: (..., *map) the data of every pixel, those of the problem first: (images, height,
-            width) of a problem with one datum an image; a memory-mapped file will do. NaN where
-            a datum is missing, saturated or masked out.
-        inputs: those of every pixel in the problem's structure; a leaf of the problem's own shape
-            followed by that of the map is cut with it, any other holds for all pixels. None takes
-            the problem's for all.
+        problem: of one pixel, with data such as one datum an image. Its data and inputs give the
+            shapes.
+        data: (..., *map) the data of every pixel, with the axes of the problem first: (images,
+            height, width) for a problem with one datum an image. It may be a memory-mapped file.
+            NaN marks missing, saturated or masked data.
+        inputs: of every pixel, in the problem's structure. A leaf of the problem's shape followed
+            by the shape of the map is divided with it; any other leaf is used for all pixels.
+            None takes the problem's for all.
         labels: (*map) whole numbers: pixels of one label share one set of parameters (a material);
             negative ones are left out. None fits every pixel by itself.
         starts: searches of each, spread over bounds and priors.

@@ -62,18 +62,19 @@ def fit(
     after: Fit | None = None,
     sampling: Emcee | Nuts | None = None,
 ) -> Fit:
-    """Fits a problem: the best of many searches, its posterior, and whether to believe it.
+    """Fit a problem: find the best optimum of many searches, its posterior, and a verdict.
 
-    Of data in chunks (`Problem(..., chunk=...)`) a sample is searched; the best end is followed to
-    the mode of all data, which are read once a step, and judged by them. The fit's residuals and
-    bands are then those of the sample, and a bar shows how far each reading is.
+    For data in chunks (`Problem(..., chunk=...)`) the searches use a sample. Newton's method goes
+    from the best optimum to the mode of all data, which are read once a step. The verdict uses all
+    data. Residuals and bands are those of the sample, and a bar shows the progress of each reading.
 
-    A `Candidate` stays only if the data call for it: it pays for its numbers by Schwarz' criterion
-    and is not so far from absent by chance. The weakest goes first; the estimates are those of the
-    problem without those that went, and `Fit.choices` says why.
+    A `Candidate` is kept only if the data support it: it passes Schwarz' criterion, and its
+    distance from the absent value is too large for chance. The weakest is dropped first. The
+    estimates are those of the problem without the dropped terms, and `Fit.choices` gives the
+    reasons.
 
-    Where finite differences at the optimum show more than the gradient sees, as where edges of
-    shadows move, the fit goes on by them: its verdict and curvature are theirs, and a finding names
+    If finite differences at the optimum differ from the gradient, for example because edges of
+    shadows move, the fit uses finite differences for its verdict and curvature, and a finding names
     the parameters.
 
     A second fit of a problem with equal shapes and the same `predict` compiles nothing
@@ -82,8 +83,8 @@ def fit(
 
     Args:
         problem: parameters, model, likelihood and data.
-        start: natural values by name, in their units, from which the only search begins; None for
-            `starts` of them.
+        start: natural values by name, in their units, for a single search; None for `starts`
+            searches.
         starts: searches spread over bounds and priors, of which the best is kept; up to four times
             as many where no other ends where the best one does. If none does then, the fit fails.
             A width of noise to be fitted grows until a wrong optimum passes for noise: then four
@@ -301,8 +302,8 @@ def _judged(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> 
 
 
 def _in_order(problem: Problem, residuals: np.ndarray) -> np.ndarray:
-    """Residuals of one series in the order of its inputs, where each datum has one number: those
-    of neighbours then tell what the model misses, in whatever order the data came."""
+    """Return the residuals of one series in the order of its inputs, if each datum has one input
+    number. Neighbouring residuals then show a misfit for any order of the data."""
     inputs = problem.inputs
     if not isinstance(inputs, jax.Array | np.ndarray):
         return residuals

@@ -68,10 +68,11 @@ def widening(
     inflate: bool,
     seed: int,
 ) -> Widening:
-    """The covariance that allows for what the model misses.
+    """Return the covariance that includes the misfit of the model.
 
-    Groups explain a misfit where they share errors and what is left within them, once an offset and
-    a gain of each are taken away, is noise as stated; with `inflate`, whatever is left.
+    Groups explain a misfit if they share errors and the residuals within a group, after an offset
+    and a gain are removed, are noise as stated. With `inflate` the remaining residuals may have any
+    size.
 
     `residuals`: standardised, NaN where a datum is missing."""
     if isinstance(problem.likelihood, Clustered):

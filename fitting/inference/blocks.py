@@ -108,10 +108,10 @@ def fingerprint(
     *settings: Hashable,
     package: str,
 ) -> str:
-    """Hash of a density with its data, of where a sampler starts, and of how it runs.
+    """Return a hash of a density with its data, of the start of a sampler, and of its settings.
 
-    The density counts by its name and by what it computes: the text of its jaxpr and the constants
-    it closes over, so that the same name with another formula is another run."""
+    The density is represented by its name, the text of its jaxpr and the constants that it closes
+    over. The same name with another formula therefore gives another hash."""
     closed = eqx.filter_make_jaxpr(log_density)(mode, args)[0]
     name = getattr(log_density, "__module__", ""), getattr(log_density, "__qualname__", "")
     packages = [f"{known} {version(known)}" for known in (package, *PACKAGES)]

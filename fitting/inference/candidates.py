@@ -1,12 +1,12 @@
-"""Terms of a model that stay only if the data call for them.
+"""Optional terms of a model, which are kept only if the data support them.
 
-A term that adds k numbers stays if the squared Wald ratio of its estimate to what it is where it is
-absent, (x - x_0)^T C^-1 (x - x_0), is above k ln n, the price of k numbers by Schwarz' criterion
-(BIC) for n data, and so large by chance only once in a hundred fits to data without the term. The
-errors of the other parameters do not know of the choice, which is why chance is asked as well.
+A term with k numbers must pass two tests. Its squared Wald ratio against the absent value, (x -
+x_0)^T C^-1 (x - x_0), must exceed k ln n, which is Schwarz' criterion (BIC) for n data. And a ratio
+this large must occur by chance in at most one of a hundred fits to data without the term. The
+second test is needed because the errors of the other parameters do not include the selection.
 
 Source:
-    Schwarz, Ann. Statist. 6, 1978; the squared Wald ratio stands for twice the difference in log
+    Schwarz, Ann. Statist. 6, 1978; the squared Wald ratio approximates twice the difference in log
     likelihood (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995).
 """
 

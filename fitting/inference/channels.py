@@ -22,18 +22,20 @@ from .records import is_path
 def by_channel(
     problem: Problem, data: Any, *, shared: Sequence[str] = (), inputs: Any = None
 ) -> Problem:
-    """States the problem of one channel for several at once, as one compiled program.
+    """Make one problem for several channels from the problem of one channel, as one compiled
+    program.
 
-    A parameter is an array with the channel first, one number or array each, unless it is shared.
-    Numbers of the likelihood and labels of groups are those of every channel; a parameter that it
-    names is shared.
+    A parameter becomes an array with a leading axis of channels, unless it is shared. Numbers of
+    the likelihood and labels of groups are the same for every channel. A parameter that the
+    likelihood names is shared.
 
     Args:
         problem: of one channel; its own data give the shape.
         data: (..., channels) the shape of the problem's data first; NaN where a datum is missing.
         shared: names of the parameters that have one value for all channels.
-        inputs: in the structure of the problem's own; a leaf of their shape followed by that of the
-            channels differs between them, any other holds for all. None takes the problem's.
+        inputs: with the structure of the problem's own. A leaf with that shape and a trailing axis
+            of channels differs between channels; any other leaf is used for all. None takes the
+            problem's.
 
     Returns:
         The problem, for `fit`.
@@ -169,7 +171,7 @@ def _likelihood(likelihood: Any, shape: tuple[int, ...]) -> Any:
 
 
 def _start(problem: Problem, several: tuple[str, ...], axes: Any) -> Any:
-    """Of every channel by its data; the median of what is shared."""
+    """Compute a start for every channel from its data; for shared parameters take the median."""
 
     def start(data: Any, inputs: Any) -> Mapping[str, Any]:
         def one(data: Any, inputs: Any) -> Mapping[str, Any]:

@@ -1,25 +1,27 @@
 """Covariance of a fit where model errors are correlated within clusters of observations.
 
-Model errors are shared: by the pixels of one image (a light whose intensity is off),
-by one pixel under all lights (its gain, a stain). Then N pixels do not count as N. The gradient of
-the log likelihood, summed within such clusters, has a covariance J that exceeds the information I;
-I^-1 J I^-1 is the sandwich covariance (Liang & Zeger, Biometrika 73, 1986; two ways of clustering
-at once: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011), and trace(I^-1 J) / P the design
-effect, the factor by which fewer observations would say as much.
+Model errors are shared by the pixels of one image (if the intensity of a light is wrong) or by one
+pixel under all lights (its gain, a stain). Then N pixels are not N independent observations. The
+gradient of the log likelihood, summed within such clusters, has a covariance J that exceeds the
+information I. I^-1 J I^-1 is the sandwich covariance (Liang & Zeger, Biometrika 73, 1986; for two
+kinds of clusters together: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). trace(I^-1 J)
+/ P is the design effect, the factor by which the number of independent observations is reduced.
 
-A fit bends toward the errors of a cluster, the more so the more of the information comes from it.
-With parameters in units in which I = 1, and A_g the share of cluster g in it, its summed scores s_g
-are therefore taken larger (CR2: Bell & McCaffrey, Survey Methodology 28, 2002),
+A fit follows the errors of a cluster partly, in proportion to the cluster's share of the
+information, so the residuals are too small. With parameters in units in which I = 1, and A_g the
+share of cluster g, its summed scores s_g are therefore increased (CR2: Bell & McCaffrey, Survey
+Methodology 28, 2002),
 
     V = sum_g B_g s_g s_g^T B_g,    B_g = (1 - A_g)^(-1/2),
 
-which makes E V = sum_g A_g where residuals are independent. V of few clusters is itself uncertain:
-the variance c^T V c of a coefficient is a quadratic form of the residuals with the matrix G,
+This makes E V = sum_g A_g if residuals are independent. With few clusters V is itself uncertain.
+The variance c^T V c of a coefficient is a quadratic form of the residuals with the matrix G,
 
     G_gh = delta_gh b_g.a_g - a_g.a_h,    b_g = B_g c,    a_g = A_g b_g,
 
-about chi-square distributed with (tr G)^2 / tr G^2 degrees of freedom (Satterthwaite), those of the
-Student's t that its interval takes (Imbens & Kolesar, Rev. Econ. Stat. 98, 2016).
+It is approximately chi-square distributed with (tr G)^2 / tr G^2 degrees of freedom
+(Satterthwaite). The interval of the coefficient uses Student's t with these degrees of freedom
+(Imbens & Kolesar, Rev. Econ. Stat. 98, 2016).
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
-"""How many independent draws a chain is worth, and whether chains agree.
+"""Convergence of chains: the effective number of independent draws, and the agreement of chains.
 
-Autocorrelation times of an ensemble are Sokal's, as emcee estimates them: walkers share one
-function. R-hat and the effective number of draws of independent chains are those of ranks (Vehtari,
+The autocorrelation time of an ensemble is Sokal's, as in emcee, with one autocorrelation function
+for all walkers. R-hat and the effective number of draws of independent chains use ranks (Vehtari,
 Gelman, Simpson, Carpenter & Bürkner, Bayesian Analysis 16, 2021), so that heavy tails do no harm.
 """
 

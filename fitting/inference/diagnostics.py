@@ -1,9 +1,10 @@
-"""What the data can tell apart: identifiability from the Fisher information, in words.
+"""Identifiability of parameters from the Fisher information, in words.
 
-The information matrix F is scaled to unit diagonal; its small eigenvalues are the directions the
-data leave open, and sqrt(VIF_i) = sqrt(F_ii (F^-1)_ii) says by how much not knowing the other
-parameters widens the error of parameter i (variance inflation; Belsley, Kuh & Welsch 1980).
-An undetermined direction is reported, never inverted away by a pseudo-inverse.
+The information matrix F is scaled to unit diagonal. Eigenvectors with small eigenvalues are
+combinations of parameters that are not identifiable from the data. sqrt(VIF_i) = sqrt(F_ii
+(F^-1)_ii) is the factor by which the uncertainty of the other parameters increases the error of
+parameter i (variance inflation; Belsley, Kuh & Welsch 1980). An unidentifiable combination is
+reported, and never hidden by a pseudo-inverse.
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,10 @@
-"""Derivatives by finite differences, where automatic ones do not see all that a parameter changes.
+"""Finite differences, where automatic derivatives neglect a part of the change.
 
-A picture leaps at the edge of a shadow or an outline, and no gradient sees an edge move; the same
-holds for what is rounded or chosen by a branch. Residuals at both sides of an optimum, half a
-standard deviation away, tell: where they differ from the gradient's by more than the curvature of
-smooth residuals and a tenth of themselves, the optimum, its curvature and the verdict are taken
-from differences.
+A picture is discontinuous at the edge of a shadow or an outline, and its gradient neglects the
+motion of the edge. Rounded values and branches have the same problem. The test compares residuals
+on both sides of an optimum, half a standard deviation away, with the prediction of the gradient. If
+the difference exceeds the curvature of smooth residuals and a tenth of the change, the optimum, its
+curvature and the verdict use finite differences.
 """
 
 from dataclasses import replace

@@ -151,9 +151,9 @@ def require_positive(what: str, value: Any) -> None:
 
 
 def require_ascending(what: str, low: Any, high: Any) -> None:
-    """Refuses ends between which there is nothing; names of parameters and traced values pass.
+    """Refuse an empty interval. Names of parameters and traced values pass.
 
-    `low`: number or array; None for no such end."""
+    `low`: number or array; None for an open end."""
     ends = {"low": low, "high": high}
     known = {
         name: on_host(end)

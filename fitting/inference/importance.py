@@ -1,14 +1,15 @@
-"""Where Laplace's Gaussian misses a posterior: noticed, and mended by importance sampling.
+"""A test of Laplace's approximation, and importance sampling where the posterior is not Gaussian
+enough.
 
-Along the line on which the Gaussian expects the mode to move with parameter i, x = mode + s c_i /
-sqrt(C_ii) with c_i the column of the covariance C, a Gaussian falls by s^2 / 2. Where the density
-falls otherwise, by more than `TOLERATED` at two standard deviations, draws are taken from
-Student's t about the mode, in a quasi-random sequence, and weighted by density over proposal; the
-proposal takes mean and covariance of the weighted draws until they are worth enough independent
-ones (adaptive importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). Where numbers
-have bounds, half of the proposals are made on the scale of the numbers themselves: a ridge that is
-straight there bends on the unconstrained scale, where no Student's t reaches both of its ends. The
-draws that are handed on are resampled by their weights.
+Along the line x = mode + s c_i / sqrt(C_ii), with c_i the column of the covariance C for parameter
+i, a Gaussian log density falls by s^2 / 2. If the density differs from this by more than
+`TOLERATED` at two standard deviations, importance sampling is used. Draws come from Student's t
+about the mode, in a quasi-random sequence, and are weighted by density over proposal. The proposal
+then takes the mean and covariance of the weighted draws, until their effective number is large
+enough (adaptive importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). If numbers
+have bounds, half of the proposals are made on the scale of the numbers themselves. A ridge that is
+straight on that scale is curved on the unconstrained one, where no Student's t reaches both of its
+ends. The returned draws are resampled by their weights.
 """
 
 from collections.abc import Sequence
@@ -139,7 +140,7 @@ def _importance(
     args: Any,
     seed: int,
 ) -> tuple[np.ndarray, float] | None:
-    """(draws, P) and what they are worth; None where too little."""
+    """Return (draws, P) and their effective number; None if it is too small."""
     from scipy.stats import qmc
 
     size = len(covariance)

@@ -1,4 +1,4 @@
-"""Likelihoods: how data scatter about a prediction.
+"""Likelihoods: the distribution of the data about a prediction.
 
 Each is a record with
 
@@ -6,15 +6,15 @@ Each is a record with
     residuals(prediction, data, chance) standard normal for every datum if the model holds, (data)
     draw(key, prediction)               data as they might have been, (data)
 
-`least_squares`, whether ln p is -residual^2 / 2 but for constants, so that a fit may use Levenberg
-and Marquardt's method; and `surrogate`, a likelihood of least squares whose best fit is near, for
-one in which a search gets lost, or None. A record of your own with these parts is as good; with
-`check_data(data)` besides it may refuse data that it knows to be wrong. A field that holds a string
-is the name of a parameter or a path into a record, whose value takes its place.
+`least_squares` says whether ln p is -residual^2 / 2 plus constants, so that a fit may use the
+Levenberg-Marquardt method. `surrogate` is a least-squares likelihood with a similar best fit, for a
+likelihood that is hard to search, or None. A record of your own with these parts works as well. It
+may also have `check_data(data)`, which refuses invalid data. A field that is a string names a
+parameter or a path into a record, and is replaced by its value.
 
 Residuals are quantile residuals (Dunn & Smyth, J. Comput. Graph. Stat. 5, 1996): the normal deviate
-of the probability below a datum. Where a datum covers an interval, a clipped one for instance,
-`chance`, uniform on 0 .. 1, picks a place in it.
+of the probability below a datum. If a datum covers an interval, such as a clipped one, `chance`,
+uniform on 0 .. 1, selects a point in it.
 """
 
 from collections.abc import Callable
@@ -265,7 +265,8 @@ class Censored(eqx.Module):
 
 
 def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
-    """The normal deviate below which lies `chance` of what lies below `end`, deviations."""
+    """Return the normal deviate with probability `chance` below it, in the distribution truncated
+    at `end` deviations."""
     xp, special = numerics(end, chance)
     far = end < _FAR
     above = xp.where(far, -end, 2)
@@ -278,24 +279,26 @@ def _deviate_below(end: Numbers, chance: Numbers) -> Numbers:
 
 
 class Clustered(eqx.Module):
-    """Groups of data share an error, which the likelihood does not know.
+    """Groups of data that share an error unknown to the likelihood.
 
-    The best fit is that of `likelihood`; its errors are widened by what the groups' residuals show
-    (a sandwich covariance, `clustering`). `draw` leaves out the shared error, of unknown form.
+    The best fit is that of `likelihood`. Its errors are widened by the correlation of the residuals
+    within groups (a sandwich covariance, `clustering`). `draw` does not simulate the shared error,
+    whose form is unknown.
 
     Attributes:
         likelihood: of each datum by itself.
         labels: (data) whole numbers, the group of each datum (its image, say); or several levels
             of groups by name, such as {"frame": ..., "row": ..., "column": ...}, crossed or nested.
-            Errors of the first always widen the intervals, however few its groups are; those of
-            another where its residuals show them.
+            The first level always widens the intervals, however few groups it has. Another level
+            does so only if its residuals show shared errors.
 
     Source:
         Liang & Zeger, Biometrika 73, 1986; several levels: Cameron, Gelbach & Miller, J. Bus. Econ.
         Stat. 29, 2011; few groups: Bell & McCaffrey, Survey Methodology 28, 2002.
 
     Example:
-        What an image's data share counts once: the mean of 1, 2, 3, 6 is known to sqrt(14 / 3 / 4).
+        The two equal data of an image count once: the standard error of the mean of 1, 2, 3, 6 is
+        sqrt(14 / 3 / 4).
 
         >>> from fitting import Clustered, Gaussian, Parameter, Problem, fit
         >>> images = np.repeat(np.arange(4), 2)
@@ -355,10 +358,8 @@ def check_data(likelihood: Any, data: Numbers) -> None:
 
 
 def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
-    """A likelihood whose noise is larger than stated.
-
-    Returns the likelihood; None for one whose width does not stand in a field `sd` or `scale` (that
-    of a sensor follows from its light).
+    """Return the likelihood with larger noise than stated. It is None for a likelihood without a
+    field `sd` or `scale`, such as a sensor's, whose noise depends on its light.
     """
     if isinstance(likelihood, Clustered):
         inside = with_noise_scaled(likelihood.likelihood, factor)

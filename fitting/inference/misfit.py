@@ -47,7 +47,8 @@ class Misfit:
 def sums(
     residuals: Float[np.ndarray, "..."], *, before: Float[np.ndarray, "..."] | None = None
 ) -> Float[np.ndarray, " sums"]:
-    """What both tests need of residuals; sums of parts of the data add up to those of all.
+    """Sums of residuals for both tests. The sums of parts of the data add up to the sums of all
+    data.
 
     `residuals`: standardised, of any shape; NaN where a datum is missing."""
     present = ~np.isnan(residuals)

@@ -1,12 +1,11 @@
-"""Clusters that err alike where they are neighbours, as images do whose lights are close.
+"""Clusters whose errors are correlated between neighbours, such as images with nearby lights.
 
-A model that is not the surface's misses by an amount that changes slowly with the place of the
-light, so that neighbouring lights say much the same, and their images are fewer than they look.
-Whether they do is asked of their scores y_g, each parameter at unit variance and none correlated
-with another: the mean of y_g . y_h over pairs of neighbours, against what it is when the places are
-permuted. Where it is larger, the clusters are merged into regions, and those are taken for
-independent (Conley, J. Econometrics 92, 1999; regions of many clusters: Bester, Conley & Hansen,
-J. Econometrics 165, 2011).
+The residual of a wrong surface model changes slowly with the position of the light, so images of
+neighbouring lights are not independent. The test uses the scores y_g of the clusters, scaled to
+unit variance without correlations between parameters. It compares the mean of y_g . y_h over pairs
+of neighbours with its value for permuted positions. If it is significantly larger, the clusters are
+merged into regions, which are treated as independent (Conley, J. Econometrics 92, 1999; regions of
+many clusters: Bester, Conley & Hansen, J. Econometrics 165, 2011).
 """
 
 import numpy as np
@@ -38,7 +37,7 @@ def regions(
 
 
 def _alike(sums: np.ndarray, places: np.ndarray) -> bool:
-    """Whether scores of neighbours are more alike than those of permuted places."""
+    """Return whether scores of neighbours are more similar than those of permuted positions."""
     centred = sums - sums.mean(axis=0)
     left, size, _ = np.linalg.svd(centred, full_matrices=False)
     scores = left[:, size > 1e-9 * size.max(initial=0.0)]

@@ -205,13 +205,14 @@ def twice(
 
 
 def _damped_step(state: _State) -> tuple[Array, Array, Array]:
-    """Newton's step in the Hessian scaled to unit diagonal, its eigenvalues taken positive and
-    raised by `damping`: downhill from anywhere, away from saddles too (Dauphin et al. 2014); the
-    fall in cost that an undamped one promises; and the lowest eigenvalue.
+    """Return Newton's step, the predicted decrease of the cost for an undamped step, and the lowest
+    eigenvalue. The Hessian is scaled to unit diagonal, and `damping` is added to the absolute
+    values of its eigenvalues. The step goes downhill from any point, also away from saddles
+    (Dauphin et al. 2014).
 
-    It is the only decomposition, and what follows asks it, not another one beside it: where two of
-    a batch run at the same time, each waits in XLA's pool for threads that the other holds, for
-    ever on two cores (jaxlib 0.10)."""
+    There is only one decomposition, whose results are used for everything. If two decompositions of
+    a batch run at the same time, each waits in XLA's pool for threads that the other holds, which
+    deadlocks on two cores (jaxlib 0.10)."""
     size = jnp.sqrt(jnp.abs(jnp.diagonal(state.information)))
     size = jnp.where(size > 0, size, 1)
     curvature, axes = jnp.linalg.eigh(state.information / jnp.outer(size, size))

@@ -1,7 +1,7 @@
-"""Arrays whose parts lie in several processes, as NumPy's.
+"""Conversion of distributed arrays to NumPy.
 
-Where `jax.distributed` joins processes, each runs the same program and holds a part of what is
-shared out. What the program then decides from it in NumPy, each decides from all of it.
+With `jax.distributed`, each process runs the same program and holds a part of each distributed
+array. Decisions in NumPy need the whole array in every process.
 """
 
 from typing import Any

@@ -161,14 +161,15 @@ def laplace(
     seed: int = 0,
     draws: int = 4000,
 ) -> Posterior:
-    """Gaussian posterior on the unconstrained scale about its mode.
+    """Return the Gaussian approximation of the posterior about its mode, on the unconstrained
+    scale.
 
-    With degrees of freedom, every parameter's draws follow Student's t, their dependence the
-    Gaussian's.
+    With degrees of freedom, the draws of every parameter follow Student's t, with the dependence of
+    the Gaussian.
 
-    `covariance`: (P, P) to use (a sandwich, say); None for the inverse of the negative Hessian of
-    `log_density` at the mode. `freedom`: (P,) degrees of freedom of the variances; None where they
-    are known.
+    `covariance`: (P, P) to use, such as a sandwich; None for the inverse of the negative Hessian of
+    `log_density` at the mode. `freedom`: (P,) degrees of freedom of the variances; None if they are
+    known.
     """
     if covariance is None:
         information = on_host(_information(log_density, mode, args), dtype=np.float64)

@@ -1,10 +1,11 @@
-"""A problem: what is unknown, what is predicted from it, how data scatter about that, and the data.
+"""A problem: the parameters, the prediction, the likelihood and the data.
 
-    u  ->  values  ->  prediction  ->  ln p(data | values) + ln p(u)
+u -> values -> prediction -> ln p(data | values) + ln p(u)
 
-The model is written once, as `predict`; residuals, cost and log density follow from it. `predict`
-is any JAX function, and the names of its arguments say what it is given: `values` (natural values
-by name), `inputs`, a record (a scene with the unknown numbers in place), or one parameter's value.
+The model is written once, as `predict`. Residuals, cost and log density follow from it.
+`predict` is any JAX function, and the names of its arguments select its inputs: `values`
+(natural values by name), `inputs`, a record (such as a scene that contains the parameters), or
+the value of one parameter.
 """
 
 import inspect
@@ -115,17 +116,20 @@ class Problem(eqx.Module):
     ) -> None:
         """States the problem.
 
-        `data`: an array of the prediction's shape; NaN where a datum is missing. `start`: a JAX
-        function to natural values by name, of some parameters or all, from which the first search
-        begins; its arguments are named as those of `predict` that are no parameters, and `data`
-        (NaN where a datum is missing). Each pixel of `fit_map` has its own. A value that is NaN is
-        none; one beyond a bound is moved inside. None begins at the starts of the parameters.
-        `chunk`: rows of data to be read at a time, so that memory is bounded by one chunk: 50,000
-        suit most. None takes all at once. The data are then an array, also a memory-mapped one, or
-        a function without arguments that yields arrays one after another, or pairs (data, inputs),
-        the same at every call. Arrays among the inputs and numbers of the likelihood that have as
-        many rows are cut with the data, others are given whole; `predict` must predict each row
-        from its own inputs.
+        `data`: an array of the prediction's shape, with NaN for missing data.
+
+        `start`: a JAX function that returns natural values by name, for some parameters or all,
+        from which the first search begins. Its arguments are `data` (with NaN for missing data) and
+        those of `predict` that are not parameters. Each pixel of `fit_map` has its own start. NaN
+        means no value, and a value outside a bound is moved inside. None begins at the starts of
+        the parameters.
+
+        `chunk`: number of rows of data to read at a time, which bounds the memory; 50,000 suits
+        most problems. None reads all at once. The data are then an array, also a memory-mapped one,
+        or a function without arguments that yields arrays or pairs (data, inputs), the same at
+        every call. Input arrays and numbers of the likelihood with as many rows as the data are
+        divided with them, and others are passed whole. `predict` must predict each row from its own
+        inputs.
         """
         self.left_out = left_out
         self.records = dict(records or {})
@@ -450,7 +454,7 @@ def missing_in_words(problem: Problem, *, first: int = 0) -> str:
 
 
 def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
-    """A parameter with its name, and the shape and start of what it replaces."""
+    """A parameter with its name, and the shape and start of the number that it replaces."""
     known = None
     if is_path(name):
         known = np.asarray(read(records, name))

@@ -503,10 +503,10 @@ def squares(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
 def with_prior(
     vector: Vector, problem: Problem, of_data: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """Cost, gradient and curvature of a sum of squares, with the prior's exact derivatives.
+    """Return cost, gradient and curvature of a sum of squares, with the prior's exact derivatives.
 
-    The curvature leaves out that of the prediction in the natural values, as J^T J does, but not
-    that of the transforms: at a bound that binds the latter is most of it."""
+    Like J^T J, the curvature neglects second derivatives of the prediction by the natural values.
+    It includes those of the transforms, which dominate at an active bound."""
     cost, steepness, gram = of_data
     unlikely, slope, bend = prior_derivatives(vector, problem)
     bent = jnp.diag(steepness * _relative_bend(problem, vector))

@@ -1,20 +1,20 @@
-"""Variable projection: what is linear in closed form, what is not by search.
+"""Variable projection: linear parameters in closed form, nonlinear ones by search.
 
-Of a `Problem` in which the residuals r are linear in some numbers a, r(t, a) = r(t, 0) + J(t) a,
-the best a at given nonlinear numbers t, free or at least 0, is a small linear problem, and the
-search goes over t alone (`eliminated`). Its steps take the derivative of a along with t, so that
-they are those of the whole problem; a is no dimension in which to begin.
+Suppose the residuals r of a `Problem` are linear in some numbers a, r(t, a) = r(t, 0) + J(t) a. The
+best a for given nonlinear numbers t, free or at least 0, is then the solution of a small linear
+problem, and the search is over t alone (`eliminated`). Its steps include the derivative of a by t,
+so they equal the steps of the whole problem. No start for a is needed.
 
-`fit_separable` goes without any start:
+`fit_separable` needs no start at all.
 
-For a model that is linear but for one parameter t, which all bands b share,
+It is for a model that is linear except for one parameter t, which all bands b share,
 
     y_b ~ a_1b f_1 + ... + a_Kb f_K + a_b g(t),    all a >= 0,
 
-the best amplitudes at a given t are one small non-negative least-squares problem a band, so that
-the cost is a curve over t alone (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973). The search
-evaluates that curve on a grid over the whole interval and then on finer grids about the lowest
-knot: it needs no start, and none can lead it astray.
+The best amplitudes at a given t solve one small non-negative least-squares problem for each band,
+so the cost is a function of t alone (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973). The search
+evaluates this function on a grid over the whole interval, and then on finer grids around the lowest
+point.
 """
 
 import itertools
@@ -272,9 +272,9 @@ def _natural(nonlinear: Array, linear: Array, problem: Problem) -> Array:
 
 
 def completed(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[Array, " all"]:
-    """(P,) unconstrained: nonlinear numbers and the best linear ones, of which one that is at least
-    0 stands where its posterior, flat in its logarithm's exponential, has its mode,
-    a = (a_0 + sqrt(a_0^2 + 4 sd^2)) / 2."""
+    """Return (P,) unconstrained: the nonlinear numbers and the best linear ones. A linear number
+    that is at least 0 is at the mode of its posterior on the logarithmic scale, a = (a_0 +
+    sqrt(a_0^2 + 4 sd^2)) / 2."""
     found = eliminated(nonlinear, problem)
     signed = np.array([ends(problem.space[i])[0] == 0 for i in in_closed_form(problem)], bool)
     variance = 1 / jnp.where(found.precision > 0, found.precision, 1)

@@ -1,9 +1,9 @@
-"""Data that need not fit into memory: rows of an array, of a memory-mapped file, or of what a
-function yields, read again in every pass and cut into chunks of one shape.
+"""Data that need not fit into memory: rows of an array, of a memory-mapped file, or from a
+generator function, read again in every pass and divided into chunks of one shape.
 
-The last chunk is filled up with copies of its last row, which count as missing, so that one
-compiled program serves all. A sample of as many rows, drawn evenly from all of them, stands for the
-data where an approximation is enough: where a search begins, and in figures.
+The last chunk is padded with copies of its last row, which count as missing, so that one compiled
+program serves all chunks. A sample of one chunk, drawn evenly from all rows, represents the data
+where an approximation suffices: at the beginning of a search, and in figures.
 """
 
 from collections.abc import Callable, Iterable, Iterator

@@ -55,7 +55,8 @@ def _log_ndtr_jvp(primals, tangents):
 
 @jax.jit
 def _hazard(z: Float[Array, "..."]) -> Float[Array, "..."]:
-    """phi(z) / Phi(z); in the tail a + 1 / (a + 2 / (a + 3 / (...))) of a = -z, after Laplace."""
+    """Return phi(z) / Phi(z). In the tail it is Laplace's continued fraction a + 1 / (a + 2 / (a +
+    3 / (...))) with a = -z."""
     far = z < -_FAR
     a = jnp.where(far, -z, _FAR)
     fraction = a
@@ -86,12 +87,12 @@ def _ndtri_exp_jvp(primals, tangents):
 
 @jax.custom_jvp
 def log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
-    """log F(z) of Student's t, z scales above the median; its slope is that of z alone.
+    """Return log F(z) of Student's t, z scales above the median. It is differentiable by z only.
 
-    From the incomplete beta function; beyond z^2 = 3 dof from its series (DLMF 8.17.22), whose
-    leading power is taken as a logarithm so that nothing underflows. Where many degrees of freedom
-    would cost it its digits, from the density: by Gauss-Laguerre quadrature on the length on which
-    the tail falls, and from there to the median by Gauss-Legendre quadrature.
+    It is computed from the incomplete beta function. Beyond z^2 = 3 dof it uses the series (DLMF
+    8.17.22), with the logarithm of its leading power, so that nothing underflows. For many degrees
+    of freedom the series loses digits. There the density is integrated: by Gauss-Laguerre
+    quadrature in the tail, and from there to the median by Gauss-Legendre quadrature.
 
     Returns (...) no unit."""
     return _log_student(z, dof)
@@ -118,8 +119,9 @@ def _log_student(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
 
 
 def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Array, "..."]:
-    """log F(-z) for z >= 0. In the tail it is the density times the integral of what is left of it
-    beyond, before it that at its begin and the integral up to there: no term is negative."""
+    """Return log F(-z) for z >= 0. In the tail it is the density times the integral of the
+    remaining relative density. Before the tail it is the value at the beginning of the tail plus
+    the integral up to there. No term is negative."""
     long = jnp.maximum(z, _STEEP)
     square = dof + long * long
     rate = (dof + 1) * long / square

@@ -103,8 +103,8 @@ def _label(parameter: Parameter, *, in_percent: bool) -> str:
 
 
 def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
-    """Whether each parameter is drawn in per cent: several posteriors, in none of which it may be
-    0, nor a small part of itself, as a size that is known from above alone."""
+    """Return whether each parameter is plotted in per cent. This needs several posteriors, and in
+    none of them may the parameter be near 0, such as a size with only an upper limit."""
     ends = [np.quantile(one.samples, [0.025, 0.975], axis=0) for one in posteriors.values()]
     clear = [(low * high > 0) & (high - low < np.abs(low + high) / 2) for low, high in ends]
     return np.all(clear, axis=0) & (len(posteriors) > 1)
@@ -192,7 +192,8 @@ def write_chains(
 
 
 def _draws_of(posterior: Posterior, label: str, absent: np.ndarray) -> np.ndarray:
-    """(chains, draws) of one parameter, cut to the shape of what stands for an absent one."""
+    """Return (chains, draws) of one parameter, truncated to the shape of the placeholder of an
+    absent one."""
     chains, kept = absent.shape
     if label not in names(posterior.space):
         return absent
@@ -200,9 +201,9 @@ def _draws_of(posterior: Posterior, label: str, absent: np.ndarray) -> np.ndarra
 
 
 def chain_pictures(section: Section) -> tuple[Picture, ...]:
-    """The corner plot of the posteriors of a section, those of equal parameters in one, and the
-    paths of the sampled ones. What the data leave open over more than the range of numbers has no
-    plot."""
+    """Make the corner plots of a section's posteriors, with equal parameters in one plot, and the
+    trace plots of sampled ones. Parameters that the data do not determine within the range of
+    floating-point numbers have no plot."""
     alike: dict[tuple[str, ...], dict[str, Posterior]] = {}
     for group, posterior in section.posteriors.items():
         if not np.isfinite(posterior.samples).all():  # Laplace's, of what the data leave open

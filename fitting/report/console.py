@@ -59,7 +59,8 @@ def section_text(section: Section) -> str:
 
 
 def _sheet_table(title: str, found: Sheet, shown: slice) -> RichTable:
-    """A row a quantity, a block under another; of its columns those of `shown`."""
+    """Make a table with a row for each quantity, one block below the other, and the columns in
+    `shown`."""
     table = RichTable(title=_escaped(title), title_justify="left", title_style="bold")
     heads = ("quantity", *found.columns[shown], *(["apart"] if found.compares else []))
     for head in heads:

@@ -21,7 +21,7 @@ class Reporter:
 
     @contextmanager
     def step(self, description: str) -> Iterator[Progress]:
-        """Shows `description` while the block runs; call what it yields with (done, total)."""
+        """Show `description` while the block runs. Call the yielded function with (done, total)."""
         begun = told = time.perf_counter()
         task = self._progress.add_task(description, total=None)
         terminal = self._progress.console.is_terminal

@@ -69,7 +69,7 @@ class Drift:
 
 
 def compared(found: xr.Dataset) -> tuple[Compared, ...]:
-    """Every quantity beside those of the other cameras.
+    """Compare every quantity with those of the other cameras.
 
     Args:
         found: from `table`.

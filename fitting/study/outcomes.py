@@ -102,8 +102,8 @@ class Settings:
 
 
 def digest_of(path: Path) -> str:
-    """What tells the data of a folder from others: its rig file, and of all images that it lists
-    names, sizes and what stands at the beginning, in the middle and at the end.
+    """Return a digest that identifies the data of a folder: from its rig file, and from names,
+    sizes and parts at the beginning, in the middle and at the end of all its images.
 
     Args:
         path: of the rig.
