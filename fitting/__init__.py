@@ -1,8 +1,8 @@
-"""Digital numbers back to the parameters of light, surface and camera, with honest uncertainty.
+"""Estimation of the parameters of light, surface and camera from digital numbers, with intervals.
 
-`Problem` states what is unknown, what is predicted and how data scatter about that; `fit` gives a
-`Fit`: estimates with intervals, a verdict, and what the data cannot tell. Every name is loaded when
-it is first used; `__init__.pyi` lists them.
+`Problem` states the parameters, the prediction and the likelihood. `fit` returns a `Fit`: estimates
+with intervals, a verdict, and the parameters that are not identifiable. Every name is loaded at its
+first use; `__init__.pyi` lists them.
 """
 
 from jaxvision.core.lazy_names import names_of

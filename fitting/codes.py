@@ -1,6 +1,6 @@
-"""What the numbers in frames say of the converter that made them.
+"""Properties of the converter, inferred from the numbers in frames.
 
-A converter of b bits gives 2^b different numbers, but a file may hold them in another form:
+A converter of b bits gives 2^b different numbers, but a file may store them in another form:
 
     multiples     12 bits at the upper end of 16 (left-aligned), frames divided or averaged by hand
     scaled        multiples of 65535 / 4095, rounded again
@@ -10,8 +10,8 @@ A converter of b bits gives 2^b different numbers, but a file may hold them in a
     coarser       from some code on all are multiples of a larger step: a second amplifier or
                   converter took over
 
-The step q between neighbouring codes decides how large rounding is, q^2 / 12; a file that is read
-as if q were 1 gives read noise that is wrong.
+The step q between neighbouring codes determines the rounding variance, q^2 / 12. If a file with
+another step is read with q = 1, the read noise is wrong.
 """
 
 from collections.abc import Iterable

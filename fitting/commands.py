@@ -1,6 +1,7 @@
-"""What all sub-commands of `jaxvision-fit` share: their options, how one is registered, and how one
-runs: bad input ends with one sentence on standard error and exit status 2, an interrupt with status
-130; results are printed and written only when all of them are there.
+"""Common parts of the sub-commands of `jaxvision-fit`: options, registration, and execution.
+
+Bad input ends with one sentence on standard error and exit status 2, an interrupt with status 130.
+Results are printed and written only when all of them are complete.
 """
 
 import inspect

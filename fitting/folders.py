@@ -45,7 +45,8 @@ def read_rig(path: Path, purpose: "Purpose") -> "Rig":
 def _attempted(
     kind: str, title: str, make: Callable[[], "Section"], *, known: Sequence[str] = ()
 ) -> "Section":
-    """The section of a calibration; where its fit fails, one that says why and what is known."""
+    """Return the section of a calibration. If its fit fails, the section gives the reason and the
+    known results."""
     import numpy as np
 
     from .report.section import Section

@@ -44,11 +44,11 @@ def log_poisson(n: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Arra
 def log_poisson_tails(
     n: Float[Array, "..."], mean: Float[Array, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """ln P(N < n) and ln P(N >= n) of Poisson's distribution; their slopes are those by the mean.
+    """Return ln P(N < n) and ln P(N >= n) of Poisson's distribution, differentiable by the mean.
 
-    From the incomplete gamma function; of many counts, for which XLA's has few digits or none, from
-    the saddle point (Barndorff-Nielsen's r*), which is then right to 1e-6 in float32 and 1e-10 in
-    float64, as in far tails of few.
+    They are computed from the incomplete gamma function. For many counts XLA's function has few
+    digits or none. There, and in far tails of few counts, the saddle-point approximation is used
+    (Barndorff-Nielsen's r*), with errors of 1e-6 in float32 and 1e-10 in float64.
 
     Args:
         n: (...) counts, whole numbers, at least 1.

@@ -118,10 +118,10 @@ MOSAIC_NAMES = {"R": ("red",), "G": ("green 1", "green 2"), "B": ("blue",)}
 
 
 class _Known(Entry):
-    """What is known alike of all sites of a camera.
+    """The stated values of a camera that are common to all sites.
 
     Without both gain and read_noise a fit estimates the noise of its pixels from their residuals.
-    An `_sd` is the standard deviation with which a number is known; without one it counts as exact.
+    An `_sd` is the standard deviation of a stated number, which otherwise counts as exact.
 
     Attributes:
         bits: ADC bits of the digital numbers in the files (12-bit data may lie in 16-bit files), 1
@@ -133,8 +133,8 @@ class _Known(Entry):
         gamma_sd: of the encoding exponent.
         gain_sd: DN per electron.
         read_noise_sd: electrons rms.
-        prnu_sd: of the pixels' own gains, relative to their mean: what is left of the flat field; 0
-            where pixels are equal.
+        prnu_sd: of the pixels' gains, relative to their mean, after flat-field correction; 0 if
+            pixels are equal.
         date: when the images were taken; studies of many cameras look for drift with it.
         temperature: K, of the sensor; likewise.
     """
@@ -169,7 +169,7 @@ class _Known(Entry):
 
 
 class SiteCamera(_Known):
-    """What is known of the camera at one of its sites, or at all of them where they are alike.
+    """The stated values of a camera at one of its sites, or at all equal sites.
 
     Attributes:
         black_level: DN without light.
@@ -189,14 +189,14 @@ class SiteCamera(_Known):
 
 
 class Camera(_Known):
-    """`[camera]`: what is known of the camera; what is not known stays out.
+    """`[camera]`: the known values of the camera. Leave unknown values out.
 
-    Neighbouring pixels may differ: in the colours of a mosaic (`pattern`), and in the amplifiers
-    that read them (`taps`). They repeat after a cell of so many rows and columns: the least common
-    multiple of 2 x 2 and taps. Of black_level, saturation, gain and read_noise each is one number,
-    or a list of one for each site of this cell in reading order, counted from the first pixel of
-    the whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images take a list of
-    three, or of three for each site.
+    Neighbouring pixels may differ in the colours of a mosaic (`pattern`), and in the amplifiers
+    that read them (`taps`). They repeat after a cell whose rows and columns are the least common
+    multiple of 2 x 2 and taps. black_level, saturation, gain and read_noise are each one number, or
+    a list with one number for each site of this cell, in reading order from the first pixel of the
+    whole frame: `black_level = [480, 512, 512, 560]` for a mosaic. RGB images take a list of three,
+    or of three for each site.
 
     Attributes:
         black_level: DN without light.
@@ -249,9 +249,9 @@ class Camera(_Known):
 
     @property
     def sites(self) -> tuple[str, ...]:
-        """Names of the sites of the cell, in reading order: `grey`; `tap 0,1`, row and column, of
-        several taps; `red`, `green 1`, `green 2` and `blue` of a mosaic, and `red tap 0,2` where a
-        colour is read by several."""
+        """Names of the sites of the cell, in reading order: `grey`; `tap 0,1` (row and column) for
+        several taps; `red`, `green 1`, `green 2` and `blue` for a mosaic; and `red tap 0,2` if
+        several taps read a colour."""
         down, across = self.taps or (1, 1)
         places = [(row, column) for row in range(self.cell[0]) for column in range(self.cell[1])]
         taps = [f"tap {row % down},{column % across}" for row, column in places]
@@ -313,10 +313,10 @@ def _mosaic_sites(pattern: str) -> tuple[tuple[str, str], tuple[str, str]]:
 
 
 class Level(Entry):
-    """What an entry of flats and one of darks say alike.
+    """The common keys of an entry of flats or darks.
 
-    A rig may hold frames of several gains and temperatures, each entry its own; then all entries
-    state their gain by the same word.
+    A rig may contain frames of several gains and temperatures. Then all entries state their gain
+    with the same key.
 
     Attributes:
         files: names.

@@ -1,9 +1,10 @@
 """Likelihoods of a sensor: the prediction is light, the data are digital numbers.
 
-`SensorNoise` takes mean and variance of a datum from the sensor's moments; `SensorCounts` gives
-the probability of every code, for codes that are coarse beside the noise and electrons that can be
-counted. Both are as `inference.likelihoods` says. With the path of a sensor among the problem's
-records in its place ("camera.sensor") its numbers can be fitted along ("camera.sensor.gain").
+`SensorNoise` takes mean and variance of a datum from the sensor's moments. `SensorCounts` computes
+the probability of every code, for codes that are coarse relative to the noise, and for few
+electrons. Both have the interface of `inference.likelihoods`. In place of a sensor they take its
+path in the problem's records ("camera.sensor"), and its numbers can then be fitted, too
+("camera.sensor.gain").
 """
 
 from typing import cast
@@ -57,7 +58,7 @@ class SensorNoise(eqx.Module):
         return None if isinstance(self.sensor, str) else _VarianceOfData(self.sensor)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """The Gaussian's; at an end of the range, ln of the probability beyond.
+        """Return the Gaussian log density; at an end of the range, ln of the probability beyond it.
 
         Args:
             prediction: (..., bands) light, as in `mean_photoelectrons`.
@@ -121,7 +122,8 @@ class _VarianceOfData(eqx.Module):
     surrogate = None
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Array:
-        """(data - prediction) / sd; of clipped data what the prediction lacks to the end."""
+        """Return (data - prediction) / sd. For clipped data it is the distance of the prediction
+        from the end, if the prediction is inside."""
         del chance
         light = _light("SensorNoise", prediction)
         dark, slope = jax.jvp(

@@ -44,7 +44,7 @@ class Check:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What lies outside its band, in sentences; empty if the intervals hold."""
+        """Sentences about results outside their bands; empty if the coverage is right."""
         return tuple(f"{one.name}: {'; '.join(one.faults)}." for one in self.coverage if one.faults)
 
     def __str__(self) -> str:

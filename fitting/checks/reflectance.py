@@ -27,17 +27,16 @@ WIDEST = 60.0  # degrees between lights and view
 
 @dataclass(frozen=True)
 class Sphere:
-    """What is simulated; the truth is Phong's shading.
+    """A simulated sphere with Phong's shading as the truth.
 
     Attributes:
         lights: how many.
         truth: k_d, k_s, n.
         light_sd: relative error of each light's intensity.
         direction_sd: rad, error of each light's direction along both axes across it.
-        stray_sd: light that reaches all pixels by other ways, relative to the irradiance, which the
-            fit is told.
-        black_sd: DN, error of the black level, which the fit is told.
-        stated: which of `light_sd` and `direction_sd` the fit is told.
+        stray_sd: stray light on all pixels, relative to the irradiance; stated to the fit.
+        black_sd: DN, error of the black level; stated to the fit.
+        stated: which of `light_sd` and `direction_sd` are stated to the fit.
         prnu: relative error of each pixel's gain.
         clip: DN from which pixels saturate.
         read_noise: electrons rms.

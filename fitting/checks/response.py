@@ -104,7 +104,8 @@ def places(stack: Stack, seed: int) -> np.ndarray:
 
 
 def photographs(stack: Stack, seed: int) -> np.ndarray:
-    """Poisson electrons, read noise, clipping, the response, rounding, and what a hand adds.
+    """Simulate photographs with motion (if hand-held), Poisson electrons, read noise, clipping, the
+    response, rounding and JPEG compression (if any).
 
     Args:
         stack: to photograph.

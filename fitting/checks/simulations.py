@@ -78,7 +78,7 @@ def simulated(
 
 
 def _kept(file: Path) -> np.ndarray | None:
-    """What an earlier run has written; None where there is nothing."""
+    """Read the results of an earlier run; None if there are none."""
     if not file.exists():
         return None
     if not file.is_file():

@@ -141,10 +141,9 @@ def truths(truth: Truth) -> dict[Key, float]:
 
 
 def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
-    """Every estimate with a known truth, beside that truth.
+    """Compare every estimate that has a known truth with this truth.
 
-    Where the standard's figure stands beside the likelihood's, which uses the same frames, only the
-    latter is taken.
+    If the standard's estimate and the likelihood's use the same frames, only the latter is taken.
 
     Args:
         sections: of the calibrations.

@@ -1,10 +1,10 @@
 """Normals and albedo from photographs under different lights, in closed form, pixel by pixel.
 
 A matte surface under a distant light of direction l and irradiance E reads m = E rho n.l, with n
-its unit normal and rho its albedo in the unit of the readings over that of E. With g = rho n that
-is linear, so that three lights give g and more give it by least squares (Woodham, Optical
-Engineering 19, 1980). Attached and cast shadows, clipped pixels and highlights break it: they are
-readings that no g explains together with the others.
+its unit normal and rho its albedo in the unit of the readings over that of E. With g = rho n this
+is linear, so that three lights determine g, and more lights give it by least squares (Woodham,
+Optical Engineering 19, 1980). Attached and cast shadows, clipped pixels and highlights are outliers
+of this model.
 """
 
 from dataclasses import dataclass

@@ -1,11 +1,12 @@
-"""Least squares of pixels under different lights, and what all pixels contradict alike.
+"""Least squares of pixels under different lights, and errors that all pixels share.
 
-A wrong intensity of a light, another exposure of its image and a lamp that drifts scale an image as
-a whole; room light and a wrong black level add the same to all readings. Few lights leave a pixel
-one or two residuals, which tell neither. The residuals of all pixels do: the factors of the lights,
-or the offset, minimise their squares, with g of each pixel as nuisance (variable projection; Golub
-& Pereyra, Inverse Problems 19, 2003). Their errors come from leaving out parts of the image
-(jackknife), which disagree where the surface is not Lambert's.
+A wrong intensity of a light, another exposure of its image and a drifting lamp scale an image as a
+whole. Room light and a wrong black level add the same offset to all readings. With few lights a
+pixel has only one or two residuals, which cannot determine these errors. The residuals of all
+pixels can: the factors of the lights, or the offset, minimise the sum of squares, with g of each
+pixel as a nuisance parameter (variable projection; Golub & Pereyra, Inverse Problems 19, 2003).
+Their errors come from a jackknife over parts of the image, which disagree if the surface is not
+Lambertian.
 """
 
 from dataclasses import dataclass, replace
@@ -28,7 +29,7 @@ EXPLAINED = 0.5  # least share of the residuals' squares that it explains
 
 @dataclass(frozen=True)
 class Common:
-    """What the readings of all pixels have in common, beside m = E rho n.l.
+    """Common errors of the readings of all pixels, relative to m = E rho n.l.
 
     Attributes:
         factors: (lights,) irradiance over that stated.

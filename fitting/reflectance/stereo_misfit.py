@@ -1,30 +1,31 @@
-"""The errors of normals from shading: noise that pixels share, and what is not Lambert's.
+"""Standard errors of normals from shading, with shared information on the noise, and with
+departures from Lambert's law.
 
-A pixel's few residuals tell its noise badly: the normals of eight lights lay in their 95 % cones in
-83 % of the pixels. What the other pixels' residuals are is known as well, so that the variance of a
-pixel is estimated with their distribution as prior (Laird, J. Am. Stat. Assoc. 73, 1978), a mixture
-of inverse gamma distributions.
+The few residuals of a pixel determine its noise poorly: with eight lights the 95 % cones contained
+the normal in 83 % of the pixels. Therefore the variance of a pixel is estimated with the
+distribution over all pixels as its prior (Laird, J. Am. Stat. Assoc. 73, 1978), a mixture of
+inverse gamma distributions.
 
 Rough and glossy surfaces, and files that are not linear, depart from m = E rho n.l by an amount
-that changes slowly with the direction of the light. Neighbouring lights then err alike, and a part
-of what they share rotates the normal instead of showing in the residuals. The departure of a pixel
-is taken for a Gaussian process over the directions of the lights,
+that changes slowly with the direction of the light. The errors of neighbouring lights are then
+correlated, and a part of them rotates the normal instead of appearing in the residuals. The
+departure of a pixel is modelled as a Gaussian process over the directions of the lights,
 
     m_k = E_k (rho n.l_k + f(l_k)) + noise,    cov f(l), f(l') = tau^2 exp(-|l - l'|^2 / 2 w^2),
 
-whose ratio of variances tau^2 / sigma^2 has its restricted likelihood from the residuals (Harville,
-J. Am. Stat. Assoc. 72, 1977), and its distribution over the pixels as prior, together with that of
-sigma^2. The errors of least squares follow by generalised least squares. They are scaled so that
-2.448 of them, the radius of a Gaussian's 95 %, is exceeded with a probability of 5 % in the
-posterior of both variances.
+The ratio of variances tau^2 / sigma^2 has a restricted likelihood from the residuals (Harville, J.
+Am. Stat. Assoc. 72, 1977). The prior of the ratio and of sigma^2 is their distribution over the
+pixels. The errors of least squares follow by generalised least squares. They are scaled so that
+2.448 standard errors, the 95 % radius of a two-dimensional Gaussian, are exceeded with a
+probability of 5 % in the posterior of both variances.
 
-Residuals of six lights hardly distinguish noise from departures. Neighbouring pixels do, whose
-noise is independent and whose departures are alike: where residuals of neighbours correlate, noise
-is at most twice what they do not share.
+The residuals of six lights hardly distinguish noise from departures. Neighbouring pixels do: their
+noise is independent, and their departures are similar. If residuals of neighbours correlate, the
+noise is at most twice the part that they do not share.
 
-Cameras count photons, so that the variance of a reading grows with it: by a share of it that
-maximises the restricted likelihood. Under lights of unequal intensities a constant variance would
-pass for departures that the stronger lights show.
+Cameras count photons, so the variance of a reading grows with it, by a share that maximises the
+restricted likelihood. Under lights of unequal intensities, a constant variance would be mistaken
+for departures under the stronger lights.
 """
 
 from dataclasses import dataclass
@@ -83,7 +84,7 @@ class Departures:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """Residuals of pixels along the eigenvectors of what the process leaves in them.
+    """Residuals of pixels along the eigenvectors of their covariance under the process.
 
     Attributes:
         eigenvalues: (pixels, features) of the residuals' covariance, per tau^2.
@@ -322,8 +323,9 @@ def _radius(
     weight: Float[np.ndarray, "levels ratios pixels"],
     sizes: Float[np.ndarray, "levels ratios pixels"],
 ) -> Float[np.ndarray, " pixels"]:
-    """The variance whose Gaussian, of two numbers, has the 95 % circle of a mixture: by Newton's
-    method in the logarithm of what lies outside, which falls convexly."""
+    """Return the variance of a two-dimensional Gaussian with the same 95 % circle as a mixture.
+    Newton's method solves for the logarithm of the probability outside, which is a convex
+    decreasing function."""
     sizes, gaussian = np.maximum(sizes, 1e-300), -2 * np.log(1 - INSIDE)
     found = gaussian * sizes.min(axis=(0, 1))
     for _ in range(NEWTON):

@@ -142,8 +142,8 @@ def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
-    """The images without each of which the others agree, of several those without which they agree
-    best: a curve that is free may bend to an image next to the end of a stack. Told by a part of
+    """Return the images whose removal makes the others agree, and of several the ones with the best
+    agreement. (A free curve may bend to an image near the end of a stack.) The test uses a part of
     the pixels."""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:

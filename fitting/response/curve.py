@@ -7,20 +7,20 @@ by all pixels of an image. With weights w = 1 / variance the irradiances drop ou
 
     A (g, s) = b,    precision of the posterior = A / phi + prior    (`solve.py`).
 
-A pure least-squares fit would shrink the curve, because g multiplies noisy codes; the score b is
-what its gradient amounts to at the true curve (the corrected score of Nakamura, Biometrika 77,
-1990). Errors of all shutters in common, delta ~ 1 or delta ~ ln t, are indistinguishable from
-another curve: they are left out of the fit, and the second one's variance, g g^T tau^2 /
-sum (ln t - mean)^2, is added to the posterior, mixed over tau (`shutter.py`). So are, code by code,
-a tenth of the variance of ln X itself, what the score leaves of the bias of noisy logarithms; and
-of the slope, half of that variance which does not fall with the light. It comes from
-misregistration and compression, which are not noise of single codes, so that the right share of it
-in the score is open.
+A pure least-squares fit would shrink the curve, because g multiplies noisy codes. The score b is
+therefore the expected gradient at the true curve (the corrected score of Nakamura, Biometrika 77,
+1990).
 
-Where busy places tell another curve than flat ones, the difference is subtracted
-(`flat_places.py`). Of a photograph, no more is believed than repeats: where tiles of the picture or
-exposures of the stack differ by more than this posterior allows, their jackknife (`repeats.py`)
-sets the error.
+Some errors are added to the posterior. Shutter errors of the forms delta ~ 1 and delta ~ ln t are
+indistinguishable from another curve and are excluded from the fit. The variance of the second, g
+g^T tau^2 / sum (ln t - mean)^2, is added, averaged over tau (`shutter.py`). For each code, a tenth
+of the variance of ln X is added for the remaining bias of noisy logarithms. For the slope, half of
+the variance that does not fall with the light is added. This variance comes from misregistration
+and compression, which are not noise of single codes, so its right share in the score is unknown.
+
+If busy and flat places give different curves, the difference is subtracted (`flat_places.py`). If
+tiles of the picture or exposures of the stack differ by more than this posterior allows, their
+jackknife (`repeats.py`) sets the error.
 
 NumPy throughout: counting code pairs is 3 to 5 times faster in `np.bincount` than in XLA's scatter
 on a CPU, and nothing here is differentiated. Codes are DN; exposures are relative, g = 0 at
@@ -172,7 +172,7 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
 
 
 def _room(smoothness: float) -> float:
-    """Share of what a rough curve may be off by."""
+    """Return the relative error that a rough curve may have."""
     return min(1.0, float(np.sqrt(BENT / smoothness)))
 
 
@@ -312,8 +312,8 @@ def _sample(classes: np.ndarray, linked: np.ndarray) -> np.ndarray:
 def _parts(
     codes: np.ndarray, bins: CodeBins, layout: Layout | None, linked: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Places of the pixels usable in two images, of each tile those of each class of activity, and
-    the classes' medians; a single part where no pixel has a place."""
+    """Return the indices of the pixels usable in two images, for each tile and each class of
+    activity, and the medians of the classes. If pixels have no positions, there is one part."""
     usable = np.flatnonzero(np.count_nonzero(bins.lookup[codes] >= 0, axis=0) >= 2)
     if layout is None:
         return [usable], np.zeros(1)
@@ -388,9 +388,10 @@ def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
 def _at_ends_of_light(
     density: np.ndarray, g: np.ndarray, noise: np.ndarray, seen: np.ndarray
 ) -> Float[np.ndarray, "2 bins"]:
-    """What a rough curve may be off by at codes around the first and the last seen one, and beyond:
-    not 0 where the density of light over ln X falls to less than half within the noise of pixels.
-    What is seen there comes from further in, which bends the curve."""
+    """Return the error that a rough curve may have at codes near the first and the last observed
+    one, and beyond. It is not 0 where the density of light over ln X falls to less than half within
+    the noise of a pixel. Pixels observed there have brighter or darker true values, which bends the
+    curve."""
     bent = np.zeros((2, len(g)))
     places = np.flatnonzero(seen)
     for row, end in zip(bent, places[[0, -1]] if len(places) else (), strict=False):

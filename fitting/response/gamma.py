@@ -61,8 +61,8 @@ def space_of(free: int, *, stated: float = 0.0) -> ParameterSpace:
 
 
 class GammaSums(eqx.Module):
-    """What the pixels say about gamma: the energy of (gamma, visible shutter errors d, 1) is
-    gamma^2 cc / 2 + gamma (ct - score_c) + gamma cd . d + d dd d / 2 + (td - score_d) . d.
+    """Sums over the pixels for a fit of gamma. The energy of (gamma, visible shutter errors d, 1)
+    is gamma^2 cc / 2 + gamma (ct - score_c) + gamma cd . d + d dd d / 2 + (td - score_d) . d.
 
     Attributes:
         cc: of gamma with itself.
@@ -73,9 +73,9 @@ class GammaSums(eqx.Module):
         score_c: of gamma.
         score_d: (free,) of d.
         spread: sum of squares of the log exposure times about their mean.
-        known: tau that is known beforehand, in quadrature beneath the fitted one; None for 0.
-        added: variance of gamma from elsewhere: of black, of what is no noise, between weightings.
-        most: fitted tau up to which it is believed.
+        known: stated tau, added in quadrature to the fitted one; None for 0.
+        added: variance of gamma from other sources: black, systematic errors, weightings.
+        most: upper limit of the fitted tau.
         median: of the prior on the fitted tau.
         log_sd: of its logarithm.
     """

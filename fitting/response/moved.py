@@ -67,8 +67,8 @@ def moved_exposures(
 def _shift(
     one: Float[np.ndarray, "h w"], other: Float[np.ndarray, "h w"], full_scale: float
 ) -> Float[np.ndarray, "2"]:
-    """Rows and columns by which the scene of the second image lies beside that of the first; 0
-    where none is shown."""
+    """Return the shift of the second image relative to the first, in rows and columns; 0 if no
+    shift is significant."""
     cuts = (_cut(one, other, q, full_scale) for q in QUANTILES)
     pairs = list(islice((pair for pair in cuts if pair is not None), CUTS))
     if not pairs:

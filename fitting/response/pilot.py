@@ -56,13 +56,14 @@ def fit_pilot(
     *,
     least_error: float = STEADIEST,
 ) -> Pilot:
-    """The pilot; its first pass, which knows no curve yet, weights as Debevec & Malik do.
+    """Fit the pilot curve. Its first pass uses the weights of Debevec & Malik, because there is no
+    curve yet.
 
-    A class of which a noise model leaves too few pixels is given up: its errors are no noise.
+    A class with too few pixels after the noise model is dropped, because its errors are not noise.
 
-    The smoothness has two fixed points where what the corrections of the score leave looks like a
-    bend: the last pass looks for it from both sides, and takes the smoother curve unless the
-    images speak for the other one clearly.
+    The smoothness has two fixed points if the residual of the score's corrections looks like a
+    bend. The last pass starts from both sides, and takes the smoother curve unless the images
+    clearly support the other.
 
     Args:
         codes: (exposures, pixels) DN, of some pixels.

@@ -102,24 +102,24 @@ def read_exposure_stack(
 ) -> ExposureStack:
     """A rig's `[[exposure]]` images, group by group, split into planes.
 
-    The black level of a channel or site is the camera's, else its mean in the `[[dark]]` frames,
-    else the code of its dark pixels that stay alike however long the exposure; its clip level is
-    the camera's saturation, else read off the bright pixels that do.
+    The black level of a channel or site is the stated one, else its mean in the `[[dark]]` frames,
+    else the code of dark pixels that do not change with the exposure time. The clip level is the
+    stated saturation, else the code of bright pixels that do not change.
 
     Args:
         rig: with `[[exposure]]`, or its folder or file.
         mask: (h, w) of full images, true where the scene may be used (a mosaic site keeps its own
             pixels); None for everywhere.
-        load: how an image is had by its path.
+        load: function that reads an image from its path.
 
     Returns:
         The stack.
 
     Raises:
-        InputError: for a group without two different exposure times, or whose images get darker as
-            they last longer, for images of different size, for values that are not integers, for
-            heads that say half of the images were taken otherwise, for exposures half of which
-            moved, and for a mask of another size or with nothing in it.
+        InputError: for a group without two different exposure times, or whose images get darker
+            with longer exposure; for images of different size; for values that are not integers; if
+            metadata show that half of the images were taken with other settings; if half of the
+            exposures moved; and for a mask of another size or an empty mask.
     """
     rig = as_rig(rig)
     require(rig, "a response calibration")

@@ -1,13 +1,14 @@
-"""How far a curve repeats: over tiles of the picture, and over exposures.
+"""Repeatability of a curve over tiles of the picture, and over exposures.
 
-Both are jackknives. Without tile k the equations are those of the others; without exposure j the
-codes of a sample of pixels are counted again, for each of them then has another mean. With T fits,
+Both are jackknives. Without tile k the equations are the sums over the other tiles. Without
+exposure j the codes of a sample of pixels are counted again, because the mean of each pixel
+changes. With T fits,
 
     V = (T - 1) / T  sum_k (g_(k) - mean)(g_(k) - mean)^T.
 
-Exposures repeat no better than the pixels they consist of; what pixels explain of their jackknife
-is taken off (two-way clustering: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011).
-The fits without an exposure also predict it, which nothing else tests.
+The jackknife over exposures also contains the noise of their pixels, which is subtracted (two-way
+clustering: Cameron, Gelbach & Miller, J. Bus. Econ. Stat. 29, 2011). The fits without an exposure
+also predict it, which is an independent test.
 """
 
 from collections.abc import Sequence

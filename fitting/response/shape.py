@@ -1,14 +1,14 @@
 """Whether a response is a pure gamma, judged by the error of its curve.
 
-The largest departure among hundreds of codes is large by chance wherever the curve is known
-roughly. So the departures of all codes are judged together: d = P g is what a straight line in
-ln (code - black) leaves of the measured curve, P C P^T its covariance, and the largest of
+Among hundreds of codes the largest departure is large by chance where the curve is uncertain. So
+the departures of all codes are tested together. d = P g is the residual of the measured curve after
+a straight line in ln (code - black) is removed, and P C P^T is its covariance. The largest of
 
     |d_i| / sqrt((P C P^T)_ii + v_i^2)
 
-is compared with the largest of as many Gaussian numbers of that correlation, drawn. v_i, the
-variance of one pixel's ln X, is the size of the terms of second order that noise leaves in a mean
-of logarithms. A departure that is beyond chance and beyond 5 % makes the response no pure gamma.
+is compared with the largest of as many simulated Gaussian numbers with the same correlation. v_i,
+the variance of one pixel's ln X, is the size of second-order terms of the noise in a mean of
+logarithms. The response is not a pure gamma if a departure is significant and exceeds 5 %.
 """
 
 from collections.abc import Sequence

@@ -1,19 +1,20 @@
-"""The curve and the shutter errors that given statistics and a prior make most probable.
+"""The most probable curve and shutter errors, from given statistics and a prior.
 
-Prior: the local exponent dg / d ln(z - black) is a random walk in the clock of `roughness`, in
-which the 201 measured curves of Grossberg & Nayar (2003) are about equally rough all along; a pure
-gamma is free of cost. Where black is known to `black_sd`, what the gamma changes by with black is
-free but for that error. The prior's strength and tau maximise the marginal likelihood (MacKay's
-fixed point, Neural Computation 4, 1992).
+In the prior, the local exponent dg / d ln(z - black) is a random walk in the variable of
+`roughness`, in which the 201 measured curves of Grossberg & Nayar (2003) have about constant
+roughness. A pure gamma has no cost. If black is uncertain by `black_sd`, the corresponding change
+of a gamma curve has the prior of that error only. The prior's strength and tau maximise the
+marginal likelihood (MacKay's fixed point, Neural Computation 4, 1992).
 
-Pixels that err together count as fewer: with u_k the gradient of tile k's energy at the curve,
+Pixels with common errors count as fewer. With u_k the gradient of tile k's energy at the curve,
 
     phi = tr(C sum u_k u_k^T) / tr(C A) >= 1,    C = (A / phi + prior)^-1,
 
-is the factor (the design effect of survey sampling) by which A overstates what they know. It is at
-least one for each `COUNTED` pixels: what the corrections of the score leave over is the same in all
-of them. Without that limit, an evidence of ever more pixels takes what is left for roughness of the
-curve, and of 700,000 pixels of simulated cameras the 95 % bands held .2 to .9 of the codes.
+is the factor (the design effect of survey sampling) by which A overstates the information. phi is
+at least the number of pixels over `COUNTED`, because the residual of the score's corrections is the
+same in all pixels. Without this limit, the evidence of many pixels mistakes the residual for
+roughness of the curve. With 700,000 pixels of simulated cameras the 95 % bands then contained .2 to
+.9 of the codes.
 """
 
 from collections.abc import Sequence
@@ -39,7 +40,7 @@ BELIEVED = 0.02  # shutter error beyond which a bow of the offsets is rather a m
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What is estimated beside a curve.
+    """Parameters that are estimated together with a curve.
 
     Attributes:
         smoothness: precision of the prior.
@@ -229,8 +230,8 @@ def solve(
 def _from_another_black(
     bins: CodeBins, matrix: Float[np.ndarray, "bins bins"], right: Float[np.ndarray, " bins"]
 ) -> Float[np.ndarray, " bins"]:
-    """What the best gamma changes by where black lies a standard deviation lower; 0 where no pixel
-    tells of a gamma."""
+    """Return the change of the best gamma curve if black is a standard deviation lower; 0 if the
+    pixels contain no information on gamma."""
     column = bins.log_codes - bins.log_codes[bins.middle]
     known = column @ matrix @ column
     gamma = column @ right / known if known > 0 else 0.0

@@ -117,10 +117,10 @@ def noise_rule(
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
-    """Rounding beyond which codes are left out of a fit, in ln X, where no noise dithers it.
+    """Return the largest rounding, in ln X, of codes used in a fit, if no noise dithers it.
 
-    What it does to a code is the same in all pixels, and a curve that obeys it takes on a ripple,
-    of the period of the exposures, which they do not contradict: linear 8-bit cameras of little
+    The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with the
+    period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with little
     noise had half of their codes outside the band. Exposures far apart need all codes.
 
     Args:

@@ -1,12 +1,12 @@
-"""Lobes fitted to measured reflectance: errors on angles that no fit has seen, and how well the
-parameters of one model are known.
+"""Fits of lobes to measured reflectance, with held-out errors and the uncertainty of one model's
+parameters.
 
-Every incidence is left out once, and the fit without it predicts it: those predictions together
-give the held-out errors. The same fits say how the parameters move when a part of the data is
-missing. What they miss is shared by all samples of an incidence, and so is the error of a model
-that is not the surface's: the jackknife over incidences (Tukey 1958; Busing, Meijer & van der
-Leeden, "Delete-m Jackknife for Unequal m", 1999) takes both into its covariance, which is widened
-to the variance of Student's t for the few incidences there are, of three to its 95 % interval.
+Every incidence is left out once and predicted by the fit without it. These predictions give the
+held-out errors. The same fits give the covariance of the parameters by the jackknife over
+incidences (Tukey 1958; Busing, Meijer & van der Leeden, "Delete-m Jackknife for Unequal m", 1999).
+It includes errors that all samples of an incidence share, and the error of a wrong model. For few
+incidences the covariance is widened to the variance of Student's t, and for three to its 95 %
+interval.
 """
 
 from dataclasses import dataclass, replace
@@ -213,9 +213,9 @@ def amplitudes(fit: ModelFit) -> Amplitudes:
 
 
 def albedo(fit: ModelFit, index: float) -> Float[np.ndarray, " bands"]:
-    """The light that a fitted surface reflects of what falls on it along the normal, where every
-    lobe lies about the normal: 2 pi times the integral of f_r cos(theta) sin(theta), (bands,);
-    above 1 for no surface that emits no light."""
+    """Return the albedo of a fitted surface at normal incidence, where every lobe is centred on the
+    normal: 2 pi times the integral of f_r cos(theta) sin(theta), (bands,). It is at most 1 for a
+    surface that emits no light."""
     u = (np.arange(FINE) + 0.5) / FINE
     theta = np.pi / 2 * u**3  # crowded about the normal, as narrow lobes are
     weight = 2 * np.pi * np.cos(theta) * np.sin(theta) * 3 * np.pi / 2 * u**2 / FINE

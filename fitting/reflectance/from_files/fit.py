@@ -1,19 +1,21 @@
-"""Measured reflectance as k_d + k_s lobe, amplitudes of every band and one shape for all of them.
+"""Fit measured reflectance by k_d + k_s lobe, with amplitudes for each band and one shape for all.
 
-A sample's light on the surface falls with the cosine of incidence, so errors are judged by what is
-reflected of it, x = f_r cos(theta_i). Two objectives, each with its own metric:
+The irradiance falls with the cosine of incidence, so errors are measured in the reflected light, x
+= f_r cos(theta_i). There are two objectives, each with its own metric:
 
     cosine       sum w (x - x_measured)^2                         (Ngan, Durand & Matusik 2005)
     cube-root    sum w (c(x) - c(x_measured))^2,  c(x) = (x + d)^(1/3)
 
-The first is ruled by the highlight; the second weighs bright and dark about as an eye does (Fores,
-Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF Modeling", 2012); d, a thousandth of the
-RMS of x, keeps its slope finite at 0. The cosine objective is linear in the amplitudes and is
-minimised globally by variable projection. For the cube root that is repeated on its linearisation
-about the last prediction (Gauss-Newton), the shape within a window about the last one that shrinks
-where a step does not lower the true objective. The descent begins at the optimum of the cosine
-objective and at Lambert's of the same objective, which every model contains (with an incidence left
-out, at the optimum with all of them); the lowest end counts.
+The highlight dominates the first. The second weights bright and dark values about as an eye does
+(Fores, Ferwerda & Gu, "Toward a Perceptually Based Metric for BRDF Modeling", 2012). d, a
+thousandth of the RMS of x, keeps its slope finite at 0.
+
+The cosine objective is linear in the amplitudes and is minimised globally by variable projection.
+For the cube root this is repeated with a linearisation about the last prediction (Gauss-Newton).
+The shape is limited to a window about the last one, which shrinks if a step does not lower the true
+objective. The search begins at the optimum of the cosine objective, and at the optimum of Lambert's
+model, which every model contains. (With an incidence left out, it begins at the optimum with all of
+them.) The lowest result is used.
 """
 
 from dataclasses import dataclass, replace

@@ -168,10 +168,11 @@ def from_samples(
     findings: tuple[str, ...] = (),
     source: str = "samples",
 ) -> MeasuredBRDF:
-    """Checks samples and sorts them by incidence; `InputError` for what cannot be fitted.
+    """Check samples and sort them by incidence. Raises `InputError` for samples that cannot be
+    fitted.
 
-    Those with a direction in the horizon are left out; negative values, noise about zero, are kept.
-    `weights` are (n,) what a sample counts, up to a factor; `source` is named in messages.
+    Samples with a direction in the horizon are dropped. Negative values are kept as noise about
+    zero. `weights`: (n,), relative weights of the samples. `source` is named in messages.
     """
     theta_i, theta_o = (np.asarray(x, np.float64) for x in (samples.theta_i, samples.theta_o))
     values = np.asarray(samples.values, np.float64)
