@@ -7,8 +7,9 @@ from jaxvision import scene as s
 SHAPE = (16, 12)
 
 
-def draw(seed, *, wells=True):
-    """(sensor, numbers of the oracle, light in photons per pixel (h, w), rng)."""
+def draw(seed, *, wells=True, further=False):
+    """(sensor, numbers of the oracle, light in photons per pixel (h, w), rng); `further`: with
+    effects that calibrations find in real cameras."""
     rng = np.random.default_rng(seed)
 
     def log(low, high):
@@ -57,7 +58,54 @@ def draw(seed, *, wells=True):
         rms = f["read_noise"]
         fields["read_noise"] = s.HeavyTailedReadNoise(rms, 3 * rms, 0.05)
         f["read_noise"] = (rms, 3 * rms, 0.05)
+    if further:
+        own = np.random.default_rng([seed, 7])
+        found = _further(own, light, fields, f)
+        fields |= found
     return s.Sensor(**fields), f, light, rng
+
+
+def _further(rng, light, fields, f):
+    """Fields beside those of `draw`; enters the oracle's numbers."""
+
+    def log(low, high):
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    found = {}
+    for name in ("column_noise", "frame_noise"):
+        if rng.random() < 0.5:
+            found[name] = f[name] = log(1e-3, 3)
+    if rng.random() < 0.5:
+        found["light_offset"] = log(1e-2, 300)
+        f["beside"] = found["light_offset"] * fields["quantum_efficiency"]
+    if rng.random() < 0.5:
+        kernel = rng.dirichlet(np.ones(8)) * log(1e-6, 0.1)
+        kernel = np.insert(kernel, 4, 1 - kernel.sum()).reshape(3, 3)
+        found["mixing"], f["mixing"] = s.Mixing(kernel), kernel
+    if rng.random() < 0.6:
+        top = float(light.max()) * log(0.3, 3)
+        first, second = (float(x) for x in rng.normal(0, log(1e-4, 0.05), 2))
+        found["nonlinearity"] = s.Compression(first, second, electrons=top)
+        f["nonlinearity"] = first, second, top
+    if rng.random() < 0.5:
+        pattern = ((0, 1), (2, 3)) if rng.random() < 0.5 else ((0, 1),)
+        count, stretched = len(pattern) * 2, bool(rng.random() < 0.5)
+        chosen = {
+            "offset": rng.normal(0, log(1e-3, 3), count),
+            "gain": 1 + rng.uniform(-1, 1, count) * log(1e-5, 0.1),
+        }
+        for name in ("read_noise", "prnu"):
+            if name in fields and rng.random() < 0.5:
+                chosen[name] = rng.uniform(0.5, 2, count)
+        found["taps"] = s.Taps(pattern, **chosen, stretched=stretched)
+        rows, columns = (np.arange(n) for n in SHAPE)
+        height, width = len(pattern), 2
+        if stretched:
+            index = (rows * height // SHAPE[0])[:, None] * width + columns * width // SHAPE[1]
+        else:
+            index = (rows % height)[:, None] * width + columns % width
+        f["taps"] = {name: values[index] for name, values in chosen.items()}
+    return found
 
 
 # What a field of `Sensor` is called among the oracle's numbers.
@@ -66,6 +114,7 @@ KEYS = {
     "hot_pixels": "hot",
     "telegraph_noise": "telegraph",
     "shot_noise": "shot",
+    "light_offset": "beside",
 }
 
 

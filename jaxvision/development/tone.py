@@ -5,16 +5,12 @@ Elementwise on relative values of any shape; the named curves are in `point_ops`
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
-from ..core._numerics import smallest_divisor
-from ..core._types import Scalars, as_relative, is_known, print_by_name, refuse_codes
+from ..core._monotone import Points, monotone_slopes, through_points
+from ..core._types import Scalars, as_relative, is_known, refuse_codes
 from ..point_ops import filmic, gamma_encode, reinhard, srgb_encode
 from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, ToneMap
-
-Points = Float[Array, " points"]
-print_by_name(globals(), "Points")
 
 
 @takes_numbers
@@ -53,17 +49,9 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
             raise ValueError(f"tone_curve: inputs must ascend, got {np.asarray(inputs)}.")
         if np.asarray(inputs)[-1] <= 100:  # a curve through codes takes codes
             refuse_codes(x)
-    slopes = _monotone_slopes(inputs, outputs)
+    slopes = monotone_slopes(inputs, outputs)
     within = jnp.where(x < inputs[0], inputs[0], jnp.where(x > inputs[-1], inputs[-1], x))
-    k = jnp.clip(jnp.searchsorted(inputs, within, side="right") - 1, 0, inputs.shape[0] - 2)
-    width = (inputs[1:] - inputs[:-1])[k]
-    t = (within - inputs[k]) / width
-    from_end = 1 - t
-    return (
-        outputs[k] * (1 + 2 * t) * from_end**2
-        + outputs[k + 1] * (1 + 2 * from_end) * t**2
-        + width * t * from_end * (slopes[k] * from_end - slopes[k + 1] * t)
-    )
+    return through_points(within, inputs, outputs, slopes)
 
 
 @takes_numbers
@@ -110,30 +98,3 @@ def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
             return gamma_encode(picture, gamma)
         case SRGB():
             return srgb_encode(picture)
-
-
-def _monotone_slopes(inputs: Points, outputs: Points) -> Points:
-    """The weighted harmonic mean of the chords on both sides, 0 at an extremum."""
-    width = jnp.diff(inputs)
-    chord = jnp.diff(outputs) / width
-    if inputs.shape[0] == 2:
-        return jnp.concatenate([chord, chord])
-    before, behind = chord[:-1], chord[1:]
-    near_before, near_behind = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
-    onward = ~(before * behind <= 0)
-    steep_before, steep_behind = (
-        jnp.maximum(jnp.abs(c), smallest_divisor(c.dtype)) for c in (before, behind)
-    )
-    mean = (near_before + near_behind) / (near_before / steep_before + near_behind / steep_behind)
-    mean = jnp.where(before < 0, -mean, mean)
-    first = _end_slope(width[0], width[1], chord[0], chord[1])
-    last = _end_slope(width[-1], width[-2], chord[-1], chord[-2])
-    return jnp.concatenate([first[None], jnp.where(onward, mean, 0), last[None]])
-
-
-def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
-    """The parabola through three points, kept from overshooting."""
-    slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
-    slope = jnp.where(slope * chord <= 0, 0, slope)
-    steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))
-    return jnp.where(steep, 3 * chord, slope)

@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..scene import ArrheniusDarkCurrent, DoublingDarkCurrent, HeavyTailedReadNoise, PixelAperture
+from ..scene import (
+    ArrheniusDarkCurrent,
+    DoublingDarkCurrent,
+    HeavyTailedReadNoise,
+    PixelAperture,
+    ShutterOffset,
+)
 from ..sensor.dark import BOLTZMANN, ELEMENTARY_CHARGE
 from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
 
@@ -18,11 +24,25 @@ def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
     """Electrons per exposure that an irradiance, (bands,) W m^-2, or photons s^-1 per pixel, frees
     in the pixel that sees most of it; the sensor is its fields by name, None where they are gone.
     """
-    electrons = np.asarray(irradiance, float)
+    photons = np.asarray(irradiance, float)
     conversion = sensor["photon_conversion"]
     if conversion is not None:
         per_joule = np.asarray(conversion.wavelength, float) / (PLANCK * SPEED_OF_LIGHT)
-        electrons = electrons * float(conversion.pixel_area) * per_joule
+        photons = photons * float(conversion.pixel_area) * per_joule
+    return detected(sensor, photons) * exposure(sensor)
+
+
+def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
+    """Electrons that photons free in the pixel that sees most of them, behind all filters.
+
+    Args:
+        sensor: its fields by name, None where they are gone.
+        photons: (bands,) per pixel.
+
+    Returns:
+        As many electrons, of the same time.
+    """
+    electrons = photons
     with np.errstate(invalid="ignore"):  # 0 of inf: nothing is known
         for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
             electrons = electrons if factor is None else electrons * np.asarray(factor, float)
@@ -30,7 +50,27 @@ def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
             electrons = np.asarray(sensor["colour_filter"].transmission, float) @ electrons
     if sensor["pixel_aperture"] is not None:
         electrons = electrons * share_of_light(sensor["pixel_aperture"])
-    return float(np.max(electrons)) * exposure(sensor)
+    return float(np.max(electrons))
+
+
+def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
+    """Electrons that the light offset frees at most beside the light, or takes away.
+
+    Args:
+        sensor: its fields by name, None where they are gone.
+        irradiance: (bands,) W m^-2, or photons s^-1 per pixel.
+
+    Returns:
+        Electrons per exposure, >= 0.
+    """
+    match sensor["light_offset"]:
+        case None:
+            return 0.0
+        case ShutterOffset(time=time):
+            return freed(dict(sensor, exposure_time=np.abs(time)), irradiance)
+        case photons:
+            beside = np.broadcast_to(np.abs(np.asarray(photons, float)), np.shape(irradiance))
+            return detected(sensor, beside)
 
 
 def share_of_light(aperture: PixelAperture) -> float:
@@ -49,7 +89,7 @@ def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
     that every pixel has, pattern and temporal noise alike; the sensor is its fields by name, None
     where they are gone."""
     found = {}
-    for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise"):
+    for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise", "column_noise", "frame_noise"):
         if sensor[name] is not None:
             found[name] = float(sensor[name]) ** 2
     if sensor["reset_noise"] is not None:

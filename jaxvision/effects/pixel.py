@@ -18,6 +18,7 @@ by a whole electron.
 A pixel's electrons are read as
 
     charge      light r + dark,  counted          r: 1 + PRNU
+    acted on    by the effects on charge          mixing, a curve, and those from outside
     converted   charge (1 + c)                    c: rms of the conversion gains
     read        (converted + offsets + noise) (1 + q),   q: rms of the column gains
     DN          K read + offset
@@ -30,22 +31,31 @@ is taken at the end of its range that lowers it least.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
-from ..scene import GaussianShotNoise, Sensor
+from ..scene import GaussianShotNoise, HeavyTailedReadNoise, Sensor, ShutterOffset
 from ..sensor import stage_of
 from .boxes import corners
 from .certificate import Rank
-from .electrons import dark_rate, exposure, freed, kernel_slopes, read_out_variances
+from .electrons import (
+    beside_light,
+    dark_rate,
+    exposure,
+    freed,
+    kernel_slopes,
+    read_out_variances,
+)
 from .overflow import Charge, Excess, excess
 from .stages import Ends, Gone
 
 INF = math.inf
+CHARGES = 1025  # at which a curve is looked at
 ASSUMED = (
     "Distances in DN are those of mean and rms: 2-Wasserstein where laws are Gaussian, a lower "
     "bound of it otherwise."
@@ -132,7 +142,20 @@ class Pixel:
 
     @cached_property
     def _arriving(self) -> float:
-        return clean(freed(self.sensor.high, self.irradiance)) * self.smearing
+        light = freed(self.sensor.high, self.irradiance) + self.beside
+        return clean(light) * self.smearing
+
+    @cached_property
+    def beside(self) -> float:
+        """Electrons that a light offset frees or takes away at most."""
+        return max(beside_light(end, self.irradiance) for end in self.sensor)
+
+    @cached_property
+    def missing(self) -> float:
+        """Electrons that it takes from a pixel without light."""
+        offset = self.sensor.low["light_offset"]
+        below = offset is not None and not isinstance(offset, ShutterOffset) and np.min(offset) < 0
+        return self.beside if below else 0.0
 
     @cached_property
     def repulsion(self) -> float:
@@ -198,7 +221,7 @@ class Pixel:
     def surely_counted(self) -> float:
         """Smallest variance of the brightest charge. It is 0 if a full well may limit the charge or
         charges repel each other, because both reduce the variance."""
-        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.own
+        sure = self.counted and self.spilt.rms < 1e-6 and self.repulsion == 0 and not self.acting
         return self.light + self.dark if sure else 0.0
 
     @property
@@ -211,9 +234,10 @@ class Pixel:
     def counted_dark(self) -> float:
         """Least variance of any charge: of dark electrons that are counted, less what charge
         transfer leaves behind. A well that cuts a charge lowers its rms by the excess at most."""
-        if not self.counted or self.own or self.sensor.high["brighter_fatter"] is not None:
+        if not self.counted or self.acting or self.sensor.high["brighter_fatter"] is not None:
             return 0.0
-        return max(math.sqrt(min(self._darks) * self.read_share) - self.spilt.rms, 0.0) ** 2
+        dark = max(min(self._darks) - self.missing, 0.0)
+        return max(math.sqrt(dark * self.read_share) - self.spilt.rms, 0.0) ** 2
 
     @cached_property
     def read_share(self) -> float:
@@ -228,7 +252,8 @@ class Pixel:
     @cached_property
     def quiet(self) -> float:
         """Least variance of a pixel, referred to its charge: that of the darkest."""
-        return self.counted_dark + self.added() / (1 + self.high("conversion_prnu") ** 2)
+        larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
+        return self.counted_dark + self.added() / larger
 
     @cached_property
     def behind_column(self) -> float:
@@ -245,13 +270,47 @@ class Pixel:
     @cached_property
     def behind_own(self) -> float:
         """The same of charge that effects from outside act on, with what they multiply it by."""
-        return self.behind_conversion * math.prod(own_bound(e, self.rms)[1] for e in self.own)
+        return self.behind_conversion * self.grown
+
+    @cached_property
+    def grown(self) -> float:
+        """By how much the effects on charge multiply it, or a change of it, at most."""
+        return math.prod(own_bound(effect, self.rms)[1] for effect in self.acting)
 
     @cached_property
     def own(self) -> tuple[Ends[Any], ...]:
         """Effects from outside."""
-        both = (self.sensor.low["own"] or (), self.sensor.high["own"] or ())
+        both = (end["own"] or () for end in self.sensor)
         return tuple(Ends(low, high) for low, high in zip(*both, strict=True))
+
+    @cached_property
+    def acting(self) -> tuple[Ends[Any], ...]:
+        """Effects on the charge that is there: those from outside, mixing, and a curve."""
+        last = (Ends(*(end[name] for end in self.sensor)) for name in ("mixing", "nonlinearity"))
+        return (*self.own, *(ends for ends in last if ends.low is not None))
+
+    def moved_by(self, effect: Ends[Any]) -> float:
+        """Root mean square of the electrons by which an effect on charge moves any pixel. A curve g
+        moves charges of mean m and rms s about it by |g(m) - m| + L s, L being the most by which
+        its slope differs from 1."""
+        curve, electrons = stage_of(effect.low).curve, self.rms * self.grown
+        leaning = own_bound(effect, 1.0)[0]
+        known = effect.low is effect.high and math.isfinite(electrons * leaning)
+        if curve is None or not known:
+            return own_bound(effect, electrons)[0]
+        mean = (self.light + self.dark) * self.grown
+        noise = math.sqrt(self.bright) if self.counted else 0.0
+        noise = math.hypot(noise, self.high("prnu") * self.light, math.sqrt(2) * self.hot)
+        charges = np.linspace(0, mean, CHARGES)
+        found = np.asarray(curve(effect.low, jnp.asarray(charges, jnp.result_type(float))), float)
+        departure = float(np.max(np.abs(found - charges))) + leaning * mean / (2 * (CHARGES - 1))
+        rounding = 4 * float(jnp.finfo(jnp.result_type(float)).eps) * mean
+        return departure + rounding + leaning * noise * self.grown
+
+    @cached_property
+    def read_bright(self) -> float:
+        """Electrons of the brightest pixel behind the effects on charge."""
+        return self.bright * self.grown
 
     @cached_property
     def rms(self) -> float:
@@ -323,13 +382,23 @@ class Pixel:
         """How many pixels one charge may change: itself, the trail that transfers leave behind it,
         the column that it may flood, or, where charges repel each other, all of them."""
         pixels = math.prod(self.shape)
+        mixing = self.sensor.high["mixing"]
+        shared = 1 if mixing is None else mixing.kernel.size
         if self.repulsion > 0:
             return pixels
         rows = self.shape[0] if self.received > 0 else 1
         transfer = self.sensor.high["charge_transfer"]
         trail = 1 if transfer is None else transfer.trail + 1
         columns = 1 if transfer is None or transfer.serial_inefficiency is None else trail
-        return min(rows * trail * columns, pixels)
+        return min(rows * trail * columns * shared, pixels)
+
+    def tap_change(self, name: str) -> float:
+        """By how much a number of the taps differs from none at most: from 0 for the offset, DN,
+        from 1 for factors."""
+        none = 0.0 if name == "offset" else 1.0
+        values = [getattr(end["taps"], name, None) for end in self.sensor]
+        changes = (np.abs(np.asarray(v, float) - none) for v in values if v is not None)
+        return max((float(np.max(change)) for change in changes), default=0.0)
 
     def moved(self, by: float, *, patterned: bool) -> float:
         """Change of a pixel's distribution, DN, for a change d of the charge, `by` electrons.
@@ -373,10 +442,27 @@ def pixel_of(
     """The sensor, of (rows, columns), without what is gone, by names such as "sensor.read_noise",
     under an irradiance of at most (bands,) W m^-2 on any pixel."""
 
-    def left(of: Sensor) -> Mapping[str, Any]:
+    def left(of: Sensor, extreme: Callable[[Any], Any]) -> Mapping[str, Any]:
         fields = vars(of).items()
         kept = {name: None if f"sensor.{name}" in gone else value for name, value in fields}
         own = enumerate(kept["own"] or ())
-        return kept | {"own": tuple(e for i, e in own if f"sensor.own[{i}]" not in gone)}
+        kept = kept | {"own": tuple(e for i, e in own if f"sensor.own[{i}]" not in gone)}
+        return kept | _of_one_tap(kept, extreme)
 
-    return Pixel(Ends(left(sensor.low), left(sensor.high)), irradiance, shape)
+    return Pixel(Ends(left(sensor.low, np.min), left(sensor.high, np.max)), irradiance, shape)
+
+
+def _of_one_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[str, Any]:
+    """The numbers of the sensor with the least or the largest factors of its taps."""
+    taps = kept["taps"]
+    found: dict[str, Any] = {"untapped": kept}
+    for name in ("gain", "read_noise", "prnu"):
+        factors, own = getattr(taps, name, None), kept[name]
+        if factors is None or (own is None and name != "gain"):
+            continue
+        factor = float(extreme(factors))
+        if isinstance(own, HeavyTailedReadNoise):
+            found[name] = replace(own, rms=own.rms * factor, tail_rms=own.tail_rms * factor)
+        else:
+            found[name] = (1.0 if own is None else float(own)) * factor
+    return found

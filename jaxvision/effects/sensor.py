@@ -9,18 +9,19 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..scene import Sensor, SensorEffect, ShotNoise
+from ..scene import Sensor, SensorEffect, ShotNoise, ShutterOffset
 from ..sensor import QUANTISATION_VARIANCE, mean_photoelectrons
 from . import sensor_charge, sensor_light, sensor_reading
 from .boxes import refuse_tracers
 from .certificate import DN, Effect
 from .electrons import share_of_light
-from .pixel import Bound, Pixel, clean, own_bound, pixel_of
+from .pixel import Bound, Pixel, clean, pixel_of
 from .stages import Draft, Ends, Gone, Response, Row
 
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
@@ -121,7 +122,11 @@ def _response(pixel: Pixel, change: np.ndarray) -> float:
     """DN by which a change of irradiance, (bands,) W m^-2, moves the law of any pixel."""
     if not np.any(change):
         return 0.0
-    moved = replace(pixel, irradiance=np.abs(change)).light
+    ends = (
+        end if isinstance(end["light_offset"], ShutterOffset) else dict(end, light_offset=None)
+        for end in pixel.sensor
+    )  # photons beside the light do not change
+    moved = replace(pixel, sensor=Ends(*ends), irradiance=np.abs(change)).light
     return clean(pixel.moved(moved, patterned=True))
 
 
@@ -139,7 +144,7 @@ def _row(
         return 0.0 if identity else clean(bound(pixel(gone - {field})).dn)
 
     def drop(draft: Draft) -> Draft:
-        left = replace(draft.camera.sensor, **{name: None})
+        left = _without(draft.camera.sensor, name)
         return replace(draft, camera=replace(draft.camera, sensor=left))
 
     first = bound(pixel(frozenset()))
@@ -162,13 +167,22 @@ def _row(
     )
 
 
+def _without(sensor: Sensor, name: str) -> Sensor:
+    """The sensor without a field, and without the factors that taps have on it."""
+    left: dict[str, Any] = {name: None}
+    taps = sensor.taps
+    if taps is not None and name in ("read_noise", "prnu"):
+        left["taps"] = replace(taps, **{name: None})
+    return replace(sensor, **left)
+
+
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
     """The row of an effect from outside, by the bound that it brings."""
     name, kind = f"sensor.own[{i}]", type(ends.low).__name__
 
     def after(gone: Gone) -> float:
         left = pixel(gone - {name})
-        return clean(left.behind_own * own_bound(ends, left.rms)[0])
+        return clean(left.behind_own * left.moved_by(ends))
 
     def drop(draft: Draft) -> Draft:
         kept = tuple(own for own in draft.camera.sensor.own or () if own is not ends.low)

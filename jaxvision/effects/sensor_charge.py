@@ -4,6 +4,8 @@ Each takes the sensor without what is gone already and gives a bound in DN, the 
 """
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from ..scene import (
     PoissonShotNoise,
 )
 from .pixel import INF, Bound, Pixel, growth
+from .stages import Ends
 
 # 2-Wasserstein distances from a Poisson law, e-. Of the Gaussian of the same moments, tabulated
 # over means: the largest, at 0.86 e-; at many it is sqrt(1/12 + 1/18), of wholeness and skewness.
@@ -98,6 +101,18 @@ def charge_transfer(pixel: Pixel) -> Bound:
     return Bound(moved, f"{max(lost, gained):.3g} of a packet stays behind")
 
 
+def on_charge(name: str, pixel: Pixel) -> Bound:
+    """What an effect on the charge that is there moves a pixel by (`Pixel.moved_by`)."""
+    ends = Ends(*(end[name] for end in pixel.sensor))
+    moved = pixel.moved_by(ends)
+    why = type(ends.low).__name__
+    if not math.isfinite(pixel.rms):
+        why = "the light is not bounded"
+    elif not math.isfinite(moved):
+        why = f"no bound of {why} is known"
+    return Bound(pixel.behind_own * moved, why)
+
+
 def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:
     """The largest share of a packet that is not read in its place, and the largest sum of shares
     of other packets that is.
@@ -143,9 +158,12 @@ def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray
     return own, own + received
 
 
-BOUNDS = {
-    function.__name__: function
-    for function in (shot_noise, brighter_fatter, full_well, blooming, charge_transfer)
+BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
+    **{
+        function.__name__: function
+        for function in (shot_noise, brighter_fatter, full_well, blooming, charge_transfer)
+    },
+    **{name: partial(on_charge, name) for name in ("mixing", "nonlinearity")},
 }
 # What can take the place of a way of counting: the name of the effect, the kinds that have it, its
 # bound, and the kind without it.

@@ -29,6 +29,12 @@ def exposure_time(pixel: Pixel) -> Bound:
     return Bound(INF, "scales all charge: nothing can be left out")
 
 
+def light_offset(pixel: Pixel) -> Bound:
+    """The light that comes beside what is given, or goes."""
+    beside = pixel.beside * pixel.smearing * pixel.pushing
+    return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- beside the light")
+
+
 def infrared_cut(pixel: Pixel) -> Bound:
     """The light that the filter takes away: (1 - transmission) of each band."""
     least = np.asarray(pixel.sensor.low["infrared_cut"], float)
@@ -123,6 +129,7 @@ BOUNDS = {
     function.__name__: function
     for function in (
         photon_conversion,
+        light_offset,
         infrared_cut,
         quantum_efficiency,
         colour_filter,

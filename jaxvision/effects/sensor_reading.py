@@ -14,6 +14,7 @@ import numpy as np
 
 from ..scene import HeavyTailedReadNoise
 from ..sensor import QUANTISATION_VARIANCE
+from .electrons import read_out_variances
 from .overflow import excess
 from .pixel import INF, Bound, Pixel, growth
 
@@ -24,24 +25,25 @@ _BEYOND = 2.3e-19  # P(|g| > 9)
 
 def conversion_prnu(pixel: Pixel) -> Bound:
     """sqrt(V + m + c^2 (m + m^2)) - sqrt(V + m) at the brightest m, where it is largest."""
-    rms, charge = pixel.high("conversion_prnu"), pixel.bright
+    rms, charge = pixel.high("conversion_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
     counted = pixel.surely_counted
-    variance = charge if pixel.counted else 0.0
-    variance += (pixel.high("prnu") * pixel.light) ** 2
+    variance = charge * pixel.grown if pixel.counted else 0.0
+    variance += (pixel.high("prnu") * pixel.light * pixel.grown) ** 2
     grown = growth(pixel.added() + counted, rms**2 * (variance + charge**2))
     return Bound(pixel.behind_column * grown, f"{rms:.3g} of {charge:.4g} e-")
 
 
 def column_prnu(pixel: Pixel) -> Bound:
     """sqrt(v + q^2 (v + m^2)) - sqrt(v) at the brightest m, v being all its noise."""
-    rms, charge = pixel.high("column_prnu"), pixel.bright
+    rms, charge = pixel.high("column_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
     counted = pixel.surely_counted
     conversion = pixel.high("conversion_prnu") ** 2
-    own = (charge if pixel.counted else 0.0) + (pixel.high("prnu") * pixel.light) ** 2
+    own = charge * pixel.grown if pixel.counted else 0.0
+    own += (pixel.high("prnu") * pixel.light * pixel.grown) ** 2
     own = own * (1 + conversion) + conversion * charge**2 + sum(pixel.variances.high.values())
     own += _trap(pixel)
     grown = growth(pixel.added() + counted, rms**2 * (own + charge**2))
@@ -76,6 +78,23 @@ def offset(pixel: Pixel) -> Bound:
     """The mean moves by it."""
     ends = (pixel.sensor.low["offset"], pixel.sensor.high["offset"])
     return Bound(max(abs(float(x)) for x in ends), "moves all numbers alike")
+
+
+def taps(pixel: Pixel) -> Bound:
+    """Offsets move the mean of a tap, factors its gain, its read noise and its pattern: each by
+    what it differs from 1."""
+    named = ("offset", "gain", "read_noise", "prnu")
+    offset, gain, read, pattern = (pixel.tap_change(name) for name in named)
+    plain = pixel.sensor.high["untapped"]
+    share = (1.0 if plain["gain"] is None else float(plain["gain"])) / pixel.gain
+    added = sum(pixel.variances.high.values()) + _trap(pixel)
+    size = math.hypot(pixel.behind_charge * pixel.rms, pixel.behind_column * math.sqrt(added))
+    noise = math.sqrt(read_out_variances(plain).get("read_noise", 0.0))
+    rms = 0.0 if plain["prnu"] is None else float(plain["prnu"])
+    moved = gain * size + pixel.behind_column * read * noise
+    moved += pixel.behind_charge * pattern * rms * pixel.light
+    why = f"{offset:.3g} DN; gain, read noise, pattern by {gain:.3g}, {read:.3g}, {pattern:.3g}"
+    return Bound(offset + share * moved, why)
 
 
 def bits(pixel: Pixel) -> Bound:
@@ -132,19 +151,37 @@ def _clipped(pixel: Pixel) -> float:
     conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
     if max(conversion, column) * _WIDE >= 1 or not math.isfinite(pixel.bright):
         return INF
-    widest = (1 + _WIDE * conversion) * (1 + _WIDE * column)
+    widest = (1 + _WIDE * conversion) * (1 + _WIDE * column) * pixel.grown
     noise = pixel.gain * (1 + _WIDE * column) * math.sqrt(_widest(pixel))
-    ends = (pixel.sensor.low["offset"], pixel.sensor.high["offset"])
-    offsets = [0.0 if x is None else float(x) for x in ends]
+    offsets = _offsets(pixel)
     top = 2 ** float(pixel.sensor.low["bits"]) - 1
     low = _gaussian_excess(noise, min(offsets))
     if pixel.charge.counting == "gaussian":
         low = _below(pixel, min(offsets))
+    low += pixel.gain * (1 + _WIDE * conversion) * (1 + _WIDE * column) * _negative(pixel)
     spare = (top - max(offsets)) / (pixel.gain * widest)
     high = _above(pixel, spare, noise / (pixel.gain * widest)) * pixel.gain * widest
-    second = pixel.bright + pixel.bright**2 + _widest(pixel)
+    second = (pixel.bright + pixel.bright**2) * pixel.grown**2 + _widest(pixel)
     beyond = pixel.gain * math.sqrt(second * 2 * _BEYOND * 4 * _WIDE**2)
-    return math.hypot(low, high) + (beyond if widest > 1 else 0.0)
+    return math.hypot(low, high) + (beyond if max(conversion, column) > 0 else 0.0)
+
+
+def _offsets(pixel: Pixel) -> list[float]:
+    """The least and the largest offset of a pixel, DN."""
+    found = []
+    for end, extreme in zip(pixel.sensor, (np.min, np.max), strict=True):
+        of_taps = getattr(end["taps"], "offset", None)
+        own = 0.0 if end["offset"] is None else float(end["offset"])
+        found.append(own + (0.0 if of_taps is None else float(extreme(of_taps))))
+    return found
+
+
+def _negative(pixel: Pixel) -> float:
+    """By how many electrons a charge may lie below 0, on the root mean square: light that an offset
+    takes away where none is, and entries of a mixing kernel below 0."""
+    mixing = [end["mixing"] for end in pixel.sensor]
+    below = [float(-np.minimum(np.asarray(m.kernel), 0).sum()) for m in mixing if m is not None]
+    return pixel.grown * (pixel.missing + max(below, default=0.0) * pixel.rms)
 
 
 def _above(pixel: Pixel, level: float, noise: float) -> float:
@@ -174,7 +211,7 @@ def _below(pixel: Pixel, offset: float) -> float:
     a being the largest gain of a pixel, is largest at u = a^2 + sqrt(a^4 + (a o - v)^2) of all
     M >= 0, or at the brightest.
     """
-    spare = 1 + _WIDE * pixel.high("conversion_prnu")
+    spare = (1 + _WIDE * pixel.high("conversion_prnu")) * pixel.grown
     per_electron = pixel.gain * (1 + _WIDE * pixel.high("column_prnu"))
     noise, o = _widest(pixel), max(offset, 0.0) / per_electron
     worst = spare**2 + math.hypot(spare**2, spare * o - noise)
@@ -208,12 +245,14 @@ EVERY_PIXEL = (
     "reset_noise",
     "read_noise",
     "row_noise",
+    "column_noise",
+    "frame_noise",
     "banding",
 )
 BOUNDS: dict[str, Callable[[Pixel], Bound]] = {
     **{name: partial(every_pixel, name) for name in EVERY_PIXEL},
     **{
         function.__name__: function
-        for function in (conversion_prnu, telegraph_noise, column_prnu, gain, offset, bits)
+        for function in (conversion_prnu, telegraph_noise, column_prnu, gain, offset, taps, bits)
     },
 }

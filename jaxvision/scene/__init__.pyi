@@ -46,6 +46,14 @@ from .noises import (
     ShotNoise as ShotNoise,
     TelegraphNoise as TelegraphNoise,
 )
+from .sensor_effects import (
+    Compression as Compression,
+    Mixing as Mixing,
+    Nonlinearity as Nonlinearity,
+    ResponseSpline as ResponseSpline,
+    ResponseTable as ResponseTable,
+    SensorEffect as SensorEffect,
+)
 from .sensors import (
     BrighterFatter as BrighterFatter,
     ChargeTransfer as ChargeTransfer,
@@ -54,7 +62,8 @@ from .sensors import (
     PixelAperture as PixelAperture,
     RollingShutter as RollingShutter,
     Sensor as Sensor,
-    SensorEffect as SensorEffect,
+    ShutterOffset as ShutterOffset,
+    Taps as Taps,
 )
 from .shapes import (
     Box as Box,

@@ -40,6 +40,7 @@ from .noises import (
     ShotNoise,
     TelegraphNoise,
 )
+from .sensor_effects import Mixing, Nonlinearity, SensorEffect
 
 MOST_UNEVEN = 0.5  # relative rms of gains; above, per cent were meant
 LARGEST_PIXEL = 0.1  # m^2; above, a number in um^2 was meant
@@ -210,15 +211,66 @@ class RollingShutter(Shown):
         check_fields(self, line_time=NOT_NEGATIVE)
 
 
-class SensorEffect(Shown):
-    """Base of effects on charge from outside; `jaxvision.sensor.register` enters them.
+class ShutterOffset(Shown):
+    """Light is gathered for longer than the exposure time that is stated.
+
+    Attributes:
+        time: () s, added to the exposure time of light, but not of dark current; below 0 where
+            less is gathered.
 
     Example:
-        >>> class Leak(jv.SensorEffect):
-        ...     share: float
-        >>> isinstance(Leak(0.01), jv.SensorEffect)
-        True
+        >>> late = jv.Sensor(exposure_time=1e-3, light_offset=jv.ShutterOffset(2e-5))
+        >>> round(float(jv.mean_photoelectrons(late, jnp.array([1e6]))[0]))
+        1020
     """
+
+    time: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_fields(self, time=FINITE)
+
+
+class Taps(Shown):
+    """Amplifiers or sites of a mosaic that differ: which pixel belongs to which, and their numbers.
+
+    Attributes:
+        pattern: rows of tap indices 0, 1, ..., repeated from the first pixel on, or the phase of a
+            Bayer mosaic, such as "RGGB"; ((0, 1),) are odd and even columns. Static.
+        offset: (taps,) DN, added to `Sensor.offset`, or None.
+        gain: (taps,) factors on `Sensor.gain`, > 0, no unit, or None.
+        read_noise: (taps,) factors on `Sensor.read_noise`, >= 0, no unit, or None.
+        prnu: (taps,) factors on `Sensor.prnu`, >= 0, no unit, or None.
+        stretched: whether the pattern is laid over the frame once instead of repeated: ((0, 1), (2,
+            3)) are then its quadrants. Static.
+
+    Example:
+        >>> halves = jv.Taps(((0, 1),), offset=[0.0, 3.0], gain=[1.0, 2.0], stretched=True)
+        >>> print(jv.raw_image(None, jv.Sensor(taps=halves), jnp.full((1, 4, 1), 10.0)).ravel())
+        [10. 10. 23. 23.]
+    """
+
+    pattern: tuple[tuple[int, ...], ...] = eqx.field(static=True, converter=as_tile)
+    offset: Float[Array, " taps"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    gain: Float[Array, " taps"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    read_noise: Float[Array, " taps"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    prnu: Float[Array, " taps"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    stretched: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_fields(self, offset=FINITE, gain=POSITIVE, read_noise=NOT_NEGATIVE, prnu=NOT_NEGATIVE)
+        numbers = {name: getattr(self, name) for name in ("offset", "gain", "read_noise", "prnu")}
+        for name, values in numbers.items():
+            if values is not None:
+                holder = f"Taps.{name}"
+                check_tile("Taps.pattern", self.pattern, bands=values.shape[0], holder=holder)
 
 
 def _as_effects(effects: Any) -> Any:
@@ -238,6 +290,9 @@ class Sensor(Shown):
     Attributes:
         photon_conversion: None takes the input as photons per pixel and second, or per pixel and
             exposure without an `exposure_time`.
+        light_offset: () or (bands,) photons per pixel that reach the sensor with each exposure
+            beside those that are given, and may be below 0; or a further time of exposure. A frame
+            behind a closed shutter has none: leave it out there.
         infrared_cut: (bands,) transmission of a filter before the sensor, in [0, 1], no unit.
         quantum_efficiency: () or (bands,) electrons per photon, in [0, 1].
         colour_filter: None measures every band at every pixel.
@@ -260,6 +315,8 @@ class Sensor(Shown):
             and that spills along the column, in [0, 1], no unit; needs a `full_well`.
         charge_transfer: that of a CCD.
         own: effects of one's own, in their order, which act on the charge that is there.
+        mixing: how neighbours share counted electrons.
+        nonlinearity: the curve from charge to signal.
         conversion_prnu: () relative rms of the pixels' conversion gains, in [0, 0.5], no unit: of
             the amplifier (source follower) in each pixel of a CMOS sensor. Unlike `prnu` it acts on
             counted electrons.
@@ -270,11 +327,15 @@ class Sensor(Shown):
         read_noise: () e- rms per read-out, Gaussian, >= 0, or a distribution with a longer tail.
         telegraph_noise: pixels that switch between two levels.
         row_noise: () e- rms of an offset that each row draws anew in each frame, >= 0.
+        column_noise: () e- rms of an offset that each column draws anew in each frame, >= 0.
+        frame_noise: () e- rms of an offset that each frame draws anew, >= 0: its black level
+            drifts.
         banding: an offset that oscillates over the rows.
         column_prnu: () relative rms of the gains of the column amplifiers, in [0, 0.5], no unit.
         gain: () DN per e-, > 0. A camera's ISO setting is proportional to it (ISO 12232 by
             saturation: 78 over the lx s that just fill the ADC's range).
         offset: () DN added before conversion (the black level).
+        taps: amplifiers or sites of a mosaic with numbers of their own.
         bits: () of the ADC, a whole number from 1 to the largest that the dtype counts exactly (11,
             24 and 53 for float16, float32 and float64): rounds to whole DN and clips to [0, 2^bits
             - 1].
@@ -286,6 +347,9 @@ class Sensor(Shown):
     """
 
     photon_conversion: PhotonConversion | None = eqx.field(default=None, kw_only=True)
+    light_offset: Scalar | Colour | ShutterOffset | None = eqx.field(
+        converter=_number_or_record, default=None, kw_only=True
+    )
     infrared_cut: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     quantum_efficiency: Scalar | Colour | None = eqx.field(
         converter=as_optional_float, default=None, kw_only=True
@@ -312,6 +376,8 @@ class Sensor(Shown):
     own: tuple[SensorEffect, ...] | None = eqx.field(
         converter=_as_effects, default=None, kw_only=True
     )
+    mixing: Mixing | None = eqx.field(default=None, kw_only=True)
+    nonlinearity: Nonlinearity | None = eqx.field(default=None, kw_only=True)
     conversion_prnu: Scalar | None = eqx.field(
         converter=as_optional_float, default=None, kw_only=True
     )
@@ -324,10 +390,13 @@ class Sensor(Shown):
     )
     telegraph_noise: TelegraphNoise | None = eqx.field(default=None, kw_only=True)
     row_noise: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    column_noise: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    frame_noise: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     banding: Banding | None = eqx.field(default=None, kw_only=True)
     column_prnu: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     gain: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     offset: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
+    taps: Taps | None = eqx.field(default=None, kw_only=True)
     bits: Scalar | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
@@ -347,6 +416,11 @@ class Sensor(Shown):
             check_kind(f"Sensor.own[{i}]", effect, SensorEffect)
         if self.blooming is not None and self.full_well is None:
             raise ValueError("Sensor.full_well must be given with blooming, got None.")
+        if isinstance(self.light_offset, ShutterOffset) and self.exposure_time is None:
+            raise ValueError("Sensor.exposure_time must be given with a ShutterOffset, got None.")
+        for name in ("read_noise", "prnu"):
+            if getattr(self.taps, name, None) is not None and getattr(self, name) is None:
+                raise ValueError(f"Sensor.{name} must be given with Taps.{name}, got None.")
 
 
 _RANGES = {
@@ -366,6 +440,9 @@ _RANGES = {
     "row_dsnu": NOT_NEGATIVE,
     "read_noise": NOT_NEGATIVE,
     "row_noise": NOT_NEGATIVE,
+    "column_noise": NOT_NEGATIVE,
+    "frame_noise": NOT_NEGATIVE,
+    "light_offset": FINITE,
     "column_prnu": NOT_NEGATIVE,
     "gain": POSITIVE,
     "offset": FINITE,

@@ -3,12 +3,13 @@
 The linear model of EMVA 1288, extended by the further effects of real CCD and CMOS sensors. Each
 stage has its own file, in the order of the light's path:
 
-    sampling -> exposure -> dark -> shot_noise -> ccd -> fixed_pattern -> read_out -> adc
+    sampling -> exposure -> dark -> shot_noise -> ccd -> mixing -> nonlinearity -> fixed_pattern
+    -> read_out -> adc
 
-`raw` composes them for one exposure, `moments` gives mean and variance in closed form,
-`expectation` estimates expectations of anything else, and `shutter` averages a moving scene over
-the exposure. A parameter of the sensor that is None is not traced. `Sensor` and the records of its
-effects are in `jaxvision.scene`.
+`raw` composes them for one exposure, `moments` gives mean, variance and covariances in
+closed form, `expectation` estimates expectations of anything else, and `shutter` averages a moving
+scene over the exposure. A parameter of the sensor that is None is not traced. `Sensor` and the
+records of its effects are in `jaxvision.scene`.
 
 A draw is differentiated along itself, counts included, rounding as if it were not there, and
 clipping has gradient 0: means and mean squares of raw data have unbiased gradients at every light

@@ -1,7 +1,11 @@
 # What `jaxvision.sensor` offers, each name where it is defined; see `jaxvision/__init__.pyi`.
 
 from . import colour_filters as colour_filters
-from ._registry import register as register, stage_of as stage_of
+from ._registry import (
+    register as register,
+    register_curve as register_curve,
+    stage_of as stage_of,
+)
 from .adc import digitise as digitise
 from .brighter_fatter import (
     area_changes as area_changes,
@@ -31,15 +35,21 @@ from .fixed_pattern import (
     offsets as offsets,
     sensitivity as sensitivity,
 )
+from .mixing import even_mixing as even_mixing, mixed as mixed
 from .moments import (
     QUANTISATION_VARIANCE as QUANTISATION_VARIANCE,
     Moments as Moments,
     censored as censored,
     clipped_moments as clipped_moments,
     expected_signal as expected_signal,
+    neighbour_covariances as neighbour_covariances,
     pattern_variance as pattern_variance,
     signal_to_noise as signal_to_noise,
     signal_variance as signal_variance,
+)
+from .nonlinearity import (
+    charge_of_signal as charge_of_signal,
+    signal_of_charge as signal_of_charge,
 )
 from .raw import collect as collect, raw_image as raw_image
 from .read_out import (

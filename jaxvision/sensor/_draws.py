@@ -36,6 +36,8 @@ class Frame(IntEnum):
     ROW = 4
     BANDING = 5
     TRANSFER = 6
+    COLUMN = 7
+    OFFSET = 16  # of the whole frame
 
 
 class Die(IntEnum):

@@ -1,23 +1,29 @@
-"""Sensor effects from outside: what each record of `Sensor.own` does to charge."""
+"""Sensor effects on charge: what each record of `Sensor.own`, `Sensor.mixing` and
+`Sensor.nonlinearity` does."""
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from ..core._bounds import Ends
 from ..core._types import Key, Scalars
-from ..scene import SensorEffect
+from ..scene import Sensor, SensorEffect
 
 Bound = Callable[[Ends, float], tuple[float, float]]
+Curve = Callable[[Any, Scalars], Scalars]
 
 
 class Stage(NamedTuple):
-    """What an effect has registered; `register` describes the functions."""
+    """What an effect has registered; `register` and `register_curve` describe the functions."""
 
     charge: Callable[[Key | None, Any, Scalars], Scalars]
     moments: Callable[[Any, Any], Any] | None
     bound: Bound | None
+    curve: Curve | None = None
+    inverse: Curve | None = None
 
 
 _STAGES: dict[type, Stage] = {}
@@ -43,8 +49,8 @@ def register(
             in even light; without it `expected_signal` and its kin refuse the sensor.
         bound: `bound(ends, electrons) -> (moved, grows)`, of the effect at both ends of what a fit
             may change: the root mean square of the electrons by which it moves any pixel, none of
-            which holds more than `electrons` rms, and by how much it multiplies a change of charge
-            at most, >= 1. Without it `effects` keeps all of the sensor before it.
+            which holds more than `electrons` rms, and by how much it multiplies charge, or a change
+            of it, at most, >= 1. Without it `effects` keeps all of the sensor before it.
 
     Example:
         >>> class Loss(jv.SensorEffect):
@@ -54,6 +60,62 @@ def register(
         [6.0]
     """
     _STAGES[effect] = Stage(charge, moments, bound)
+
+
+def register_curve(
+    effect: type[SensorEffect],
+    *,
+    curve: Curve,
+    slopes: Callable[[Ends], tuple[float, float]] | None = None,
+    inverse: Curve | None = None,
+) -> None:
+    """Makes an effect known that acts on each pixel by itself and draws nothing: a `Nonlinearity`.
+
+    Its moments follow from the derivatives of the curve, to the second order of the noise in the
+    mean and to the first in the variance.
+
+    Args:
+        effect: the class of the record.
+        curve: `curve(effect, electrons) -> electrons`, elementwise; 0 stays 0.
+        slopes: `slopes(ends) -> (least, most)` of the curve at any charge, with all numbers between
+            both ends of what a fit may change; without it `effects` keeps all of the sensor before
+            it.
+        inverse: `inverse(effect, signal) -> electrons`; without it `correct` refuses the sensor.
+
+    Example:
+        >>> class Square(jv.Nonlinearity):
+        ...     share: float
+        >>> jv.sensor.register_curve(Square, curve=lambda own, x: x * (1 - own.share * x))
+        >>> sensor = jv.Sensor(nonlinearity=Square(1e-3), shot_noise=jv.PoissonShotNoise())
+        >>> round(float(jv.signal_variance(sensor, jnp.array([100.0]))[0]), 3)  # 0.8^2 x 100
+        64.0
+    """
+
+    def bound(ends: Ends, electrons: float) -> tuple[float, float]:
+        assert slopes is not None
+        least, most = slopes(ends)
+        return max(1 - least, most - 1) * electrons, max(most, 1.0)
+
+    _STAGES[effect] = Stage(
+        lambda key, own, electrons: curve(own, electrons),
+        lambda own, moments: _through(lambda x: curve(own, x), moments),
+        None if slopes is None else bound,
+        curve,
+        inverse,
+    )
+
+
+def _through(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
+    """Moments behind a curve: g + g'' v / 2 and g'^2 v."""
+    mean, one = moments.mean, jnp.ones_like(moments.mean)
+
+    def slope(x: Scalars) -> Scalars:
+        return jax.jvp(curve, (x,), (one,))[1]
+
+    first, second = jax.jvp(slope, (mean,), (one,))
+    return moments._replace(
+        mean=curve(mean) + second * moments.variance / 2, variance=first**2 * moments.variance
+    )
 
 
 def stage_of(effect: SensorEffect) -> Stage:
@@ -70,10 +132,19 @@ def stage_of(effect: SensorEffect) -> Stage:
     """
     kind = type(effect)
     if kind not in _STAGES:
+        for name in ("mixing", "nonlinearity"):  # the effects of the library register themselves
+            import_module(f"{__package__}.{name}")
+    if kind not in _STAGES:
         raise ValueError(
             f"{kind.__name__} is no known effect: call jaxvision.sensor.register for it first."
         )
     return _STAGES[kind]
+
+
+def on_charge(sensor: Sensor) -> tuple[SensorEffect, ...]:
+    """All effects on the charge that is there, in their order."""
+    last = (sensor.mixing, sensor.nonlinearity)
+    return (*(sensor.own or ()), *(effect for effect in last if effect is not None))
 
 
 def affected(key: Key | None, effects: tuple[SensorEffect, ...], electrons: Scalars) -> Scalars:

@@ -7,6 +7,7 @@ from ..core._numerics import with_gradient_of
 from ..core._powers import exp2
 from ..core._types import Key, Scalar, Scalars, Spectrum, check_range
 from ..scene import Sensor
+from ._taps import of_taps, total_gain
 from .fixed_pattern import column_gains
 
 
@@ -19,7 +20,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
     2 exp(-2 pi^2 s^2): 1.4 % at half a DN, 5e-9 at one. Without noise the true slope is 0.
 
     Args:
-        sensor: the sensor; `column_prnu`, `gain`, `offset` and `bits` are used.
+        sensor: the sensor; `column_prnu`, `gain`, `offset`, `taps` and `bits` are used.
         electrons: (..., bands) electrons.
         die_key: random key of the die; draws the gains of the column amplifiers.
 
@@ -54,14 +55,21 @@ def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
     """Electrons after gain and offset: K electrons + offset.
 
     Args:
-        sensor: the sensor; `gain` (DN per electron) and `offset` (DN) are used.
-        electrons: (...) electrons.
+        sensor: the sensor; `gain` (DN per electron), `offset` (DN) and `taps` are used.
+        electrons: (...) electrons; (..., h, w, bands) with taps.
 
     Returns:
         (...) DN, neither rounded nor clipped.
     """
-    signal = electrons if sensor.gain is None else electrons * sensor.gain
-    return signal if sensor.offset is None else signal + sensor.offset
+    gain = total_gain(sensor, shape=electrons.shape, dtype=electrons.dtype)
+    signal = electrons if gain is None else electrons * gain
+    if sensor.offset is not None:
+        signal = signal + sensor.offset
+    if sensor.taps is None or sensor.taps.offset is None:
+        return signal
+    return signal + of_taps(
+        sensor.taps.offset, sensor.taps, shape=electrons.shape, dtype=electrons.dtype
+    )
 
 
 @takes_numbers

@@ -23,7 +23,7 @@ from ..core._types import (
     is_known,
     print_by_name,
 )
-from ..scene import ColourFilter, Sensor
+from ..scene import ColourFilter, Sensor, ShutterOffset
 from ._draws import check_image
 from .colour_filters import check_pattern, mosaic
 from .dark import dark_rate
@@ -93,7 +93,8 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     """Expected photoelectrons of a pixel of mean sensitivity: eta mu_p.
 
     Args:
-        sensor: the sensor; its fields from `photon_conversion` to `exposure_time` are used.
+        sensor: the sensor; its fields from `photon_conversion` to `exposure_time` are used, the
+            light offset among them.
         irradiance: (..., bands) W m^-2, or photons s^-1 per pixel without a `photon_conversion`;
             (..., h, w, bands) under a colour filter. Integers become floating numbers of the same
             value. Traced NaN stays NaN up to the raw data.
@@ -116,6 +117,21 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     if sensor.photon_conversion is not None:
         conversion = sensor.photon_conversion
         electrons = photon_rate(electrons, conversion.wavelength, conversion.pixel_area)
+    offset = sensor.light_offset
+    if isinstance(offset, ShutterOffset):
+        assert sensor.exposure_time is not None  # asked for where the record is made
+        longer = replace(sensor, exposure_time=jnp.maximum(sensor.exposure_time + offset.time, 0))
+        return over_exposure(longer, _freed(sensor, electrons))
+    freed = over_exposure(sensor, _freed(sensor, electrons))
+    if offset is None:
+        return freed
+    beside = _over_bands("Sensor.light_offset", offset, electrons)
+    return freed + _freed(sensor, jnp.broadcast_to(beside, electrons.shape))
+
+
+def _freed(sensor: Sensor, photons: Spectrum) -> Counts:
+    """Electrons that photons free, behind all filters."""
+    electrons = photons
     if sensor.infrared_cut is not None:
         electrons = electrons * _over_bands("Sensor.infrared_cut", sensor.infrared_cut, electrons)
     if sensor.quantum_efficiency is not None:
@@ -125,7 +141,7 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
         electrons = filtered(sensor.colour_filter, electrons)
     if sensor.pixel_aperture is not None:
         electrons = electrons * light_share(sensor.pixel_aperture)
-    return over_exposure(sensor, electrons)
+    return electrons
 
 
 @takes_numbers

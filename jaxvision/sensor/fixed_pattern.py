@@ -23,6 +23,7 @@ from ._draws import (
     uniform,
     words,
 )
+from ._taps import factored
 
 
 @takes_numbers
@@ -36,7 +37,7 @@ def sensitivity(
 
     Args:
         die_key: random key of the die.
-        sensor: the sensor; `prnu` and `dead_pixels` are used.
+        sensor: the sensor; `prnu`, `dead_pixels` and `taps` are used.
         shape: shape of the electrons.
         dtype: floating dtype of the result.
 
@@ -53,7 +54,8 @@ def sensitivity(
     response = None
     if sensor.prnu is not None:
         pattern = gaussian(die_key, Die.PRNU, shape, dtype)
-        response = jnp.maximum(1 + sensor.prnu * pattern, 0)
+        rms = factored(sensor.prnu, sensor.taps, "prnu", shape=shape, dtype=dtype)
+        response = jnp.maximum(1 + rms * pattern, 0)
     if sensor.dead_pixels is not None:
         dead = uniform(die_key, Die.DEFECT, shape, dtype) <= sensor.dead_pixels
         alive = jnp.ones(shape, dtype) if response is None else response

@@ -17,12 +17,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.signal import correlate2d
 from jax.scipy.special import ndtr
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from ..core._arguments import takes_numbers
-from ..core._types import Scalar, Scalars, is_known
-from ..scene import FastPoissonShotNoise, PoissonShotNoise, Sensor
+from ..core._types import Scalar, Scalars, check_count, is_known
+from ..scene import BrighterFatter, FastPoissonShotNoise, PoissonShotNoise, Sensor
 from ._clipped_gaussian import (
     in_narrow_window,
     is_narrow,
@@ -30,12 +31,22 @@ from ._clipped_gaussian import (
     tail_square,
     tail_variance,
 )
-from ._registry import moments_after
+from ._registry import moments_after, on_charge, stage_of
+from ._taps import factored, total_gain
 from .adc import amplified, largest_number
-from .brighter_fatter import flat_variance, gathered, smoothed_pattern
+from .brighter_fatter import (
+    area_changes,
+    flat_covariances,
+    flat_variance,
+    gathered,
+    smoothed_pattern,
+)
 from .ccd import counted_variance, transferred, transferred_variance
 from .exposure import Counts, Light, expected_charge, mean_dark, over_exposure
+from .mixing import mixed
 from .read_out import read_out_variance
+
+Covariances = Float[Array, "... lags lags"]  # at offsets of 0, 1, ... rows and columns
 
 _FAR = 50.0  # standard deviations: the tail beyond is 0 even in float64
 FAINT = 20.0  # electrons: below it Poisson's counts are summed one by one
@@ -128,7 +139,10 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     light = expected_charge(sensor, irradiance)
     variance = jnp.zeros_like(light)
     if sensor.prnu is not None or sensor.dead_pixels is not None:
-        square = 0.0 if sensor.prnu is None else sensor.prnu**2
+        square = 0.0
+        if sensor.prnu is not None:
+            shape, dtype = light.shape, light.dtype
+            square = factored(sensor.prnu, sensor.taps, "prnu", shape=shape, dtype=dtype) ** 2
         dead = 0.0 if sensor.dead_pixels is None else sensor.dead_pixels
         variance = (1 - dead) * (square + dead) * light**2
     if sensor.brighter_fatter is not None:
@@ -142,7 +156,11 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
     if sensor.own is not None:
         names = ", ".join(type(effect).__name__ for effect in sensor.own)
         raise ValueError(f"pattern_variance knows no {names}; draw frames by raw_image.")
-    mean = _read(sensor, _charge(sensor, irradiance)).mean
+    charge = _charge(sensor, irradiance)
+    mean = _read(sensor, charge).mean
+    if on_charge(sensor):  # they act on a pattern as on noise
+        pattern = Moments(_passed_on(sensor, charge).mean, variance)
+        variance = _acted(sensor, pattern).variance
     if sensor.conversion_prnu is not None:
         variance = variance + sensor.conversion_prnu**2 * (variance + mean**2)
     for rms in (sensor.dsnu, sensor.column_dsnu, sensor.row_dsnu):
@@ -150,7 +168,74 @@ def pattern_variance(sensor: Sensor, irradiance: Light) -> Counts:
             variance = variance + rms**2
     if sensor.column_prnu is not None:
         variance = variance + sensor.column_prnu**2 * (variance + mean**2)
-    return variance if sensor.gain is None else variance * sensor.gain**2
+    gain = total_gain(sensor, shape=variance.shape, dtype=variance.dtype)
+    return variance if gain is None else variance * gain**2
+
+
+@takes_numbers
+def neighbour_covariances(
+    sensor: Sensor, irradiance: Light, *, reach: int = 1
+) -> Float[Array, "... lags lags"]:
+    """Temporal covariances of a pixel with its neighbours in even light, before clipping.
+
+    Charges that repel each other and electrons that neighbours share correlate pixels; so does
+    noise of rows, columns and frames. At an offset of i rows and j columns stand row_noise^2 if i =
+    0, column_noise^2 if j = 0, frame_noise^2, and (a^2 / 2) cos(2 pi i / period) of banding.
+
+    Charge transfer is taken to leave packets independent, as it does Poisson's. Differences between
+    pixels enter as averages over dies, neighbours are of the same tap.
+
+    Args:
+        sensor: the sensor.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel; each
+            pixel is taken as if the light were even around it.
+        reach: largest offset in pixels, at least 0; static.
+
+    Returns:
+        (..., bands, reach + 1, reach + 1) DN^2 at offsets of 0, 1, ... rows and columns, those of
+        (i, j) and (i, -j) averaged; at (0, 0) the variance.
+
+    Raises:
+        ValueError: the sensor has effects of one's own, which may correlate pixels.
+
+    Example:
+        >>> mixing = jv.sensor.even_mixing(0.1)
+        >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), mixing=mixing)
+        >>> found = jv.sensor.neighbour_covariances(sensor, jnp.full((1, 1, 1), 1000.0))
+        >>> [round(float(x), 1) for x in found.ravel()]  # 900 + 4 x 23 + ... is 1000
+        [900.0, 23.6, 23.6, 1.4]
+    """
+    check_count("neighbour_covariances: reach", reach, 0)
+    if sensor.own is not None:
+        names = ", ".join(type(effect).__name__ for effect in sensor.own)
+        raise ValueError(f"neighbour_covariances knows no {names}; draw frames by raw_image.")
+    mean, found = _of_charges(sensor, irradiance, reach)
+    if sensor.nonlinearity is not None:
+        one = Moments(mean, jnp.ones_like(mean))
+        slope = stage_of(sensor.nonlinearity).moments
+        assert slope is not None
+        found = found * slope(sensor.nonlinearity, one).variance[..., None, None]
+    own, rows, columns = _offsets(reach, mean)
+    if sensor.conversion_prnu is not None:
+        found = found * jnp.where(own, 1 + sensor.conversion_prnu**2, 1)
+    common = jnp.zeros(rows.shape, mean.dtype)
+    if sensor.row_noise is not None:
+        common = common + jnp.where(rows == 0, sensor.row_noise**2, 0)
+    if sensor.column_noise is not None:
+        common = common + jnp.where(columns == 0, sensor.column_noise**2, 0)
+    if sensor.frame_noise is not None:
+        common = common + sensor.frame_noise**2
+    if sensor.banding is not None:
+        turns = rows / sensor.banding.period
+        common = common + sensor.banding.amplitude**2 / 2 * jnp.cos(2 * np.pi * turns)
+    added = read_out_variance(sensor, dtype=mean.dtype, shape=mean.shape)
+    found = found + jnp.where(own, jnp.broadcast_to(added, mean.shape)[..., None, None], common)
+    if sensor.column_prnu is not None:
+        found = found * jnp.where(columns == 0, 1 + sensor.column_prnu**2, 1)
+    gain = total_gain(sensor, shape=mean.shape, dtype=mean.dtype)
+    if gain is not None:
+        found = found * jnp.broadcast_to(gain, mean.shape)[..., None, None] ** 2
+    return found if sensor.bits is None else found + jnp.where(own, QUANTISATION_VARIANCE, 0)
 
 
 @takes_numbers
@@ -179,7 +264,9 @@ def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
     """
     dark = jnp.zeros_like(irradiance)
     lit, unlit = (_read(sensor, _charge(sensor, light)) for light in (irradiance, dark))
-    signal = amplified(replace(sensor, offset=None), lit.mean - unlit.mean)
+    gain = total_gain(sensor, shape=lit.mean.shape, dtype=lit.mean.dtype)
+    signal = lit.mean - unlit.mean
+    signal = signal if gain is None else signal * gain
     return signal / jnp.sqrt(_signal(sensor, lit).variance)
 
 
@@ -216,7 +303,7 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     gaussian = _converted(sensor, _read(sensor, charge))
     counted = isinstance(sensor.shot_noise, PoissonShotNoise | FastPoissonShotNoise)
     clips = sensor.full_well is not None or sensor.bits is not None
-    spread = (sensor.charge_transfer, sensor.conversion_prnu, sensor.column_prnu)
+    spread = (sensor.charge_transfer, sensor.mixing, sensor.conversion_prnu, sensor.column_prnu)
     if not (counted and clips) or any(x is not None for x in (*spread, sensor.brighter_fatter)):
         return gaussian
     faint = (mean >= 0) & (mean < FAINT)
@@ -351,16 +438,84 @@ def _charge(sensor: Sensor, irradiance: Light) -> Moments:
 
 def _read(sensor: Sensor, charge: Moments) -> Moments:
     """Moments of the electrons that are read out."""
-    mean, variance = charge
-    if sensor.charge_transfer is not None:
-        if sensor.shot_noise is not None:
-            variance = counted_variance(jnp.maximum(mean, 0), variance, sensor.charge_transfer)
-        mean = transferred(mean, sensor.charge_transfer)
-    if sensor.own is not None:
-        mean, variance = moments_after(sensor.own, Moments(mean, variance))
+    mean, variance = _acted(sensor, _passed_on(sensor, charge))
+    if None not in (sensor.mixing, sensor.brighter_fatter, sensor.shot_noise):
+        variance = variance * _repelled_share(sensor, charge.mean)
     if sensor.conversion_prnu is not None:
         variance = variance * (1 + sensor.conversion_prnu**2)
-    return Moments(mean, variance + read_out_variance(sensor, dtype=mean.dtype))
+    added = read_out_variance(sensor, dtype=mean.dtype, shape=mean.shape)
+    return Moments(mean, variance + added)
+
+
+def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
+    """By how much mixing leaves more variance to charges that repel each other, whose neighbours
+    are correlated, than to independent ones; no unit."""
+    assert sensor.mixing is not None
+    assert sensor.brighter_fatter is not None
+    lit, kernel = mean > 0, sensor.mixing.kernel.astype(mean.dtype)
+    found = _repelled(sensor.brighter_fatter, jnp.where(lit, mean, 1), _farthest(sensor))
+    alone = found[..., 0, 0] * jnp.sum(kernel**2)
+    return jnp.where(lit, _mixed(kernel, found, 0)[..., 0, 0] / alone, 1)
+
+
+def _of_charges(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars, Covariances]:
+    """Mean of the charges that are there behind mixing, and their covariances, electrons^2."""
+    charge = _charge(sensor, irradiance)
+    mean, variance = _passed_on(sensor, charge)
+    size = reach + _farthest(sensor)
+    if sensor.brighter_fatter is not None and sensor.shot_noise is not None:
+        found = _repelled(sensor.brighter_fatter, jnp.maximum(charge.mean, 0), size)
+    else:
+        found = jnp.where(_offsets(size, mean)[0], variance[..., None, None], 0)
+    if sensor.mixing is None:
+        return mean, found
+    kernel = sensor.mixing.kernel.astype(mean.dtype)
+    return mixed(mean, sensor.mixing), _mixed(kernel, found, reach)
+
+
+def _offsets(reach: int, like: Scalars) -> tuple[Array, Array, Array]:
+    """Whether an offset is 0, and how many rows and columns it has, behind the axes of an array."""
+    along = np.indices((reach + 1, reach + 1)).reshape(2, *(1,) * like.ndim, reach + 1, reach + 1)
+    rows, columns = (jnp.asarray(x, like.dtype) for x in along)
+    return (rows == 0) & (columns == 0), rows, columns
+
+
+def _farthest(sensor: Sensor) -> int:
+    """By how many pixels two pixels may lie apart that share electrons of a third."""
+    return 0 if sensor.mixing is None else max(sensor.mixing.kernel.shape) - 1
+
+
+def _repelled(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covariances:
+    """`flat_covariances` at offsets of up to `reach` rows and columns, electrons^2."""
+    area = area_changes(effect.kernel)
+    size = max(reach + 1, *area.shape)
+    area = jnp.pad(area, [(0, size - n) for n in area.shape])
+    return flat_covariances(area, electrons)[..., : reach + 1, : reach + 1]
+
+
+def _mixed(kernel: Float[Array, "rows columns"], found: Covariances, reach: int) -> Covariances:
+    """Covariances after mixing, of those before it, which reach further."""
+    shared = correlate2d(kernel, kernel, mode="full")  # sum w(k) w(k + lag)
+    shared = (shared + shared[:, ::-1]) / 2
+    lags = np.arange(reach + 1)
+    above, beside = (np.abs(lags[:, None] - (np.arange(n) - n // 2)) for n in shared.shape)
+    around = found[..., above, :][..., beside]  # (..., lag of rows, shift, lag of columns, shift)
+    return jnp.einsum("...iajb,ab->...ij", around, shared)
+
+
+def _passed_on(sensor: Sensor, charge: Moments) -> Moments:
+    """Moments of the electrons behind charge transfer."""
+    if sensor.charge_transfer is None:
+        return charge
+    mean, variance = charge
+    if sensor.shot_noise is not None:
+        variance = counted_variance(jnp.maximum(mean, 0), variance, sensor.charge_transfer)
+    return Moments(transferred(mean, sensor.charge_transfer), variance)
+
+
+def _acted(sensor: Sensor, charge: Moments) -> Moments:
+    """Moments of the electrons behind all effects on the charge that is there."""
+    return moments_after(on_charge(sensor), charge)
 
 
 def _over_counts(sensor: Sensor, mean: Scalars) -> Moments:
@@ -425,8 +580,9 @@ def _signal(sensor: Sensor, read: Moments) -> Moments:
     variance = read.variance
     if sensor.column_prnu is not None:
         variance = variance * (1 + sensor.column_prnu**2)
-    if sensor.gain is not None:
-        variance = variance * sensor.gain**2
+    gain = total_gain(sensor, shape=variance.shape, dtype=variance.dtype)
+    if gain is not None:
+        variance = variance * gain**2
     if sensor.bits is not None:
         variance = variance + QUANTISATION_VARIANCE
     return Moments(amplified(sensor, read.mean), variance)

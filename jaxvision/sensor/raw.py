@@ -12,7 +12,7 @@ from ..core._arguments import takes_numbers
 from ..core._types import Key, Scalar
 from ..scene import Sensor
 from ._draws import Frame, needed
-from ._registry import affected
+from ._registry import affected, on_charge
 from .adc import digitise
 from .brighter_fatter import gathered
 from .ccd import bloomed, transfer_noise, transferred
@@ -93,8 +93,9 @@ def collect(
         packets, electrons = electrons, transferred(electrons, transfer)
         if sensor.shot_noise is not None:
             electrons = electrons + transfer_noise(key, packets, transfer)
-    if sensor.own is not None:
-        electrons = affected(key, sensor.own, electrons)
+    effects = on_charge(sensor)
+    if effects:
+        electrons = affected(key, effects, electrons)
     if sensor.conversion_prnu is not None:
         electrons = electrons * conversion_gains(
             die_key, sensor.conversion_prnu, shape=shape, dtype=dtype

@@ -1,4 +1,4 @@
-"""Noise of the read-out, in electrons: reset, read noise, telegraph noise, rows and banding."""
+"""Noise of the read-out, in electrons: of pixels, rows, columns and frames, and banding."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +8,18 @@ from ..core._arguments import takes_numbers
 from ..core._numerics import safe_sqrt
 from ..core._types import Key, Scalar, Scalars
 from ..scene import Banding, HeavyTailedReadNoise, ResetNoise, Sensor, TelegraphNoise
-from ._draws import Die, Frame, Shape, along_rows, check_image, gaussian, uniform, words
+from ._draws import (
+    Die,
+    Frame,
+    Shape,
+    along_columns,
+    along_rows,
+    check_image,
+    gaussian,
+    uniform,
+    words,
+)
+from ._taps import factored, of_taps
 from .dark import BOLTZMANN, ELEMENTARY_CHARGE
 
 
@@ -47,16 +58,16 @@ def read_out_noise(
     Args:
         key: random key of the frame.
         die_key: random key of the die; chooses the pixels with traps.
-        sensor: the sensor; `read_noise`, `reset_noise`, `telegraph_noise`, `row_noise` and
-            `banding` are used.
-        shape: shape of the electrons; (..., h, w, bands) for row noise and banding.
+        sensor: the sensor; its fields from `reset_noise` to `banding`, and `taps`, are used.
+        shape: shape of the electrons; (..., h, w, bands) for noise of rows, columns and taps.
         dtype: floating dtype of the result.
 
     Returns:
         Electrons, broadcasting against `shape`; None for a sensor that reads without noise.
 
     Raises:
-        ValueError: a key is None and needed, or row noise or banding is asked for without an image.
+        ValueError: a key is None and needed, or noise of rows, columns or taps is asked for without
+            an image.
 
     Example:
         >>> frame = {"shape": (100, 100, 1), "dtype": float}
@@ -73,20 +84,28 @@ def read_out_noise(
         parts.append(_telegraph(key, die_key, sensor.telegraph_noise, shape, dtype))
     if sensor.row_noise is not None:
         parts.append(sensor.row_noise * along_rows(key, Frame.ROW, shape, dtype))
+    if sensor.column_noise is not None:
+        parts.append(sensor.column_noise * along_columns(key, Frame.COLUMN, shape, dtype))
+    if sensor.frame_noise is not None:
+        offset = gaussian(key, Frame.OFFSET, shape[-1:], dtype)
+        parts.append(sensor.frame_noise * offset.reshape(*(1,) * (len(shape) - 1), -1))
     if sensor.banding is not None:
         parts.append(_hum(key, sensor.banding, shape, dtype))
     return sum(parts[1:], parts[0]) if parts else None
 
 
-def read_out_variance(sensor: Sensor, *, dtype: DTypeLike) -> Scalar:
+def read_out_variance(
+    sensor: Sensor, *, dtype: DTypeLike, shape: Shape | None = None
+) -> Scalar | Scalars:
     """Variance of `read_out_noise` in one pixel of a frame, averaged over the places of pixels.
 
     Args:
         sensor: the sensor.
         dtype: floating dtype of the result.
+        shape: (..., h, w, bands) of the electrons, for the factors of taps; None leaves them out.
 
     Returns:
-        () electrons^2.
+        () electrons^2; (h, w, 1) with taps that read with noise of their own, in an image.
 
     Example:
         >>> sensor = jv.Sensor(read_noise=3.0, row_noise=4.0)  # electrons
@@ -101,6 +120,9 @@ def read_out_variance(sensor: Sensor, *, dtype: DTypeLike) -> Scalar:
             variance = variance + (1 - fraction) * rms**2 + fraction * tail**2
         case rms:
             variance = variance + rms**2
+    if sensor.taps is not None and sensor.taps.read_noise is not None and shape is not None:
+        factors = of_taps(sensor.taps.read_noise, sensor.taps, shape=shape, dtype=dtype)
+        variance = variance * factors**2
     if sensor.reset_noise is not None:
         variance = variance + reset_noise_rms(sensor.reset_noise) ** 2
     if sensor.telegraph_noise is not None:
@@ -108,6 +130,10 @@ def read_out_variance(sensor: Sensor, *, dtype: DTypeLike) -> Scalar:
         variance = variance + telegraph.fraction * telegraph.amplitude**2 / 2
     if sensor.row_noise is not None:
         variance = variance + sensor.row_noise**2
+    if sensor.column_noise is not None:
+        variance = variance + sensor.column_noise**2
+    if sensor.frame_noise is not None:
+        variance = variance + sensor.frame_noise**2
     if sensor.banding is not None:
         variance = variance + sensor.banding.amplitude**2 / 2
     return variance
@@ -121,6 +147,8 @@ def _rms_of_each(key: Key | None, sensor: Sensor, shape: Shape, dtype: DTypeLike
             read = jnp.where(in_tail, tail, rms)
         case read:
             pass
+    if read is not None:
+        read = factored(read, sensor.taps, "read_noise", shape=shape, dtype=dtype)
     if sensor.reset_noise is None:
         return read
     reset = reset_noise_rms(sensor.reset_noise)

@@ -22,6 +22,8 @@ FILTER = s.ColourFilter([[0.4, 0.1], [0.2, 0.3], [0.1, 0.2]], pattern=bayer("GRB
 HOT = s.HotPixels(0.5, 300.0)
 TRANSFER = s.ChargeTransfer(1e-3, serial_inefficiency=2e-3, trail=3)
 REPELLING = s.BrighterFatter([[3e-6, 1e-6], [8e-7, 2e-7]], steps=3)
+MIXING = s.Mixing([[0.0, 0.03, 0.0], [0.01, 0.9, 0.02], [0.0, 0.03, 0.01]])
+CURVE = s.Compression(0.08, 0.02, electrons=1000.0)
 DARK = s.DoublingDarkCurrent(100.0, 300.0, 293.0, 8.0)
 RESET = s.ResetNoise(1e-15, 300.0)
 SHUTTER = s.RollingShutter(0.004)
@@ -97,6 +99,11 @@ EXAMPLES = {
     "sensor.moments.censored": ((Moments(ELECTRONS, 3 * ELECTRONS),), {"high": jnp.asarray(700.0)}),
     "sensor.moments.clipped_moments": ((MOMENTS_OF, ELECTRONS), {}),
     "sensor.moments.expected_signal": ((SENSOR, X), {}),
+    "sensor.mixing.even_mixing": ((SMALL,), {}),
+    "sensor.mixing.mixed": ((ELECTRONS, MIXING), {}),
+    "sensor.moments.neighbour_covariances": ((SENSOR, X), {}),
+    "sensor.nonlinearity.charge_of_signal": ((CURVE, ELECTRONS), {}),
+    "sensor.nonlinearity.signal_of_charge": ((CURVE, ELECTRONS), {}),
     "sensor.moments.signal_to_noise": ((SENSOR, X), {}),
     "sensor.moments.signal_variance": ((SENSOR, X), {}),
     # a finite difference's step is no small share of the kernel of charges that repel each other

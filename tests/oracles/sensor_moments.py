@@ -11,20 +11,53 @@ from scipy import stats
 K_B, Q = 1.380649e-23, 1.602176634e-19
 
 
+def tap(f, name):
+    """The factor of each pixel's tap on a number, or what it adds to the offset."""
+    return f.get("taps", {}).get(name, 0.0 if name == "offset" else 1.0)
+
+
+def shared(picture, weights):
+    """A picture whose pixels share out what they hold; it goes on beyond its borders mirrored."""
+    rows, columns = (n // 2 for n in weights.shape)
+    wide = np.pad(picture, ((rows, rows), (columns, columns)), mode="symmetric")
+    h, w = picture.shape
+    found = np.zeros_like(picture)
+    for i in range(weights.shape[0]):
+        for j in range(weights.shape[1]):
+            y, x = 2 * rows - i, 2 * columns - j
+            found += weights[i, j] * wide[y : y + h, x : x + w]
+    return found
+
+
+def acted(f, mean, variance):
+    """Mean and variance behind mixing and the compression, to the second order of the noise."""
+    if "mixing" in f:
+        mean, variance = shared(mean, f["mixing"]), shared(variance, f["mixing"] ** 2)
+    if "nonlinearity" in f:
+        c, d, top = f["nonlinearity"]
+        u = np.clip(mean / top, 0, 1)
+        slope = 1 - 2 * c * u - 3 * d * u**2
+        bend = np.where(mean < top, -(2 * c + 6 * d * u) / top, 0)
+        bent = top * u * (1 - c * u - d * u**2) + (mean - top * u) * slope
+        mean, variance = bent + bend * variance / 2, slope**2 * variance
+    return mean, variance
+
+
 def read_variance(f):
     """electrons^2 behind the conversion that every pixel has."""
-    total = sum(f.get(n, 0.0) ** 2 for n in ("dsnu", "column_dsnu", "row_dsnu", "row_noise"))
+    lines = "dsnu", "column_dsnu", "row_dsnu", "row_noise", "column_noise", "frame_noise"
+    total = sum(f.get(n, 0.0) ** 2 for n in lines)
     total += f.get("banding", 0.0) ** 2 / 2
     if "reset_noise" in f:
         capacitance, kelvin = f["reset_noise"]
         total += K_B * kelvin * capacitance / Q**2
     match f.get("read_noise"):
         case (rms, tail, share):
-            total += (1 - share) * rms**2 + share * tail**2
+            total += tap(f, "read_noise") ** 2 * ((1 - share) * rms**2 + share * tail**2)
         case None:
             pass
         case rms:
-            total += rms**2
+            total += tap(f, "read_noise") ** 2 * rms**2
     return total
 
 
@@ -60,7 +93,7 @@ def moved(f, mean, pattern, counted):
 
 def charge(f, light, hot):
     """Mean and variance of the charge that is converted."""
-    p, well = f.get("prnu", 0.0), f.get("full_well", np.inf)
+    p, well = f.get("prnu", 0.0) * tap(f, "prnu"), f.get("full_well", np.inf)
     excess = f.get("hot", 0.0) if hot else 0.0  # exponential: its rms about the mean is its mean
     if np.isfinite(well):
         return clipped(light, f, hot)
@@ -75,7 +108,8 @@ def clipped(light, f, hot):
     well = f["full_well"]
     g, weight = np.polynomial.hermite_e.hermegauss(31 if not hot else 7)
     weight = weight / weight.sum()
-    m = np.maximum(1 + f.get("prnu", 0.0) * g, 0)[:, None, None] * light[None] + f.get("dark", 0.0)
+    p = f.get("prnu", 0.0) * tap(f, "prnu")
+    m = np.maximum(1 + p * g[:, None, None], 0) * light[None] + f.get("dark", 0.0)
     if hot and "hot" in f:
         x, share = np.polynomial.laguerre.laggauss(24)
         m = (m[:, None] + f["hot"] * x[None, :, None, None]).reshape(-1, *light.shape)
@@ -99,15 +133,18 @@ def law(f, light, *, trapped=False, hot=False, dead=False):
 
     f: prnu, conversion_prnu, column_prnu, crosstalk, smear, charge_transfer (inefficiency),
     dark, hot (electrons), shot (bool), full_well, gain, offset and the sources of `read_variance`;
+    beside (electrons), mixing (kernel), nonlinearity (first, second, electrons) and taps (maps);
     light: (h, w) expected photoelectrons.
     """
+    light = light + f.get("beside", 0.0)
     light = drift(f, light) * (0.0 if dead else 1.0)
-    mean, variance = charge(f, light, hot)
+    mean, variance = acted(f, *charge(f, light, hot))
     c, q, k = f.get("conversion_prnu", 0.0), f.get("column_prnu", 0.0), f.get("gain", 1.0)
     variance = variance * (1 + c**2) + c**2 * mean**2 + read_variance(f)
     variance = variance + (f.get("telegraph", 0.0) ** 2 / 2 if trapped else 0.0)
     variance = variance * (1 + q**2) + q**2 * mean**2
-    return k * mean + f.get("offset", 0.0), k * np.sqrt(variance)
+    k, offset = k * tap(f, "gain"), f.get("offset", 0.0) + tap(f, "offset")
+    return k * mean + offset, k * np.sqrt(variance)
 
 
 def distance(one, other):

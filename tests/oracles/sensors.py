@@ -10,6 +10,7 @@ from jaxvision.sensor.colour_filters import bayer
 
 EVERY_EFFECT = s.Sensor(
     photon_conversion=s.PhotonConversion([6e-7, 5e-7, 4e-7], 1e-11),
+    light_offset=30.0,
     infrared_cut=[0.9, 1.0, 1.0],
     exposure_time=0.02,
     quantum_efficiency=0.5,
@@ -26,6 +27,8 @@ EVERY_EFFECT = s.Sensor(
     full_well=1e4,
     blooming=0.5,
     charge_transfer=s.ChargeTransfer(1e-4, trail=3),
+    mixing=s.Mixing([[0.0, 0.02, 0.0], [0.01, 0.93, 0.01], [0.0, 0.03, 0.0]]),
+    nonlinearity=s.Compression(0.05, 0.01, electrons=1e4),
     conversion_prnu=0.015,
     dsnu=3.0,
     column_dsnu=1.5,
@@ -34,10 +37,13 @@ EVERY_EFFECT = s.Sensor(
     read_noise=s.HeavyTailedReadNoise(3.0, 12.0, 0.05),
     telegraph_noise=s.TelegraphNoise(0.1, 8.0),
     row_noise=1.0,
+    column_noise=0.8,
+    frame_noise=0.5,
     banding=s.Banding(2.0, 7.0),
     column_prnu=0.01,
     gain=0.6,
     offset=100.0,
+    taps=s.Taps(((0, 1),), offset=[0.0, 2.0], gain=[1.0, 1.02], read_noise=[1.0, 1.2]),
     bits=14,
 )
 OF_PHOTONS = replace(

@@ -375,7 +375,7 @@ ELSEWHERE = (
             brdf._registry: is_body is_delta register register_delta families lambertian suprema
             brdf._specular: one_way
             lights._registry: can_be_seen register register_extended kinds kind_of
-            sensor._registry: register stage_of
+            sensor._registry: register register_curve stage_of
             lights._samples: lights_by_rule rule_for rule_of_each rules_of split_by_rule
         """,
     ),

@@ -1,0 +1,64 @@
+"""The monotone curve through given points: the cubic Hermite spline that scipy calls PCHIP.
+
+Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._numerics import smallest_divisor
+from ._types import Scalars, print_by_name
+
+Points = Float[Array, " points"]
+print_by_name(globals(), "Points")
+
+
+def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) -> Scalars:
+    """The curve between the first and the last point.
+
+    Args:
+        x: (...) from the first input to the last, in the unit of the inputs.
+        inputs: (points,) ascending, at least two.
+        outputs: (points,) in any unit.
+        slopes: (points,) of `monotone_slopes`.
+
+    Returns:
+        (...) in the unit of the outputs.
+    """
+    k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
+    width = (inputs[1:] - inputs[:-1])[k]
+    t = (x - inputs[k]) / width
+    from_end = 1 - t
+    return (
+        outputs[k] * (1 + 2 * t) * from_end**2
+        + outputs[k + 1] * (1 + 2 * from_end) * t**2
+        + width * t * from_end * (slopes[k] * from_end - slopes[k + 1] * t)
+    )
+
+
+def monotone_slopes(inputs: Points, outputs: Points) -> Points:
+    """The weighted harmonic mean of the chords on both sides, 0 at an extremum; in the unit of the
+    outputs over that of the inputs."""
+    width = jnp.diff(inputs)
+    chord = jnp.diff(outputs) / width
+    if inputs.shape[0] == 2:
+        return jnp.concatenate([chord, chord])
+    before, behind = chord[:-1], chord[1:]
+    near_before, near_behind = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
+    onward = ~(before * behind <= 0)
+    steep_before, steep_behind = (
+        jnp.maximum(jnp.abs(c), smallest_divisor(c.dtype)) for c in (before, behind)
+    )
+    mean = (near_before + near_behind) / (near_before / steep_before + near_behind / steep_behind)
+    mean = jnp.where(before < 0, -mean, mean)
+    first = _end_slope(width[0], width[1], chord[0], chord[1])
+    last = _end_slope(width[-1], width[-2], chord[-1], chord[-2])
+    return jnp.concatenate([first[None], jnp.where(onward, mean, 0), last[None]])
+
+
+def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
+    """The parabola through three points, kept from overshooting."""
+    slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
+    slope = jnp.where(slope * chord <= 0, 0, slope)
+    steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))
+    return jnp.where(steep, 3 * chord, slope)

@@ -1,0 +1,166 @@
+"""Effects on the charge that pixels hold, before anything is read.
+
+Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
+field, the value and the allowed range. Traced values pass unchecked and have a defined result.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..core._shown import Shown
+from ..core._types import (
+    FINITE,
+    POSITIVE,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_fields,
+    is_known,
+)
+
+_SUM_OFF = 1e-4  # of a kernel's sum from 1; above, it was not normalised
+
+
+class SensorEffect(Shown):
+    """Base of effects on charge; `jaxvision.sensor.register` enters those from outside.
+
+    Example:
+        >>> class Leak(jv.SensorEffect):
+        ...     share: float
+        >>> isinstance(Leak(0.01), jv.SensorEffect)
+        True
+    """
+
+
+class Mixing(SensorEffect):
+    """Linear mixing of the charges of neighbours after they were counted.
+
+    Capacitance between pixels, or an amplifier that settles slowly, reads a share of a pixel's
+    signal in its neighbours. Unlike `Sensor.crosstalk` it acts on counted electrons: the variance
+    of a pixel falls to sum kernel^2 of it, and neighbours are correlated.
+
+    Attributes:
+        kernel: (rows, columns) no unit, both odd: how the electrons of the pixel in the middle are
+            shared out. Its sum is 1.
+
+    Example:
+        >>> shares = [[0.0, 0.02, 0.0], [0.02, 0.92, 0.02], [0.0, 0.02, 0.0]]
+        >>> sensor = jv.Sensor(mixing=jv.Mixing(shares))
+        >>> spot = jnp.array([0.0, 100.0, 0.0]).reshape(1, 3, 1)
+        >>> [round(float(x)) for x in jv.raw_image(None, sensor, spot).ravel()]  # border gives back
+        [2, 96, 2]
+    """
+
+    kernel: Float[Array, "rows columns"] = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_fields(self, kernel=FINITE)
+        if not all(size % 2 for size in self.kernel.shape):
+            raise ValueError(
+                "Mixing.kernel must have odd numbers of rows and columns, got shape "
+                f"{self.kernel.shape}."
+            )
+        if is_known(self.kernel) and abs(float(np.sum(self.kernel)) - 1) > _SUM_OFF:
+            total = float(np.sum(self.kernel))
+            raise ValueError(f"Mixing.kernel must sum to 1, got {total:g}; divide it by that.")
+
+
+class Nonlinearity(SensorEffect):
+    """Base of the curves by which the signal of a pixel departs from proportion to its charge.
+
+    A curve takes electrons to electrons: what a linear sensor of the same gain at 0 would have to
+    hold to be read alike. It acts before noise is added by the read-out.
+
+    Example:
+        >>> isinstance(jv.Compression(0.05, electrons=1e4), jv.Nonlinearity)
+        True
+    """
+
+
+class Compression(Nonlinearity):
+    """A signal of s = e (1 - first u - second u^2), u = e / electrons, for a charge of e electrons.
+
+    Below 0 and above `electrons` it goes straight on.
+
+    Attributes:
+        first: () share of the signal lost at `electrons`, no unit.
+        second: () further share of the next order, no unit, or None.
+        electrons: () e- up to which the polynomial is known, > 0.
+
+    Example:
+        >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.04, electrons=1e4))
+        >>> jv.raw_image(None, sensor, jnp.array([5e3, 1e4, 2e4])).tolist()
+        [4900.0, 9600.0, 18800.0]
+    """
+
+    first: Scalar = eqx.field(converter=as_float)
+    second: Scalar | None = eqx.field(converter=as_optional_float, default=None)
+    electrons: Scalar = eqx.field(converter=as_float, kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_fields(self, first=FINITE, second=FINITE, electrons=POSITIVE)
+        if not is_known(self.first) or not is_known(self.second):
+            return
+        c1, c2 = float(self.first), 0.0 if self.second is None else float(self.second)
+        turn = [-c1 / (3 * c2)] if c2 and 0 < -c1 / (3 * c2) < 1 else []  # of the slope
+        least = min(1 - 2 * c1 * u - 3 * c2 * u * u for u in (0.0, 1.0, *turn))
+        if not least > 0:
+            raise ValueError(
+                "Compression must rise up to its electrons, got a slope of "
+                f"{least:g} with first {c1:g} and second {c2:g}."
+            )
+
+
+class ResponseTable(Nonlinearity):
+    """A signal measured at some charges, with straight lines between them and beyond.
+
+    Attributes:
+        electrons: (entries,) e-, ascending, at least two.
+        signal: (entries,) e-, ascending: codes above the black level, divided by the gain.
+
+    Example:
+        >>> table = jv.ResponseTable(electrons=[0.0, 100.0, 200.0], signal=[0.0, 100.0, 180.0])
+        >>> jv.raw_image(None, jv.Sensor(nonlinearity=table), jnp.array([50.0, 150.0])).tolist()
+        [50.0, 140.0]
+    """
+
+    electrons: Float[Array, " entries"] = eqx.field(converter=as_float)
+    signal: Float[Array, " entries"] = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        _check_ascending(self)
+
+
+class ResponseSpline(Nonlinearity):
+    """A signal measured at some charges, with a smooth monotone curve between them.
+
+    The curve is the cubic Hermite spline that scipy calls PCHIP. Beyond the ends it goes straight
+    on.
+
+    Attributes:
+        electrons: (entries,) e-, ascending, at least two.
+        signal: (entries,) e-, ascending: codes above the black level, divided by the gain.
+
+    Example:
+        >>> curve = jv.ResponseSpline(electrons=[0.0, 100.0, 200.0], signal=[0.0, 100.0, 180.0])
+        >>> jv.raw_image(None, jv.Sensor(nonlinearity=curve), jnp.array([100.0])).tolist()
+        [100.0]
+    """
+
+    electrons: Float[Array, " entries"] = eqx.field(converter=as_float)
+    signal: Float[Array, " entries"] = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        _check_ascending(self)
+
+
+def _check_ascending(curve: ResponseTable | ResponseSpline) -> None:
+    check_fields(curve, electrons=FINITE, signal=FINITE)
+    kind = type(curve).__name__
+    if curve.electrons.shape[0] < 2:
+        raise ValueError(f"{kind}.electrons must have at least two entries, got one.")
+    for name in ("electrons", "signal"):
+        values = getattr(curve, name)
+        if is_known(values) and not (np.diff(values) > 0).all():
+            raise ValueError(f"{kind}.{name} must ascend, got {np.asarray(values)}.")

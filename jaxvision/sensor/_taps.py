@@ -1,0 +1,58 @@
+"""Amplifiers and sites of a mosaic: the number of each pixel's tap."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from ..core._types import Scalars
+from ..scene import Sensor, Taps
+from ._draws import Shape, check_image
+
+
+def of_taps(
+    values: Float[Array, " taps"], taps: Taps, *, shape: Shape, dtype: DTypeLike
+) -> Scalars:
+    """A number of each tap as a map of the pixels.
+
+    Args:
+        values: (taps,) in any unit.
+        taps: the pattern.
+        shape: (..., h, w, bands) of the image.
+        dtype: floating dtype of the result.
+
+    Returns:
+        (h, w, 1) in the unit of the values, with as many axes as the shape.
+
+    Raises:
+        ValueError: the shape is not that of an image.
+    """
+    check_image("Sensor.taps", shape)
+    height, width = shape[-3:-1]
+    tile = np.asarray(taps.pattern)
+    rows, columns = np.arange(height), np.arange(width)
+    if taps.stretched:
+        rows, columns = rows * tile.shape[0] // height, columns * tile.shape[1] // width
+    else:
+        rows, columns = rows % tile.shape[0], columns % tile.shape[1]
+    found = values.astype(dtype)[tile][jnp.asarray(rows)][:, jnp.asarray(columns)]
+    return found.reshape(*(1,) * (len(shape) - 3), height, width, 1)
+
+
+def factored(
+    number: Scalars, taps: Taps | None, name: str, *, shape: Shape, dtype: DTypeLike
+) -> Scalars:
+    """A number of the sensor times the factor of each pixel's tap, in the unit of the number: ()
+    becomes (h, w, 1)."""
+    factors = None if taps is None else getattr(taps, name)
+    if taps is None or factors is None:
+        return number
+    return number * of_taps(factors, taps, shape=shape, dtype=dtype)
+
+
+def total_gain(sensor: Sensor, *, shape: Shape, dtype: DTypeLike) -> Scalars | None:
+    """DN per electron, () or (h, w, 1) with the taps' own; None where it is 1."""
+    if sensor.taps is None or sensor.taps.gain is None:
+        return sensor.gain
+    gain = jnp.ones((), dtype) if sensor.gain is None else sensor.gain
+    return factored(gain, sensor.taps, "gain", shape=shape, dtype=dtype)
