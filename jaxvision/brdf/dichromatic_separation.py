@@ -30,7 +30,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..core._arguments import takes_numbers, warn_caller
-from ..core._numerics import divide, or_one, running_sum, safe_sqrt, smallest_divisor
+from ..core._numerics import divide, magnitude, or_one, running_sum, safe_sqrt, smallest_divisor
 from ..core._shown import Shown
 from ..core._types import Colour, Scalar, check_shape, print_by_name
 
@@ -157,6 +157,8 @@ def body_colour(
     not decide. A cloud along the illuminant (a neutral body) gives the illuminant.
     """
     c_i = _unit(illuminant)
+    used = image if valid is None else jnp.where(valid[..., None], image, 0)
+    image = image / magnitude(used, axis=None)
     weight = jnp.ones(image.shape[:-1], image.dtype)
     weight = weight if valid is None else jnp.where(valid, weight, 0)
     along = image @ c_i
@@ -229,8 +231,10 @@ def _as_row(colour: Colour, image: Pixels) -> Pixels:
 
 
 def _length(v: Pixels) -> Factors:
-    return safe_sqrt((v * v).sum(axis=-1))
+    size = magnitude(v)
+    return size[..., 0] * safe_sqrt(jnp.square(v / size).sum(axis=-1))
 
 
 def _unit(colour: Colour) -> Colour:
-    return colour / jnp.maximum(_length(colour), smallest_divisor(colour.dtype))
+    sized = colour / magnitude(colour)
+    return sized / or_one(_length(sized))

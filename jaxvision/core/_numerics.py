@@ -149,6 +149,12 @@ def divide(
     return jnp.where(safe, a / or_one(b, safe), otherwise)
 
 
+def magnitude(x: Float[Array, "..."], axis: int | tuple[int, ...] | None = -1) -> Scalars:
+    """Largest absolute value along the axes, which stay as 1; a constant to gradients, 1 where all
+    of x is 0. Squares of x divided by it neither over- nor underflow."""
+    return or_one(jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True)))
+
+
 def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:
     """Sums of the first 1, 2, ... weights >= 0, in their unit, that never fall and rise only where
     a weight is above 0; XLA's own are added in another order at each place, and do fall."""

@@ -1,17 +1,17 @@
 """Mattes from a known background: its picture, its colour, or several of them.
 
-Pictures are (..., bands) in linear relative light; alpha is (..., 1), clipped to [0, 1]. Where a
-background carries no information (the same behind every picture, or equal to the foreground) the
-matte is opaque: the picture itself. NaN stays NaN, in its own pixel only. Integer codes are a
-`ValueError`.
+Pictures are (..., bands) in linear light of any unit; alpha is (..., 1), clipped to [0, 1]. Where a
+background carries no information (the same behind every picture, or equal to the foreground, within
+eight roundings) the matte is opaque: the picture itself. NaN stays NaN, in its own pixel only.
+Integer codes are a `ValueError`.
 """
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..core._arguments import takes_numbers
-from ..core._numerics import divide, safe_sqrt, smallest_divisor
+from ..core._numerics import divide, magnitude, safe_sqrt, smallest_divisor
 from ..core._types import Scalar, Scalars, as_relative, check_choice, is_known, print_by_name
 from ..point_ops import clip
 from .compositing import checked_alpha
@@ -50,7 +50,9 @@ def difference_matte(
     if is_known(low) and is_known(high) and not np.asarray(low) < np.asarray(high):
         raise ValueError(f"low must lie below high, got {low} and {high}.")
     image, background = as_relative(image), as_relative(background)
-    apart = image - jnp.broadcast_to(background, image.shape)
+    size = magnitude(jnp.stack([low, high]).astype(image.dtype))[0]
+    low, high = low / size, high / size
+    apart = (image - jnp.broadcast_to(background, image.shape)) / size
     # safe_sqrt of NaN is 0
     squared = jnp.sum(apart * apart, axis=-1, keepdims=True)
     distance = jnp.where(jnp.isnan(squared), squared, safe_sqrt(squared))
@@ -104,7 +106,9 @@ def blue_screen_matte(
             return own
         return own - (jnp.sum(light, axis=-1, keepdims=True) - own) / (bands - 1)
 
-    return _unit(1 - _ratio(excess(image), excess(jnp.broadcast_to(backing, image.shape))))
+    backing = jnp.broadcast_to(backing, image.shape)
+    whole = excess(backing)
+    return _unit(1 - divide(excess(image), whole, ~_is_rounding(whole, backing)))
 
 
 @takes_numbers
@@ -131,9 +135,11 @@ def projected_matte(image: Picture, foreground: Picture, background: Picture) ->
         jnp.broadcast_to(as_relative(x), image.shape) for x in (foreground, background)
     )
     span = foreground - background
-    along = jnp.sum((image - background) * span, axis=-1, keepdims=True)
-    length = jnp.sum(span * span, axis=-1, keepdims=True)
-    return _unit(_ratio(along, length, otherwise=1))
+    differs = ~_is_rounding(span, jnp.maximum(jnp.abs(foreground), jnp.abs(background)))
+    size = magnitude(span)
+    along = jnp.sum((image - background) / size * (span / size), axis=-1, keepdims=True)
+    length = jnp.sum((span / size) ** 2, axis=-1, keepdims=True)
+    return _unit(divide(along, length, differs, otherwise=1))
 
 
 @takes_numbers
@@ -178,9 +184,11 @@ def least_squares_matte(
         )
     image, background = jnp.mean(images, axis=0), jnp.mean(backgrounds, axis=0)
     about_c, about_k = images - image[None], backgrounds - background[None]
-    together = jnp.sum(about_c * about_k, axis=(0, -1))[..., None]
-    spread = jnp.sum(about_k * about_k, axis=(0, -1))[..., None]
-    return _lifted(image, _unit(1 - _ratio(together, spread)), background)
+    differs = ~_is_rounding(about_k, backgrounds).all(axis=0)
+    size = magnitude(about_k, axis=(0, -1))
+    together = jnp.sum(about_c / size * (about_k / size), axis=(0, -1))[..., None]
+    spread = jnp.sum((about_k / size) ** 2, axis=(0, -1))[..., None]
+    return _lifted(image, _unit(1 - divide(together, spread, differs)), background)
 
 
 @takes_numbers
@@ -249,9 +257,10 @@ def _lifted(image: Picture, alpha: Alpha, background: Picture) -> Layer:
     return jnp.concatenate([image - (1 - alpha) * behind, alpha], axis=-1)
 
 
-def _ratio(part: Scalars, whole: Scalars, otherwise: int = 0) -> Scalars:
-    """part / whole, `otherwise` where `whole` is 0."""
-    return divide(part, whole, ~(jnp.abs(whole) <= smallest_divisor(whole.dtype)), otherwise)
+def _is_rounding(difference: Scalars, light: Scalars) -> Bool[Array, "... 1"]:
+    """Whether a difference of light is within eight roundings of the light, in each band."""
+    least = 8 * float(jnp.finfo(light.dtype).eps) * jnp.max(jnp.abs(light), axis=-1, keepdims=True)
+    return (jnp.abs(difference) <= least).all(axis=-1, keepdims=True)
 
 
 def _unit(x: Scalars) -> Scalars:

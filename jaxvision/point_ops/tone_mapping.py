@@ -181,12 +181,13 @@ def with_luminance(
 
     Args:
         image: (..., channels) relative.
-        luminance: (...) of the image, relative or in any unit; black stays black.
+        luminance: (...) of the image, relative or in any unit; up to 1e-19 in float32 it is black,
+            which stays black.
         wanted: (...) in the unit of `luminance`.
 
     Returns:
         (..., channels) relative.
     """
     image, luminance = as_relative(image), as_relative(luminance)
-    gain = divide(wanted, luminance, ~(luminance <= smallest_divisor(luminance.dtype)))
+    gain = divide(wanted, luminance, ~(luminance <= smallest_divisor(luminance.dtype) ** 2))
     return image * gain[..., None]

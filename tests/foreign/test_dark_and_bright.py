@@ -1,4 +1,5 @@
-"""Filters on pictures of eight decades and with dead pixels: star fields, a lamp at night."""
+"""Pictures of eight decades, with dead pixels, and in any unit of light: star fields, a lamp at
+night, mattes of a dim scene."""
 
 from functools import partial
 
@@ -101,3 +102,34 @@ def test_a_disc_keeps_a_lamp_out_of_what_it_does_not_reach(method):
     for picture in (night(1e8), stars(0)):
         got = filters.correlate(picture, disc, method=method)
         np.testing.assert_allclose(got, by_windows(picture, disc), rtol=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1e-30, 1e-12, 1e-4, 1e12, 1e30])
+def test_mattes_do_not_depend_on_the_unit_of_light(unit):
+    rng, unit = np.random.default_rng(4), np.float32(unit)
+    alpha = rng.uniform(0.05, 0.95, (5, 6, 1)).astype(np.float32)
+    behind, beside, front = rng.random((3, 5, 6, 3)).astype(np.float32) * unit
+    seen = [alpha * front + (1 - alpha) * light for light in (behind, beside)]
+    matting = jv.matting
+    layer = matting.triangulation_matte(seen[0], behind, seen[1], beside)
+    np.testing.assert_allclose(layer[..., 3:], alpha, atol=1e-5)
+    np.testing.assert_allclose(matting.projected_matte(seen[0], front, behind), alpha, atol=1e-5)
+    grey, screen = unit * np.full(3, 0.4, np.float32), unit * np.array([0, 0.1, 0.8], np.float32)
+    keyed = matting.blue_screen_matte(alpha * grey + (1 - alpha) * screen, screen)
+    np.testing.assert_allclose(keyed, alpha, atol=1e-5)
+    apart = np.linalg.norm((behind / unit).astype(float) - beside / unit, axis=-1, keepdims=True)
+    differs = matting.difference_matte(behind, beside, 0.1 * unit, 0.9 * unit)
+    np.testing.assert_allclose(differs, np.clip((apart - 0.1) / 0.8, 0, 1), atol=1e-5)
+    same = np.stack([behind] * 3)  # their mean is rounded
+    assert (matting.least_squares_matte(same, same)[..., 3] == 1).all()
+
+
+@pytest.mark.parametrize("unit", [1e-15, 1e-10, 1e18])
+def test_body_colours_and_gains_do_not_depend_on_the_unit_of_light(unit):
+    rng, body = np.random.default_rng(2), np.array([0.8, 0.3, 0.1])
+    matt, gloss = rng.random((2, 20, 20, 1))
+    light = (matt * body + 0.3 * gloss * (gloss > 0.7)).astype(np.float32) * np.float32(unit)
+    found = jv.separate(light, np.float32(unit) * np.ones(3, np.float32))
+    np.testing.assert_allclose(found.body_colour, body / np.linalg.norm(body), atol=0.005)
+    halved = jv.point_ops.with_luminance(light, light[..., 0], light[..., 0] / 2)
+    np.testing.assert_allclose(halved, light / 2, rtol=1e-6)
