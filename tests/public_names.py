@@ -214,6 +214,21 @@ def traced():
     }
 
 
+def doors():
+    """The functions of `traced` that convert and check what users pass: all that a package lists,
+    and of those inside that do. The others trust their callers."""
+    listed = {
+        id(getattr(module, name))
+        for module in (jaxvision, *modules(jaxvision))
+        for name in getattr(module, "__all__", ())
+    }
+    return {
+        name: function
+        for name, function in traced().items()
+        if id(function) in listed or hasattr(function, "__wrapped__")
+    }
+
+
 # Compositions of functions that are swept themselves, seconds to compile four times over.
 LONG = {
     "geometry._mesh.intersect_mesh",

@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Angles, Ends, Reflection, least, peak, power_of
 from ..core._bounds import Lobe as LargestLobe
 from ..core._bounds import most as largest
@@ -86,7 +85,6 @@ class NormalisedBlinn(PowerLobe):
     """
 
 
-@takes_numbers
 def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
     """Logarithm of the cosine n.h of the half vector, () <= 0, no unit, of unit local directions; 0
     where H.z <= 0, below the surface.
@@ -101,7 +99,6 @@ def log_cos_half(wi: Direction, wo: Direction) -> Scalars:
     return -log1p(jnp.where(above, squared, 0)) / 2
 
 
-@takes_numbers
 def normalisation(exponent: Scalar) -> Scalar:
     """The factor C(n) of the table above, () in sr^-1."""
     n = exponent
@@ -109,7 +106,6 @@ def normalisation(exponent: Scalar) -> Scalar:
     return (1 + (2 - rest) / (n + rest)) * (n + 4) / (8 * jnp.pi)
 
 
-@takes_numbers
 def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
     """Integrals of (n.h)^n, n of no unit, and of it times cos(theta_i), over directions of light
     above the horizon, () each in sr.

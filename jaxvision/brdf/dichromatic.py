@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Reflection, peak
 from ..core._numerics import or_one
 from ..core._types import AMOUNT, Colour, Scalar, as_float, check_fields, print_by_name
@@ -68,19 +67,16 @@ class Dichromatic(Material):
         check_fields(self, body_spectrum=AMOUNT, interface_spectrum=AMOUNT)
 
 
-@takes_numbers
 def evaluate(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1."""
     return _two_terms(material, lambda part: family(part).evaluate(part, wi, wo))
 
 
-@takes_numbers
 def shading(material: Dichromatic, wi: Direction, wo: Direction) -> Colour:
     """The two materials' own shadings times their spectra, (bands,) in sr^-1."""
     return _two_terms(material, lambda part: family(part).shading(part, wi, wo))
 
 
-@takes_numbers
 def albedo(material: Dichromatic, wo: Direction) -> Colour:
     """The two materials' albedos times their spectra, (bands,), no unit."""
     return _two_terms(material, lambda part: family(part).albedo(part, wo))
@@ -99,7 +95,6 @@ def _body_part(material: Dichromatic) -> Scalar:
     return diffuse_share(material.body_spectrum, material.interface_spectrum)
 
 
-@takes_numbers
 def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A unit direction from the sampler of the body or of the interface. u_2 selects the sampler,
     and the rescaled u_2 is passed on to it.
@@ -113,7 +108,6 @@ def sample(material: Dichromatic, wo: Direction, u: Float[Array, "3"]) -> Vec:
     return jax.tree.map(lambda b, i: jnp.where(from_body, b, i), as_vec(body), as_vec(lobe))
 
 
-@takes_numbers
 def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
     """Density of `sample` in sr^-1."""
     part = _body_part(material)

@@ -181,7 +181,6 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
     return jnp.exp(-concentration * (concentration * squared_angle_between(axis, w)))
 
 
-@takes_numbers
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     """Square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few units in the
     last place.
@@ -197,7 +196,6 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
     return jnp.where(chord <= other, near, jnp.square(jnp.pi - safe_sqrt(far)))
 
 
-@takes_numbers
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
     """Integrals of exp(-(c_s alpha)^2), c_s in rad^-1, and of it times cos(theta_i), over the
     directions above the horizon, () each in sr; by quadrature over 6 widths of the lobe, to 1e-10.

@@ -20,7 +20,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._kinds import Measured
 from ..core._numerics import dot, normalize, or_one, safe_sqrt
 from ..core._shown import Shown
@@ -58,7 +57,6 @@ def _turned(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
     return Vec(c * x - s * w.y, s * x + c * w.y, z)
 
 
-@takes_numbers
 def half_difference(wi: Direction, wo: Direction) -> HalfDifference:
     """The angles of two unit vectors of the local frame, rad: theta in [0, pi / 2], phi in
     [-pi, pi]. On the normal phi_h is 0; for wi = wo phi_d is 0."""
@@ -127,7 +125,6 @@ def bin_angles(
     return jnp.square(h) * (jnp.pi / 2), d * (jnp.pi / 2), p * jnp.pi
 
 
-@takes_numbers
 def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
     local frame."""

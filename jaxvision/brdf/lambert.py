@@ -59,13 +59,11 @@ def lambert_shading(normal: Direction, wi: Direction, diffuse: Colour) -> Colour
     return diffuse * jnp.maximum(dot(normal, wi), 0)
 
 
-@takes_numbers
 def evaluate(material: Lambert, wi: Direction, wo: Direction) -> Colour:
     """f_r = k_d, (bands,) in sr^-1."""
     return where_seen(wi, wo, material.diffuse)
 
 
-@takes_numbers
 def albedo(material: Lambert, wo: Direction) -> Colour:
     """pi k_d, (bands,), no unit, from every direction."""
     del wo

@@ -184,7 +184,6 @@ def _looked_up(table: AngleTable, wi: Vec, wo: Vec) -> Colour:
     return jnp.where(covered, value, 0)
 
 
-@takes_numbers
 def evaluate(material: AngleTable, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface. `wi`, `wo`: unit,
     local frame."""

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from jax.lax import erfc
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._numerics import (
     divide,
     dot,
@@ -38,13 +37,11 @@ print_by_name(globals(), "Alpha")
 LEAST_ROUGHNESS = 1e-6  # what is smoother counts as this
 
 
-@takes_numbers
 def at_least_polished(alpha: Alpha) -> Alpha:
     """The roughness that counts: below 1e-6 it is 1e-6, without gradient; no unit."""
     return jnp.maximum(alpha, LEAST_ROUGHNESS)
 
 
-@takes_numbers
 def half_vector(wi: Direction, wo: Direction) -> Vec:
     """The unit vector half-way between two unit directions, the normal of the facet that mirrors
     one into the other; zero between opposite ones. Rounding of the two turns it by about
@@ -52,7 +49,6 @@ def half_vector(wi: Direction, wo: Direction) -> Vec:
     return as_vec(normalize(as_vec(wi) + as_vec(wo)))
 
 
-@takes_numbers
 def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
     """D(h) in sr^-1: area of facets of normal `h`, per solid angle and area of the surface; 0
     below it. With the slopes p = h.x / h.z, q = h.y / h.z over their alphas:
@@ -81,7 +77,6 @@ def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distributio
             raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
 
 
-@takes_numbers
 def hidden_cosine(w: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
     """cos(theta) Lambda(w), no unit: of the area that facets turn toward `w`, per area of the
     surface, the part that others hide; cos(theta) is what stays. Finite at grazing angles, where
@@ -104,7 +99,6 @@ def hidden_cosine(w: Direction, alpha: Alpha, *, distribution: Distribution) -> 
             raise ValueError(f"distribution must be 'beckmann' or 'ggx', got {distribution!r}.")
 
 
-@takes_numbers
 def visibility(
     wi: Direction,
     wo: Direction,
@@ -141,7 +135,6 @@ def visibility(
 # ---------------------------------------------------------------- directions
 
 
-@takes_numbers
 def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     """The unit normal of a GGX facet that `wo` sees, from two uniform numbers in [0, 1).
 
@@ -163,7 +156,6 @@ def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
     return as_vec(normalize(Vec(a[0] * n.x, a[1] * n.y, jnp.maximum(n.z, 0))))
 
 
-@takes_numbers
 def facet_pdf(wi: Direction, wo: Direction, alpha: Alpha) -> Scalar:
     """Density in sr^-1, over the whole sphere, of `wo` mirrored about a normal of
     `sample_facet`: D_ggx(h) / (4 (cos(theta_o) + H_o))."""

@@ -18,7 +18,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Reflection, least, most, peak
 from ..core._numerics import arctan2, safe_sqrt, smallest_divisor
 from ..core._types import (
@@ -66,7 +65,6 @@ class OrenNayar(Material):
         check_choice("OrenNayar.form", self.form, ("qualitative", "full"))
 
 
-@takes_numbers
 def evaluate(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1."""
     form = _qualitative if material.form == "qualitative" else _full

@@ -158,21 +158,18 @@ def phong_shading(
     return where_above(height, diffuse * cos_i + specular * lobe)
 
 
-@takes_numbers
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
     """A unit direction of density `power_pdf` about an axis by `u`, (2,) uniform in [0, 1):
     cos(alpha) = (1 - u_0)^(1 / (n + 1))."""
     return about(axis, -jnp.expm1(log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
 
 
-@takes_numbers
 def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
     """Density of `power_direction`, (n + 1) / (2 pi) [cos alpha]+^n, () in sr^-1."""
     lobe = phong_lobe(log_cos_between(as_vec(axis), as_vec(w)), exponent)
     return (exponent + 1) / (2 * jnp.pi) * lobe
 
 
-@takes_numbers
 def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
     """Integrals of [cos alpha]+^n, and of it times cos(theta_i), over the directions above the
     horizon, () each in sr.

@@ -160,7 +160,6 @@ def _reflected_by(
     return jnp.where(sigma <= 0, 0, value * (ndf / (4 * or_one(sigma))))
 
 
-@takes_numbers
 def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
     """Return f_r cos(theta_i), (bands,) in sr^-1, which is the tabulated quantity. It is 0 if
     either direction is below the surface. `wi`, `wo`: unit, local frame.
@@ -174,7 +173,6 @@ def shading(material: RGL, wi: Direction, wo: Direction) -> Colour:
     return where_above(height, _reflected_by(material, at, s, h_place, wo_place))
 
 
-@takes_numbers
 def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1; 0 where either direction lies below the surface, and on the horizon.
     `wi`, `wo`: unit, local frame."""
@@ -183,7 +181,6 @@ def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
     return divide(shading(material, wi, wo), cos_i, where=~below)
 
 
-@takes_numbers
 def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A unit local direction drawn in proportion to the luminance reflected toward `wo`, by two of
     `u`, (3,) uniform in [0, 1); one below the surface (at the edge of the tables) reflects nothing.
@@ -197,7 +194,6 @@ def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
     return _unfolded(material, wi, wo)[0]  # the flips that `wo` calls for undo themselves
 
 
-@takes_numbers
 def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
     """Return the density of `sample`, sr^-1, over the whole sphere. It is 0 for `wo` below the
     surface.
@@ -213,7 +209,6 @@ def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
     return divide(density, area, where=~unseen)
 
 
-@takes_numbers
 def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
     """The reflected part of a uniform surrounding, seen from `wo`: (bands,), no unit.
 

@@ -21,7 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Angles, Ends, Reflection, numbers, peak
 from ..core._bounds import Lobe as LargestLobe
 from ..core._bounds import most as largest
@@ -142,7 +141,6 @@ def _alpha(material: TorranceSparrow) -> Alpha:
     return at_least_polished(jnp.broadcast_to(material.roughness, (2,)))
 
 
-@takes_numbers
 def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
     """F D G / (4 cos cos), (bands,) or (1,), in sr^-1, without k_s; 0 outside the hemisphere."""
     h, alpha = half_vector(wi, wo), _alpha(material)
@@ -156,7 +154,6 @@ def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> 
     return fresnel(material.interface, dot(as_vec(wo), h)) * lobe
 
 
-@takes_numbers
 def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1."""
     body = where_seen(wi, wo, material.diffuse)
@@ -198,7 +195,6 @@ def _diffuse_part(material: TorranceSparrow, wo: Direction) -> Scalar:
     return diffuse_share(jnp.pi * material.diffuse, lobe)
 
 
-@takes_numbers
 def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A unit direction from the cosine about the normal, or `wo` mirrored by a facet it sees.
 
@@ -215,7 +211,6 @@ def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Ve
     return choose(part, u, reflected(as_vec(wo), h))
 
 
-@takes_numbers
 def pdf(material: TorranceSparrow, wi: Direction, wo: Direction) -> Scalar:
     """Density of `sample` in sr^-1."""
     match material.shadowing:
@@ -230,7 +225,6 @@ _RADII, _TURNS = 32, 64
 _WIDEST = 6.5  # the slope, in units of alpha, beyond which a Beckmann surface has 1e-18 of its area
 
 
-@takes_numbers
 def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     """Return pi k_d + k_s times the lobe's albedo, (bands,), no unit. The lobe's albedo has an
     error of 4e-4 for every roughness and view, and 1e-4 for Smith's facets where cos(theta_o) >

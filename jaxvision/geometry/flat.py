@@ -11,7 +11,6 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..core._arguments import takes_numbers
 from ..core._loops.fusion import stored
 from ..core._numerics import divide, dot, exact_cross, normalize, smallest_divisor
 from ..core._shown import Shown
@@ -155,7 +154,6 @@ def quad_distance(ray: Ray, quad: FlatQuad) -> Scalar:
     return jnp.where(meets, height / slope, jnp.inf)
 
 
-@takes_numbers
 def quad_blocks(ray: Ray, quad: FlatQuad, distance: Scalar) -> Bool[Array, ""]:
     """Whether the ray meets the parallelogram before `distance`, m."""
     height, slope, meets = _meet_quad(ray, quad)

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..core._arguments import takes_numbers
 from ..core._loops.fusion import stored
 from ..core._numerics import (
     divide,
@@ -32,7 +31,6 @@ def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
     return jnp.where((discriminant > 0) & (distance > 0), distance, jnp.inf)
 
 
-@takes_numbers
 def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]:
     """Whether the ray meets the sphere before `distance`, m, without a square root."""
     b, discriminant = _closest(ray, sphere)

@@ -4,7 +4,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, angle, box_about, numbers, peak, unit
 from ..core._numerics import normalize
 from ..core._types import AMOUNT, Colour, as_float, check_direction, check_fields
@@ -36,7 +35,6 @@ class DirectionalLight(Light):
         check_direction("DirectionalLight.direction", self.direction)
 
 
-@takes_numbers
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
     """Light that arrives from infinity, the same everywhere: its unit direction and irradiance,
     (bands,) W m^-2, without a distance."""

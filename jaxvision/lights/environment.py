@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, numbers
 from ..core._kinds import Picture
 from ..core._numerics import arctan2, divide, safe_sqrt
@@ -58,7 +57,6 @@ class EnvironmentMap(Light):
         check_shape("EnvironmentMap.columns", self.columns, (h, w + 1))
 
 
-@takes_numbers
 def environment_radiance(environment: EnvironmentMap, direction: Direction) -> Colour:
     """Radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between the pixels.
 
@@ -69,7 +67,6 @@ def environment_radiance(environment: EnvironmentMap, direction: Direction) -> C
     return _bilinear(environment.radiance, row, column)
 
 
-@takes_numbers
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
@@ -90,7 +87,6 @@ def environment_sample(
     return Incident(_to_world(environment, direction, point), radiance * weight)
 
 
-@takes_numbers
 def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -> Scalar:
     """Density of `environment_sample` toward a unit direction, () in sr^-1."""
     del point
@@ -101,7 +97,6 @@ def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -
     return environment.density[i, j]
 
 
-@takes_numbers
 def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
     """A unit direction spread evenly over the sphere by `u`, (2,) in [0, 1], and 4 pi L, (bands,) W
     m^-2: what quadrature uses."""

@@ -113,7 +113,6 @@ def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
     return Seen(jnp.where(hit, near.distance, jnp.inf), radiance)
 
 
-@takes_numbers
 def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
@@ -125,7 +124,6 @@ def light_field_sample(
     return Incident(wi, radiance * solid_angle, distance)
 
 
-@takes_numbers
 def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Direction) -> Scalar:
     """Density of `light_field_sample`'s directions, sr^-1."""
     return window_pdf(light_field.aperture, point, wi)

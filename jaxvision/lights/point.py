@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, box_about, numbers, peak
 from ..core._loops.bands import by_band
 from ..core._numerics import dot, or_one, smallest_divisor
@@ -41,7 +40,6 @@ class PointLight(Light):
         check_fields(self, intensity=AMOUNT)
 
 
-@takes_numbers
 def from_point_light(light: PointLight, point: Vector) -> Incident:
     """Light that arrives from a point, E = I / d^2 on a surface that faces it: the unit direction,
     the irradiance, (bands,) W m^-2, and the distance, m.

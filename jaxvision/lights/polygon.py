@@ -78,7 +78,6 @@ def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[A
     return narrow, ~narrow & ~opposite & (square > smallest * smallest)
 
 
-@takes_numbers
 def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     """theta / sqrt(s2) with theta = atan2(sqrt(s2), c) in [0, pi] rad, for `square` s2 >= 0 and
     `cosine` c, no units, of vectors of length about 1; 0 where theta is pi to rounding or both are

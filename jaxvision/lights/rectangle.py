@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, numbers
 from ..core._numerics import dot, reciprocal
 from ..core._types import AMOUNT, Colour, Scalar, as_float, check_direction, check_fields, is_known
@@ -89,7 +88,6 @@ def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
     return Seen(jnp.where(hit, at.distance, jnp.inf), jnp.where(hit, light.radiance, 0))
 
 
-@takes_numbers
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
     """A unit direction toward a place of the rectangle chosen by `u`, (2,) in [0, 1], L times solid
     angle, (bands,) W m^-2, and the distance, m."""
@@ -98,7 +96,6 @@ def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"])
     return Incident(wi, light.radiance * solid_angle, distance)
 
 
-@takes_numbers
 def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar:
     """Density of the directions of `rectangle_sample` toward the unit `wi` from `point`, sr^-1."""
     return window_pdf(window_of(light), point, wi)

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, numbers, unit
 from ..core._loops.bands import by_band
 from ..core._numerics import dot, normalize
@@ -50,7 +49,6 @@ class SmallLight(Light):
         check_fields(self, intensity=AMOUNT)
 
 
-@takes_numbers
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
     """Light that arrives from a small light, E = I cos(theta) / d^2 on a surface that faces it: the
     unit direction, the irradiance, (bands,) W m^-2, and the distance, m.

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..core._arguments import takes_numbers
 from ..core._bounds import Ends, Source, box_about, numbers, peak, unit
 from ..core._numerics import divide, dot, norm, normalize, or_one, safe_sqrt, smallest_divisor
 from ..core._shown import Shown
@@ -143,7 +142,6 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
     return u, v
 
 
-@takes_numbers
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
@@ -170,7 +168,6 @@ def window_sample(
     return direction, distance, solid_angle, jnp.stack([s, t])
 
 
-@takes_numbers
 def window_pdf(window: Window, point: Vector, wi: Direction) -> Scalar:
     """Density of the directions of `window_sample` for `u` uniform in the square, () in sr^-1; 0
     where `wi` misses the front of the window."""

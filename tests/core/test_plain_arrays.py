@@ -19,7 +19,7 @@ from astropy.table import Column, MaskedColumn
 from astropy.utils.masked import Masked
 from examples import ROOMS, examples_of
 from fuzz.arguments import at, places, with_at
-from public_names import traced
+from public_names import doors
 from scipy.sparse import csr_array
 
 import jaxvision as jv
@@ -54,9 +54,10 @@ def refusal(call):
 @pytest.mark.parametrize("room", ROOMS)
 def test_no_public_function_reads_only_the_numbers(room):
     """In each array argument of each function, and each array field of a record among them."""
-    known = traced()
+    known = doors()
     for name, (arguments, options) in examples_of(room).items():
-        if name in MADE_BY_OTHERS or any(part.startswith("_") for part in name.split(".")):
+        private = any(part.startswith("_") for part in name.split("."))
+        if name in MADE_BY_OTHERS or name not in known or private:
             continue
         function = partial(known[name], **options)
         for path in places(arguments):

