@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .core._arguments import in_range, takes_numbers, warn_caller
-from .core._exponential import decay
 from .core._numerics import difference_of_products, or_one
-from .core._powers import exact
+from .core._powers import decay, exact
 from .core._types import (
     AMOUNT,
     LONGEST_WAVE,

@@ -123,6 +123,7 @@ STATIC |= {
 STATIC |= {f"jaxvision.lights._registry.{name}" for name in ("kinds", "kind_of")}
 STATIC |= {f"jaxvision.sensor._registry.{name}" for name in ("register_curve", "stage_of")}
 STATIC |= {"jaxvision.lights._registry.register_extended"}
+STATIC |= {"jaxvision.rendering.band_count.band_count"}
 STATIC |= {"jaxvision.geometry._places.has_area", "jaxvision.lights._registry.can_be_seen"}
 STATIC |= {"jaxvision.core._quadrature.gauss_legendre", "jaxvision.lights._nodes.square_nodes"}
 STATIC |= {"jaxvision.rendering.pixel_loop.check_lens", "jaxvision.filters.convolution.summed"}

@@ -244,6 +244,19 @@ def polynomial(coefficients: Sequence[float] | Sequence[Scalars], x: Scalars) ->
     return value
 
 
+def chebyshev(coefficients: Sequence[float], t: Scalars) -> Scalars:
+    """The sum of c_k T_k(t), t in [-1, 1], by Clenshaw's recurrence.
+
+    Coefficients too small for the dtype are left out.
+    """
+    least = float(jnp.finfo(t.dtype).eps) / 16
+    used = max(k for k, c in enumerate(coefficients) if abs(c) > least)
+    b, after = jnp.zeros_like(t), jnp.zeros_like(t)
+    for c in coefficients[used:0:-1]:
+        b, after = 2 * t * b - after + c, b
+    return t * b - after + coefficients[0]
+
+
 @jax.custom_jvp
 def arctan2(y: Scalars, x: Scalars) -> Scalars:
     """Angle of (x, y) for y >= 0, in [0, pi] rad; 0, with gradient 0, at the origin.

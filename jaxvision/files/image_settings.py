@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, check_utf8
+from ._heads import png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, netpbm_head
-from ._png_chunks import png_chunks
-from ._targa_head import targa_bits
 from ._tiff_tags import (
     BITS,
     BLACKS,

@@ -28,12 +28,10 @@ import numpy as np
 from ..core.interrupts import removed_if_interrupted
 from ..core.plain_arrays import plain_array
 from ..errors import InputError, check_utf8, nearest, unwritable
-from ._jpeg_markers import jpeg_extras
+from ._heads import PALETTE as PNG_PALETTE
+from ._heads import PngChunks, jpeg_extras, png_chunks, targa_bits
 from ._netpbm import NETPBM_FORMATS, read_netpbm
-from ._png_chunks import PALETTE as PNG_PALETTE
-from ._png_chunks import PngChunks, png_chunks
 from ._radiance import END_OF_RANGE, is_radiance, read_radiance
-from ._targa_head import targa_bits
 from ._tiff_tags import (
     ALPHA,
     BITS,

@@ -10,7 +10,7 @@ in (8 / x)^2 (Abramowitz and Stegun, Handbook of Mathematical Functions, 9.2.5).
 
 import jax.numpy as jnp
 
-from ..core._chebyshev import chebyshev
+from ..core._numerics import chebyshev
 from ..core._types import Scalars
 
 _NEAR = (

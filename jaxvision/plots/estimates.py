@@ -7,7 +7,6 @@ import numpy as np
 
 from ..core.plain_arrays import plain_array
 from ..errors import InputError
-from ._axes import new_axes, tidy
 from .legible_axes import (
     BLUE,
     GREEN,
@@ -19,6 +18,8 @@ from .legible_axes import (
     TEAL,
     few_ticks,
     name_points,
+    new_axes,
+    tidy,
 )
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..errors import InputError
 from . import _views as views
-from ._axes import new_axes
 from ._pixels import checked, white_level
+from .legible_axes import new_axes
 from .summary import band_names
 
 if TYPE_CHECKING:

@@ -199,3 +199,23 @@ def _in_the_way(
     at, cost = drawn[:, :2], drawn[:, 2]
     covered = float(cost[((at > box[0] - MARGIN) & (at < box[1] + MARGIN)).all(1)].sum())
     return 2 * beyond + sum(float(np.prod(np.clip(one, 0, None))) for one in overlaps) + covered
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def new_axes(axes: "Axes | None", *, polar: bool = False) -> "Axes":
+    """The given axes, or the only one of a new figure."""
+    from matplotlib.figure import Figure
+
+    if axes is not None:
+        return axes
+    figure = Figure(figsize=(4.8, 3.6), layout="constrained")
+    return figure.add_subplot(projection="polar") if polar else figure.add_subplot()
+
+
+def tidy(axes: "Axes") -> None:
+    """A quiet grid, and no frame above and to the right."""
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)

@@ -18,8 +18,7 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Bool
 
-from ..core._chebyshev import chebyshev
-from ..core._numerics import difference_of_products
+from ..core._numerics import chebyshev, difference_of_products
 from ..core._types import Scalars
 
 _ONCE = (

@@ -39,8 +39,9 @@ from ..geometry import (
     sorted_shapes,
 )
 from ..geometry.hemisphere import Frame, local_frame, to_local, to_world
+from ..rendering.band_count import band_count
 from ..scene import Material, Scene
-from ._emitters import LARGEST
+from ._emitters import LARGEST, Emitters, emitters_of
 
 SEARCHED = "searched"  # results of a search among all shapes: a gradient stores them, see `paths`
 
@@ -340,3 +341,19 @@ def absorption_after(
     outside = before if around is None else jnp.where(left, around, before)
     after = jnp.where(inside, surfaces.absorption[surface], outside)
     return jnp.where(surfaces.filled[surface], after, before)
+
+
+class World(eqx.Module):
+    """A scene sorted for tracing."""
+
+    surfaces: Surfaces
+    emitters: Emitters
+    bands: int = eqx.field(static=True)
+
+
+def world_of(scene: Scene) -> World:
+    """The scene as tracing needs it; lengths in m."""
+    surfaces, emitters = surfaces_of(scene), emitters_of(scene)
+    emissions = [surface.emission for surface in scene.surfaces if surface.emission is not None]
+    materials = [surface.material for surface in scene.surfaces]
+    return World(surfaces, emitters, band_count(materials, scene.lights, spectra=emissions))

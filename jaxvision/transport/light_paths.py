@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .. import lights
 from ..core._arguments import takes_numbers
 from ..core._loops.fusion import TILE, at_a_time, one_program, together
 from ..core._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
@@ -21,7 +22,7 @@ from ..core._random import Stream, seed_of, uniforms
 from ..core._types import Key, Scalar, check_count, check_given
 from ..core._vector import Vec, as_vec
 from ..geometry import Ball, Ray, ball_around, has_area, offset_origin
-from ..lights import nearest_seen
+from ..lights import Emitted, emitted_from_surface, nearest_seen
 from ..optics import (
     aperture_point,
     distort,
@@ -30,11 +31,18 @@ from ..optics import (
     sensor_vergence,
 )
 from ..rendering import Traced
-from ..scene import Orthographic, Scene, ThinLens, View
-from ._emission import emitted
-from ._emitters import transmitted
-from ._vertices import absorption_after, absorption_around, hidden, leave, meet, vertex
-from ._world import World, world_of
+from ..scene import Light, Orthographic, Scene, ThinLens, View
+from ._emitters import Emissive, Emitters, of_drawn, transmitted
+from ._vertices import (
+    World,
+    absorption_after,
+    absorption_around,
+    hidden,
+    leave,
+    meet,
+    vertex,
+    world_of,
+)
 from .paths import Paths, path_traced
 
 
@@ -145,7 +153,7 @@ def _light_path(
     """(pixel numbers, radiance) of all vertices of one path."""
     dtype = view.pixel_pitch.dtype
     start, more = uniforms(stream, 0, dtype), uniforms(stream, 1, dtype)
-    light = emitted(world.emitters, ball, jnp.append(start, more[0]))
+    light = _emitted(world.emitters, ball, jnp.append(start, more[0]))
     origin = offset_origin(as_vec(light.ray.origin), light.normal, light.ray.direction)
     flux = jnp.broadcast_to(light.flux, (world.bands,))
     height, width = view.resolution
@@ -232,3 +240,18 @@ def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
     return _Arrival(
         away * -inverse, distance, y / side - (1 - rows) / 2, x / side - (1 - columns) / 2, response
     )
+
+
+def _emitted(emitters: Emitters, around: Ball | None, u: Float[Array, "5"]) -> Emitted:
+    """Draw a ray from one emitter, selected by u_4. u_0 and u_1 give its point, and u_2 and u_3 its
+    direction, all uniform in [0, 1). Its flux, W, is an estimate for all emitters. `around`: a
+    sphere around the scene."""
+
+    def ray(emitter: Light | Emissive) -> Emitted:
+        if isinstance(emitter, Emissive):
+            shape, radiance = emitter.shape, emitter.emission
+            return emitted_from_surface(shape, radiance, u[:4], two_sided=emitter.two_sided)
+        return lights.emitted(emitter, u[:4], around=around)
+
+    drawn = of_drawn(emitters, u[4], ray)
+    return Emitted(drawn.ray, drawn.flux * emitters.count, drawn.normal)

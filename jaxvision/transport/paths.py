@@ -49,14 +49,15 @@ from ._emitters import (
 from ._vertices import (
     SEARCHED,
     Met,
+    World,
     absorption_after,
     absorption_around,
     hidden,
     leave,
     meet,
     vertex,
+    world_of,
 )
-from ._world import World, world_of
 
 # Pieces of a path of which a gradient keeps all that it needs, up to 400 bytes a ray and piece: of
 # more, it computes them again.

@@ -30,6 +30,7 @@ from ..scene import Scene, View
 from ._emitters import Toward, shining_ahead, toward_each, transmitted
 from ._vertices import (
     Met,
+    World,
     absorption_after,
     absorption_around,
     branches,
@@ -37,8 +38,8 @@ from ._vertices import (
     leave,
     meet,
     shaded_toward,
+    world_of,
 )
-from ._world import World, world_of
 
 DEFAULT_RULE = Quadrature(4)
 Rules = tuple[Quadrature, ...]

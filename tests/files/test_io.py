@@ -7,7 +7,7 @@ import pytest
 
 from jaxvision.errors import InputError
 from jaxvision.files import images as io
-from jaxvision.files._png_chunks import png_chunks
+from jaxvision.files._heads import png_chunks
 from jaxvision.files.images import (
     LONGEST_REASON,
     check_writable,

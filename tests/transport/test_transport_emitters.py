@@ -32,8 +32,7 @@ from jaxvision.transport import (
     ray_tree_radiance,
 )
 from jaxvision.transport._emitters import toward_emitter
-from jaxvision.transport._vertices import hidden, meet
-from jaxvision.transport._world import world_of
+from jaxvision.transport._vertices import hidden, meet, world_of
 from jaxvision.transport.radiosity import plan_patches, radiosity
 
 KEY = jax.random.key(6)

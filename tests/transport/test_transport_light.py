@@ -31,8 +31,8 @@ from jaxvision.transport import (
     ray_tree_radiance,
     ray_tree_radiances,
 )
-from jaxvision.transport._emission import emitted
 from jaxvision.transport._emitters import emitters_of
+from jaxvision.transport.light_paths import _emitted as emitted
 
 KEY = jax.random.key(2)
 BLACK = Lambert([0.0, 0.0])

@@ -1,0 +1,159 @@
+"""What heads and chunks of image files say that their decoders leave out, and whether a PNG is
+whole, before libpng prints its own complaints.
+
+A PNG is a signature and chunks: length, type, content and the CRC-32 of type and content (ISO/IEC
+15948, section 5). Chunks whose type begins with a small letter are no part of the picture. JPEG:
+ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture Format); ISO 21496-1 and Adobe's gain maps. TGA:
+Truevision, TGA File Format Specification 2.0, page 6.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PALETTE = 3  # colour type
+_KEPT = (b"IHDR", b"sBIT", b"acTL")  # of a few bytes each
+
+
+@dataclass(frozen=True)
+class PngChunks:
+    """What the chunks of a file say.
+
+    Attributes:
+        fault: what is wrong with them, in words; None where all of the picture are whole.
+        depth: bits of a sample as stored; of a palette's index for a palette.
+        colour_type: of IHDR; 3 for a palette.
+        significant: bits of each channel that the source had (sBIT); empty where it does not say.
+        frames: pictures of an animation; 1 for a plain picture.
+    """
+
+    fault: str | None
+    depth: int = 8
+    colour_type: int = 0
+    significant: tuple[int, ...] = ()
+    frames: int = 1
+
+    @property
+    def bits(self) -> int:
+        """Bits of the source's samples: those that are significant, where all channels agree."""
+        if self.colour_type == PALETTE:
+            return 8
+        alike = len(set(self.significant)) == 1 and 0 < self.significant[0] <= self.depth
+        return self.significant[0] if alike else self.depth
+
+
+def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
+    """What the chunks of a file say, with `head` those before the picture alone, whether or not the
+    picture is whole; None for a file without a PNG's signature."""
+    kept: dict[bytes, bytes] = {}
+    with file.open("rb") as stream:
+        if stream.read(len(SIGNATURE)) != SIGNATURE:
+            return None
+        while len(start := stream.read(8)) == 8:
+            size, kind = struct.unpack(">I4s", start)
+            if head and kind == b"IDAT":
+                return _said(kept)
+            content, check = stream.read(size), stream.read(4)
+            if len(check) < 4:
+                break
+            needed = kind[:1].isupper() or not kind.isalpha()
+            if needed and zlib.crc32(content, zlib.crc32(kind)) != struct.unpack(">I", check)[0]:
+                name = kind.decode() if kind.isalpha() else kind.hex()  # damaged, it is no text
+                return PngChunks(f"the check sum of its chunk {name} is wrong")
+            if kind in _KEPT:
+                kept.setdefault(kind, content)
+            if kind == b"IEND":
+                return _said(kept)
+    return PngChunks("its last chunk is missing")
+
+
+def _said(kept: dict[bytes, bytes]) -> PngChunks:
+    header, animation = kept.get(b"IHDR", b""), kept.get(b"acTL", b"")
+    if len(header) != 13:
+        return PngChunks("it does not begin with its size")
+    frames = struct.unpack(">I", animation[:4])[0] if len(animation) == 8 else 1
+    significant = tuple(kept.get(b"sBIT", b""))
+    return PngChunks(None, header[8], header[9], significant, max(frames, 1))
+
+
+_SMALLER_COPIES = (0x010001, 0x010002)  # kinds of a Multi-Picture Format entry
+_PICTURE_LIST, _ENTRY = 0xB002, 16
+_END = 0xD9  # of the picture
+
+
+def jpeg_extras(file: Path) -> list[str]:
+    """What of a JPEG is no part of the picture and no note about it: further pictures, gain maps
+    and bytes after its end (a film, say), each in words."""
+    data = file.read_bytes()
+    found, pictures, listed, rest = [], 0, False, b""
+    for kind, content in _segments(data):
+        if kind == 0xE2 and content[:4] == b"MPF\0":
+            pictures += _further_pictures(content[4:])
+            listed = True
+        if kind == _END:
+            rest = content.strip(b"\0\xff")
+        gain_map = kind == 0xE2 and content.startswith(b"urn:iso:std:iso:ts:21496:-1\0")
+        if gain_map or (kind == 0xE1 and b"hdrgm:Version" in content):
+            found.append("its gain map, by which a screen of high dynamic range brightens it")
+    if pictures:
+        found.append(f"{pictures} further picture{'s' if pictures > 1 else ''} after the first")
+    if rest and not listed:
+        found.append(f"{len(rest)} bytes after its picture")
+    return list(dict.fromkeys(found))
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of the segments, those between scans too; of the end, what follows it."""
+    at = 2
+    while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
+        kind = data[at + 1]
+        if kind == _END:
+            yield kind, data[at + 2 :]
+            return
+        if kind == 0xFF:  # a fill byte
+            at += 1
+        elif kind == 0 or 0xD0 <= kind <= 0xD7:  # within a scan
+            at += 2
+        else:
+            size = int.from_bytes(data[at + 2 : at + 4], "big")
+            yield kind, data[at + 4 : at + 2 + size]
+            at += 2 + max(size, 2)
+
+
+def _further_pictures(index: bytes) -> int:
+    """How many pictures a Multi-Picture index lists beside the first and smaller copies of it."""
+    order = {b"II": "<", b"MM": ">"}.get(index[:2])
+    if order is None:
+        return 0
+    try:
+        (at,) = struct.unpack_from(f"{order}I", index, 4)
+        (count,) = struct.unpack_from(f"{order}H", index, at)
+        for i in range(count):
+            tag, _, size, place = struct.unpack_from(f"{order}HHII", index, at + 2 + 12 * i)
+            if tag == _PICTURE_LIST:
+                kinds = [
+                    struct.unpack_from(f"{order}I", index, place + start)[0] & 0xFFFFFF
+                    for start in range(_ENTRY, size, _ENTRY)
+                ]
+                return sum(kind not in _SMALLER_COPIES for kind in kinds)
+    except struct.error:
+        pass
+    return 0
+
+
+_GREY = (3, 11)  # image types
+_PALETTES = (1, 9)
+
+
+def targa_bits(file: Path) -> int:
+    """Bits of each colour of a TGA: 5 for pixels, or colours of a palette, of 15 or 16 bits; else
+    8."""
+    with file.open("rb") as stream:
+        head = stream.read(18)
+    if len(head) < 18 or head[2] in _GREY:
+        return 8
+    whole = head[7] if head[2] in _PALETTES else head[16]
+    return 5 if whole in (15, 16) else 8
