@@ -57,9 +57,10 @@ def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
         with file.open("rb") as stream:
             data = stream.read(1 << 16)  # comments may be long
     magic = data[:2]
-    if magic not in _CHANNELS:
+    if magic not in _CHANNELS or not re.match(rb"[\s#]", data[2:3]):
+        first = data[:2] if magic not in _CHANNELS else data[:3]
         raise InputError(
-            f"{file}: not a PGM, PPM, PBM or PFM file (it begins with {magic!r}); export it again."
+            f"{file}: not a PGM, PPM, PBM or PFM file (it begins with {first!r}); export it again."
         )
     words, at = [], 2
     while len(words) < (2 if magic in _BITMAPS else 3):

@@ -129,10 +129,34 @@ def _of_off(file: Path) -> Polygons:
     return [np.array(row[1 : int(row[0]) + 1], int) for row in rows]
 
 
-def _of_ply(data: bytes) -> Polygons:
-    """The lists of corners of the faces, if every face of a binary file has as many."""
+def ply_of_corners(data: bytes) -> bytes | None:
+    """A PLY file in text whose faces have nothing but their corners; None where that is so already,
+    or for a file that this does not read. Readers of text take one list a face, and that first."""
+    try:
+        kind, elements, start = _ply_head(data)
+        faces = next((e for e in elements if e[0] == "face"), None)
+        if kind != "ascii" or faces is None or len(faces[2]) == 1:
+            return None
+        lines = data[start:].decode("latin-1").splitlines()
+        first = sum(count for _, count, _ in elements[: elements.index(faces)])
+        for at in range(first, first + faces[1]):
+            corners = _corners_of(lines[at].split(), faces[2])
+            lines[at] = " ".join(map(str, [len(corners), *corners]))
+    except (ValueError, IndexError, KeyError, StopIteration):
+        return None  # the reader of meshes says why
+    head = data[:start].decode("latin-1").splitlines()
+    place = next(n for n, line in enumerate(head) if line.split()[:2] == ["element", "face"])
+    kept = next(w for w in faces[2] if w[0] == "list" and "vertex_ind" in w[3])
+    after = place + 1
+    while head[after].split()[:1] in (["property"], ["comment"]):
+        del head[after]
+    head.insert(after, " ".join(["property", *kept]))
+    return "\n".join([*head, *lines, ""]).encode("latin-1")
+
+
+def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
+    """The format, the elements with their counts and properties, and where the numbers start."""
     end = data.index(b"end_header")
-    start = data.index(b"\n", end) + 1
     head = [line.split() for line in data[:end].decode("latin-1").splitlines()]
     kind = next(words[1] for words in head if words[:1] == ["format"])
     elements: list[tuple[str, int, list[list[str]]]] = []
@@ -141,6 +165,12 @@ def _of_ply(data: bytes) -> Polygons:
             elements.append((words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
             elements[-1][2].append(words[1:])
+    return kind, elements, data.index(b"\n", end) + 1
+
+
+def _of_ply(data: bytes) -> Polygons:
+    """The lists of corners of the faces, if every face of a binary file has as many."""
+    kind, elements, start = _ply_head(data)
     if kind == "ascii":
         lines = iter(line.split() for line in data[start:].decode("latin-1").splitlines())
         for name, count, properties in elements:

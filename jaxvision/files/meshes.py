@@ -21,7 +21,7 @@ import numpy as np
 from ..errors import InputError, install
 from ..geometry.checks import faces_without_area
 from ..scene import TriangleMesh
-from ._polygons import are_fans, cut, fan, obj_in_triangles, polygons_of
+from ._polygons import are_fans, cut, fan, obj_in_triangles, ply_of_corners, polygons_of
 from .gltf import Gltf, primitive_of, read_gltf
 
 Vector = Sequence[float | int] | np.ndarray
@@ -71,8 +71,8 @@ def read_mesh(
         The mesh.
 
     Raises:
-        InputError: there is no such file, it is not a mesh, a triangle names a vertex that does
-            not exist, or the matrix flattens it.
+        InputError: there is no such file, it is not a mesh, a face names a vertex that does not
+            exist (vertex 0 of an OBJ), or the matrix flattens it.
     """
     file = Path(path)
     if not file.is_file():
@@ -208,6 +208,8 @@ def _load(file: Path):
         mesh = scene.to_mesh()
         if scene.units is not None:
             mesh.units = scene.units
+    except InputError:
+        raise
     except Exception as error:  # each format's reader fails in its own way
         reason = _of_content(file) or _in_plain_words(error)
         raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
@@ -220,18 +222,39 @@ def _load(file: Path):
     return _with_whole_polygons(file, mesh)
 
 
-def _source(file: Path) -> dict[str, Any]:
-    """What trimesh reads: the file, or an OBJ whose polygons are cut."""
-    if file.suffix.lower() == ".obj":
-        triangles = obj_in_triangles(file.read_bytes().decode("latin-1"))
-        if triangles is not None:
-            _trimesh(file)  # which says how to install it
-            from trimesh.resolvers import FilePathResolver
+_OBJ_ZERO = re.compile(r"^[ \t]*f\b(?:[^\n#]*\s)0+(?=[/\s]|$)", re.MULTILINE)
+_OBJ_CURVED = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
+_MARK = b"\xef\xbb\xbf"  # of byte order, before text in UTF-8
 
-            data = BytesIO(triangles.encode("latin-1"))
-            of_folder = FilePathResolver(str(file.absolute()))
-            return {"file_obj": data, "file_type": "obj", "resolver": of_folder}
-    return {"file_obj": file}
+
+def _source(file: Path) -> dict[str, Any]:
+    """What trimesh reads: the file, or a copy without what trimesh reads in a wrong way."""
+    suffix, data = file.suffix.lower(), file.read_bytes()
+    plain = data
+    if suffix == ".obj":
+        plain = data.removeprefix(_MARK)  # a first vertex behind it would be lost
+        text = plain.decode("latin-1")
+        if _OBJ_ZERO.search(text):
+            raise InputError(
+                f"{file}: a face names the vertex 0, where OBJ counts from 1; export it again."
+            )
+        if curved := sorted(set(_OBJ_CURVED.findall(text))):
+            warnings.warn(
+                f"{file}: holds curves or surfaces of free form ({', '.join(curved)}), which are "
+                "not read.",
+                stacklevel=4,
+            )
+        triangles = obj_in_triangles(text)
+        plain = plain if triangles is None else triangles.encode("latin-1")
+    elif suffix == ".ply":
+        plain = ply_of_corners(data) or data
+    if plain is data:
+        return {"file_obj": file}
+    _trimesh(file)  # which says how to install it
+    from trimesh.resolvers import FilePathResolver
+
+    of_folder = FilePathResolver(str(file.absolute()))
+    return {"file_obj": BytesIO(plain), "file_type": suffix[1:], "resolver": of_folder}
 
 
 def _with_whole_polygons(file: Path, mesh):

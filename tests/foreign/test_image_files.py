@@ -798,3 +798,11 @@ def test_an_exr_holds_every_number_or_is_not_written(tmp_path):
             with pytest.raises(InputError, match=said):
                 write_image(tmp_path / "c.exr", pixels)
         assert not (tmp_path / "c.exr").exists()
+
+
+@pytest.mark.parametrize("head", [b"PF4\n8 6\n-1.0\n", b"P58 6\n255\n"])
+def test_letters_of_netpbm_end_in_white_space(tmp_path, head):
+    file = tmp_path / "a.pfm"
+    file.write_bytes(head + bytes(8 * 6 * 16))
+    with pytest.raises(InputError, match=f"begins with b'{head[:3].decode()}'"):
+        read_image(file)

@@ -97,9 +97,42 @@ def test_convex_polygons_stay_as_they_were(tmp_path):
             "strips of triangles",
         ),
         ("a.obj", b"v 0,0 0,0 0,0\nv 2,5 0,0 0,0\nv 0,0 2,0 0,0\nf 1 2 3\n", "with commas"),
+        ("b.obj", b"v 0 0 0\nv 2 0 0\nv 0 2 0\nv 0 0 2\nf 0/1 1/1 2/1\n", "vertex 0, .* from 1"),
     ],
 )
 def test_what_a_mesh_lacks_is_said_of_its_content(tmp_path, name, data, sentence):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=sentence):
         read_mesh(tmp_path / name)
+
+
+BOX = "".join(f"v {x} {y} {z}\n" for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
+BOX += "v 9 9 9\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"
+
+
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+def test_a_byte_order_mark_hides_no_vertex(tmp_path, mark):
+    file = tmp_path / "box.obj"
+    file.write_bytes(mark + BOX.encode())
+    np.testing.assert_allclose(areas(read_mesh(file))[0], 6)
+
+
+def test_surfaces_of_free_form_are_named(tmp_path):
+    file = tmp_path / "box.obj"
+    file.write_text(BOX + "cstype bezier\ndeg 1 1\nsurf 0 1 0 1 1 2 4 3\nend\n")
+    with pytest.warns(UserWarning, match=r"free form \(surf\), which are not read"):
+        np.testing.assert_allclose(areas(read_mesh(file))[0], 6)
+
+
+@pytest.mark.parametrize(
+    ("properties", "row"),
+    [
+        ("list uchar int vertex_indices\nproperty list uchar float texcoord", "{} 2 .5 .5"),
+        ("uchar red\nproperty list uchar int vertex_index", "255 {}"),
+    ],
+)
+def test_what_stands_beside_the_corners_of_a_text_ply_is_passed_over(tmp_path, properties, row):
+    head = PLY.format("ascii", 4, 2).replace("list uchar int vertex_indices", properties)
+    rows = ["0 0 0", "2 0 0", "2 2 0", "0 2 0", row.format("3 0 1 2"), row.format("3 0 2 3")]
+    (tmp_path / "a.ply").write_text(head + "\n".join(rows) + "\n")
+    np.testing.assert_allclose(areas(read_mesh(tmp_path / "a.ply")), 4)
