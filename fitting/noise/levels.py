@@ -50,7 +50,8 @@ class Levels(eqx.Module):
             to each other.
         residues: (levels, 2, 5, residues) means of the frames' average and of their variance, by
             row, by column and by place in a cell (`periodic`); None where pixels are not known.
-        quarters: (levels, 2, 4) the same of the quarters of a frame.
+        quarters: (levels, 2, 6) the same of the quarters of a frame, and of its pixels near the
+            centre and the others.
         local_pattern: (levels,) what stays from frame to frame, by differences of neighbours, DN^2;
             None where pixels are not known.
         blocks: (levels, 2, 8) covariance of a pixel and the one below (beside) it, by row (column)
@@ -72,7 +73,7 @@ class Levels(eqx.Module):
     shared: SharedVariance | None = None
     covariances: Float[Array, "levels lags lags"] | None = None
     residues: Float[Array, "levels 2 5 residues"] | None = None
-    quarters: Float[Array, "levels 2 4"] | None = None
+    quarters: Float[Array, "levels 2 6"] | None = None
     local_pattern: Float[Array, " levels"] | None = None
     blocks: Float[Array, "levels 2 8"] | None = None
     combs: Float[Array, "levels steps 8 8"] | None = None

@@ -1,5 +1,5 @@
 """Structure of a known period that nobody stated: several amplifiers, colour mosaics, interlaced
-rows, halves with a converter each.
+rows, halves with a converter each; also gains that grow with the distance from the centre.
 
 Where neighbouring columns go through two amplifiers, or pixels of a mosaic see two colours, rows or
 columns repeat after 2 to 8. Statistics of the pixels are kept by row and by column, each modulo 16
@@ -24,6 +24,7 @@ LONGER = 30  # modulo which 3, 5 and 6 are seen
 CELL = 4
 PERIODS = (2, 4, 8)
 LINES = ("rows", "columns")
+CENTRE = "centre and border"
 CHANCE = 1e-4  # that a camera without structure shows as much
 SMALL = 0.1  # of a pixel's temporal noise; structure below it changes nothing that noise does not
 BENT = 0.2  # of a difference in signal: what a curved characteristic may make of it in gain
@@ -80,8 +81,9 @@ def _mean(values: np.ndarray, count: np.ndarray) -> float:
 
 def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
-) -> Float[np.ndarray, "2 4"]:
-    """Means over the quarters of a frame: top left, top right, bottom left, bottom right.
+) -> Float[np.ndarray, "2 6"]:
+    """Means over the quarters of a frame, top left, top right, bottom left, bottom right, and over
+    the half of its pixels near its centre and the other half.
 
     Args:
         average: (h, w) of the frames of a level, DN.
@@ -91,15 +93,19 @@ def quarters(
     Returns:
         Of both; NaN of frames of one row or column.
     """
-    (h, w), found = average.shape, np.full((2, 4), np.nan)
+    (h, w), found = average.shape, np.full((2, 6), np.nan)
     if min(h, w) > 1:
+        row, column = np.ogrid[:h, :w]
+        distance = (row - (h - 1) / 2) ** 2 + (column - (w - 1) / 2) ** 2
+        inner = distance <= np.median(distance)
         for own, plane in zip(found, (average, temporal), strict=True):
             places = [
                 (i, j)
                 for i in (np.s_[: h // 2], np.s_[h // 2 :])
                 for j in (np.s_[: w // 2], np.s_[w // 2 :])
             ]
-            own[:] = [_mean(plane[place], live.mask[place]) for place in places]
+            own[:4] = [_mean(plane[place], live.mask[place]) for place in places]
+            own[4:] = [_mean(plane, live.mask & zone) for zone in (inner, ~inner)]
     return found
 
 
@@ -108,7 +114,8 @@ class Periodic:
     """What repeats.
 
     Attributes:
-        where: "rows", "columns", "mosaic", "left and right halves" or "top and bottom halves".
+        where: "rows", "columns", "mosaic", "left and right halves", "top and bottom halves" or
+            "centre and border".
         period: of rows or columns, or 2 of a mosaic; 0 of halves.
         gains: DN/e-, of each class; empty where they do not differ.
         offsets: DN, of each class in the dark; likewise.
@@ -244,19 +251,21 @@ def _unequal_halves(
     if bright.flicker is not None or believed_lines(dark.shared, dark.variance, dark.frames):
         return []
     lit, unlit = np.asarray(bright.quarters)[usable], np.asarray(dark.quarters)
-    signal, shot = np.moveaxis(lit - unlit[matched], 1, 0)  # (levels, quarters) each
+    signal, shot = np.moveaxis(lit - unlit[matched], 1, 0)  # (levels, places) each
     variance, frames = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
     weight = ((frames - 1) / variance**2)[:, None]
     squares = np.sum(weight * signal**2, axis=0)
     gains = np.sum(weight * signal * shot, axis=0) / squares
-    errors = np.sqrt(2 / (squares * float(bright.pixels) / 4))
+    pixels = float(bright.pixels) / np.array([4, 4, 4, 4, 2, 2])
+    errors = np.sqrt(2 / (squares * pixels))
     found = []
     for where, one, other in (
         ("left and right halves", [0, 2], [1, 3]),
         ("top and bottom halves", [0, 1], [2, 3]),
+        (CENTRE, [4], [5]),
     ):
         pair = gains[one].mean(), gains[other].mean()
-        error = np.sqrt(np.sum(errors**2)) / 2
+        error = np.sqrt(sum(np.mean(errors[half] ** 2) / len(half) for half in (one, other)))
         lights = signal[:, one].sum(), signal[:, other].sum()
         bent = BENT * abs(lights[0] - lights[1]) / (lights[0] + lights[1])
         apart = abs(pair[0] - pair[1])
@@ -294,6 +303,8 @@ def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
             who = WORDS[one.period].format(one.where)
             taps = [one.period, 1] if one.where == "rows" else [1, one.period]
             remedy = f"camera.taps = {taps}"
+        elif one.where == CENTRE:
+            who, remedy = "The centre and the border of the frame", "a small camera.region"
         else:
             who, remedy = f"The {one.where}", "camera.region, one half at a time,"
         parts = []
@@ -308,12 +319,14 @@ def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
             span = 100 * (max(one.signals) / min(one.signals) - 1)
             parts.append(f"in signal by {span:.3g} %")
         cause = "several amplifiers"
+        if one.where == CENTRE:
+            cause = "a correction of lens shading in the camera; switch that off, or"
         if not one.gains and one.signals:
             cause = "a colour mosaic" if one.where != "rows" else "interlaced rows, or a mosaic"
             remedy = f"camera.pattern of a mosaic, or {remedy}"
         told.append(
-            f"{who} differ {' and '.join(parts)}, as of {cause}; give {remedy} to calibrate them "
-            "apart."
+            f"{who} differ {' and '.join(parts)}, as of {cause}{'' if one.where == CENTRE else ';'} "
+            f"give {remedy} to calibrate them apart."
         )
         if one.gains:
             told.append(

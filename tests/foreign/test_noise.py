@@ -493,3 +493,17 @@ def test_times_that_cameras_print_are_named(scatter):
 )
 def test_other_times_are_not_called_printed(times, true, scatter):
     assert printed_times_in_words(*timed(times, true, scatter)) == []
+
+
+def test_gains_that_grow_toward_the_border_are_named():
+    """A correction of lens shading: numbers times 1 + 0.8 r^2 behind the converter of even light."""
+    distance = ((ROW - 31.5) ** 2 + (COLUMN - 31.5) ** 2) / 31.5**2
+    (found,) = structure(read_out(np.random.default_rng(10), gain=K * (1 + 0.8 * distance)))
+    assert (found.where, found.period) == ("centre and border", 0)
+    near = distance <= np.median(distance)
+    gains = [K * np.mean((1 + 0.8 * distance[zone])) for zone in (near, ~near)]
+    squares = [K * np.mean((1 + 0.8 * distance[zone]) ** 2) for zone in (near, ~near)]
+    expected = [square / gain * K for gain, square in zip(gains, squares, strict=True)]
+    np.testing.assert_allclose(found.gains, expected, rtol=0.03)
+    named, _ = periodic_in_words((found,), K)
+    assert "correction of lens shading" in named
