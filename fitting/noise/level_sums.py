@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..frame_checks.frame import Shown, shown
+from .hits import hits
 from .live_pixels import LivePixels
 from .neighbours import Neighbours
 from .periodic import quarters, residues
@@ -44,6 +45,7 @@ class LevelStatistics(NamedTuple):
     local_pattern: float
     blocks: np.ndarray
     combs: np.ndarray
+    hits: int
 
 
 class LevelSums:
@@ -75,11 +77,19 @@ class LevelSums:
         self._shifts: list[float] = []
         self._lines, self._neighbours = Moments(live), Neighbours(live)
         self._blocks = np.zeros((2, BLOCK))
+        self.hits = 0
 
     def add(self, name: str, frame: np.ndarray) -> None:
         """One more frame, or the first."""
-        self.shown.append(shown(name, self.live.filled(frame), top=self._top))
         deviation = frame - self.first
+        if self.shown and (jumps := hits(deviation, self.live)) is not None:
+            deviation = jumps.change
+            self.hits += int(jumps.up.sum() + jumps.down.sum())
+            if len(self.shown) == 1:  # so that those below are of the first frame
+                self.first = np.where(jumps.down, frame - deviation, self.first)
+                self.shown[0] = self._shown(self.shown[0].name, self.first)
+            frame = self.first + deviation
+        self.shown.append(self._shown(name, frame))
         self._shifts.append(self.live.mean(deviation))
         if len(self.shown) == 1:
             return
@@ -90,6 +100,9 @@ class LevelSums:
         if self._unlit is not None:
             self._shifted += self._shifts[-1] * deviation
         self._add_squares(deviation)
+
+    def _shown(self, name: str, frame: np.ndarray) -> Shown:
+        return shown(name, self.live.filled(frame), top=self._top)
 
     def _add_squares(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
         self._squares += weight * deviation**2
@@ -165,4 +178,5 @@ class LevelSums:
             local_pattern=local_variance(average, live) - passing / count,
             blocks=products / (count * (count - 1)) + lost,
             combs=combs(self.first, corner=self._corner),
+            hits=self.hits,
         )

@@ -304,7 +304,7 @@ def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
             taps = [one.period, 1] if one.where == "rows" else [1, one.period]
             remedy = f"camera.taps = {taps}"
         elif one.where == CENTRE:
-            who, remedy = "The centre and the border of the frame", "a small camera.region"
+            who, remedy = "The centre and the border of the frame", "frames without it"
         else:
             who, remedy = f"The {one.where}", "camera.region, one half at a time,"
         parts = []
@@ -320,13 +320,13 @@ def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
             parts.append(f"in signal by {span:.3g} %")
         cause = "several amplifiers"
         if one.where == CENTRE:
-            cause = "a correction of lens shading in the camera; switch that off, or"
+            cause = "a correction of lens shading in the camera"
         if not one.gains and one.signals:
             cause = "a colour mosaic" if one.where != "rows" else "interlaced rows, or a mosaic"
             remedy = f"camera.pattern of a mosaic, or {remedy}"
         told.append(
-            f"{who} differ {' and '.join(parts)}, as of {cause}{'' if one.where == CENTRE else ';'} "
-            f"give {remedy} to calibrate them apart."
+            f"{who} differ {' and '.join(parts)}, as of {cause}; give {remedy}"
+            f"{'' if one.where == CENTRE else ' to calibrate them apart'}."
         )
         if one.gains:
             told.append(

@@ -20,10 +20,12 @@ from ..codes import Codes, Converter
 from ..frame_checks.frame import ALONE, Odd, Shown, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..frame_checks.levels import odd_frames
+from ..inference.formatting import format_percent
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .doubts import doubts
+from .hits import BULK
 from .level_sums import LevelStatistics, LevelSums, Unlit
 from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, rounding_step
 from .levels_table import read_table
@@ -350,10 +352,26 @@ def _reduced(
         local_pattern=jnp.asarray([row.local_pattern for row in rows]),
         blocks=jnp.asarray([row.blocks for row in rows]) if adjacent else None,
         combs=jnp.asarray([row.combs for row in rows]) if adjacent else None,
-        left_out=tuple(one.sentence for one in gone),
+        left_out=(*(one.sentence for one in gone), *_hits_in_words(rows, dark is None)),
         trend=jnp.asarray(trend),
     )
     return levels, [row.shown for row in rows]
+
+
+def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
+    """A sentence where pixels of single frames were left out."""
+    what = "dark" if unlit else "flat"
+    count = sum(level.hits for level in levels)
+    if not count:
+        return []
+    most = max(levels, key=lambda level: level.hits / level.frames)
+    share = most.hits / (most.frames * most.live.count)
+    return [
+        f"{count} pixels of single {what}s, up to {format_percent(share, decimals=2)} of a frame "
+        f"({most.shown[0].name} and others of its level), jump by more than {BULK:g} standard "
+        "deviations, as where cosmic rays hit, a pixel's dark current switches, or a few electrons "
+        "are multiplied. They were left out."
+    ]
 
 
 def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[Odd]) -> None:

@@ -13,6 +13,7 @@ from scipy.stats import norm, poisson
 
 from fitting import folders, noise
 from fitting.noise.findings import _by_the_dimmest_alone, _light_offset
+from fitting.noise.hits import hits
 from fitting.noise.level_sums import LevelSums, Unlit
 from fitting.noise.levels import linear_levels
 from fitting.noise.live_pixels import LivePixels
@@ -496,14 +497,48 @@ def test_other_times_are_not_called_printed(times, true, scatter):
 
 
 def test_gains_that_grow_toward_the_border_are_named():
-    """A correction of lens shading: numbers times 1 + 0.8 r^2 behind the converter of even light."""
+    """A correction of lens shading: numbers times 1 + 0.8 r^2, of even light."""
     distance = ((ROW - 31.5) ** 2 + (COLUMN - 31.5) ** 2) / 31.5**2
     (found,) = structure(read_out(np.random.default_rng(10), gain=K * (1 + 0.8 * distance)))
     assert (found.where, found.period) == ("centre and border", 0)
     near = distance <= np.median(distance)
-    gains = [K * np.mean((1 + 0.8 * distance[zone])) for zone in (near, ~near)]
+    gains = [K * np.mean(1 + 0.8 * distance[zone]) for zone in (near, ~near)]
     squares = [K * np.mean((1 + 0.8 * distance[zone]) ** 2) for zone in (near, ~near)]
     expected = [square / gain * K for gain, square in zip(gains, squares, strict=True)]
     np.testing.assert_allclose(found.gains, expected, rtol=0.03)
     named, _ = periodic_in_words((found,), K)
     assert "correction of lens shading" in named
+
+
+@pytest.mark.parametrize("share", [0.0, 0.003])
+def test_cosmic_rays_are_left_out_and_named(share):
+    """Of each frame a share of the pixels is hit by 3000 electrons in the mean."""
+    rng = np.random.default_rng(11)
+
+    def frame(photons):
+        rays = rng.exponential(3000, SHAPE) * (rng.random(SHAPE) < share)
+        electrons = rng.poisson(QE * photons, SHAPE) + rays + 4 * rng.standard_normal(SHAPE)
+        return np.clip(np.round(K * electrons + 64), 0, 65535)
+
+    levels = [[[frame(p) for _ in range(3)] for p in own] for own in (PHOTONS, 0 * PHOTONS)]
+    times, camera = [0.01] * len(PHOTONS), noise.Camera(bits=16)
+    measured = noise.from_frames(*levels, times, list(PHOTONS), camera=camera)
+    bright, dark = measured.bright, measured.dark
+    told = [one for one in (*bright.left_out, *dark.left_out) if "cosmic rays" in one]
+    assert len(told) == 2 * bool(share)
+    if share:
+        expected = len(PHOTONS) * 3 * share * np.prod(SHAPE)
+        assert all(0.7 < int(one.split()[0]) / expected < 1.1 for one in told)
+    expected = K**2 * 16 + 1 / 12
+    assert abs(float(dark.variance.mean()) / expected - 1) < 0.02
+    gains = (bright.variance - dark.variance) / (bright.mean - dark.mean)
+    weights = bright.mean**2 / bright.variance**2
+    assert abs(np.average(gains, weights=weights) / K - 1) < 0.02
+
+
+def test_tails_of_few_electrons_and_of_warm_pixels_are_no_cosmic_rays():
+    rng, live = np.random.default_rng(12), LivePixels(np.ones((128, 128), bool))
+    warm = 30 * rng.lognormal(0, 2, (128, 128))
+    for mean in (0.001, 0.01, 0.1, 1.0, warm):
+        frames = 20 * rng.poisson(mean, (2, 128, 128)) + 5 * rng.standard_normal((2, 128, 128))
+        assert hits(np.round(frames[1]) - np.round(frames[0]), live) is None

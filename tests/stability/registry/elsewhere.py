@@ -645,6 +645,7 @@ ELSEWHERE = (
             fitting.noise.shared: shared_noise shared_variance temporal_lines
             fitting.noise.flicker: extra_in_flats without_flicker
             fitting.noise.drifting: drifting
+            fitting.noise.hits: hits
         """,
     ),
     Elsewhere(

@@ -1,0 +1,59 @@
+"""Pixels that jump in one frame, as where cosmic rays hit: no noise of light or of the read-out.
+
+A few such pixels of a frame outweigh the noise of all others in a variance. They stand apart from
+these; noise that has a tail, as of few electrons, multiplied ones or warm pixels, does not.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .live_pixels import DECILE, LivePixels
+
+HIT, BULK = 8.0, 5.0  # standard deviations of a pixel's change: of most hits, and of no noise
+MOST = 0.01  # share of the pixels; of more, something else is the cause
+AWAY = 5  # rows to the pixel whose noise stands in, further than neighbours are compared
+SAMPLED = 100_000  # pixels by which the usual change is told
+
+
+class Hits(NamedTuple):
+    """Pixels that jump between two frames, and what stands in.
+
+    Attributes:
+        up: (h, w) true where the second frame is the brighter one.
+        down: (h, w) true where the first is.
+        change: (h, w) from the first frame to the second, without the jumps, DN.
+    """
+
+    up: Bool[np.ndarray, "h w"]
+    down: Bool[np.ndarray, "h w"]
+    change: Float[np.ndarray, "h w"]
+
+
+def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:
+    """Pixels that jump.
+
+    Args:
+        change: (h, w) from one frame to another of the same light, DN.
+        live: the pixels that count.
+
+    Returns:
+        The hits; None where there are none, or as many between them and the noise of the others.
+    """
+    stride = max(int(np.sqrt(change.size / SAMPLED)), 1)
+    sample = change[::stride, ::stride][live.mask[::stride, ::stride]]
+    if not sample.size:
+        return None
+    middle = float(np.median(sample))
+    usual = float(np.quantile(np.abs(sample - middle), 0.8)) / DECILE
+    size = np.abs(change - middle)
+    far = live.mask & (size > BULK * usual)
+    if usual == 0 or not far.any():
+        return None
+    count, plain = int(far.sum()), int((far & (size > HIT * usual)).sum())
+    if not count < 2 * plain or count > MOST * live.count:
+        return None
+    other = np.roll(change, AWAY, axis=0)
+    spare = np.where(np.roll(far | ~live.mask, AWAY, axis=0), middle, other)
+    return Hits(far & (change > middle), far & (change < middle), np.where(far, spare, change))
