@@ -26,15 +26,11 @@ MARGIN = 0.9
 
 
 class Check(NamedTuple):
-    """What runs with fresh seeds say of settings.
+    """What runs with fresh seeds say of settings."""
 
-    Attributes:
-        error: relative, what no run is expected to exceed, whatever the reference is itself off by.
-        seconds: s, of a warm call, the first of the runs left out.
-    """
-
+    # relative, what no run is expected to exceed, whatever the reference is itself off by
     error: float
-    seconds: float
+    seconds: float  # s, of a warm call, the first of the runs left out
 
 
 def settled(

@@ -29,27 +29,16 @@ class NotComparable(InputError):
 
 @dataclass
 class Point:
-    """The calls of one setting.
-
-    Attributes:
-        setting: the setting.
-        compute: from a seed to a result; None before the first call.
-        first: s, of the first call.
-        warm: s, of each later one.
-        results: by seed, float64.
-        rounding: no unit, of the format that the results came in.
-        once: s of a call that a whole takes no longer for than its part.
-        beside: whether what had been left behind was still at work during a call.
-    """
+    """The calls of one setting."""
 
     setting: Any
-    compute: Compute | None = None
-    first: float = 0.0
-    warm: list[float] = field(default_factory=list)
-    results: dict[int, np.ndarray] = field(default_factory=dict)
-    rounding: float = 0.0
-    once: float = 0.0
-    beside: bool = False
+    compute: Compute | None = None  # from a seed to a result; None before the first call
+    first: float = 0.0  # s, of the first call
+    warm: list[float] = field(default_factory=list)  # s, of each later one
+    results: dict[int, np.ndarray] = field(default_factory=dict)  # by seed, float64
+    rounding: float = 0.0  # no unit, of the format that the results came in
+    once: float = 0.0  # s of a call that a whole takes no longer for than its part
+    beside: bool = False  # whether what had been left behind was still at work during a call
 
     @property
     def seconds(self) -> float:

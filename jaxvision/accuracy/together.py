@@ -22,15 +22,11 @@ SHARE = 0.25  # of the time to measure in, for the checks
 
 @dataclass(frozen=True)
 class Together:
-    """The cheapest settings of all knobs within a tolerance.
+    """The cheapest settings of all knobs within a tolerance."""
 
-    Attributes:
-        combination: of the settings; None: no settings are known to be within it.
-        checked: whether error and time are those of runs with fresh seeds; else they follow from
-            the curves of single knobs.
-    """
-
-    combination: Combination | None
+    combination: Combination | None  # of the settings; None: no settings are known to be within it
+    # whether error and time are those of runs with fresh seeds; else they follow from the curves of
+    # single knobs
     checked: bool = False
 
 

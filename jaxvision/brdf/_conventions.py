@@ -27,23 +27,19 @@ Convention = Literal["shading", "brdf", "normalised"]
 
 
 class Lobe(NamedTuple):
-    """A lobe, whatever stands before it. The functions take the material, for what shapes it.
+    """A lobe, whatever stands before it. The functions take the material, for what shapes it."""
 
-    Attributes:
-        value: `value(material, wi, wo)`, () in [0, 1], no unit.
-        direction: `direction(material, wo, u)`, a unit direction by `u`, (3,) uniform in [0, 1).
-        density: `density(material, wi, wo)`, () in sr^-1, that of `direction`.
-        integrals: `integrals(material, cos_o)`, the integrals of the lobe, and of the lobe times
-            cos(theta_i), over the directions above the horizon, sr.
-        sizes: `sizes(material)`, the same along the normal, roughly: what shares samples out.
-        normalisation: `normalisation(material)`, C in sr^-1; None for a lobe that has none.
-    """
-
-    value: Callable[[Any, Vec, Vec], Scalar]
+    value: Callable[[Any, Vec, Vec], Scalar]  # `value(material, wi, wo)`, () in [0, 1], no unit
+    # `direction(material, wo, u)`, a unit direction by `u`, (3,) uniform in [0, 1)
     direction: Callable[[Any, Vec, Float[Array, "3"]], Vec]
+    # `density(material, wi, wo)`, () in sr^-1, that of `direction`
     density: Callable[[Any, Vec, Vec], Scalar]
+    # `integrals(material, cos_o)`, the integrals of the lobe, and of the lobe times cos(theta_i),
+    # over the directions above the horizon, sr
     integrals: Callable[[Any, Scalar], tuple[Scalar, Scalar]]
+    # `sizes(material)`, the same along the normal, roughly: what shares samples out
     sizes: Callable[[Any], tuple[Scalar, Scalar]]
+    # `normalisation(material)`, C in sr^-1; None for a lobe that has none
     normalisation: Callable[[Any], Scalar] | None = None
 
 

@@ -44,27 +44,17 @@ PLAIN = (bool, int, float, list, tuple, str)
 
 
 class _Wanted(NamedTuple):
-    """What a parameter holds.
+    """What a parameter holds."""
 
-    Attributes:
-        shapes: in which a word is any length, and a first `...` any axes.
-        is_exact: whether these are all; functions of pictures and colours answer for themselves.
-        is_picture: whether it has rows and columns.
-        may_be_absent: whether None is meant.
-        is_direction: whether its length must be 1, or 0 where there is no surface.
-        is_wavelength: whether it is in metres, of light.
-        keeps_integers: whether whole numbers stay so: there may be codes.
-        keeps_numbers: whether a plain number stays so, which may be no number of the dtype.
-    """
-
+    # in which a word is any length, and a first `...` any axes
     shapes: tuple[tuple[int | str, ...], ...]
-    is_exact: bool
-    is_picture: bool
-    may_be_absent: bool
-    is_direction: bool
-    is_wavelength: bool
-    keeps_integers: bool
-    keeps_numbers: bool
+    is_exact: bool  # whether these are all; functions of pictures and colours answer for themselves
+    is_picture: bool  # whether it has rows and columns
+    may_be_absent: bool  # whether None is meant
+    is_direction: bool  # whether its length must be 1, or 0 where there is no surface
+    is_wavelength: bool  # whether it is in metres, of light
+    keeps_integers: bool  # whether whole numbers stay so: there may be codes
+    keeps_numbers: bool  # whether a plain number stays so, which may be no number of the dtype
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:

@@ -11,17 +11,11 @@ Measured = Annotated[Any, "measured"]
 
 
 class Table(NamedTuple):
-    """A table of a scene file.
+    """A table of a scene file."""
 
-    Attributes:
-        word: its `kind` or `family`.
-        record: the class of what it becomes.
-        make: the record, or what makes it of the values of its keys.
-    """
-
-    word: str
-    record: type
-    make: Callable[..., Any]
+    word: str  # its `kind` or `family`
+    record: type  # the class of what it becomes
+    make: Callable[..., Any]  # the record, or what makes it of the values of its keys
 
 
 def table_for(record: type, word: str | None, from_file: Callable[..., Any] | None) -> Table | None:

@@ -172,23 +172,14 @@ _FORMAT = {
 
 
 class Decay(NamedTuple):
-    """exp(-y) = (left + left_rest) scale further, and 1 - exp(-y) = lost + lost_rest, no units.
+    """exp(-y) = (left + left_rest) scale further, and 1 - exp(-y) = lost + lost_rest, no units."""
 
-    Attributes:
-        left: (...) between 0.7 and 1.5.
-        left_rest: (...)
-        scale: (...) a power of two.
-        further: (...) another one, so that the product may leave the range of the dtype.
-        lost: (...)
-        lost_rest: (...)
-    """
-
-    left: Scalars
-    left_rest: Scalars
-    scale: Scalars
-    further: Scalars
-    lost: Scalars
-    lost_rest: Scalars
+    left: Scalars  # (...) between 0.7 and 1.5
+    left_rest: Scalars  # (...)
+    scale: Scalars  # (...) a power of two
+    further: Scalars  # (...) another one, so that the product may leave the range of the dtype
+    lost: Scalars  # (...)
+    lost_rest: Scalars  # (...)
 
 
 def decay(x: Scalars, rest: Scalars) -> Decay:

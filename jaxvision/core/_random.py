@@ -19,18 +19,12 @@ Word = UInt32[Array, ""]
 
 
 class Stream(eqx.Module):
-    """The random numbers of one sample of one pixel.
+    """The random numbers of one sample of one pixel."""
 
-    Attributes:
-        pixel: the number of the pixel.
-        sample: the number of the sample in its pixel; None where a pixel has one ray, and no random
-            numbers.
-        seed: two words, from `seed_of`; None likewise.
-    """
-
-    pixel: UInt32[Array, "*pixels"]
+    pixel: UInt32[Array, "*pixels"]  # the number of the pixel
+    # the number of the sample in its pixel; None where a pixel has one ray, and no random numbers
     sample: Word | None
-    seed: UInt32[Array, "2"] | None
+    seed: UInt32[Array, "2"] | None  # two words, from `seed_of`; None likewise
 
 
 def seed_of(key: Key) -> UInt32[Array, "2"]:

@@ -27,15 +27,10 @@ _AT_ONCE = 1 << 14  # pairs
 
 
 class Bodies(NamedTuple):
-    """Many bodies, each the hull of p balls.
+    """Many bodies, each the hull of p balls."""
 
-    Attributes:
-        points: (n, p, 3) m, a body of fewer repeats its last.
-        radii: (n, p) m.
-    """
-
-    points: np.ndarray
-    radii: np.ndarray
+    points: np.ndarray  # (n, p, 3) m, a body of fewer repeats its last
+    radii: np.ndarray  # (n, p) m
 
 
 def _quad_corners(shape: Quad) -> np.ndarray:

@@ -78,19 +78,14 @@ def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = ""
 
 
 class Transport(NamedTuple):
-    """T of n surfaces; no units.
+    """T of n surfaces; no units."""
 
-    Attributes:
-        body, lobe, mirror: (n,) the most that each part reflects of what arrives from all sides.
-        factors: (n, n) suprema of the shares of bodies, F.
-        of_lobes: (n, n) suprema of the shares of lobes, G.
-    """
-
+    # body, lobe, mirror: (n,) the most that each part reflects of what arrives from all sides
     body: np.ndarray
     lobe: np.ndarray
     mirror: np.ndarray
-    factors: np.ndarray
-    of_lobes: np.ndarray
+    factors: np.ndarray  # (n, n) suprema of the shares of bodies, F
+    of_lobes: np.ndarray  # (n, n) suprema of the shares of lobes, G
 
     @property
     def norm(self) -> float:

@@ -39,46 +39,29 @@ _TRIANGLES = 400  # of a mesh that are cells of their own
 
 
 class Cells(NamedTuple):
-    """Parts of surfaces; c of them.
+    """Parts of surfaces; c of them."""
 
-    Attributes:
-        centre: (c, 3) m.
-        radius: (c,) m, of a ball about it that holds the cell; inf for an endless one.
-        axis: (c, 3) unit, the middle of its normals.
-        spread: (c,) rad, the most by which a normal differs from it; 0: flat; pi: any normal.
-        surface: (c,) number of the surface.
-    """
-
-    centre: np.ndarray
-    radius: np.ndarray
-    axis: np.ndarray
+    centre: np.ndarray  # (c, 3) m
+    radius: np.ndarray  # (c,) m, of a ball about it that holds the cell; inf for an endless one
+    axis: np.ndarray  # (c, 3) unit, the middle of its normals
+    # (c,) rad, the most by which a normal differs from it; 0: flat; pi: any normal
     spread: np.ndarray
-    surface: np.ndarray
+    surface: np.ndarray  # (c,) number of the surface
 
 
 class Eye(NamedTuple):
-    """Where a picture is seen from.
+    """Where a picture is seen from."""
 
-    Attributes:
-        place: (3,) m, middle of the pinhole or lens.
-        moves: m, the farthest from it that a fit may move it.
-        size: m, the farthest from it that a ray may start: `moves` and the radius of the lens.
-        rotation: (3, 3), rows right, down and forward.
-        planes: (k, 3) normals of the planes through `place` between which all rays that start there
-            lie, inward; for a parallel view with `offsets`, m.
-        offsets: (k,) m.
-        parallel: whether all pixels look along the axis.
-        everywhere: whether nothing is known of where it looks.
-    """
-
-    place: np.ndarray
-    moves: float
-    size: float
-    rotation: np.ndarray
+    place: np.ndarray  # (3,) m, middle of the pinhole or lens
+    moves: float  # m, the farthest from it that a fit may move it
+    size: float  # m, the farthest from it that a ray may start: `moves` and the radius of the lens
+    rotation: np.ndarray  # (3, 3), rows right, down and forward
+    # (k, 3) normals of the planes through `place` between which all rays that start there lie,
+    # inward; for a parallel view with `offsets`, m
     planes: np.ndarray
-    offsets: np.ndarray
-    parallel: bool
-    everywhere: bool
+    offsets: np.ndarray  # (k,) m
+    parallel: bool  # whether all pixels look along the axis
+    everywhere: bool  # whether nothing is known of where it looks
 
 
 def eye_of(view: Ends[View]) -> Eye:

@@ -23,20 +23,13 @@ from .stages import Draft, Gone, Row
 
 @dataclass(frozen=True)
 class Chain:
-    """The rows of all stages, and what turns their bounds into one unit.
+    """The rows of all stages, and what turns their bounds into one unit."""
 
-    Attributes:
-        rows: of all effects.
-        opening: W m^-2 per W m^-2 sr^-1, the largest gain of the lens.
-        dn: from a change of irradiance, (bands,) W m^-2, and what is gone, to DN; None without a
-            sensor.
-        dark: DN rms of the noise in the dark.
-    """
-
-    rows: tuple[Row, ...]
-    opening: float = 1.0
+    rows: tuple[Row, ...]  # of all effects
+    opening: float = 1.0  # W m^-2 per W m^-2 sr^-1, the largest gain of the lens
+    # from a change of irradiance, (bands,) W m^-2, and what is gone, to DN; None without a sensor
     dn: Callable[[np.ndarray, Gone], float] | None = None
-    dark: float = 0.0
+    dark: float = 0.0  # DN rms of the noise in the dark
 
 
 def concerns(field: str, effect: str) -> bool:

@@ -35,17 +35,11 @@ SRGB_SLOPE = 12.92
 
 
 class Factor(NamedTuple):
-    """By how much a step magnifies a change.
+    """By how much a step magnifies a change."""
 
-    Attributes:
-        value: the factor, in the unit of the output per unit of the input; inf: there is none.
-        why: what it rests on, or why there is none.
-        identity: whether the step changes no number at all.
-    """
-
-    value: float
-    why: str
-    identity: bool = False
+    value: float  # the factor, in the unit of the output per unit of the input; inf: there is none
+    why: str  # what it rests on, or why there is none
+    identity: bool = False  # whether the step changes no number at all
 
 
 def black_level(development: Development) -> Factor:

@@ -41,23 +41,15 @@ def source_of(light: Ends[Any]) -> Source:
 
 
 class Arrived(NamedTuple):
-    """The light of a source on c cells, from each of its s places.
+    """The light of a source on c cells, from each of its s places."""
 
-    Attributes:
-        wi: (c, s, 3) unit, toward the middle of each place; None of a sky.
-        width: (c, s) rad, by how much that varies.
-        cos_i: (c, s), the largest cosine of incidence.
-        e: (c, s), the largest irradiance of a facing surface per unit of the source's spectrum.
-        body: (c,) the largest sum of e cos.
-        facing: (c,) the largest sum of e.
-    """
-
-    wi: np.ndarray | None
-    width: np.ndarray
-    cos_i: np.ndarray
+    wi: np.ndarray | None  # (c, s, 3) unit, toward the middle of each place; None of a sky
+    width: np.ndarray  # (c, s) rad, by how much that varies
+    cos_i: np.ndarray  # (c, s), the largest cosine of incidence
+    # (c, s), the largest irradiance of a facing surface per unit of the source's spectrum
     e: np.ndarray
-    body: np.ndarray
-    facing: np.ndarray
+    body: np.ndarray  # (c,) the largest sum of e cos
+    facing: np.ndarray  # (c,) the largest sum of e
 
 
 def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:

@@ -35,21 +35,13 @@ class Excess(NamedTuple):
 
 @dataclass(frozen=True)
 class Charge:
-    """A random charge in electrons.
+    """A random charge in electrons."""
 
-    Attributes:
-        light: expected electrons of light.
-        dark: expected electrons besides.
-        prnu: relative rms of the pixels' sensitivities.
-        hot: electrons that a hot pixel has more on average; 0: no pixel is hot.
-        counting: "none": a charge is its expectation.
-    """
-
-    light: float
-    dark: float
-    prnu: float
-    hot: float
-    counting: Literal["none", "poisson", "gaussian"]
+    light: float  # expected electrons of light
+    dark: float  # expected electrons besides
+    prnu: float  # relative rms of the pixels' sensitivities
+    hot: float  # electrons that a hot pixel has more on average; 0: no pixel is hot
+    counting: Literal["none", "poisson", "gaussian"]  # "none": a charge is its expectation
 
 
 def excess(charge: Charge, level: float) -> Excess:

@@ -71,19 +71,12 @@ class Flood(NamedTuple):
 
 
 class Bound(NamedTuple):
-    """What leaving an effect out changes at most.
+    """What leaving an effect out changes at most."""
 
-    Attributes:
-        dn: DN, the distance at the top of this module; 0: it changes nothing; inf: not bounded.
-        why: what the bound rests on, or why there is none.
-        rank: "bound", or "estimate" for what was tabulated instead of proved.
-        rare: expected number of pixels that it changes, if it spares the others; 0: all.
-    """
-
-    dn: float
-    why: str
-    rank: Rank = "bound"
-    rare: float = 0.0
+    dn: float  # DN, the distance at the top of this module; 0: it changes nothing; inf: not bounded
+    why: str  # what the bound rests on, or why there is none
+    rank: Rank = "bound"  # "bound", or "estimate" for what was tabulated instead of proved
+    rare: float = 0.0  # expected number of pixels that it changes, if it spares the others; 0: all
 
 
 def clean(x: Any) -> float:
@@ -101,17 +94,12 @@ def growth(before: float, by: float) -> float:
 
 @dataclass(frozen=True)
 class Pixel:
-    """A sensor without what is gone, and the most light that any of its pixels sees.
+    """A sensor without what is gone, and the most light that any of its pixels sees."""
 
-    Attributes:
-        sensor: the fields of the sensor at both ends, by name, None where they are gone.
-        irradiance: (bands,) W m^-2, the supremum over all pixels.
-        shape: (rows, columns) of the sensor.
-    """
-
+    # the fields of the sensor at both ends, by name, None where they are gone
     sensor: Ends[Mapping[str, Any]]
-    irradiance: np.ndarray
-    shape: tuple[int, int]
+    irradiance: np.ndarray  # (bands,) W m^-2, the supremum over all pixels
+    shape: tuple[int, int]  # (rows, columns) of the sensor
 
     def high(self, name: str) -> float:
         """The largest value of a number; 0 where it is None."""

@@ -36,31 +36,18 @@ QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_pa
 
 @dataclass(frozen=True)
 class Draft:
-    """What is being pruned: lights and surfaces at their first places, None where they went.
+    """What is being pruned: lights and surfaces at their first places, None where they went."""
 
-    Attributes:
-        surfaces: all of them.
-        lights: each, or None where it was dropped.
-        shadowless: numbers of the lights whose shadows were dropped.
-        ambient: or None.
-        camera: view, sensor and development.
-        samples: `PixelSamples` or None.
-        motion: or None.
-        moments: of a motion, or None.
-        depth: pieces of a path, or None: direct light.
-        bands: (kept bands, expand) or None.
-    """
-
-    surfaces: tuple[Surface, ...]
-    lights: tuple[Light | None, ...]
-    shadowless: frozenset[int]
+    surfaces: tuple[Surface, ...]  # all of them
+    lights: tuple[Light | None, ...]  # each, or None where it was dropped
+    shadowless: frozenset[int]  # numbers of the lights whose shadows were dropped
     ambient: AmbientLight | None
-    camera: Camera
-    samples: Any = None
+    camera: Camera  # view, sensor and development
+    samples: Any = None  # `PixelSamples` or None
     motion: Any = None
-    moments: int | None = None
-    depth: int | None = None
-    bands: tuple[np.ndarray, np.ndarray] | None = None
+    moments: int | None = None  # of a motion, or None
+    depth: int | None = None  # pieces of a path, or None: direct light
+    bands: tuple[np.ndarray, np.ndarray] | None = None  # (kept bands, expand) or None
 
 
 Drop = Callable[[Draft], Draft]
@@ -69,40 +56,33 @@ Gone = frozenset[str]
 
 @dataclass(frozen=True)
 class Row:
-    """An effect, what it does at most, and how it is left out.
+    """An effect, what it does at most, and how it is left out."""
 
-    Attributes:
-        effect: name, reason, rank and place; its `bound` is the largest of `amount`, in its unit,
-            which says what `amount` is: "W m^-2 sr^-1" or "W m^-2", (bands,); "DN", ().
-        amount: the bound, by band before the sensor; clipped at 0, inf where there is none.
-        drop: from a draft to one without the effect, by `dataclasses.replace`, so that every
-            record's own checks run; None where nothing can be dropped.
-        after: where the bound depends on what went before: from the names of what is gone to what
-            `amount` is then. None: `amount`, whatever went.
-        assumes: what the bound rests on beside the records, a sentence; "" if nothing.
-        saves: share of the picture's work that goes with it, by a declared table.
-        instead_of: names of effects none of which may be gone when this one goes.
-        needs: names of effects that must be gone before, such as a rim before the lens it sits on.
-        part_of: name of an effect that it belongs to, as a lamp's extent to the lamp: with that it
-            goes too, at no further cost. "": of none.
-        together: rows with one such word are dropped all or not at all; "": on its own.
-        ladder: of rows with one such word, which stand in order of rising cost, at most one is
-            dropped, the first that fits, when all others have been decided; "": an ordinary row.
-        grows: by how much it multiplies what others have changed, >= 1.
-    """
-
+    # name, reason, rank and place; its `bound` is the largest of `amount`, in its unit, which says
+    # what `amount` is: "W m^-2 sr^-1" or "W m^-2", (bands,); "DN", ()
     effect: Effect
+    # the bound, by band before the sensor; clipped at 0, inf where there is none
     amount: np.ndarray
+    # from a draft to one without the effect, by `dataclasses.replace`, so that every record's own
+    # checks run; None where nothing can be dropped
     drop: Drop | None
+    # where the bound depends on what went before: from the names of what is gone to what `amount`
+    # is then. None: `amount`, whatever went
     after: Callable[[Gone], float | np.ndarray] | None = None
-    assumes: str = ""
-    saves: float = 0.05
+    assumes: str = ""  # what the bound rests on beside the records, a sentence; "" if nothing
+    saves: float = 0.05  # share of the picture's work that goes with it, by a declared table
+    # names of effects none of which may be gone when this one goes
     instead_of: frozenset[str] = field(default_factory=frozenset)
+    # names of effects that must be gone before, such as a rim before the lens it sits on
     needs: frozenset[str] = field(default_factory=frozenset)
+    # name of an effect that it belongs to, as a lamp's extent to the lamp: with that it goes too,
+    # at no further cost. "": of none
     part_of: str = ""
-    together: str = ""
+    together: str = ""  # rows with one such word are dropped all or not at all; "": on its own
+    # of rows with one such word, which stand in order of rising cost, at most one is dropped, the
+    # first that fits, when all others have been decided; "": an ordinary row
     ladder: str = ""
-    grows: float = 1.0
+    grows: float = 1.0  # by how much it multiplies what others have changed, >= 1
 
 
 class Arriving(NamedTuple):

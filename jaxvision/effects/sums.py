@@ -28,60 +28,44 @@ _ROUNDING = 1e-6  # rad, by which a mirrored ray in float32 may miss its directi
 
 
 class Sums(NamedTuple):
-    """Upper bounds on the light of a scene with n surfaces, l lights and c cells.
+    """Upper bounds on the light of a scene with n surfaces, l lights and c cells."""
 
-    Attributes:
-        surfaces, lights: the records between their two ends.
-        sources, reflections: the bounds of each.
-        cells: of all surfaces.
-        seen: (c,) whether a pixel may see the cell.
-        body, lobe: (l, c) the suprema of E f_r cos / k_d and of E f_r cos / k_s, per unit of the
-            light's spectrum.
-        facing: (l, c) the suprema of E, of a facing surface.
-        lobe_around: (l, c) as `lobe`, but toward any viewer, for light that goes on to other
-            surfaces.
-        mirrored: (l, c) whether the cell, if it is of a mirror, may show the light to the eye.
-        k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors.
-        emission, ambient: (n, bands) W m^-2 sr^-1, of each surface; reflected ambient light only
-            where no light goes on from surface to surface, else 0.
-        spectrum: (l, bands) of each light.
-        shown: (l, bands) W m^-2 sr^-1 where a pixel may look at the light itself, else 0.
-        visible: (l,) whether it may.
-        blocked: (l, n, n) whether a surface (last) may shade a surface (middle).
-        shaded: (l, c) whether anything may shade the cell; of direct light, where it is seen.
-        dark: (l, c) whether the cell lies in full shadow.
-        searched: whether shadow rays are traced at all.
-        nearest: (l, n) m, lower bounds of the distances of lights and surfaces.
-        eye: where it is seen from.
-        caustics: whether mirrors and glass gather light of lamps without size.
-    """
-
+    # surfaces, lights: the records between their two ends
     surfaces: tuple[Ends[Surface], ...]
     lights: tuple[Ends[Light], ...]
+    # sources, reflections: the bounds of each
     sources: tuple[Source, ...]
     reflections: tuple[Reflection, ...]
-    cells: Cells
-    seen: np.ndarray
+    cells: Cells  # of all surfaces
+    seen: np.ndarray  # (c,) whether a pixel may see the cell
+    # body, lobe: (l, c) the suprema of E f_r cos / k_d and of E f_r cos / k_s, per unit of the
+    # light's spectrum
     body: np.ndarray
     lobe: np.ndarray
+    # (l, c) as `lobe`, but toward any viewer, for light that goes on to other surfaces
     lobe_around: np.ndarray
-    facing: np.ndarray
+    facing: np.ndarray  # (l, c) the suprema of E, of a facing surface
+    # (l, c) whether the cell, if it is of a mirror, may show the light to the eye
     mirrored: np.ndarray
+    # k_body, k_lobe, k_mirror: (n, bands), what multiplies them, and the reflectance of mirrors
     k_body: np.ndarray
     k_lobe: np.ndarray
     k_mirror: np.ndarray
+    # emission, ambient: (n, bands) W m^-2 sr^-1, of each surface; reflected ambient light only
+    # where no light goes on from surface to surface, else 0
     emission: np.ndarray
     ambient: np.ndarray
-    spectrum: np.ndarray
-    shown: np.ndarray
-    visible: np.ndarray
-    blocked: np.ndarray
+    spectrum: np.ndarray  # (l, bands) of each light
+    shown: np.ndarray  # (l, bands) W m^-2 sr^-1 where a pixel may look at the light itself, else 0
+    visible: np.ndarray  # (l,) whether it may
+    blocked: np.ndarray  # (l, n, n) whether a surface (last) may shade a surface (middle)
+    # (l, c) whether anything may shade the cell; of direct light, where it is seen
     shaded: np.ndarray
-    dark: np.ndarray
-    searched: bool
-    nearest: np.ndarray
-    eye: Eye
-    caustics: bool
+    dark: np.ndarray  # (l, c) whether the cell lies in full shadow
+    searched: bool  # whether shadow rays are traced at all
+    nearest: np.ndarray  # (l, n) m, lower bounds of the distances of lights and surfaces
+    eye: Eye  # where it is seen from
+    caustics: bool  # whether mirrors and glass gather light of lamps without size
 
     @property
     def own(self) -> np.ndarray:

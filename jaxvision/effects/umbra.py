@@ -163,17 +163,11 @@ def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndar
 
 
 class _Shadow(NamedTuple):
-    """The full shadow of one flat occluder: what lies inside all of these half-spaces.
+    """The full shadow of one flat occluder: what lies inside all of these half-spaces."""
 
-    Attributes:
-        normals: (h, 3) unit, inward; the first is that of the occluder's own plane.
-        offsets: (h,) m.
-        size: m, the largest coordinate of its rim.
-    """
-
-    normals: np.ndarray
-    offsets: np.ndarray
-    size: float
+    normals: np.ndarray  # (h, 3) unit, inward; the first is that of the occluder's own plane
+    offsets: np.ndarray  # (h,) m
+    size: float  # m, the largest coordinate of its rim
 
     def least(self, bodies: Bodies) -> np.ndarray:
         """(n, h) m, by how much each body is inside at its worst point."""

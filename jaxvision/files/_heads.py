@@ -20,21 +20,14 @@ _KEPT = (b"IHDR", b"sBIT", b"acTL")  # of a few bytes each
 
 @dataclass(frozen=True)
 class PngChunks:
-    """What the chunks of a file say.
+    """What the chunks of a file say."""
 
-    Attributes:
-        fault: what is wrong with them, in words; None where all of the picture are whole.
-        depth: bits of a sample as stored; of a palette's index for a palette.
-        colour_type: of IHDR; 3 for a palette.
-        significant: bits of each channel that the source had (sBIT); empty where it does not say.
-        frames: pictures of an animation; 1 for a plain picture.
-    """
-
-    fault: str | None
-    depth: int = 8
-    colour_type: int = 0
+    fault: str | None  # what is wrong with them, in words; None where all of the picture are whole
+    depth: int = 8  # bits of a sample as stored; of a palette's index for a palette
+    colour_type: int = 0  # of IHDR; 3 for a palette
+    # bits of each channel that the source had (sBIT); empty where it does not say
     significant: tuple[int, ...] = ()
-    frames: int = 1
+    frames: int = 1  # pictures of an animation; 1 for a plain picture
 
     @property
     def bits(self) -> int:

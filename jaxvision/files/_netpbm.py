@@ -23,21 +23,13 @@ _LONGEST_WORD = 32
 
 @dataclass(frozen=True)
 class NetpbmHead:
-    """The head of a file.
+    """The head of a file."""
 
-    Attributes:
-        magic: its first two letters.
-        columns: of the picture.
-        rows: of the picture.
-        largest: code, 1 for a bitmap; of a PFM its scale.
-        start: of the samples, bytes.
-    """
-
-    magic: bytes
-    columns: int
-    rows: int
-    largest: float
-    start: int
+    magic: bytes  # its first two letters
+    columns: int  # of the picture
+    rows: int  # of the picture
+    largest: float  # code, 1 for a bitmap; of a PFM its scale
+    start: int  # of the samples, bytes
 
     @property
     def bits(self) -> int | None:

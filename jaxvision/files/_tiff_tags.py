@@ -38,16 +38,12 @@ _MOST_INNER = 64  # of one picture
 
 @dataclass(frozen=True)
 class TiffPicture:
-    """The tags of one picture.
+    """The tags of one picture."""
 
-    Attributes:
-        values: numbers by tag.
-        places: of the first value of each tag, bytes from the beginning of the file.
-        inner: the pictures in directories of its own (SubIFDs), which its decoder does not give.
-    """
-
-    values: Mapping[int, tuple[Any, ...]] = field(default_factory=dict)
+    values: Mapping[int, tuple[Any, ...]] = field(default_factory=dict)  # numbers by tag
+    # of the first value of each tag, bytes from the beginning of the file
     places: Mapping[int, int] = field(default_factory=dict)
+    # the pictures in directories of its own (SubIFDs), which its decoder does not give
     inner: tuple["TiffPicture", ...] = ()
 
     def first(self, tag: int, otherwise: int = 0) -> Any:

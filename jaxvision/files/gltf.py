@@ -31,18 +31,12 @@ _CHUNK = struct.Struct("<II")
 
 @dataclass(frozen=True)
 class Gltf:
-    """One file.
+    """One file."""
 
-    Attributes:
-        path: the file.
-        content: its JSON.
-        binary: what a `.glb` holds beside, or None.
-        files: buffers that were read, by URI.
-    """
-
-    path: Path
-    content: dict[str, Any]
-    binary: bytes | None
+    path: Path  # the file
+    content: dict[str, Any]  # its JSON
+    binary: bytes | None  # what a `.glb` holds beside, or None
+    # buffers that were read, by URI
     files: dict[str, bytes] = field(default_factory=dict, repr=False, compare=False)
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
@@ -59,17 +53,11 @@ class Gltf:
 
 @dataclass(frozen=True)
 class Primitive:
-    """The triangles of one primitive of a mesh.
+    """The triangles of one primitive of a mesh."""
 
-    Attributes:
-        vertices: (vertices, 3) m.
-        faces: (faces, 3) indices of vertices, counter-clockwise seen from outside.
-        normals: (vertices, 3), or None.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray | None
+    vertices: np.ndarray  # (vertices, 3) m
+    faces: np.ndarray  # (faces, 3) indices of vertices, counter-clockwise seen from outside
+    normals: np.ndarray | None  # (vertices, 3), or None
 
 
 def read_gltf(path: str | os.PathLike[str]) -> Gltf:

@@ -58,19 +58,14 @@ _CHANNELS_FIRST = 32
 
 
 class Ghosts(NamedTuple):
-    """The coefficients of the module's equation for one axis of n samples.
+    """The coefficients of the module's equation for one axis of n samples."""
 
-    Attributes:
-        source: (before + n + after,) whole numbers in [0, n), the sample that each place copies.
-        own: (before + n + after,) its factor, no unit; 0 where a value from outside stands.
-        first: (before + n + after,) the factor of the first sample, no unit.
-        last: (before + n + after,) the factor of the last sample, no unit.
-    """
-
+    # (before + n + after,) whole numbers in [0, n), the sample that each place copies
     source: np.ndarray
+    # (before + n + after,) its factor, no unit; 0 where a value from outside stands
     own: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
+    first: np.ndarray  # (before + n + after,) the factor of the first sample, no unit
+    last: np.ndarray  # (before + n + after,) the factor of the last sample, no unit
 
 
 def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:

@@ -47,21 +47,13 @@ class Window(Shown):
 
 
 class Crossing(eqx.Module):
-    """Where a ray's line crosses the plane of a window.
+    """Where a ray's line crosses the plane of a window."""
 
-    Attributes:
-        distance: () m along the ray, of either sign.
-        u: () place along edge_u, 0 to 1 inside, no unit.
-        v: () place along edge_v, 0 to 1 inside, no unit.
-        facing: () cosine between the ray's way back and the front of the window.
-        meets: () whether the ray is not parallel to the plane.
-    """
-
-    distance: Scalar
-    u: Scalar
-    v: Scalar
-    facing: Scalar
-    meets: Array
+    distance: Scalar  # () m along the ray, of either sign
+    u: Scalar  # () place along edge_u, 0 to 1 inside, no unit
+    v: Scalar  # () place along edge_v, 0 to 1 inside, no unit
+    facing: Scalar  # () cosine between the ray's way back and the front of the window
+    meets: Array  # () whether the ray is not parallel to the plane
 
 
 def crossing(ray: Ray, window: Window) -> Crossing:

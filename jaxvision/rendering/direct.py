@@ -54,14 +54,10 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
 
 
 class SortedScene(eqx.Module):
-    """The shapes of a scene made ready for many rays; lengths in m.
+    """The shapes of a scene made ready for many rays; lengths in m."""
 
-    Attributes:
-        shapes: of all surfaces.
-        occluders: those that may block light; None: none, or a single shape that cannot.
-    """
-
-    shapes: Sorted
+    shapes: Sorted  # of all surfaces
+    # those that may block light; None: none, or a single shape that cannot
     occluders: Sorted | None
 
 

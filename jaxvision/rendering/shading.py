@@ -43,23 +43,15 @@ from .shadows import DEFAULT_RULE, UNROLLED, Leaving, Place, Visible, clear, vis
 
 
 class Lighting(eqx.Module):
-    """The light on one point of a surface, found once for all materials the surface may have.
+    """The light on one point of a surface, found once for all materials the surface may have."""
 
-    Attributes:
-        lights: the sources.
-        rules: one for each light, see `lights.rules`.
-        point: (3,) m.
-        ambient: light from everywhere, or None.
-        place: the point and what may block light, or None where nothing does.
-        visible: what comes through of each light, as `shadows.visibility` finds it, or None where
-            nothing blocks.
-    """
-
-    lights: tuple[Light, ...]
-    rules: tuple[Rule, ...]
-    point: Vector
-    ambient: AmbientLight | None
-    place: Place | None
+    lights: tuple[Light, ...]  # the sources
+    rules: tuple[Rule, ...]  # one for each light, see `lights.rules`
+    point: Vector  # (3,) m
+    ambient: AmbientLight | None  # light from everywhere, or None
+    place: Place | None  # the point and what may block light, or None where nothing does
+    # what comes through of each light, as `shadows.visibility` finds it, or None where nothing
+    # blocks
     visible: Visible | None
 
 
