@@ -22,10 +22,15 @@ SIGNS = np.array([*product((-1.0, 1.0), repeat=3)])
 @register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ends(Generic[T]):
-    """A record at the two ends of its free parameters; the same record twice if nothing is free."""
+    """A record at the two ends of its free parameters; the same record twice if nothing is free.
 
-    low: T  # the record with each number at its low end
-    high: T  # likewise at its high end
+    Attributes:
+        low: the record with each number at its low end.
+        high: likewise at its high end.
+    """
+
+    low: T
+    high: T
 
     def __iter__(self) -> Iterator[T]:
         return iter((self.low, self.high))
@@ -78,28 +83,44 @@ def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 class Angles(NamedTuple):
     """Angles between cells and light positions for the bound of a lobe, (c, s) unless said
-    otherwise."""
+    otherwise.
 
-    off_mirror: np.ndarray  # rad, the least angle between the mirrored light and the viewer
-    cos_half: np.ndarray  # the largest cosine between the normal and the half vector
-    cos_between: np.ndarray  # the least cosine between the viewer and the half vector, d
-    cos_i: np.ndarray  # the largest cosine of incidence
-    cos_o: np.ndarray  # (c, 1), the least cosine of the viewer, and
-    cos_o_most: np.ndarray  # (c, 1), the largest
+    Attributes:
+        off_mirror: rad, the least angle between the mirrored light and the viewer.
+        cos_half: the largest cosine between the normal and the half vector.
+        cos_between: the least cosine between the viewer and the half vector, d.
+        cos_i: the largest cosine of incidence.
+        cos_o: (c, 1), the least cosine of the viewer, and
+        cos_o_most: (c, 1), the largest.
+    """
+
+    off_mirror: np.ndarray
+    cos_half: np.ndarray
+    cos_between: np.ndarray
+    cos_i: np.ndarray
+    cos_o: np.ndarray
+    cos_o_most: np.ndarray
 
 
 class Lobe(NamedTuple):
-    """A lobe beside a body."""
+    """A lobe beside a body.
 
-    spectrum: np.ndarray  # (bands,) or (1,), k_s
-    # from angles to the largest f_r cos / k_s, (c, s) in sr^-1
+    Attributes:
+        spectrum: (bands,) or (1,), k_s.
+        most: from angles to the largest f_r cos / k_s, (c, s) in sr^-1.
+        size: sr / sr, the largest integral of f_r cos / k_s over all light.
+        slope: sr^-1 rad^-1, the largest change of f_r cos / k_s with the direction of light above
+            the horizon; None where none is known.
+        neutral: whether its shape is the same for all bands.
+        step: whether it ends at the horizon at once, not as a cosine does.
+    """
+
+    spectrum: np.ndarray
     most: Callable[[Angles], np.ndarray]
-    size: float  # sr / sr, the largest integral of f_r cos / k_s over all light
-    # sr^-1 rad^-1, the largest change of f_r cos / k_s with the direction of light above the
-    # horizon; None where none is known
+    size: float
     slope: float | None
-    neutral: bool  # whether its shape is the same for all bands
-    step: bool  # whether it ends at the horizon at once, not as a cosine does
+    neutral: bool
+    step: bool
 
     @property
     def gain(self) -> float:
@@ -116,25 +137,36 @@ def power_of(cosines: np.ndarray, n: float) -> np.ndarray:
 
 
 class Reflection(NamedTuple):
-    """The suprema of one material."""
+    """The suprema of one material.
 
-    body: np.ndarray  # (bands,) sr^-1, sup of the diffuse part's f_r
+    Attributes:
+        body: (bands,) sr^-1, sup of the diffuse part's f_r.
+        lobe: or None.
+        plain: (bands,) sr^-1: the most by which the body, but for its share `grazing`, differs from
+            a Lambertian of the same k_d; 0 for one.
+        mirror: (bands,) or (1,), reflectance of a mirror, or None.
+        why: "" or why there is no bound; then `body` is inf.
+        grazing: share of `body` that bounds f_r cos(theta_i), not f_r: it does not fall toward the
+            horizon.
+        rough: the field without which the body is a Lambertian's, and what leaving it out is
+            called; or None.
+        facets: of a lobe with an interface the least reflectance of any band at any angle, and the
+            lobe of facets that reflect all; or None.
+        indices: the least and the largest refractive index of a body that light goes through, or
+            None.
+        angular: whether the angles of the body differ between bands.
+    """
+
+    body: np.ndarray
     lobe: Lobe | None = None
-    # (bands,) sr^-1: the most by which the body, but for its share `grazing`, differs from a
-    # Lambertian of the same k_d; 0 for one
     plain: np.ndarray | float = 0.0
-    mirror: np.ndarray | None = None  # (bands,) or (1,), reflectance of a mirror, or None
-    why: str = ""  # "" or why there is no bound; then `body` is inf
-    # share of `body` that bounds f_r cos(theta_i), not f_r: it does not fall toward the horizon
+    mirror: np.ndarray | None = None
+    why: str = ""
     grazing: float = 0.0
-    # the field without which the body is a Lambertian's, and what leaving it out is called; or None
     rough: tuple[str, str] | None = None
-    # of a lobe with an interface the least reflectance of any band at any angle, and the lobe of
-    # facets that reflect all; or None
     facets: tuple[float, Lobe] | None = None
-    # the least and the largest refractive index of a body that light goes through, or None
     indices: tuple[float, float] | None = None
-    angular: bool = False  # whether the angles of the body differ between bands
+    angular: bool = False
 
 
 def peak(x: Any, name: str) -> np.ndarray:
@@ -151,22 +183,34 @@ def most(x: Any, name: str) -> float:
 
 
 class Source(NamedTuple):
-    """One light as what a bound needs to know of it."""
+    """One light as what a bound needs to know of it.
 
-    # (bands,) intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1, the largest
+    Attributes:
+        spectrum: (bands,) intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1, the
+            largest.
+        places: (s, 3) m, or unit directions of a light that is infinitely far away.
+        size: (s,) m, the radius of each; rad for directions.
+        weight: (s,) m^2 of area, 1 for a light of intensity or irradiance.
+        normal: (3,) unit, of a light that shines to one side; None: to all.
+        body: points, (p, 3) m, and radii, (p,) m, that hold the light; None: infinitely far away.
+        kind: "place", "area", "direction" or "sky".
+        even: whether it sends the same radiance to all sides.
+        small: of a flat lamp both edges, (3,) m each, and the light without a size that may take
+            its place, of the same flux at its middle.
+        share: of 2 pi times `spectrum`, what a sky sends at most, no unit.
+        why: "" or why there is no bound.
+    """
+
     spectrum: np.ndarray
-    places: np.ndarray  # (s, 3) m, or unit directions of a light that is infinitely far away
-    size: np.ndarray  # (s,) m, the radius of each; rad for directions
-    weight: np.ndarray  # (s,) m^2 of area, 1 for a light of intensity or irradiance
-    normal: np.ndarray | None  # (3,) unit, of a light that shines to one side; None: to all
-    # points, (p, 3) m, and radii, (p,) m, that hold the light; None: infinitely far away
+    places: np.ndarray
+    size: np.ndarray
+    weight: np.ndarray
+    normal: np.ndarray | None
     body: tuple[np.ndarray, np.ndarray] | None
-    kind: str  # "place", "area", "direction" or "sky"
-    share: float = 1.0  # of 2 pi times `spectrum`, what a sky sends at most, no unit
-    why: str = ""  # "" or why there is no bound
-    even: bool = False  # whether it sends the same radiance to all sides
-    # of a flat lamp both edges, (3,) m each, and the light without a size that may take its place,
-    # of the same flux at its middle
+    kind: str
+    share: float = 1.0
+    why: str = ""
+    even: bool = False
     small: tuple[np.ndarray, np.ndarray, Any] | None = None
 
     @property
