@@ -6,6 +6,8 @@ import errno
 from collections.abc import Iterable
 from pathlib import Path
 
+from ._textbook import meant
+
 DISTRIBUTION = "jaxvision-imaging"  # in package indices, where `jaxvision` is another project
 
 
@@ -47,7 +49,8 @@ class InputError(ValueError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint after an unknown word: the nearest known word, or all of them.
+    """Hint after an unknown word: the known word that a textbook's word means, the nearest known
+    word, or all of them.
 
     Args:
         word: the unknown word.
@@ -59,10 +62,14 @@ def nearest(word: str, known: Iterable[str]) -> str:
     Example:
         >>> jv.errors.nearest("lambart", ["lambert", "phong"])
         "the nearest is 'lambert'"
+        >>> jv.errors.nearest("k_d", ["diffuse", "specular"])
+        "here it is 'diffuse'"
     """
     words = sorted(known)
     if not words:
         return "there are none"
+    if meaning := meant(word, words):
+        return f"here it is {' or '.join(map(repr, meaning))}"
     folded = {one.casefold(): one for one in reversed(words)}
     match = difflib.get_close_matches(word, words, n=1) or [
         folded[one] for one in difflib.get_close_matches(word.casefold(), folded, n=1)

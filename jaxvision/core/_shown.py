@@ -5,13 +5,15 @@ import re
 from collections.abc import Iterator
 from dataclasses import fields
 from html import escape
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+
+from ..errors import nearest
 
 WIDE = 88  # columns of a printed record
 _SYMBOL = r"(?:W|J|m|s|K|Hz|F|eV|rad|sr|DN|e-|photons?|pixels?|rows)(?:\^-?\d+)?(?!\w)"
@@ -21,8 +23,19 @@ SHORT = 12  # numbers of an array that are printed one by one
 
 
 class Shown(eqx.Module):
-    """A record that prints its numbers: an array of more than a few as its shape and range. What is
-    absent is not printed. `str` and `print` add the units that its docstring states."""
+    """A record that prints its numbers: an array of more than a few as its shape and range. Fields
+    that are None are not printed. `str` and `print` add the units that its docstring states. An
+    unknown field raises `TypeError` with the nearest one."""
+
+    def __new__(cls, *args: Any, **given: Any) -> Self:
+        for name in given:
+            if name not in cls.__dataclass_fields__:
+                known = inspect.signature(cls).parameters
+                free = any(one.kind == one.VAR_KEYWORD for one in known.values())
+                if name not in known and not free:
+                    hint = nearest(name, known)
+                    raise TypeError(f"{cls.__name__} has no field {name!r}; {hint}.")
+        return super().__new__(cls)
 
     def __repr__(self) -> str:
         return _shown(self)

@@ -9,6 +9,7 @@ from typing import Any
 
 import lazy_loader
 
+from .._textbook import places
 from ._moved import module_of
 
 Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
@@ -37,6 +38,8 @@ def names_of(package: str, file: str) -> Attached:
             hint = f"from {where} import {name} gives it"
         elif name.isidentifier() and not name.startswith("_") and _is_module(Path(file), name):
             hint = f"import {package}.{name} gives it"
+        elif meaning := places(name, sys.modules["jaxvision"].__all__):
+            hint = f"here it is {meaning}"
         else:
             hint = f"the nearest is {near[0]!r}" if near else f"dir({package}) lists what it has"
         said = f"{package} has no {name!r}; {hint}."

@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 # A room may import only from lower floors; rooms on one floor never import each other. A module or
 # folder of `jaxvision` that is not named here is an error.
 FLOORS = [
+    {"_textbook"},
     {"errors", "programs"},
     {"core"},
     {"scene", "spectra", "filters", "point_ops", "histogram", "tasks"},

@@ -1,0 +1,150 @@
+"""Textbook words, and what they are called here. The hint after an unknown name reads this table,
+and `docs/notions.md` lists it.
+
+A target with a dot is a public name below `jaxvision` or `fitting`. Any other target is a public
+name of `jaxvision`, a field of a record, an argument, or a key of a file.
+"""
+
+import re
+from collections.abc import Iterable
+
+_WORDS = {
+    # light
+    "point_source": "PointLight",
+    "sun sunlight parallel_light distant_light": "DirectionalLight",
+    "area_source area_light": "RectangleLight irradiance",
+    "light_field": "LightFieldLight render_light_field",
+    "sky skydome ibl": "environment_map",
+    "black_body planck": "spectra.blackbody",
+    "L_a ambient_radiance": "AmbientLight radiance",
+    # reflectance
+    "v_i light_direction": "wi",
+    "v_r view_direction viewer": "wo",
+    "k_d kd rho base_colour": "diffuse albedo",
+    "albedo": "diffuse",
+    "k_s ks": "specular",
+    "k_e ke n_s shininess": "exponent",
+    "k_a ka": "ambient",
+    "c_s": "concentration",
+    "ior refractive_index n_2": "eta index",
+    "alpha_roughness": "roughness",
+    "lambertian matte diffuse_surface": "Lambert lambert_shading",
+    "specular_direction reflection_direction v_s": "mirror_direction",
+    "gaussian_torrance_sparrow": "GaussianLobe",
+    "microfacet cook_torrance ggx": "TorranceSparrow",
+    "blinn_phong half_vector": "Blinn BlinnBRDF",
+    "dichromatic_model shafer": "Dichromatic separate",
+    "rendering_equation reflectance_equation": "outgoing_radiance hemisphere_radiance",
+    "shadow cast_shadow": "visibility occluded",
+    "ray_tracing": "ray_traced",
+    "path_tracing global_illumination": "path_traced Paths",
+    "form_factor": "transport.radiosity.form_factor_table",
+    "photometric_stereo shape_from_shading": "reflectance.photometric_stereo",
+    # lens
+    "perspective projection": "Pinhole project",
+    "lens_law lens_equation thin_lens_equation gauss_lens": "image_distance",
+    "z_o object_dist": "object_distance",
+    "z_i": "image_distance",
+    "f focal": "focal_length",
+    "f_stop fstop aperture_number n_stop": "f_number",
+    "fov": "field_of_view",
+    "blur_disc coc": "circle_of_confusion",
+    "vignetting vignette cos4 falloff": "sensor_irradiance Rim point_ops.vignette",
+    "chromatic_aberration": "optics.chromatic_defocus Distortion",
+    "airy point_spread_function psf": "optics.airy_pattern Diffraction",
+    # sensor
+    "ccd cmos image_sensor": "Sensor read_camera",
+    "shutter exposure shutter_time shutter_speed": "exposure_time",
+    "motion_blur": "capture RollingShutter",
+    "chip_size sensor_size": "optics.chip_size",
+    "pixel_size sampling_pitch pitch": "pixel_pitch",
+    "fill_factor aliasing": "PixelAperture sensor.aperture_mtf",
+    "iso analog_gain analogue_gain": "sensor.at_iso gain",
+    "qe": "quantum_efficiency",
+    "photon_noise poisson_noise": "shot_noise PoissonShotNoise",
+    "fixed_pattern_noise fpn": "dsnu prnu pattern_variance",
+    "snr": "sensor.signal_to_noise",
+    "adc quantise quantization bit_depth": "bits digitise",
+    "full_well_capacity anti_blooming": "full_well blooming",
+    "bucket_brigade cte": "ChargeTransfer charge_transfer",
+    "photon_transfer emva usable_bits": "noise.from_frames noise.calibrate",
+    # from raw numbers to a picture
+    "bayer_pattern cfa colour_filter_array": "bayer mosaic",
+    "debayer": "demosaic",
+    "white_point wb": "white_balance",
+    "gamma gamma_correction": "gamma_encode gamma_decode",
+    "compression": "jpeg",
+    "dsp isp pipeline": "develop",
+    "response_function crf hdr": "response.from_stack",
+    # point operators
+    "brightness contrast bias": "gain_bias",
+    "lerp linear_blend alpha_blend": "point_ops.blend",
+    "dissolve crossfade": "point_ops.cross_dissolve",
+    "grayscale to_gray rgb2gray grey": "colour_spaces.luminance",
+    "color_transform": "colour_spaces.apply_matrix",
+    "compositing porter_duff": "matting.over matting.composite",
+    "matte alpha_matte keying": "matting.closed_form_matte matting.blue_screen_matte",
+    "hist": "histogram.exact_histogram",
+    "cdf cumulative": "histogram.cumulative_distribution",
+    "equalize equalize_hist histogram_equalization": "histogram.equalise",
+    "clahe adaptive_equalization": "histogram.equalise_locally",
+    "image_inspection": "plots.inspect",
+    # filters
+    "convolution convolve2d conv": "filters.convolve",
+    "correlation cross_correlation filter2d": "filters.correlate",
+    "impulse delta": "filters.impulse_response",
+    "padding pad pad_mode boundary": "border filters.pad",
+    "separable sepfilter2d": "filters.correlate_separable",
+    "blur gaussian_blur smooth": "filters.gaussian",
+    "sobel gradient_filter": "filters.Gradient",
+    "log_filter": "filters.laplacian_of_gaussian",
+    "steerable": "filters.steer",
+    "summed_area_table": "filters.integral_image",
+    "space_variant shift_variant": "filters.convolve_per_pixel filters.gaussian_varying",
+    "toeplitz convolution_matrix": "filters.filter_matrix",
+    "image_pyramid": "filters.gaussian_pyramid filters.laplacian_pyramid",
+    "median": "filters.median_filter",
+    "ksize kernel_size": "size",
+    # estimation
+    "least_squares curve_fit maximum_likelihood": "fit",
+}
+_OF_FITTING = ("noise", "reflectance", "response")
+_SPELT = {"color": "colour", "gray": "grey", "center": "centre", "analog": "analogue"}
+
+
+def folded(word: str) -> str:
+    """A word without case, underscores and hyphens, in British spelling."""
+    plain = re.sub(r"[\W_]", "", word).casefold()
+    for american, british in _SPELT.items():
+        plain = re.sub(rf"{american}(?!ue)", british, plain)
+    return re.sub(r"iz(?=e|ing|ation)", "is", plain)
+
+
+TARGETS = {
+    folded(word): tuple(targets.split())
+    for words, targets in _WORDS.items()
+    for word in words.split()
+}
+
+
+def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
+    """The known names that a textbook's word stands for; often none."""
+    names = set(known)
+    return tuple(name for name in TARGETS.get(folded(word), ()) if name in names)
+
+
+def places(word: str, offered: Iterable[str]) -> str:
+    """Where the public names and arguments of a textbook's word are; empty for another word.
+
+    `offered` are the names of `jaxvision` itself.
+    """
+    names = set(offered)
+    found = [
+        f"{'fitting' if name.split('.')[0] in _OF_FITTING else 'jaxvision'}.{name}"
+        if "." in name or name in names
+        else f"fitting.{name}"
+        if name == "fit"
+        else f"the argument {name!r}"
+        for name in TARGETS.get(folded(word), ())
+    ]
+    return ", ".join(found[:-1]) + (" or " if found[1:] else "") + "".join(found[-1:])
