@@ -13,7 +13,7 @@ from jaxvision.brdf.fresnel import fresnel_conductor, fresnel_dielectric
 from jaxvision.brdf.gaussian_lobe import squared_angle_between
 from jaxvision.brdf.microfacet import normal_distribution
 from jaxvision.core import _numerics
-from jaxvision.development.tone import _monotone_slopes
+from jaxvision.core._monotone import monotone_slopes as _monotone_slopes
 from jaxvision.geometry._triangle import triangle_distance
 from jaxvision.geometry.hemisphere import local_frame
 from jaxvision.lights.polygon import _slopes
