@@ -90,9 +90,10 @@ def checked(
     seconds: float,
     clock: Clock | None = None,
 ) -> Check | None:
-    """Error and time of a combination, by runs of `seconds` at most with fresh seeds against finer
-    settings of all knobs; None where time is too short for a reference of half of that error. What
-    the settings of a bias in that reference are off by is added."""
+    """Measure the error and time of a combination, by runs with fresh seeds against finer settings
+    of all knobs, for at most `seconds`. The result is None if there is too little time for a
+    reference with half of that error. The bias of the reference's own settings is added to the
+    error."""
     now = clock or time.perf_counter
     until = now() + seconds
     own = sum(

@@ -37,7 +37,8 @@ def check_request(seconds: float, out: Path | None) -> None:
 def repeating(
     command: str, what: object, *, knobs: Sequence[str], seconds: float, out: Path | None
 ) -> str:
-    """The line for a shell that measures the same again, of a scene or a rig; no knobs: all."""
+    """Return the shell command that repeats the measurement of a scene or a rig. Without knobs it
+    measures all."""
     words = [*command.split(), str(what)]
     for knob in knobs:
         words += ["--knob", knob]
@@ -53,8 +54,8 @@ def show(
     command: str,
     as_json: bool = False,
 ) -> dict[str, Any]:
-    """Prints the table at once, or JSON, and returns all that was measured, for JSON; `InputError`
-    where time was too short for any setting of any knob."""
+    """Print the table or JSON, and return all measurements for JSON. Raises `InputError` if there
+    was too little time for any setting."""
     if not any(curve.trials for curve in curves):
         raise InputError(
             f"{problem.name}: {curves[0].stopped} before anything was measured; allow more "

@@ -1,4 +1,4 @@
-"""Measurement of error against time for one knob of one problem, within a budget of time."""
+"""This module measures error against time for one knob of one problem, within a budget of time."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace

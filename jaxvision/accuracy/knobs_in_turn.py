@@ -15,8 +15,8 @@ KEPT = 0.5  # the same of a problem that keeps its programs
 
 
 def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
-    """The names of knobs to turn, of those known: those asked for, or all; `InputError` for one
-    that is not known, which begins with what is measured."""
+    """Return the names of the requested knobs, or of all known ones. An unknown name raises
+    `InputError`, whose message begins with the subject of the measurement."""
     for name in names or ():
         if name not in known:
             words = ", ".join(repr(one) for one in known)

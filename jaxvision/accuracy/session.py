@@ -76,9 +76,9 @@ class Session:
         wait_for_the_rest(lambda: until - self.taken)
 
     def call(self, setting: Any, seed: int, *, within: float = np.inf) -> Point:
-        """Runs a setting once more, within that many s and what is left, and gives its calls with
-        time and result; `OutOfTime` where it was left behind, and what was known of the setting
-        stays."""
+        """Run a setting once more, within the given time and the remaining time, and return its
+        calls with time and result. If the call is abandoned, `OutOfTime` is raised, and the known
+        results of the setting are kept."""
         begun, beside = self.clock(), something_left_behind()
         point = self.points.get(setting) or Point(setting)
 
@@ -200,10 +200,10 @@ def part_seconds(problem: Problem, seconds: float) -> float:
 
 
 def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> float:
-    """s of the next setting, no less than the last of those before, (setting, s) in the order in
-    which they were run, and 0 without any: by the growth from one to the next, as a power of the
-    setting or as a factor, whichever makes it more. Of the last two steps the lesser growth counts,
-    so that one slow setting does not keep those behind it from being run."""
+    """Predict the time of the next setting, s, from the previous ones, (setting, s) in their order.
+    It is 0 without any, and at least the time of the last one. The growth between settings is a
+    power of the setting or a factor, whichever predicts more. Of the last two steps the smaller
+    growth is used, so that one slow setting does not prevent later ones."""
     if not before:
         return 0.0
     last, taken = before[-1]

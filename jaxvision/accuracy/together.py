@@ -31,8 +31,8 @@ class Together:
 
 
 def turned_together(problem: Problem, curves: Sequence[Curve]) -> list[Curve]:
-    """The curves of the knobs that stand at a setting of the problem while others are turned; none
-    where there are fewer than two."""
+    """Return the curves of the knobs that have a setting of the problem while others are measured.
+    The result is empty for fewer than two."""
     found = [curve for curve in curves if curve.knob.name in problem.settings]
     return found if len(found) > 1 else []
 
@@ -44,8 +44,9 @@ def all_together(
     seconds: float = 0.0,
     clock: Clock | None = None,
 ) -> tuple[Together, ...]:
-    """The cheapest combination of settings for each of `TOLERANCES`, checked for that many s, the
-    widest tolerance first; none for fewer than two knobs. An interrupt ends the checks."""
+    """Choose the cheapest combination of settings for each of `TOLERANCES`, and check it for the
+    given time, s, the widest tolerance first. The result is empty for fewer than two knobs. An
+    interrupt ends the checks."""
     known = turned_together(problem, curves)
     if not known:
         return ()

@@ -151,9 +151,10 @@ def may_block(
     occluders: Sequence[int] | None = None,
     wanted: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Whether a surface can come between a light and a lit point of a surface: (lights, receivers,
-    occluders), where False is certain, but for the rounding of coordinates. `occluders` numbers the
-    surfaces that block at all, `wanted`, (lights, receivers), the pairs that matter; None: all."""
+    """Return whether a surface can be between a light and a lit point of a surface: (lights,
+    receivers, occluders). False is certain, except for the rounding of coordinates. `occluders` are
+    the numbers of the blocking surfaces, and `wanted`, (lights, receivers), selects the relevant
+    pairs; None: all."""
     n = len(surfaces)
     may = np.zeros((len(sources), n, n), bool)
     may[:, :, list(range(n)) if occluders is None else list(occluders)] = True

@@ -116,9 +116,9 @@ class Onward:
     def __call__(
         self, cells: np.ndarray, around: np.ndarray | None = None, *, pieces: int = DIRECT
     ) -> np.ndarray:
-        """What cells send to the eye in the end, (c, bands) W m^-2 sr^-1, of what they send there
-        at first by paths of that many pieces; `around` is the same toward any viewer, None: no
-        more."""
+        """Bound the light from cells to the eye, (c, bands) W m^-2 sr^-1, by paths of at most the
+        given number of segments, from the direct light that they send. `around` is the direct light
+        toward any viewer; None: there are no further segments."""
         if self.depth is None:
             return cells
         least = self._of_surfaces(cells if around is None else around)

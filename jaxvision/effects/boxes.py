@@ -90,9 +90,10 @@ def _names(record: Any, prefix: str) -> Iterator[str]:
 
 
 def ends_of(scene: Scene, camera: Camera, free: Box | None) -> tuple[Ends[Scene], Ends[Camera]]:
-    """Scene and camera at the low and the high end of a box, from the names of fields to their
-    least and largest values in the field's unit; parts in which nothing is free are one record
-    twice. `InputError` for an unknown name, and for values that do not fit the field."""
+    """Return scene and camera at the low and the high end of a box. The box maps names of fields to
+    their least and largest values in the field's unit. Parts without free fields are the same
+    record twice. Raises `InputError` for an unknown name, and for values that do not fit the
+    field."""
     scenes, cameras = [scene, scene], [camera, camera]
     if not isinstance(free or {}, Mapping):
         raise InputError(f"free must map names of fields to their two ends, got {free!r}.")

@@ -21,8 +21,9 @@ from ..sensor.exposure import PLANCK, SPEED_OF_LIGHT
 
 
 def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Electrons per exposure that an irradiance, (bands,) W m^-2, or photons s^-1 per pixel, frees
-    in the pixel that sees most of it; the sensor is its fields by name, None where they are gone.
+    """Return the electrons per exposure in the most sensitive pixel, from an irradiance, (bands,) W
+    m^-2, or photons s^-1 per pixel. The sensor is given by its fields by name, with None for
+    dropped ones.
     """
     photons = np.asarray(irradiance, float)
     conversion = sensor["photon_conversion"]
@@ -85,9 +86,9 @@ def exposure(sensor: Mapping[str, Any]) -> float:
 
 
 def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
-    """Variance, electrons^2 by the name of the field, of each source of noise behind the conversion
-    that every pixel has, pattern and temporal noise alike; the sensor is its fields by name, None
-    where they are gone."""
+    """Return the variance, electrons^2 by the name of the field, of each noise source after the
+    conversion that affects every pixel, fixed-pattern and temporal. The sensor is given by its
+    fields by name, with None for dropped ones."""
     found = {}
     for name in ("dsnu", "column_dsnu", "row_dsnu", "row_noise", "column_noise", "frame_noise"):
         if sensor[name] is not None:

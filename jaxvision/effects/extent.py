@@ -26,9 +26,9 @@ _NEAREST = 0.9  # of half the diagonal over the distance
 
 
 def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
-    """What an extended light k with a window changes at most on each cell when it is small, (c,
-    bands) W m^-2 sr^-1; the small light of (bands,) W sr^-1, or None where the lamp must stay; and
-    the reason."""
+    """Bound the change on each cell, (c, bands) W m^-2 sr^-1, if a small light replaces the
+    extended light k with a window. Also return the small light of (bands,) W sr^-1, or None if the
+    lamp must be kept, and the reason."""
     nothing = np.zeros((len(sums.seen), sums.spectrum.shape[1]))
     own = sums.sources[k]
     if not own.even:

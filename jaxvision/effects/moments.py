@@ -30,13 +30,14 @@ def scene_rows(
     whole_paths: bool = False,
     caustics: bool = False,
 ) -> tuple[tuple[Row, ...], Arriving]:
-    """All rows of a scene between its two ends, at rest, and what arrives at the camera at most.
+    """Return all rows of a scene between its two ends, at rest, and a bound on the light at the
+    camera.
 
-    Exposure time and shutter of the sensor place the moments of a motion, s; `depth` is that of the
-    longest path, None: direct light. `estimates`: what long paths add is also probed, in a small
-    picture; `whole_paths`: paths are followed whatever the depth, so that none can be cut;
-    `caustics`: paths start at the lights, too. A scene that moves keeps its lights and its bands,
-    which a motion may name by number.
+    The sensor's exposure time and shutter determine the times of a motion, s. `depth` is the
+    longest path; None: direct light. `estimates`: also estimate long paths with a small picture.
+    `whole_paths`: paths have no largest depth, so none can be shortened. `caustics`: paths start at
+    the lights, too. A moving scene keeps its lights and bands, because a motion may refer to them
+    by number.
     """
     rows, arriving, sums = scene_stage(scene, view, depth=depth, caustics=caustics)
     if motion is None or sensor.exposure_time is None:

@@ -50,9 +50,9 @@ def motion_stage(
     sensor: Ends[Sensor],
     moments: int | None,
 ) -> tuple[Row, ...]:
-    """The rows "motion" and "sensor.shutter", where there are such, of a scene at rest and that
-    many moments of the exposure, all at both ends of what may change; `ValueError` for traced
-    numbers."""
+    """Return the rows "motion" and "sensor.shutter", if any, from a scene at rest and at the given
+    number of times in the exposure, each at both ends of the free parameters. Raises `ValueError`
+    for traced numbers."""
     refuse_tracers(scene, view, sensor)
     shutter = sensor.high.shutter
     if motion is None:

@@ -427,8 +427,8 @@ def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
 def pixel_of(
     sensor: Ends[Sensor], irradiance: np.ndarray, shape: tuple[int, int], gone: Gone
 ) -> Pixel:
-    """The sensor, of (rows, columns), without what is gone, by names such as "sensor.read_noise",
-    under an irradiance of at most (bands,) W m^-2 on any pixel."""
+    """Return the pixel of a sensor with (rows, columns), without dropped effects, given by names
+    such as "sensor.read_noise". The irradiance is at most (bands,) W m^-2 on any pixel."""
 
     def left(of: Sensor, extreme: Callable[[Any], Any]) -> Mapping[str, Any]:
         fields = vars(of).items()

@@ -26,9 +26,9 @@ ASSUMED = "Light of more pieces than were probed falls by one factor at each fur
 
 
 def probed_rows(scene: Scene, view: View, depth: int | None) -> tuple[Row, ...]:
-    """Rows "bounces" as `bounces.bounce_rows` gives them, of rank "estimate", for each number of
-    pieces that `bounces.shorter` names, of a scene at its brightest in any view; none for direct
-    light, `depth` None, nor of paths too short to probe."""
+    """Return rows "bounces" like those of `bounces.bounce_rows`, with rank "estimate", for each
+    number of segments in `bounces.shorter`. The scene is taken at its brightest, in any view. There
+    are none for direct light (`depth` None), or for paths too short to estimate."""
     n = min(_SETTLED, (depth or 0) - 2)
     if depth is None or n < DIRECT:
         return ()
@@ -58,9 +58,9 @@ _probe = jax.jit(_traced, compiler_options=QUICKLY)
 def tails_of(
     short: np.ndarray, longer: np.ndarray, longest: np.ndarray, *, n: int, depth: int
 ) -> list[np.ndarray]:
-    """What paths of more than m pieces add, (bands,) W m^-2 sr^-1 for each m of `bounces.shorter`,
-    from three pictures, (h, w, bands), of n, n + 1 and n + 2 pieces; inf where nothing is seen to
-    fall."""
+    """Estimate the light of paths with more than m segments, (bands,) W m^-2 sr^-1 for each m of
+    `bounces.shorter`, from three pictures, (h, w, bands), with n, n + 1 and n + 2 segments. It is
+    inf if the added light does not decrease."""
     first, second = np.maximum(longer - short, 0), np.maximum(longest - longer, 0)
     total = first.sum((0, 1))
     some = np.where(total > 0, total, 1)

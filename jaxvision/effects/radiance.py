@@ -41,11 +41,11 @@ _SAVES = {"light": 0.3, "shadows": 0.4, "lobe": 0.2, "extent": 0.9, "own": 0.02}
 def scene_stage(
     scene: Ends[Scene], view: Ends[View], *, depth: int | None = None, caustics: bool = False
 ) -> tuple[tuple[Row, ...], Arriving, Sums]:
-    """The rows of a scene between its two ends, what arrives at the camera at most, W m^-2 sr^-1,
-    and the suprema behind both.
+    """Return the rows of a scene between its two ends, a bound on the light at the camera, W m^-2
+    sr^-1, and the suprema for both.
 
-    `depth` is that of the longest path, for light that goes on from surface to surface; None:
-    direct light, as `render` shows it. `caustics`: paths start at the lights, too.
+    `depth` is the longest path, for interreflections; None: direct light, as in `render`.
+    `caustics`: paths start at the lights, too.
     """
     eye = eye_of(view)
     sums = sums_of(scene, eye, bounces=depth is not None, caustics=caustics)

@@ -45,12 +45,12 @@ class _Part(NamedTuple):
 def seconds_of(
     rows: Sequence[Row], start: Draft, scene: Scene, *, whole: bool, advance: Advance | None = None
 ) -> list[float | None]:
-    """What a picture takes less without each effect, s, below 0 where it takes longer; None where
-    nothing can be left out on its own. Effects that go together share what they save.
+    """Return the time, s, that a picture saves without each effect; negative if it takes longer. It
+    is None if the effect cannot be dropped alone. Effects that can only be dropped together share
+    the saved time.
 
-    `start` is the scene that nothing has been left out of, `whole` whether a sensor and a
-    development follow the lens; `advance` is called with the number of programs that have run and
-    that of all.
+    `start` is the complete scene. `whole` says whether a sensor and a development follow the lens.
+    `advance` is called with the number of finished programs and the number of all.
     """
     view = start.camera.view
     scale = max(max(view.resolution) / _SIDE, 1.0)

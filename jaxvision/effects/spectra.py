@@ -26,7 +26,8 @@ _ROUNDING = 1e-15  # of each term, and so of each pixel, for each band
 
 
 def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
-    """Rows "bands", of fewest bands first, of which at most one goes; bounds in W m^-2 sr^-1."""
+    """Return the rows "bands", with the fewest bands first. At most one of them is dropped. Bounds
+    are in W m^-2 sr^-1."""
     bands = sums.own.shape[1]
     if bands == 1:
         return ()

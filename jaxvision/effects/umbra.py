@@ -46,8 +46,8 @@ def shaded(
     may: np.ndarray,
     wanted: np.ndarray,
 ) -> np.ndarray:
-    """Whether anything can come between a light and a cell, (l, c), of the pairs that are wanted,
-    (l, c); False is certain there, and of all others it is False. `may`, (l, n, n), is that of
+    """Return whether anything can be between a light and a cell, (l, c), for the wanted pairs, (l,
+    c). False is certain for these, and all other pairs are False. `may`, (l, n, n), comes from
     `may_block`."""
     found = wanted & np.any(may, axis=2)[:, cells.surface]
     count = sum(int((found[k][:, None] & may[k][cells.surface]).sum()) for k in range(len(found)))
@@ -181,9 +181,9 @@ def in_umbra(
     *,
     occluders: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """Whether a cell as a whole lies in the full shadow of one flat occluder, (l, c), lengths in m;
-    True is certain, but for the rounding of coordinates. `occluders` numbers the surfaces that
-    block at all, None: all."""
+    """Return whether a whole cell is in the full shadow of one flat occluder, (l, c), lengths in m.
+    True is certain, except for the rounding of coordinates. `occluders` are the numbers of the
+    blocking surfaces; None: all."""
     dark = np.zeros((len(sources), len(cells.radius)), bool)
     relative = touching(surfaces)
     found = [body_of(surface.of("shape")) for surface in surfaces]

@@ -39,8 +39,8 @@ class PngChunks:
 
 
 def png_chunks(file: Path, *, head: bool = False) -> PngChunks | None:
-    """What the chunks of a file say, with `head` those before the picture alone, whether or not the
-    picture is whole; None for a file without a PNG's signature."""
+    """Read the chunks of a PNG file. With `head`, only chunks before the picture are read, even if
+    the picture is incomplete. The result is None for a file without a PNG's signature."""
     kept: dict[bytes, bytes] = {}
     with file.open("rb") as stream:
         if stream.read(len(SIGNATURE)) != SIGNATURE:

@@ -43,8 +43,8 @@ class NetpbmHead:
 
 
 def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
-    """The head of a Netpbm file, of which the bytes may be known; `InputError` for other files and
-    for kinds that are not read."""
+    """Read the header of a Netpbm file, or of its bytes. Raises `InputError` for other files and
+    unsupported kinds."""
     if data is None:
         with file.open("rb") as stream:
             data = stream.read(1 << 16)  # comments may be long
@@ -73,9 +73,10 @@ def netpbm_head(file: Path, data: bytes | None = None) -> NetpbmHead:
 
 
 def read_netpbm(file: Path) -> np.ndarray:
-    """The samples of a file, (h, w) or (h, w, 3): uint8 where the largest code is below 256, else
-    uint16; of a bitmap 1 for white and 0 for black; float32 of a PFM, the first row at the top.
-    `InputError` for a file that is damaged, cut short or not Netpbm."""
+    """Read the samples of a Netpbm file, (h, w) or (h, w, 3). They are uint8 if the largest code is
+    below 256, else uint16. A bitmap has 1 for white and 0 for black. A PFM gives float32 with the
+    first row at the top. Raises `InputError` for a file that is damaged, truncated or not
+    Netpbm."""
     data = file.read_bytes()
     head = netpbm_head(file, data)
     channels = _CHANNELS[head.magic]

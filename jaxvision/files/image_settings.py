@@ -309,8 +309,8 @@ def _positive(said: Any) -> float | None:
 
 
 def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float | None:
-    """The rating of 16 bits; where it is absent, or 65535, which stands for that and more, the one
-    of 32 bits that the kind of sensitivity names (EXIF 2.3, tag 0x8830)."""
+    """Return the 16-bit ISO rating. If it is absent or 65535, which means at least that, return the
+    32-bit value that the type of sensitivity names (EXIF 2.3, tag 0x8830)."""
     found = _positive(rating)
     if found is not None and found < _HIGHEST_RATING:
         return found

@@ -60,8 +60,8 @@ def write_record(
 
 
 def table_of(record: eqx.Module) -> dict[str, Any]:
-    """The table from which `record_of` makes the same record of numbers, records and static values:
-    values by the names of its fields, its `kind` among them; what is None is left out."""
+    """Return the table from which `record_of` makes the same record. It contains the values by the
+    names of the fields, and `kind`. Fields that are None are left out."""
     table: dict[str, Any] = {"kind": type(record).__name__}
     for field in fields(record):
         value = getattr(record, field.name)
@@ -131,8 +131,8 @@ def _beside(file: Path) -> Path:
 
 
 class Key(NamedTuple):
-    """A key of a table: the type of its value, its default (MISSING: it must be given), and what a
-    docstring says of it."""
+    """A key of a table: the type of its value, its default (MISSING: it must be given), and its
+    description from a docstring."""
 
     hint: Any
     default: Any
@@ -213,8 +213,8 @@ def values_of(
 
 
 def value_of(reading: Reading, where: str, hint: Any, value: Any) -> Any:
-    """What was read at the key `where` as what its type takes: lists as tuples, numbers as arrays;
-    `InputError` for what is not of that type."""
+    """Convert the value at the key `where` to its type: lists to tuples, numbers to arrays. Raises
+    `InputError` for a value of another type."""
     kinds = tuple(kind for kind in members_of(hint) if kind is not NoneType)
     for kind in kinds:
         try:

@@ -54,8 +54,8 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
-    """The tables of a TOML file by name; `kind` is what it should be ("scene"). `InputError` for a
-    file that is not there, or not TOML."""
+    """Read the tables of a TOML file by name. `kind` is the expected kind of file, such as "scene".
+    Raises `InputError` for a missing file, or one that is not TOML."""
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{file}: no such {kind} file; check the name and the folder.")

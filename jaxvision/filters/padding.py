@@ -107,8 +107,8 @@ def check_picture(picture: ArrayLike) -> None:
 
 
 def ghosts(border: str, n: int, before: int, after: int) -> Ghosts:
-    """The coefficients, of length before + n + after, no unit, that continue one axis of n samples;
-    for "constant" and "normalised_zero" they are those of "zero"."""
+    """Return the coefficients, of length before + n + after, no unit, that continue one axis of n
+    samples. "constant" and "normalised_zero" have the same coefficients as "zero"."""
     i = np.arange(-before, n + after)
     inside = (i >= 0) & (i < n)
     own, first, last = np.ones(len(i)), np.zeros(len(i)), np.zeros(len(i))

@@ -1,8 +1,8 @@
-"""Scene and view -> radiance, W m^-2 sr^-1.
+"""Rendering: from scene and view to radiance, W m^-2 sr^-1.
 
-pixel_loop   the one loop over pixels and their samples, for any integrator
-direct       what a ray sees by direct light, and the picture of it
-light_field  the same along all lines through two windows
+pixel_loop   the loop over pixels and their samples, for any integrator
+direct       radiance along a ray by direct light, and a picture of it
+light_field  radiance along all lines through two windows
 """
 
 from ..core.lazy_names import names_of

@@ -69,8 +69,8 @@ class Mixing(SensorEffect):
 class Nonlinearity(SensorEffect):
     """Base of the curves by which the signal of a pixel departs from proportion to its charge.
 
-    A curve takes electrons to electrons: what a linear sensor of the same gain at 0 would have to
-    hold to be read alike. It acts before noise is added by the read-out.
+    A curve maps electrons to electrons. The result is the charge that gives the same signal in a
+    linear sensor with the same gain at 0. The curve acts before the read-out adds noise.
 
     Example:
         >>> isinstance(jv.Compression(0.05, electrons=1e4), jv.Nonlinearity)

@@ -130,8 +130,9 @@ def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) ->
 
 
 def in_bands(spectrum: Spectrum, bands: Bands, folder: Folder, *, quantity: Quantity) -> np.ndarray:
-    """A spectrum of a scene file, of reflectance or light, (bands,) in its unit, in the bands of
-    the scene; `InputError` for another number of values than bands, and for an unknown table."""
+    """Return a spectrum of a scene file, (bands,) of reflectance or light in its unit, in the bands
+    of the scene. Raises `InputError` if the numbers of values and bands differ, and for an unknown
+    table."""
     if isinstance(spectrum, Tabulated):
         return _tabulated(spectrum, bands, folder, quantity)
     values = np.atleast_1d(np.asarray(spectrum, float))

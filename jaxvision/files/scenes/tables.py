@@ -326,9 +326,9 @@ def material_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Mater
 def surface_of(
     reading: Reading, where: str, entry: Mapping[str, Any], folder: Folder, dtype: str
 ) -> tuple[Shape, dict[str, Any]]:
-    """The shape of the table `[[surface]]` at `where`, a mesh in the dtype of the rendering, and
-    what stands beside it: the name of the material, the emission and whether it is two-sided.
-    `InputError` for what cannot be a surface."""
+    """Return the shape of the table `[[surface]]` at `where`, with meshes in the dtype of the
+    rendering. Also return the name of the material, the emission, and whether it is two-sided.
+    Raises `InputError` for a table that is not a valid surface."""
     word, rest = _word(reading, where, "shape", entry, SHAPES)
     make, beside = SHAPES[word], keys_of(beside_shape)
     values = _values(reading, where, beside | keys_of(make), rest)
