@@ -12,7 +12,7 @@ DISTRIBUTION = "jaxvision-imaging"  # in package indices, where `jaxvision` is a
 
 
 def install(extra: str) -> str:
-    """The command that installs what an optional feature needs.
+    """Return the command that installs the dependencies of an optional feature.
 
     Args:
         extra: of the distribution.
@@ -93,7 +93,7 @@ def check_utf8(path: str | Path) -> None:
 
 
 def unwritable(error: OSError) -> str:
-    """What the system says of a file that it does not write, and what helps.
+    """Return the system's reason why a file cannot be written, and a remedy.
 
     Args:
         error: the system's.

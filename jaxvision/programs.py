@@ -36,7 +36,7 @@ def on_processor() -> bool:
 
 
 def quick_options() -> Options:
-    """XLA's options for programs that run once, of which compiling is most of the time: without
+    """XLA's options for programs that run once and take most of their time to compile: without
     optimisation, and by the older emitters where this XLA still has them. Fits of 470,000 samples
     run a fifth longer with them. Empty for a version that has not been tried, and with an
     accelerator's plugin."""

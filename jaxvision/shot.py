@@ -216,8 +216,8 @@ def _check_bands(bands: int, sensor: Sensor) -> None:
 
 
 def _check_unit(camera: Camera, light: Array) -> None:
-    """Warns where a unit was lost on the way: radiance that no lens has made irradiance, and watts
-    that count as photons, of which the sensor gets hardly any."""
+    """Warn about a wrong unit: radiance that no lens has converted to irradiance, and watts that
+    count as photons, of which the sensor gets hardly any."""
     sensor, view = camera.sensor, camera.view
     if sensor.photon_conversion is not None and view.f_number is None:
         warnings.warn(
@@ -273,7 +273,7 @@ def _light_on_sensor(
 def _seen(
     renderer: Renderer, scene: Scene, view: View, aperture: PixelAperture | None
 ) -> tuple[Image, Image]:
-    """What stands still: radiance and irradiance, sampled as finely as the aperture asks."""
+    """Return radiance and irradiance of a static scene, sampled as finely as the aperture needs."""
     if aperture is None or aperture.oversampling == 1:
         radiance = renderer(scene, view)
         return radiance, sensor_irradiance(view, radiance)

@@ -3,8 +3,8 @@
 Tiles and passes of a render, folders of a study and simulations of a check do not depend on each
 other. Inside `with jaxvision.cluster(client)` they run on the workers of a Dask client. Results
 come in the order of the tasks whatever the order of arrival, so a file made of them holds the same
-bytes as one made without workers on the same kind of processor. What a lost worker had not
-returned is computed again by another.
+bytes as one made without workers on the same kind of processor. Another worker repeats the
+unfinished tasks of a lost one.
 """
 
 import hashlib

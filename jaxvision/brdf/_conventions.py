@@ -1,4 +1,4 @@
-"""One lobe under three conventions: what stands before it in the BRDF and in the shading.
+"""One lobe under three conventions: its factors in the BRDF and in the shading.
 
     convention    specular term of f_r         ... of the shading, f_r cos(theta_i)
     shading       k_s lobe / cos(theta_i)      k_s lobe                the textbook's SHADING

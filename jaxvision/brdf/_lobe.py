@@ -112,7 +112,7 @@ _NODES = 48
 def circles(
     cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars], tuple[Scalars, Scalars]]:
-    """Nodes for integrals over cones about an axis, of which the horizon cuts off a part.
+    """Nodes for integrals over cones about an axis that the horizon may cut.
 
     The axis has polar angle theta, its cosine in [0, 1]. Circles at alpha < pi / 2 - theta about
     it lie above the horizon whole; of those up to pi / 2 + theta there remains |phi| < phi_m with

@@ -1,4 +1,4 @@
-"""Sampling a tabulated material in proportion to what it reflects.
+"""Sampling of a tabulated material in proportion to the reflected light.
 
 For some directions `wo` the reflected luminance is tabulated over the square of half vectors and
 warped onto (`_warp`); between them the densities are mixed. One draw in eight follows the cosine

@@ -1,4 +1,4 @@
-"""The table of BRDF families: what each record's file registers, and what it gets by default.
+"""The table of BRDF families, with the registered functions of each record and their defaults.
 
 A family works in the local frame: normal = +z, `wi` toward the light, `wo` toward the viewer.
 """
@@ -282,7 +282,7 @@ def specular(material: Any, w: Vector) -> Specular:
 
 @takes_numbers
 def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
-    """What a viewer sees in an opaque mirror.
+    """The reflection that a viewer sees in an opaque mirror.
 
     Args:
         material: any registered material.

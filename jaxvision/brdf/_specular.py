@@ -1,4 +1,5 @@
-"""Mirrors and clear interfaces: what a perfectly smooth surface makes of a ray. Local frame.
+"""Mirrors and clear interfaces: reflection and refraction of a ray at a smooth surface. Local
+frame.
 
 Such a surface sends light from one direction into one or two others: its BRDF is a sum of delta
 functions, which no number in sr^-1 describes. Its family therefore says, as a `Specular`, where a

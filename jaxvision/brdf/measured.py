@@ -34,7 +34,7 @@ Outside = Literal["clamp", "extrapolate", "zero"]
 
 
 class BRDFSamples(Shown):
-    """Measured values at scattered pairs of directions: what a goniometer writes.
+    """Measured values at scattered pairs of directions, as a goniometer writes them.
 
     Attributes:
         theta_i: (n,) polar angle of the light, rad.

@@ -1,6 +1,6 @@
 """Phong: an ideal diffuse part plus a power of the cosine to the mirror direction.
 
-Three records share the lobe [cos theta_s]+^n and differ in what stands before it:
+Three records share the lobe [cos theta_s]+^n and differ in its factor:
 
     record             specular term of f_r         ... of the shading, f_r cos(theta_i)
     Phong              k_s lobe / cos(theta_i)      k_s lobe                the textbook's SHADING

@@ -1,4 +1,4 @@
-"""From a camera's own primaries to those of a colour space, fitted on spectra.
+"""Colour matrices from a camera's primaries to the primaries of a colour space, fitted to spectra.
 
 Sensitivities are no linear combinations of the colour matching functions (no camera meets Luther's
 condition), so a matrix maps camera RGB to colours only approximately. The best matrix depends on

@@ -1,5 +1,5 @@
-"""Correlation as a primitive that JAX differentiates as what it is: linear in the image and linear
-in the kernel.
+"""Correlation as a primitive that JAX differentiates as a bilinear function: linear in the image
+and linear in the kernel.
 
 Its transpose is a correlation again, with the turned kernel and by the same method, seven times
 faster than the transpose of the single shifts; being linear, it has forward and reverse derivatives
@@ -31,7 +31,7 @@ def _implementation(
 def _image_transpose(
     cotangent: Any, image: Any, kernel: Kernel, *, anchor: Anchor, border: str, method: str
 ) -> Result:
-    """Correlation with the turned kernel reaches back to every pixel that was read, and the ghosts
+    """Correlation with the rotated kernel reaches back to every pixel that was read, and the ghosts
     among them give what they got to the pixels that they stood for."""
     shape, dtype = image.aval.shape, image.aval.dtype
     kh, kw = kernel.shape[:2]

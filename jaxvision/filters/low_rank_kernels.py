@@ -1,4 +1,4 @@
-"""A kernel as the sum of a few separable ones: the rank is the knob, and the error is stated.
+"""A kernel as the sum of a few separable ones. The rank sets the accuracy, and the error is stated.
 
 The best approximation of each rank is the truncated singular value decomposition (Eckart and Young
 1936; for filters: Treitel and Shanks 1971). Kernels and pictures in any unit.

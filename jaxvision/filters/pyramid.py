@@ -221,7 +221,7 @@ def _size(picture: Floats) -> Size:
 def _normalised(
     filtered: Callable[[Stack, int, str], Stack], image: Stack, axis: int, border: str
 ) -> Stack:
-    """The border "normalised_zero" is the filter of the image over that of ones."""
+    """The border "normalised_zero" divides the filtered image by a filtered image of ones."""
     if border != "normalised_zero":
         return filtered(image, axis, border)
     return filtered(image, axis, "zero") / filtered(jnp.ones_like(image), axis, "zero")

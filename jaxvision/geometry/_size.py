@@ -1,4 +1,4 @@
-"""How far shapes reach, which is what the rounding of their points is relative to."""
+"""The extent of shapes, which determines the rounding errors of their points."""
 
 from collections.abc import Sequence
 from functools import reduce

@@ -1,5 +1,5 @@
-"""What is wrong with a shape, in sentences: for files and command lines, before anything is traced.
-NumPy; lengths in metres."""
+"""Sentences about invalid shapes, for files and command lines, before anything is traced. NumPy;
+lengths in metres."""
 
 import numpy as np
 

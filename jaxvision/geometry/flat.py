@@ -1,4 +1,5 @@
-"""A ray and what is flat: planes, discs, parallelograms. For ONE ray; lengths in metres.
+"""Intersection of a ray with flat shapes: planes, discs, parallelograms. For ONE ray; lengths in
+metres.
 
     t = n.(p - o) / n.d
 

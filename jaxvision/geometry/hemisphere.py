@@ -38,8 +38,7 @@ class Frame(Shown):
 
 @takes_numbers
 def cross(u: Vec3, v: Vec3) -> Vec:
-    """u x v, the length of which is the area of the parallelogram of `u` and `v`: m^2 if both are
-    in m."""
+    """u x v, whose length is the area of the parallelogram of `u` and `v`: m^2 if both are in m."""
     a, b = as_vec(u), as_vec(v)
     return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
@@ -163,7 +162,8 @@ def uniform_pdf(w: Vec3) -> Scalars:
 
 
 def _at_turns(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
-    """The unit vector of that polar sine and cosine, its azimuth in turns of 2 pi rad."""
+    """Return the unit vector with the given polar sine and cosine, and azimuth in turns of 2 pi
+    rad."""
     across, along = sine_cosine(turns)
     return Vec(sine * along, sine * across, cosine)
 

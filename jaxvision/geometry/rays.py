@@ -41,7 +41,7 @@ class Ray(Shown):
 
 
 class Encounter(Shown):
-    """What a ray meets first, in whole numbers.
+    """The first intersection of a ray, as integers.
 
     Attributes:
         shape: () index, -1 for nothing.

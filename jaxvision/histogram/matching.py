@@ -13,7 +13,7 @@ from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, pl
 @takes_numbers
 @jax.jit
 def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
-    """Each value moved to the one of equal cumulative frequency in the same plane of a reference.
+    """Map each value to the value of equal cumulative frequency in the same plane of a reference.
 
     That is F_reference^-1(F_image(x)), linear between the values that occur. Integer images are
     matched as in scikit-image's `match_histograms`, but rounded to the nearest code instead of

@@ -173,7 +173,7 @@ def register_extended(
 
 
 def kind_of(light: Light) -> Discrete | Extended:
-    """What a light has registered.
+    """The registered functions of a light.
 
     Args:
         light: any registered light.

@@ -1,4 +1,4 @@
-"""A light sampled by a rule, one node at a time: what a loop over samples runs on."""
+"""A light sampled by a rule, one node at a time, for a loop over samples."""
 
 from collections.abc import Sequence
 from functools import reduce

@@ -29,7 +29,7 @@ from .window import Window, _window_bound, crossing, hit_window, window_pdf, win
 class LightFieldLight(Light):
     """What leaves through a window, place by place and direction by direction.
 
-    It lights what is in front of it, and a camera that looks at it sees the scene behind.
+    It illuminates surfaces in front of it, and a camera that looks at it sees the scene behind.
 
     Attributes:
         radiance: (s, t, u, v, bands) W m^-2 sr^-1, the first and last sample of each axis on the
@@ -143,8 +143,8 @@ def refocus(
 ) -> Colour:
     """The mean radiance on the lines that join the aperture to one point.
 
-    It is what a lens as large as the aperture puts on the pixel that images the point: surfaces at
-    that depth come out sharp, others blurred.
+    It is the value of the pixel that images the point, with a lens as large as the aperture:
+    surfaces at that depth come out sharp, others blurred.
 
     Args:
         light_field: the light field.

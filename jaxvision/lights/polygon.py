@@ -189,8 +189,8 @@ def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
 
     `corners`: of a flat convex polygon, clockwise where the receiver looks at them, else the
     result is negative; not so large or small that the fourth power of a length overflows. A cut
-    polygon leaves and enters the horizon once each; the edge between both places closes it. What
-    the horizon leaves of an edge spans the same share of the edge's own area v_i+1 x v_i.
+    polygon leaves and enters the horizon once each; the edge between both places closes it. The
+    part of an edge above the horizon spans the same share of the edge's own area v_i+1 x v_i.
 
     Its derivatives are a sum over the same edges, in a tenth of the time that autodiff takes.
     """

@@ -1,6 +1,6 @@
 """A small flat lamp: bright along its normal, falling with the cosine to the side.
 
-What a lamp of uniform radiance becomes where it is small against every distance: a `RectangleLight`
+The limit of a lamp of uniform radiance that is small relative to every distance: a `RectangleLight`
 of area A and radiance L far away is a `SmallLight` of intensity A L.
 """
 

@@ -6,7 +6,7 @@ with a trimap.
 Here K are the pixels that the trimap knows, s is their alpha, U are the others, and D is the
 diagonal that marks K (Levin, Lischinski, Weiss, PAMI 30 (2008), equation 12, and its limit of full
 confidence). It is solved by conjugate gradients with a multigrid preconditioner. The derivative is
-that of the solution, by one more solve, not of the steps.
+computed by one more solve, not by differentiating the steps.
 """
 
 from functools import partial

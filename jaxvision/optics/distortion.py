@@ -2,8 +2,8 @@
 
 Places are in units of the image distance. Slopes are relative: m to the side per m forward. Forward
 is the closed form of `Distortion`; back is Newton's method, which started at the distorted place
-converges for barrels and pincushions alike. Its derivative is that of the implicit function, not of
-the steps.
+converges for barrels and pincushions alike. It is differentiated as an implicit function, not step
+by step.
 
 Source:
     Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971).

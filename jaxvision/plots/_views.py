@@ -1,4 +1,4 @@
-"""What the figure of an image is made of, one function a view."""
+"""The views in the figure of an image, one function each."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any

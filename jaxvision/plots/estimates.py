@@ -281,7 +281,8 @@ def corner(
 
 
 def trace(draws: Mapping[str, np.ndarray]) -> "Figure":
-    """Paths of Markov chains, a row a parameter: those of a settled chain look like even noise.
+    """Plot the traces of Markov chains, one row for each parameter. The trace of a converged chain
+    looks like stationary noise.
 
     Args:
         draws: by the parameter's name (draws,), or (chains, draws, ...) as in `Fit.draws`, where

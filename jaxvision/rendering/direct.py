@@ -30,9 +30,10 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
     """Radiance of direct light that arrives along one ray, against its direction.
 
     The ray sees the nearest surface or extended light; a ray that meets neither sees the
-    environments, or black. A surface shows what it emits and what it reflects of the lights. What
-    surfaces emit lights no other surface here; in `transport` it does. Materials of one kind are
-    shaded by one piece of code, and shadows are traced once for all kinds.
+    environments, or black. The radiance of a surface is its emission plus the reflected light of
+    the lights. Emissive surfaces do not illuminate other surfaces here; in `transport` they do.
+    Materials of one kind are shaded by one piece of code, and shadows are traced once for all
+    kinds.
 
     Args:
         scene: `Scene.occluders` selects the surfaces that block light, `Scene.rules` the sampling

@@ -71,7 +71,7 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
         return reflectance(place, rgb) * white.astype(rgb.dtype)
 
     def material(place: str, record: Record) -> Record:
-        """A material, or what it holds, with its spectra lifted."""
+        """Return a material, or one of its parts, with its spectra lifted."""
         changed: dict[str, Any] = {}
         for field in fields(record):
             name, value = field.name, getattr(record, field.name)

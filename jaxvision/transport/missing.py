@@ -75,10 +75,10 @@ def missing_light(
 ) -> list[str]:
     """One sentence for each kind of light of a scene that an integrator leaves out.
 
-    Mirrors and glass hide lamps without a size (points, directions) from `path`, what they throw
-    onto other surfaces from `direct` and `rays`, and themselves from `light`. The sun of an
-    environment falls between the directions of a quadrature, and a narrow gloss between its samples
-    of a lamp. What such a gloss throws onto other surfaces `path` meets by chance alone.
+    Mirrors and glass block light of lamps without a size (points, directions) from `path`, what
+    they throw onto other surfaces from `direct` and `rays`, and themselves from `light`. The sun of
+    an environment falls between the directions of a quadrature, and a narrow gloss between its
+    samples of a lamp. What such a gloss throws onto other surfaces `path` meets by chance alone.
 
     Where mirrors and glass stand is not looked at: the light that a sentence names may be little.
     Light that bounces between matt surfaces, which `direct` and `rays` leave out by their nature,
@@ -375,7 +375,8 @@ def _rarely_in_lobe(
 
 
 def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
-    """The rest of a mean is what no sample of the pixel has met: its error knows nothing of it."""
+    """The missing part of a mean is light that no sample of the pixel has hit. The standard error
+    does not include it."""
     shown = "Few samples show noise or nothing, and errors that are too small."
     if samples is not None:
         meets = -np.expm1(samples * np.log1p(-chance))

@@ -278,8 +278,8 @@ def ray_traced(
 ) -> Image:
     """The picture in radiance by ray trees.
 
-    Light that mirrors and glass throw onto other surfaces is missing, so that what stands behind a
-    window is dark: `transport.missing_light` names it.
+    Light that mirrors and glass send to other surfaces is missing, so objects behind a window are
+    dark: `transport.missing_light` names it.
 
     Args:
         scene: any scene; `Scene.ambient` is not added.

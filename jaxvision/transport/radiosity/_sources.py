@@ -1,4 +1,4 @@
-"""What a scene says of its surfaces, as tables, and what comes straight from its lights.
+"""Tables of the surfaces of a scene, and the direct light of its lights.
 
 Emission in W m^-2 sr^-1, irradiance in W m^-2, lengths in m.
 """

@@ -1,8 +1,8 @@
-"""From a solved scene to what is seen of it: along one ray, or a whole picture.
+"""The radiance of a solved scene along one ray, or in a whole picture.
 
-Radiance in W m^-2 sr^-1, irradiance in W m^-2, lengths in m. What comes straight from lights is
-computed for each point anew, with shadows. What other surfaces send is interpolated between the
-elements, or gathered: a final gather sends rays from the point and looks up where they arrive.
+Radiance in W m^-2 sr^-1, irradiance in W m^-2, lengths in m. Direct light is computed again for
+each point, with shadows. What other surfaces send is interpolated between the elements, or
+gathered: a final gather sends rays from the point and looks up where they arrive.
 """
 
 from collections.abc import Sequence

@@ -180,7 +180,7 @@ def _planes(scene: Scene, plan: Plan, split: int) -> np.ndarray:
 def by_patch(
     values: Float[Array, "elements n"], elements: Patches, plan: Plan
 ) -> Float[Array, "patches n"]:
-    """The mean over each patch of what its elements have, weighted by their areas.
+    """Return the mean of the elements' values over each patch, weighted by area.
 
     Args:
         values: (elements, n), in any unit.

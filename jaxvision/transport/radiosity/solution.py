@@ -62,7 +62,7 @@ def radiosity(
     """The light that a scene's patches exchange.
 
     A quad that emits does so as a `RectangleLight`, any other surface patch by patch. The ambient
-    term stands for what is computed here, and is left out.
+    term is a substitute for interreflections, and is ignored here.
 
     Args:
         scene: bounded surfaces of `Lambert` material, and any lights.
