@@ -175,7 +175,7 @@ def converter_of(frames: Iterable[np.ndarray]) -> Converter:
 
 
 def converter_in_words(converter: Converter, full_scale: float | None) -> list[str]:
-    """What a reader has to know of a converter whose numbers are not 0, 1, 2 and so on.
+    """A finding about a converter whose numbers are not 0, 1, 2 and so on.
 
     Args:
         converter: of some frames.

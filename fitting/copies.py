@@ -11,8 +11,8 @@ LEAST_BETWEEN = 0.01  # share of the pixels that must be neither black nor white
 
 
 class Copies:
-    """Names of images by their numbers. Images that are black or white almost everywhere say
-    nothing: those of two exposures may be equal."""
+    """Names of images by their numbers. Images that are black or white almost everywhere are
+    ignored, because two exposures may then be equal."""
 
     def __init__(self) -> None:
         self._names: dict[bytes, list[str]] = {}

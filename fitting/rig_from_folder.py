@@ -57,7 +57,7 @@ UNKNOWN_EXPOSURE = "# exposure = ?  # s"
 
 @dataclass
 class FoundRig:
-    """A rig as text, and what it could not know.
+    """A rig as text, and a list of the unknown values.
 
     Attributes:
         text: TOML; what is missing stands in it as comments.

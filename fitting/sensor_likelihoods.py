@@ -83,7 +83,7 @@ class SensorNoise(eqx.Module):
         return signal if bits is None else jnp.clip(jnp.round(signal), 0, largest_number(bits))
 
     def noise_sources(self, prediction: Array) -> dict[str, Array]:
-        """Variance of a datum by what it comes from.
+        """Variance of a datum by source.
 
         Args:
             prediction: (..., bands) light.

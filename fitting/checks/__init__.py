@@ -1,4 +1,5 @@
-"""Whether intervals hold the truth as often as they say: simulated data, fitted again and again."""
+"""Coverage of intervals: simulated data are fitted many times, and intervals that contain the true
+value are counted."""
 
 from jaxvision.core.lazy_names import names_of
 

@@ -26,7 +26,7 @@ TESTS = len(LEVELS) + 2
 
 @dataclass(frozen=True)
 class Coverage:
-    """How often the intervals of one parameter hold the truth.
+    """Coverage of the intervals of one parameter.
 
     Attributes:
         name: of the parameter.

@@ -1,4 +1,4 @@
-"""Whether the intervals of a user's own fit hold the truth."""
+"""Coverage of the intervals of a user's own fit."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from .simulations import simulated
 
 @dataclass(frozen=True)
 class Check:
-    """How often the intervals of a fit hold the truth. Print it.
+    """Coverage of the intervals of a fit. Print it.
 
     Attributes:
         coverage: of every free number.
@@ -84,11 +84,12 @@ def check(
     kept: Path | str | None = None,
     seed: int = 0,
 ) -> Check:
-    """Simulates data of a problem, fits them, and counts how often the intervals hold the truth.
+    """Simulate data of a problem, fit them, and count how often the intervals contain the true
+    values.
 
     Every simulation draws the parameters from their priors and the data from the likelihood, so
-    that posteriors that are right hold the truth as often as they say (Talts et al. 2018). The fits
-    start at the truth: the search is not what is checked.
+    that correct posteriors have the nominal coverage (Talts et al. 2018). The fits start at the
+    truth: the search is not what is checked.
 
     Args:
         problem: whose data are replaced by simulated ones.

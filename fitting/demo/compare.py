@@ -123,7 +123,7 @@ def _with_measured_noise(rig: Rig, noise: Section) -> Rig:
 
 
 def truths(truth: Truth) -> dict[Key, float]:
-    """What the lab was simulated with, under the names of the estimates."""
+    """The true values of the lab, under the names of the estimates."""
     values: dict[Key, float] = {
         ("noise", "system_gain", ""): truth.system_gain,
         ("noise", "quantum_efficiency", ""): 100 * truth.quantum_efficiency,

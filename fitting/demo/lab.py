@@ -54,7 +54,7 @@ RED_GREEN_BLUE = ("red", "green", "blue")
 
 @dataclass(frozen=True)
 class Truth:
-    """What the afternoon was simulated with.
+    """The true values of the simulated afternoon.
 
     Attributes:
         system_gain: DN per electron.

@@ -8,7 +8,7 @@ information P_m of each nuisance, a quantity of gradient g has the variance
 
 each term what would be gone if its source had not been there when the data were taken, the weights
 of the fit unchanged (law of propagation: JCGM 100:2008, "Guide to the expression of uncertainty in
-measurement", 5.1). What a misfit adds to the covariance is the model's share.
+measurement", 5.1). The share of the model is the increase of the covariance due to a misfit.
 """
 
 from collections.abc import Callable, Mapping, Sequence

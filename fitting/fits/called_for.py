@@ -37,7 +37,7 @@ def called_for(
     samples: PixelSamples | None = None,
     depth: int | None = None,
 ) -> Problem:
-    """Leaves out of a problem's scene and camera what no fit of it can see.
+    """Drop the effects from a problem's scene and camera that no fit of it can detect.
 
     An error that all n data share is not averaged over them, so each may move by the tolerance over
     sqrt(n): no estimate then moves by more than the tolerance in its standard deviations, as far as

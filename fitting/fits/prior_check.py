@@ -48,7 +48,7 @@ class Conflict:
 
 
 def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Conflict, ...]:
-    """Priors that lie further from what the data say than chance allows, the farthest first.
+    """Return the priors that differ significantly from the data, the largest difference first.
 
     Of all priors together one false alarm is allowed in 1 / `CHANCE` fits."""
     space = problem.space
@@ -134,7 +134,7 @@ def _falls(prior: Prior) -> bool:
 
 
 def _alone(p: Parameter, x: float, slope: float, step: float, error: float) -> str:
-    """What is known of a parameter without its prior, of a logarithm on its own scale."""
+    """The estimate of a parameter without its prior, on the logarithmic scale for a logarithm."""
     if p.transform == "log":
         best = float(x * np.exp(slope * step / x))
         return format_with_error(best, float(best * slope / x * error))

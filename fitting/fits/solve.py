@@ -317,7 +317,7 @@ def _fits_width(problem: Problem) -> bool:
 
 
 def _searched(problem: Problem, starts: int, seed: int, solver: Any) -> Optimum:
-    """The best of many searches; of more, where none of them ends where the best one does."""
+    """Return the best of many searches. If no other search ends at the same optimum, run more."""
     wide_noise = _fits_width(problem)
     begin = spread_starts(problem, starts, seed=seed)
     found = search(problem, begin, solver=solver, as_given=False)
@@ -332,7 +332,7 @@ def _searched(problem: Problem, starts: int, seed: int, solver: Any) -> Optimum:
 
 
 def _numbers(method: Method) -> dict[str, Any]:
-    """What a report repeats of a sampler's options."""
+    """The options of a sampler that a report repeats."""
     return {
         field.name: getattr(method, field.name)
         for field in fields(method)

@@ -1,4 +1,4 @@
-"""Intervals that allow for what a model misses: errors that groups of data share, or more noise."""
+"""Intervals widened for a misfit of the model: errors that groups of data share, or more noise."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -32,7 +32,7 @@ LEAST = 0.01  # spread of predictions that hardly differ, relative to them or to
 
 @dataclass(frozen=True)
 class Widening:
-    """A covariance, and why it is wider than that of the likelihood.
+    """A covariance, and the reason why it is wider than the covariance of the likelihood.
 
     Attributes:
         covariance: (P, P) on the unconstrained scale.
@@ -141,7 +141,7 @@ def _of_groups(
 
 
 def _in_words(robust: Robustness, optimum: Optimum, groups: int) -> str:
-    """What the groups' residuals show, and by how much the intervals allow for it."""
+    """The misfit in the groups' residuals, and the factor by which the intervals are widened."""
     if np.isnan(robust.by_light):
         return (
             "Too few groups to see errors that they share: intervals are those of independent data."

@@ -1,4 +1,4 @@
-"""What a fit shows, in sentences."""
+"""Findings of a fit, in sentences."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -119,7 +119,8 @@ def about_chains(posterior: Posterior) -> list[str]:
 
 
 def about_posterior(problem: Problem, optimum: Optimum, posterior: Posterior) -> tuple[str, ...]:
-    """What the data cannot tell, what only the prior tells, and how far the intervals hold."""
+    """Sentences about parameters that are not identifiable, parameters that only the prior
+    determines, and the validity of the intervals."""
     found = []
     if len(optimum.costs) == 1:
         found.append("One search was made: no other start looked for a deeper optimum.")

@@ -1,4 +1,4 @@
-"""What the heads of image files say, compared with the rig and with each other."""
+"""Comparison of the metadata of image files with the rig and with each other."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

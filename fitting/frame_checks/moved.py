@@ -1,4 +1,4 @@
-"""Flats between which the camera, or what is before it, moved.
+"""Flats between which the camera or an object in front of it moved.
 
 The unequal gains of pixels, the dust and the light's own pattern are the same in all frames of a
 level, so that they cancel from their differences. Where a frame moved against another, the pattern

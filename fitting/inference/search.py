@@ -106,7 +106,7 @@ class Optimum:
 
     @property
     def data_information(self) -> Float[np.ndarray, "parameters parameters"]:
-        """(P, P) what the data alone say."""
+        """Return the (P, P) information of the data alone."""
         return self.information - self.prior_information
 
     @property
@@ -116,8 +116,9 @@ class Optimum:
 
     @property
     def curvature(self) -> Float[np.ndarray, "parameters parameters"]:
-        """(P, P) the information, saddle directions taken positive: a search that did not end at a
-        maximum says so in words, not by a matrix that cannot be drawn from."""
+        """Return the (P, P) information with the eigenvalues of saddle directions made positive, so
+        that draws are possible. A search that did not end at a maximum is reported in words
+        instead."""
         if not self.saddle:
             return self.information
         values, axes, size = _scaled(self.information)

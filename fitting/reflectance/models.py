@@ -127,7 +127,7 @@ LABELS: dict[Model, str] = {model: row.label for model, row in REFLECTANCES.item
 
 
 def facet_sentence(index: float) -> str:
-    """What a reader of a fit with clear facets must know."""
+    """A finding for fits with clear facets."""
     along_normal = ((index - 1) / (index + 1)) ** 2
     return (
         f"Clear facets have the index of refraction {index:g} (Fresnel reflectance "

@@ -1,4 +1,5 @@
-"""Names of what can be fitted, and of the files that can: without the libraries that compute."""
+"""Names of the models and parameters that can be fitted, and of supported files, without importing
+numerical libraries."""
 
 from pathlib import Path
 from typing import Literal, get_args

@@ -63,7 +63,8 @@ OF_PHOTONS = (
 
 @dataclass(frozen=True)
 class Departures:
-    """What the readings of each pixel owe to noise and to departures from Lambert's law.
+    """The contributions of noise and of departures from Lambert's law to the readings of each
+    pixel.
 
     Attributes:
         weights: (lights, pixels) of the readings in least squares; 0 for those that do not count.

@@ -135,8 +135,8 @@ def write_chains(
 
     The groups are `posterior` and `sample_stats` with the dimensions chain and draw, and, where
     there are several posteriors, channel. Channels are of one length: of chains that ended at
-    different steps the last draws are kept, as many as the shortest has. What a channel does not
-    have is NaN in it.
+    different steps the last draws are kept, as many as the shortest has. A parameter that a channel
+    does not have is NaN in it.
 
     Args:
         path: of the file, replaced once it is complete.

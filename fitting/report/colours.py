@@ -1,4 +1,4 @@
-"""Colours of figures, to be told apart on white and on black."""
+"""Colours of figures that are distinguishable on white and on black."""
 
 RED, GREEN, BLUE = "#d1495b", "#2e9e5b", "#3b82c4"
 OF_CHANNEL = {

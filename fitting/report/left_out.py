@@ -1,4 +1,4 @@
-"""What a likelihood left out, as its reader sees it."""
+"""Output about errors that a likelihood neglected."""
 
 from collections.abc import Iterable
 from itertools import compress
@@ -10,7 +10,7 @@ NOTHING = 1e-6  # s.d., below which digits say nothing
 
 
 def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:
-    """Errors that were too small to matter, with what they do at most.
+    """Errors that were too small to matter, with upper bounds on their effect.
 
     Args:
         channels: by name, what was left out of each.

@@ -1,4 +1,5 @@
-"""What a calibration hands to its reader: estimates, findings in words, tables and pictures."""
+"""The results of a calibration for its reader: estimates, findings in words, tables and
+pictures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,4 +1,5 @@
-"""Findings: a table of sentences with their conditions, and those of several channels said once."""
+"""Findings: a table of sentences with their conditions. Equal findings of several channels become
+one sentence."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -5,7 +5,7 @@ from .section import Section
 
 
 def without_short_chains(section: Section, *, kept: bool) -> Section:
-    """A section, or what is left of one whose chains are too short to be trusted.
+    """Return a section, without the results of chains that are too short.
 
     Args:
         section: whose posteriors are to be reported.

@@ -1,5 +1,5 @@
-"""Keys of a rig that a calibration has no use for, each with the reason: what a rig states is used,
-or it is said that it is not."""
+"""Keys of a rig that a calibration does not use, each with the reason. Every stated value is either
+used or listed here."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""What a response calibration has to say, in sentences: shape, shutter times, what was left out."""
+"""Findings of a response calibration, in sentences: shape, shutter times, and dropped data."""
 
 from collections.abc import Sequence
 
@@ -33,7 +33,7 @@ FELT = 0.5  # share of the variance of a curve that its ripple makes, from which
 
 
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
-    """What the response and its images say, one sentence a finding."""
+    """Findings about the response and its images, one sentence each."""
     channels = calibration.channels
     found = [*calibration.stack.remarks, _shape_in_words(channels), _beyond_in_words(channels)]
     found += [_extrapolated_in_words(channels), _anchor_in_words(channels)]

@@ -57,7 +57,7 @@ def to_flat_places(
     log_t: Float[np.ndarray, " exposures"],
     bins: CodeBins,
 ) -> Solution:
-    """A solution less what it owes to busy places.
+    """A solution with the contribution of busy places subtracted.
 
     Args:
         found: of all pixels.

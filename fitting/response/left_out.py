@@ -20,7 +20,7 @@ def without_effect(
     black_sd: float,
     exposure_sd: float,
 ) -> tuple[LeftOut, ...]:
-    """What a rig states of black and of the exposures and no pixel tells.
+    """Stated errors of the black level and the exposures that no pixel can show.
 
     Args:
         curve: with the sufficient statistics of its pixels.

@@ -1,4 +1,4 @@
-"""Whether the exposures of a stack lie on each other, as those of a camera on a tripod do.
+"""A test whether the exposures of a stack are registered, as with a camera on a tripod.
 
 Each image is cut at a quantile of its codes into bright and dark (Ward, J. Graphics Tools 8, 2003):
 the same places are bright however long the exposure and whatever the response. The shift of two

@@ -33,7 +33,7 @@ WINSOR = 9 / 0.4549  # three standard deviations, squared, over a squared normal
 
 @dataclass(frozen=True)
 class Pilot:
-    """What the pilot's pixels gave.
+    """Results from the pilot's pixels.
 
     Attributes:
         means: (bins,) of the curve, rising, over coarse bins.

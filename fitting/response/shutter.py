@@ -1,4 +1,4 @@
-"""What the exposure times' own errors, delta_j ~ N(0, tau^2), do to a curve.
+"""The effect of errors of the exposure times, delta_j ~ N(0, tau^2), on a curve.
 
 A common exponent of the times cannot be told from another curve; its size, tau, is told by the
 errors that show. Few of them show: of three exposures one, which may be small by chance where tau
@@ -6,9 +6,9 @@ is not. So an error of the curve is a mixture over tau,
 
     sum_k w_k N(0, v + r tau_k^2),    w_k ~ p(shown errors | tau_k) p(tau_k),
 
-v being the variance from elsewhere and r = g^2 / sum (ln t - mean)^2. A variance at the likeliest
-tau, with a Student's t of as many degrees of freedom as errors show, holds the truth too rarely
-where these happen to be small. The mixture is given as the Student's t whose 68 and 95 % intervals
+v being the variance from elsewhere and r = g^2 / sum (ln t - mean)^2. A variance at the most likely
+tau, with a Student's t of as many degrees of freedom as visible errors, has too low a coverage if
+these errors happen to be small. The mixture is given as the Student's t whose 68 and 95 % intervals
 it has.
 """
 
@@ -60,8 +60,8 @@ class Shutter:
 
 
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
-    """The prior on tau, or on what comes on top of a stated one. Where no error shows, the prior
-    alone makes the interval, and is narrower, about what cameras do.
+    """The prior on tau, or on the error in addition to a stated one. Where no error shows, the
+    prior alone makes the interval, and is narrower, about what cameras do.
 
     Args:
         shown: how many errors show.

@@ -1,4 +1,4 @@
-"""How observations are weighted, and what is left of them under a curve.
+"""The weights of observations, and their residuals under a curve.
 
 Weights come from a noise model,  var(ln X) = relative + shot / X + read / X^2 + (width of the
 interval)^2 / 12,  at the PREDICTED exposure X = E_i t_j, and observations are chosen by it:

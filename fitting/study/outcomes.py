@@ -41,7 +41,7 @@ _COPIES = 4  # of the files: 50 MB of PNG (1536 x 1536 pixels) took .16 GB more 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a study keeps of a folder.
+    """The results of one folder in a study.
 
     Attributes:
         camera: name of the folder in the study.
@@ -173,7 +173,7 @@ def changed_at(path: Path) -> int:
 
 
 def memory_of(path: Path) -> float:
-    """What the calibration of a folder takes, about: its programs, and its images several times.
+    """Estimate the memory for calibrating a folder: its programs, and several copies of its images.
 
     Args:
         path: of the rig.
@@ -195,7 +195,7 @@ def _images(rig: Rig) -> list[Path]:
 
 
 def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
-    """What an outcome depends on.
+    """Everything that an outcome depends on.
 
     Args:
         settings: of the study.

@@ -70,8 +70,8 @@ def choose(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Trial:
-    """The cheapest setting within a tolerance, or the most accurate within a time. Of settings
-    whose times cannot be told apart the most accurate is taken.
+    """The cheapest setting within a tolerance, or the most accurate within a time. Of settings with
+    indistinguishable times the most accurate is taken.
 
     The error of a random setting is that of a few seeds. Where a result owes much to what few of
     them meet, as light by a rare path, those seeds may not have met it: then it is off by more than

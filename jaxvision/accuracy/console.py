@@ -1,4 +1,4 @@
-"""What was measured, on the terminal and in a folder."""
+"""Output of measurements on the terminal and in a folder."""
 
 import json
 import os

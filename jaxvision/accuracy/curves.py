@@ -148,8 +148,8 @@ def curve(
 
 def _look(session: Session, names: tuple[str, ...]) -> None:
     """Two calls of each setting while they fit; where none does, of one that takes no new program
-    or of the first, if one call may. What the problem refuses, such as too few pixels for a fit, is
-    left out."""
+    or of the first, if one call may. Settings that the problem refuses, such as too few pixels for
+    a fit, are left out."""
     settings, finest = session.knob.settings, session.knob.reference[-1:]
     if session.left <= LEAST:
         raise OutOfTime

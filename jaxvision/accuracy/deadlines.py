@@ -26,7 +26,7 @@ class OutOfTime(Exception):
 
 
 class TooLittleTime(InputError):
-    """What was asked for cannot be measured in the time that was given."""
+    """The requested measurement does not fit into the given time."""
 
 
 class _Job:

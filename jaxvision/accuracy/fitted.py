@@ -11,7 +11,7 @@ SHALLOWEST = 0.7  # of the declared order, for it to be relied upon
 
 
 def variable(setting: float, law: Law) -> float:
-    """What the logarithm of the error is linear in."""
+    """The variable in which the logarithm of the error is linear."""
     return float(setting) if law == "geometric" else float(np.log(setting))
 
 

@@ -1,4 +1,4 @@
-"""Error against time, drawn: one axes a knob, and all of them on a page's figure."""
+"""Plots of error against time: one axes for each knob, and a figure with all of them."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

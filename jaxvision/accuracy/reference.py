@@ -101,8 +101,8 @@ def paired_reference(
     session: Session, *, finer: bool = True
 ) -> tuple[Reference, dict[int, np.ndarray]]:
     """The finest setting that time allows, by the same seeds as the trials; without `finer` ones of
-    those that were run. What it is still off by follows from the steps between it and the two
-    settings before it."""
+    those that were run. Its error follows from the steps between it and the two previous
+    settings."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
     steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIRED)]

@@ -242,7 +242,7 @@ def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | No
 
 
 def _pruned(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
-    """Without what may go, for paths as long as any knob follows them."""
+    """Drop the negligible effects, for paths of the largest depth of any knob."""
     own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
     share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
@@ -284,7 +284,7 @@ def machine() -> str:
 
 
 def _read(file: Path, seconds: float) -> dict[str, Any] | None:
-    """What was measured, in at least so many seconds."""
+    """A finished measurement, and the seconds that it took at least."""
     keys = {"settings", "promised", "predicted_seconds", "checked", "unknown", "level"}
     try:
         found = json.loads(file.read_text())

@@ -1,8 +1,8 @@
 """Several knobs at once: the cheapest combination of their settings within a tolerance, or the most
 accurate one within a time.
 
-Times multiply: turning a knob changes the time by the factor by which it changes it alone. Errors
-of random knobs add in quadrature, biases as they are: (sum of biases)^2 + sum of squares.
+Times multiply: a change of one knob changes the time by the same factor as alone. Errors of random
+knobs add in quadrature, biases as they are: (sum of biases)^2 + sum of squares.
 """
 
 from collections.abc import Mapping, Sequence

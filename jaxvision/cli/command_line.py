@@ -1,5 +1,5 @@
-"""What the commands share: `--version`, `-v`, and how a command that fails ends, with one sentence
-on standard error and an exit status."""
+"""Common parts of the commands: `--version`, `-v`, and how a command that fails ends, with one
+sentence on standard error and an exit status."""
 
 import logging
 import os

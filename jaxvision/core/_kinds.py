@@ -1,4 +1,4 @@
-"""What a kind of light or material says of its table in a scene file."""
+"""The description of a light's or material's table in a scene file."""
 
 import re
 from collections.abc import Callable

@@ -78,7 +78,8 @@ def _rows(record: eqx.Module, depth: int = 0) -> Iterator[tuple[int, str, str, s
 
 
 def meanings(kind: object) -> dict[str, str]:
-    """What the docstring of a record says of each field, and of a function of each argument."""
+    """Return the description of each field of a record, or of each argument of a function, from its
+    docstring."""
     listed = re.split(r"^(?:Attributes|Args):\n", inspect.getdoc(kind) or "", flags=re.MULTILINE)
     entries = re.findall(r"^    (\w+): (.+(?:\n {5,}.+)*)", "".join(listed[1:]), re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}

@@ -95,7 +95,7 @@ def as_float(x: Any) -> Array:
 
 
 def in_short(x: Any) -> str:
-    """What was given, on one line and not longer than a sentence bears."""
+    """Return the given value as text on one line, short enough for a sentence."""
     words = " ".join(repr(x).split())
     return words if len(words) <= 80 else f"{words[:80]} ..."
 

@@ -20,7 +20,7 @@ _KEPT = (b"IHDR", b"sBIT", b"acTL")  # of a few bytes each
 
 @dataclass(frozen=True)
 class PngChunks:
-    """What the chunks of a file say."""
+    """The contents of the chunks of a file."""
 
     fault: str | None  # what is wrong with them, in words; None where all of the picture are whole
     depth: int = 8  # bits of a sample as stored; of a palette's index for a palette

@@ -3,9 +3,9 @@ raw files of cameras and FITS.
 
 This is the edge of the library: eager, with NumPy in and out, through OpenImageIO, which is loaded
 on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their codes, of 1 to 16 bits
-(uint8, uint16); floating files come as float32. What a decoder does to the codes on the way is
-undone. What a file holds beyond one picture is named by a warning of one sentence, or the file is
-refused. Every failure is an `InputError` of one sentence.
+(uint8, uint16); floating files come as float32. Changes that a decoder makes to the codes are
+undone. A warning of one sentence names contents besides one picture, or the file is refused. Every
+failure is an `InputError` of one sentence.
 """
 
 import errno

@@ -118,7 +118,8 @@ class Ratio:
 
     @property
     def chance(self) -> float:
-        """That of two equal models one errs more at as many incidences (sign test, both sides)."""
+        """Two-sided p-value of a sign test: the chance that, of two equally good models, one has
+        the larger error at this many incidence angles."""
         return min(2 * float(bdtrc(self.more_often - 1, len(self.alone), 0.5)), 1.0)
 
     @property

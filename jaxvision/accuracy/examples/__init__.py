@@ -1,4 +1,4 @@
-"""A problem for each knob that no scene file turns, small enough for seconds.
+"""A small problem for each knob that no scene file has. Each takes seconds.
 
 light      roulette, strategies, form factors, adaptive nodes, tables of directions, spectra
 cameras    lens, motion, pixel aperture, diffraction, shot noise

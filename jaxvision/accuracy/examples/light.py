@@ -142,7 +142,8 @@ def _polygons() -> Problem:
 
 
 def _sampler() -> Problem:
-    """What a tabulated lobe reflects of a sky, by 64 directions drawn from its own table."""
+    """The reflected light of a sky at a tabulated lobe, by 64 directions drawn from its own
+    table."""
     angles = jnp.asarray(np.linspace(0.01, 1.5, 16))
     samples = samples_of(_gloss(0.2), angles, angles, jnp.asarray(np.linspace(0, np.pi, 19)))
 

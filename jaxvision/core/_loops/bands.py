@@ -15,8 +15,8 @@ FEW = 8  # numbers of an array that are computed one by one; of more, the code w
 
 
 def apart(spectrum: Colour | Bands, bands: int) -> Bands:
-    """The bands of a spectrum, a neutral one's repeated; in its unit. By a split, whose cotangents
-    are put side by side again: those of an index would be padded each, and added."""
+    """The bands of a spectrum, a neutral one's repeated; in its unit. Uses `lax.split`: its
+    gradient is a concatenation, whereas indexing would pad and add one array for each band."""
     if not isinstance(spectrum, tuple):
         parts = jax.lax.split(spectrum, (1,) * spectrum.shape[0])
         spectrum = tuple(part.reshape(()) for part in parts)

@@ -1,6 +1,7 @@
-"""What is computed in one loop and what is stored in between. This is for speed, and it makes sure
-that a decision that depends on rounding is taken once: compiled code that computes a sum twice may
-contract its products in two ways, which could then disagree on which of two crossings comes first.
+"""Control of XLA fusion: which values are computed in one loop and which are materialised. This is
+for speed, and it makes sure that a decision that depends on rounding is taken once: compiled code
+that computes a sum twice may contract its products in two ways, which could then disagree on which
+of two crossings comes first.
 
 Parts of JAX below its documented interface make programs faster on a processor; `primitives` alone
 uses them. Without them the same programs are public JAX and give the same values and derivatives,

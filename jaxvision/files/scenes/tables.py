@@ -350,7 +350,7 @@ def view_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> View:
 def _word(
     reading: Reading, where: str, key: str, entry: Mapping[str, Any], known: Mapping[str, Any]
 ) -> tuple[str, dict[str, Any]]:
-    """The word of a table that says what it is, and its other keys."""
+    """Return the word that gives the kind of a table, and its other keys."""
     rest = dict(entry)
     if key not in rest:
         raise InputError(f"{reading.place}: {where}: {key} is missing; add it.")

@@ -74,6 +74,6 @@ def _glass(material: Material, label: str) -> dict[str, Any]:
 
 
 def emission_of(material: Material) -> np.ndarray:
-    """What a material shines by itself, (3,) cd m^-2."""
+    """Return the emission of a material, (3,) cd m^-2."""
     strength = material.extensions.KHR_materials_emissive_strength.emissiveStrength
     return strength * np.array(material.emissiveFactor)

@@ -40,7 +40,7 @@ class Table:
 
 @dataclass
 class Node:
-    """An object of the file. What is never taken from it is unknown here, and an error.
+    """An object of the file. An element that is never taken is unknown here, and an error.
 
     Attributes:
         tag: "shape", "bsdf", ...

@@ -89,7 +89,7 @@ def _words(text: str, place: str, count: int) -> np.ndarray:
 
 
 def lengths_of_axes(to_world: Affine) -> np.ndarray:
-    """What a unit along each axis becomes, (3,) m."""
+    """Return the length of a unit along each axis after the transform, (3,) m."""
     return np.linalg.norm(to_world[:3, :3], axis=0)
 
 
