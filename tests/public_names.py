@@ -112,8 +112,8 @@ STATIC = {
     "jaxvision.transport.radiosity.solve.shoot",
 }
 # Constant to gradients, and a drawn direction, whose weight is.
-STATIC |= {"jaxvision.geometry._size.reach_of", "jaxvision.geometry._bounds.ball_around"}
-STATIC |= {"jaxvision.brdf._specular.one_way"}
+STATIC |= {"jaxvision.geometry._size.largest_coordinate", "jaxvision.geometry._bounds.ball_around"}
+STATIC |= {"jaxvision.brdf._specular.draw_way"}
 STATIC |= {f"jaxvision.brdf._registry.{name}" for name in ("is_body", "is_delta")}
 STATIC |= {f"jaxvision.{room}._registry.register" for room in ("brdf", "lights", "sensor")}
 STATIC |= {

@@ -29,8 +29,8 @@ from ._registry import (
 from ._specular import (
     Carries as Carries,
     Specular as Specular,
-    one_way as one_way,
-    passing as passing,
+    draw_way as draw_way,
+    transmitted as transmitted,
 )
 from .evaluation import (
     albedo as albedo,

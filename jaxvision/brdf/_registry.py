@@ -20,7 +20,7 @@ from ..core._vector import Direction, Vec, Vector, as_vec
 from ..geometry.hemisphere import cosine_direction, cosine_pdf, product_nodes
 from ..scene import Material
 from ._lobe import where_above
-from ._specular import Specular, one_way
+from ._specular import Specular, draw_way
 
 POLAR, AZIMUTHS = 32, 64  # nodes of the default albedo
 
@@ -150,7 +150,7 @@ def register_delta(
         return jnp.zeros_like(specular(material, as_vec(wo)).reflectance)
 
     def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-        return one_way(specular(material, as_vec(wo)), u[2], carries="light")[0]
+        return draw_way(specular(material, as_vec(wo)), u[2], carries="light")[0]
 
     def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
         del material, wi

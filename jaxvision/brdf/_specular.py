@@ -50,7 +50,7 @@ class Specular(Shown):
             raise ValueError("Specular.refracted and Specular.transmittance come together.")
 
 
-def passing(ways: Specular, carries: Carries) -> Colour:
+def transmitted(ways: Specular, carries: Carries) -> Colour:
     """The share that goes through a clear surface.
 
     Args:
@@ -67,13 +67,13 @@ def passing(ways: Specular, carries: Carries) -> Colour:
     return ways.transmittance / (ways.eta * ways.eta)
 
 
-def one_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour]:
+def draw_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour]:
     """One of the directions, drawn with a probability of its share of the flux.
 
     Args:
         ways: the directions.
         u: () uniform in [0, 1), no unit.
-        carries: as for `passing`.
+        carries: as for `transmitted`.
 
     Returns:
         The direction, unit, local, and its weight, (bands,) or (1,), no unit: the share over the
@@ -86,6 +86,6 @@ def one_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour
     weight = jnp.where(
         mirrors,
         ways.reflectance * reciprocal(likely),
-        passing(ways, carries) * reciprocal(1 - likely),
+        transmitted(ways, carries) * reciprocal(1 - likely),
     )
     return where(mirrors, ways.mirrored, ways.refracted), weight

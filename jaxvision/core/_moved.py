@@ -44,6 +44,24 @@ MOVED = {
     }.items()
 }
 
+RENAMED = {  # public functions
+    "fitting.reflectance.from_files.of_axis": "best_about_axis",
+    "jaxvision.brdf.one_way": "draw_way",
+    "jaxvision.brdf.passing": "transmitted",
+    "jaxvision.filters.continued": "pad_axis",
+    "jaxvision.geometry.reach_of": "largest_coordinate",
+}
+
+
+def renamed(old: str) -> str | None:
+    """The new name of a public function that had this name, which a warning says; else None."""
+    new = RENAMED.get(old)
+    if new is not None:
+        warnings.warn(
+            f"{old} is now {old.rpartition('.')[0]}.{new}.", DeprecationWarning, stacklevel=3
+        )
+    return new
+
 
 def module_of(old: str) -> ModuleType | None:
     """The module that had this name, whose new name a warning says; None for any other name."""

@@ -10,7 +10,7 @@ from typing import Any
 import lazy_loader
 
 from .._textbook import places
-from ._moved import module_of
+from ._moved import module_of, renamed
 
 Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 
@@ -30,6 +30,9 @@ def names_of(package: str, file: str) -> Attached:
         moved = module_of(f"{package}.{name}")
         if moved is not None:
             return moved
+        new = renamed(f"{package}.{name}")
+        if new is not None:
+            return load(new)
         where = None if name.startswith("_") else _home(package, Path(file).parent, name)
         near = difflib.get_close_matches(name, offered, n=1)
         if where and where.removeprefix(f"{package}.") in offered:

@@ -43,7 +43,7 @@ from .matrix import (
 from .median import median_filter as median_filter
 from .nonlocal_means import nonlocal_means_filter as nonlocal_means_filter
 from .operators import adjoint as adjoint, impulse_response as impulse_response
-from .padding import BORDERS as BORDERS, continued as continued, pad as pad
+from .padding import BORDERS as BORDERS, pad_axis as pad_axis, pad as pad
 from .pyramid import (
     blend_by_pyramid as blend_by_pyramid,
     collapse_laplacian as collapse_laplacian,

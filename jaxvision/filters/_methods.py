@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..core._loops.fusion import PLAIN, stored
 from ..programs import on_processor
-from .padding import continued, ghosts
+from .padding import ghosts, pad_axis
 
 Stack = Float[Array, "n h w c"]
 Result = Float[Array, "n _ _ c"]
@@ -40,7 +40,7 @@ def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> 
     zero = jnp.zeros((), image.dtype)
     for axis in (1, 2):
         before, after = anchor[axis - 1], size[axis - 1] - 1 - anchor[axis - 1]
-        image = continued(image, axis, before, after, border, zero)
+        image = pad_axis(image, axis, before, after, border, zero)
     return image
 
 

@@ -173,12 +173,12 @@ def pad(
     warn_of_idle_fill(fill, border)
     outside = jnp.asarray(fill, image.dtype) if border == "constant" else jnp.zeros((), image.dtype)
     for axis, (before, after) in zip((1, 2), widths, strict=True):
-        image = continued(image, axis, before, after, border, outside)
+        image = pad_axis(image, axis, before, after, border, outside)
     return restore(image)
 
 
 @takes_numbers
-def continued(
+def pad_axis(
     image: Float[Array, "images h w bands"],
     axis: int,
     before: int,

@@ -20,7 +20,7 @@ from ..core._arguments import takes_numbers
 from ..core._loops.fusion import stored
 from ..core._types import as_float, check_count
 from ._neighbours import AnyPicture, Floats
-from .padding import as_planes, check_border, check_picture, continued
+from .padding import as_planes, check_border, check_picture, pad_axis
 
 ROWS, COLUMNS = 1, 2  # of a stack of images
 Stack = Float[Array, "images _ _ bands"]
@@ -245,4 +245,4 @@ def _expanded(image: Stack, axis: int, border: str) -> Stack:
 
 
 def _around(image: Stack, axis: int, by: int, border: str) -> Stack:
-    return continued(image, axis, by, by, border, jnp.zeros((), image.dtype))
+    return pad_axis(image, axis, by, by, border, jnp.zeros((), image.dtype))

@@ -12,7 +12,7 @@ from ._places import (
 from ._size import (
     largest_size as largest_size,
     offset_length as offset_length,
-    reach_of as reach_of,
+    largest_coordinate as largest_coordinate,
 )
 from .box import intersect_box as intersect_box
 from .checks import problems as problems

@@ -22,7 +22,7 @@ def largest_component(v: Vec3) -> Scalar:
     return jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
 
 
-def reach_of(points: Sequence[Vec3]) -> Scalar:
+def largest_coordinate(points: Sequence[Vec3]) -> Scalar:
     """The largest of all components in magnitude.
 
     Args:

@@ -21,7 +21,7 @@ from ..core._loops.fusion import together
 from ..core._numerics import divide, dot, or_one, polynomial, smallest_divisor
 from ..core._types import Colour, Scalar, Scalars
 from ..core._vector import Direction, Vec, Vector, as_vec, masked, where
-from ..geometry import reach_of
+from ..geometry import largest_coordinate
 from ..geometry.hemisphere import cross
 from ._nodes import square_nodes
 from .rectangle import RectangleLight
@@ -164,7 +164,7 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     first = as_vec(light.corner - as_vec(point))
     corners = [first, first + u, first + u + v, first + v]
-    scale = 1 / reach_of(corners)
+    scale = 1 / largest_coordinate(corners)
     u, v, corners = u * scale, v * scale, [corner * scale for corner in corners]
     receiver = as_vec(normal)
     above = [dot(receiver, corner) >= 0 for corner in corners]

@@ -21,7 +21,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import brdf
-from ..brdf import Carries, Specular, is_body, is_delta, one_way, passing
+from ..brdf import Carries, Specular, draw_way, is_body, is_delta, transmitted
 from ..core._loops.bands import Bands, apart
 from ..core._loops.fusion import searched, together
 from ..core._loops.groups import group_by_structure, take
@@ -207,7 +207,7 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
             mirrored = jnp.where(among, ways.reflectance, mirrored)
             up = where(among, ways.mirrored, up)
             if ways.refracted is not None:
-                refracted = jnp.where(among, passing(ways, "radiance"), refracted)
+                refracted = jnp.where(among, transmitted(ways, "radiance"), refracted)
                 down = where(among, ways.refracted, down)
     return Branches(as_vec(to_world(frame, up)), as_vec(to_world(frame, down)), mirrored, refracted)
 
@@ -245,7 +245,7 @@ def _vertex(
     """`vertex` in the local frame, of one material."""
     zero, everywhere = jnp.zeros_like(back.z), jnp.full_like(back.z, jnp.inf)
     if is_delta(material):
-        onward, weight = one_way(_specular(material, back, flat), u[2], carries=carries)
+        onward, weight = draw_way(_specular(material, back, flat), u[2], carries=carries)
         return Vertex(
             (zero,) * bands,
             zero if weighed else None,

@@ -64,7 +64,7 @@ EXAMPLES = {
     "brdf._registry.absorption": ((CLEAR,), {}),
     "brdf._registry.seen_in_mirror": ((Mirror(KD), WO), {}),
     "brdf._registry.specular": ((CLEAR, WO), {}),
-    "brdf._specular.passing": ((WAYS,), {"carries": "radiance"}),
+    "brdf._specular.transmitted": ((WAYS,), {"carries": "radiance"}),
     "brdf.evaluation.reflect": ((PHONG, N, WI, WO), {"tangent": WI}),
     "brdf.evaluation.shading": ((PHONG, WI, WO), {}),
     "brdf.evaluation.evaluate": ((PHONG, WI, WO), {}),

@@ -27,7 +27,7 @@ def blur(picture):
 
 EXAMPLES = {
     "filters.padding.pad": ((X,), {"widths": ((1, 2), (5, 0)), "border": "extend"}),
-    "filters.padding.continued": (
+    "filters.padding.pad_axis": (
         (X[None],),
         {"axis": 2, "before": 1, "after": 5, "border": "extend", "outside": ONE},
     ),

@@ -9,7 +9,7 @@ import warnings
 import pytest
 
 import jaxvision
-from jaxvision.core._moved import MOVED
+from jaxvision.core._moved import MOVED, RENAMED
 
 
 @pytest.mark.parametrize("old", sorted(MOVED))
@@ -23,6 +23,15 @@ def test_an_old_name_gives_the_module_and_says_the_new_one(old):
     assert found.__name__ == found.__spec__.name == MOVED[old]
     with pytest.warns(DeprecationWarning, match=old) as said:
         assert jaxvision.__getattr__(name) is found
+    assert said[0].filename == __file__
+
+
+@pytest.mark.parametrize("old", sorted(RENAMED))
+def test_an_old_name_of_a_function_gives_it_and_says_the_new_one(old):
+    package, _, name = old.rpartition(".")
+    holder = importlib.import_module(package)
+    with pytest.warns(DeprecationWarning, match=f"{old} is now {package}.{RENAMED[old]}.") as said:
+        assert getattr(holder, name) is getattr(holder, RENAMED[old])
     assert said[0].filename == __file__
 
 

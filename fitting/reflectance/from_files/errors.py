@@ -190,7 +190,7 @@ def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
     return min(scores, key=lambda model: metric(scores[model], objective))
 
 
-def of_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
+def best_about_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objective) -> Model:
     """The best model with a lobe about one axis.
 
     Args:

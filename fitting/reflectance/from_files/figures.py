@@ -15,7 +15,7 @@ from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe
 from ..names import MODELS, Axis, Model
 from .calibration import BRDFCalibration
-from .errors import best, metric, of_axis
+from .errors import best, best_about_axis, metric
 from .findings import AXES
 from .fit import LobeFit, brdf
 from .read import MeasuredBRDF
@@ -63,7 +63,7 @@ def _draw_slice(axis: Axes, calibration: BRDFCalibration, incidence: int) -> Non
     about = theta_i + np.concatenate([-near, [0.0], near])
     theta_o = np.unique(np.concatenate([theta_o, about[np.abs(about) <= theta_o[-1]]]))
     held_out = calibration.held_out
-    lines: list[Model] = [of_axis(held_out, kind, calibration.objective) for kind in AXES]
+    lines: list[Model] = [best_about_axis(held_out, kind, calibration.objective) for kind in AXES]
     highest = top
     for model, style in zip((*lines, "lambert"), ("-", "--", "-"), strict=True):
         fit = calibration.fits[model].without[incidence]

@@ -21,11 +21,11 @@ from .errors import (
     Ratio,
     Side,
     best,
+    best_about_axis,
     describes,
     exceeds_signal,
     in_words,
     metric,
-    of_axis,
     ratio,
     weight_by_incidence,
     winner_of,
@@ -135,7 +135,7 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     ]
     equal: list[Model] = [m for m in open_size if m not in (*worse, *useless)]
     far: list[Model] = [m for m in equal if found[m].value >= APART]
-    rivals: list[Model] = [of_axis(held_out, axis, objective) for axis in AXES]
+    rivals: list[Model] = [best_about_axis(held_out, axis, objective) for axis in AXES]
     others: list[Model] = [m for m in (*rivals, "lambert") if m not in (winner, *equal)]
     against = ", ".join(f"{in_words(held_out[m], objective)} for {_described(m)}" for m in others)
     angles = np.degrees(calibration.measured.incidences)
@@ -276,8 +276,8 @@ def _intervals(calibration: BRDFCalibration) -> Numbers:
 def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
     """The best lobe about the half vector, that about the mirror direction, and which wins."""
     held_out, objective = calibration.held_out, calibration.objective
-    half = of_axis(held_out, "half", objective)
-    mirror = of_axis(held_out, "mirror", objective)
+    half = best_about_axis(held_out, "half", objective)
+    mirror = best_about_axis(held_out, "mirror", objective)
     return half, mirror, winner_of(held_out[half], held_out[mirror], objective)
 
 

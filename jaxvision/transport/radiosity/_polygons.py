@@ -11,7 +11,7 @@ from ...core._loops.fusion import together
 from ...core._numerics import divide, dot
 from ...core._types import Scalar
 from ...core._vector import Vec
-from ...geometry import reach_of
+from ...geometry import largest_coordinate
 from ...geometry.hemisphere import cross
 from ...lights import square_nodes
 from ...lights.polygon import contour_integral
@@ -32,7 +32,7 @@ def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, "
 def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     """`point_to_polygon` by the contour integral alone, m."""
     around = [corner - point for corner in corners]
-    scale = 1 / reach_of(around)
+    scale = 1 / largest_coordinate(around)
     around = together([corner * scale for corner in around])
     # seen from the front the corners run counterclockwise, opposite to the sense of lights
     area = cross(around[2] - around[0], around[3] - around[1])

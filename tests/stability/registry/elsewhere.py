@@ -373,7 +373,7 @@ ELSEWHERE = (
         "test_own_kinds test_own_kinds_in_one_file test_lights",
         """
             brdf._registry: is_body is_delta register register_delta families lambertian suprema
-            brdf._specular: one_way
+            brdf._specular: draw_way
             lights._registry: can_be_seen register register_extended kinds kind_of
             sensor._registry: register register_curve stage_of
             lights._samples: lights_by_rule rule_for rule_of_each rules_of split_by_rule
@@ -407,7 +407,7 @@ ELSEWHERE = (
         """
             geometry._bounds: ball_around
             geometry._places: has_area
-            geometry._size: offset_length reach_of
+            geometry._size: largest_coordinate offset_length
             geometry.box: box_hit
             geometry.flat: disc_hit plane_hit quad_hit
             geometry.nearest: blocked
@@ -735,7 +735,8 @@ ELSEWHERE = (
             fitting.reflectance.from_files.calibration: albedo amplitudes calibrate
             fitting.reflectance.from_files.calibration: parameter_space
             fitting.reflectance.from_files.errors: best describes errors exceeds_signal in_words
-            fitting.reflectance.from_files.errors: metric of_axis prediction_of_held_out ratio
+            fitting.reflectance.from_files.errors: best_about_axis metric ratio
+            fitting.reflectance.from_files.errors: prediction_of_held_out
             fitting.reflectance.from_files.errors: weight_by_incidence winner_of
             fitting.reflectance.from_files.fit: brdf compressed darkness fit_model fit_models
             fitting.reflectance.from_files.fit: in_metric problem_of reflected
