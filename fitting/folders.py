@@ -63,8 +63,8 @@ def _attempted(
 def noise(
     path: Path, step: Step, draws: Draws, *, bits: int | None = None, channel: str = ""
 ) -> Found:
-    """Photon transfer of flats and darks, or of a CSV of sums per exposure; of several gains or
-    temperatures each by itself and all together.
+    """Photon transfer from flats and darks, or from a CSV of sums per exposure. Several gains or
+    temperatures are fitted separately and together.
 
     Args:
         path: folder of a rig, or the CSV.

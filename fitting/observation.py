@@ -297,7 +297,7 @@ def read_stack(
 
 
 def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
-    """Planes of one frame by name: its colours, and the sites that a cell of it repeats.
+    """Return the planes of one frame by name: its colours, or the sites of its repeated cell.
 
     Args:
         frame: (h, w) or (h, w, 3), of the camera's region where it has one.

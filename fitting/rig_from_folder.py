@@ -115,9 +115,9 @@ def rig_of(folder: Path) -> FoundRig:
 
     Images count by a word in their path: dark or bias; flat or bright; light or lamp (then
     `normals` and `mask` are the shape); the others are an exposure stack. IMAGETYP of a FITS header
-    tells flats, darks and photographs as well. Times come from the files' heads, or from names such
-    as `flat_8ms` and `scene_1-8s`; wavelengths in names, as in `chart_450nm`, separate stacks. An
-    EXR or HDR file beside images of whole numbers is left out.
+    also distinguishes flats, darks and photographs. Times come from the files' heads, or from names
+    such as `flat_8ms` and `scene_1-8s`; wavelengths in names, as in `chart_450nm`, separate stacks.
+    An EXR or HDR file beside images of whole numbers is left out.
 
     Args:
         folder: of images, in it or one folder below.

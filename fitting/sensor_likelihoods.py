@@ -151,7 +151,7 @@ class SensorCounts(eqx.Module):
         z_n  = (c - offset - K n) / (K sigma)
 
     Exact also below a read noise of half a DN, where the moments are not. The sensor needs shot
-    noise, read noise and gain; electrons within `reach` of those that contribute most are summed,
+    noise, read noise and gain. Electrons within `reach` of those that contribute most are summed,
     which lie between the mean and the code: the cost grows with the read noise in electrons.
 
     Attributes:

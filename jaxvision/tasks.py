@@ -306,7 +306,7 @@ class _Bundles:
         self._size = 1
 
     def next(self) -> tuple[Any, ...]:
-        """The next items; none where all are handed out."""
+        """Return the next items; none if all are assigned."""
         size = min(self._size, max(len(self._left) // (2 * self._threads), 1))
         return tuple(self._left.popleft() for _ in range(min(size, len(self._left))))
 
@@ -317,8 +317,8 @@ class _Bundles:
 
 
 class _Task:
-    """A function in a worker: it is sent once the worker is known to be like the client, and finds
-    what tasks share unpacked."""
+    """A function in a worker. It is sent after the worker was found equal to the client, and finds
+    the shared data unpacked."""
 
     def __init__(
         self, function: Callable[..., Any], wanted: Mapping[str, Any], digest: str

@@ -179,7 +179,7 @@ def photographs(sphere: Sphere, seed: int) -> np.ndarray:
 
 
 def places(sphere: Sphere, seed: int) -> np.ndarray:
-    """Where one fit puts the truth.
+    """The position of the true values in the posterior of one fit.
 
     Args:
         sphere: to photograph.

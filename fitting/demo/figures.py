@@ -1,4 +1,4 @@
-"""The demo's first picture: how far each estimate lies from its truth."""
+"""The demo's first picture: the error of each estimate."""
 
 from collections.abc import Sequence
 

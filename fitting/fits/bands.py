@@ -24,7 +24,7 @@ BATCH = 8  # draws pushed through a function at a time
 
 @dataclass(frozen=True)
 class Bands:
-    """Something that follows from the parameters, with its uncertainty.
+    """A quantity derived from the parameters, with its uncertainty.
 
     Attributes:
         mean: of the draws, in the unit of the thing.

@@ -90,7 +90,8 @@ def _copied_exposures(
 def _of_another_scene(
     frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Images whose brighter pixels are not the brighter ones of any other, where those agree."""
+    """Return the images whose ranking of pixels by brightness agrees with no other image, if the
+    others agree."""
     alike = np.full((len(frames), len(frames)), np.nan)
     for i, j in combinations(left, 2):
         one, other = _clear(frames, i, j, full_scale)

@@ -1,4 +1,4 @@
-"""Frames of several levels of light: those that differ from the others of their level.
+"""Detection of frames that differ from the others of their light level.
 
 Frames of one level see the same light, so that their means, their unevenness and the noise between
 them agree. A frame does not belong where it departs by more than the frames of all levels scatter

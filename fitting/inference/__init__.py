@@ -1,5 +1,5 @@
-"""Parameters, priors and likelihoods, searches and samplers, estimates with intervals: statistics
-that know no physics and no calibration."""
+"""Statistics without physics: parameters, priors and likelihoods, searches and samplers, and
+estimates with intervals."""
 
 from jaxvision.core.lazy_names import names_of
 

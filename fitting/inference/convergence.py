@@ -103,7 +103,7 @@ def _normal_scores(draws: np.ndarray) -> np.ndarray:
 
 
 def _variances(draws: np.ndarray) -> tuple[float, float]:
-    """Within chains, and of all of them together."""
+    """The variance within chains, and of all chains together."""
     length = draws.shape[1]
     within = float(draws.var(axis=1, ddof=1).mean())
     return within, within * (length - 1) / length + float(draws.mean(axis=1).var(ddof=1))

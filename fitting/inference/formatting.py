@@ -53,7 +53,7 @@ def format_p(p_value: float) -> str:
 
 
 def format_percent(share: float, *, decimals: int = 0) -> str:
-    """A share in per cent: 0.125 as "12.5 %" with one decimal."""
+    """Format a share in per cent: 0.125 with one decimal is "12.5 %"."""
     return f"{100 * share:.{decimals}f} %"
 
 

@@ -42,7 +42,7 @@ class LeftOut:
 def distance(
     squares: Float[np.ndarray, "..."], *, parts: float | Float[np.ndarray, "..."] = 1.0
 ) -> float:
-    """How far errors of independent parts of the data move their law."""
+    """The change of the data's distribution by errors of independent parts."""
     return float(np.sqrt(np.sum(parts * (np.sqrt(1 + squares) - 1) ** 2)))
 
 

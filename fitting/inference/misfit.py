@@ -5,7 +5,8 @@ distributed, and the correlation of neighbours along an axis,
 
     rho = sum r_i r_(i+1) / sqrt(sum r_i^2 sum r_(i+1)^2),    rho sqrt(pairs) ~ Normal(0, 1).
 
-A wrong optimum leaves structure even where a fitted noise swallows the chi-square.
+A wrong optimum leaves structure in the residuals, even if a fitted noise level makes chi-square
+normal.
 """
 
 from dataclasses import dataclass

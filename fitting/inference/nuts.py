@@ -229,7 +229,7 @@ def _advance(
     block: int,
     acceptance: float,
 ) -> tuple[_State, dict[str, Array]]:
-    """The steps of a block, (first, how many), and what they drew."""
+    """The steps of a block, (first, number), and their draws."""
     from blackjax.adaptation.step_size import DualAveragingAdaptationState
     from blackjax.mcmc.hmc import HMCState
 

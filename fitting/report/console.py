@@ -19,7 +19,7 @@ PLAIN_WIDTH = 110  # columns where the output is not a terminal, which would tel
 
 
 def output() -> Console:
-    """Standard output: as wide as the terminal, of one width when it is piped."""
+    """Standard output, with the width of the terminal, or a fixed width in a pipe."""
     return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
 
 

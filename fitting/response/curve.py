@@ -155,7 +155,8 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
     """Standard deviation of a ripple of g that no pixel tells from the curve, in ln X.
 
     The size is what simulated stacks of S-shaped and sRGB responses are off by: .01 at 2 1/4 stops,
-    .038 at three. A smoother curve leaves less room, as its prior allows: 1 / sqrt(smoothness).
+    .038 at three. For a smoother curve this error is smaller, in proportion to the prior's 1 /
+    sqrt(smoothness).
 
     Args:
         exposures: (exposures,) s.

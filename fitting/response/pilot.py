@@ -171,9 +171,9 @@ def fit_noise(
 ) -> NoiseModel:
     """The three variances of a class's noise model.
 
-    Squared residuals in cells of predicted log exposure, cut at three standard deviations of their
-    cell, are fitted by non-negative least squares, the known variance of the intervals of codes
-    subtracted.
+    The noise model is fitted to squared residuals in cells of predicted log exposure, by
+    non-negative least squares. Residuals are clipped at three standard deviations of their cell,
+    and the known variance of the code intervals is subtracted.
 
     Args:
         seen: observations under a curve.

@@ -162,7 +162,7 @@ class Order:
     @property
     def is_known(self) -> bool:
         """Whether the interval reaches no farther than 0.5, or a quarter of the exponent, from its
-        middle. Two points have no interval, so that theirs is not."""
+        middle. With two points there is no interval, and the result is False."""
         return self.high - self.low <= max(1.0, abs(self.exponent) / 2)
 
     def __str__(self) -> str:

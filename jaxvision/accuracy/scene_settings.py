@@ -270,8 +270,7 @@ def _remembered(source: SceneFile, tolerance: float | None, render_seconds: floa
 
 
 def machine() -> str:
-    """The machine that measured times belong to, in a line: processor, cores that may be used, and
-    JAX."""
+    """Describe the machine of the measured times in a line: processor, usable cores, and JAX."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -38,7 +38,7 @@ LEAST_ROUGHNESS = 1e-6  # what is smoother counts as this
 
 
 def at_least_polished(alpha: Alpha) -> Alpha:
-    """The roughness that counts: below 1e-6 it is 1e-6, without gradient; no unit."""
+    """Return the effective roughness, no unit. Below 1e-6 it is 1e-6, without gradient."""
     return jnp.maximum(alpha, LEAST_ROUGHNESS)
 
 

@@ -124,8 +124,8 @@ class Lobe(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """2 pi times the largest f_r cos of any angles, over `size`: by what factor the lobe's
-        share of a small solid angle may exceed that angle over 2 pi. No unit."""
+        """2 pi times the largest f_r cos of any angles, over `size`: the largest factor by which
+        the lobe's share of a small solid angle may exceed that angle over 2 pi. No unit."""
         one = np.ones((1, 1))
         peak = self.most(Angles(0 * one, one, 0 * one, one, 0 * one, one))
         return 2 * np.pi * float(peak.max()) / self.size if self.size > 0 else np.inf

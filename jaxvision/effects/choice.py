@@ -1,4 +1,5 @@
-"""Which effects go: by what they can change over what they save, until a tolerance is used up.
+"""Choice of the effects to drop, in the order of their bound over the saved time, until the
+tolerance is used up.
 
 Those of bound 0 go first. Bounds add, for the distance obeys the triangle inequality; each holds on
 every picture on the way from the full to the pruned one.

@@ -66,7 +66,7 @@ def _plain(sums: Sums) -> np.ndarray:
 
 
 def _is_smooth(shape: Shape) -> bool:
-    """Whether a shape's shading normals may turn away from a part of the lens."""
+    """Return whether a shape's shading normals may face away from a part of the lens."""
     return isinstance(shape, TriangleMesh) and shape.normals is not None
 
 

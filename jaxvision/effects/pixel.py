@@ -80,7 +80,7 @@ class Bound(NamedTuple):
 
 
 def clean(x: Any) -> float:
-    """A bound: not below 0, and inf where it is not a number."""
+    """Return a valid bound: at least 0, and inf for NaN."""
     number = float(x)
     return INF if math.isnan(number) else max(number, 0.0)
 

@@ -55,7 +55,7 @@ def band_rows(sums: Sums, *, direct: bool) -> tuple[Row, ...]:
 
 
 def _why_not(sums: Sums, direct: bool) -> str:
-    """Why no bands can be left out, or ""."""
+    """Return the reason why no bands can be dropped, or ""."""
     if not direct:
         return "light that bounces takes the colour of every surface that it meets"
     if not sums.lights:

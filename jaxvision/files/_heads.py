@@ -99,7 +99,8 @@ def jpeg_extras(file: Path) -> list[str]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the segments, those between scans too; of the end, what follows it."""
+    """Yield kind and content of the segments, also between scans. For the end marker the content is
+    the rest of the file."""
     at = 2
     while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
         kind = data[at + 1]

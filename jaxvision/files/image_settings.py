@@ -142,7 +142,7 @@ def _of_exif(file: Path, said: Mapping[str, Any]) -> ImageSettings:
 
 
 def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
-    """Bits of the codes of a PNG, TIFF, JPEG or TGA file; None where they are no codes."""
+    """Bits of the codes of a PNG, TIFF, JPEG or TGA file; None if they are not codes."""
     whole = said.get(_CODES)
     if chunks := png_chunks(file, head=True):
         return chunks.bits if whole else None

@@ -262,8 +262,8 @@ def _method(method: str, kernel: AnyKernel, picture: Picture) -> str:
 
 
 def _keeps_digits(kernel: AnyKernel, u: np.ndarray, s: np.ndarray, v: np.ndarray) -> bool:
-    """Whether the sum of passes keeps the digits of each entry of a kernel without negative ones,
-    where passes could cancel: a bright pixel would leave their rounding under an entry of 0."""
+    """Return whether a sum of passes is accurate for each entry of a non-negative kernel. Passes
+    may cancel, and a bright pixel would then leave a rounding error under an entry of 0."""
     k = np.asarray(kernel, np.float64)
     k = k[None] if k.ndim == 2 else np.moveaxis(k, -1, 0)
     if s.shape[1] == 1 or k.min() < 0:

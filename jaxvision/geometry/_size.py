@@ -65,7 +65,8 @@ def largest_size(shapes: Sequence[Shape]) -> Scalar:
 
 @takes_numbers
 def offset_length(size: Scalar) -> Scalar:
-    """How far a point is moved off its surface, so that no ray that leaves it meets it again.
+    """Return the offset of a point from its surface, so that no ray from it hits the same surface
+    again.
 
     Args:
         size: () m, the largest length that the point was computed from.

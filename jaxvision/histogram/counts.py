@@ -227,7 +227,7 @@ def _exact(stack: Stack, chosen: Binning) -> Int[Array, "planes bins"]:
 def _soft(
     stack: Stack, chosen: Binning, kernel: str
 ) -> tuple[Float[Array, "planes bins"], Float[Array, " planes"]]:
-    """The counts, and their departure from the exact ones."""
+    """The counts, and their difference from the exact counts."""
     exact = bin_counts(stack, chosen)
     values = stack if levels_of(stack) is None else as_float(stack) + 0.5
     counts = _weighted_counts(values, chosen, kernel)

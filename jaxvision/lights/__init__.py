@@ -1,9 +1,9 @@
 """What shines, one file per kind of light: its record, and what arrives from it at a point.
 
 A light at one place sends one `Incident`. An extended one is a map of the unit square onto its
-directions, and a rule (`Quadrature`, `MonteCarlo`, `Balanced`) says where it is sampled; the
-sum over the samples is the light. For ONE point; the caller vmaps. A new kind touches one file,
-which ends in `register` or `register_extended`; a user's own file may do the same.
+directions, and a rule (`Quadrature`, `MonteCarlo`, `Balanced`) gives the sample points. The sum
+over the samples is the light. For ONE point; the caller vmaps. A new kind touches one file, which
+ends in `register` or `register_extended`; a user's own file may do the same.
 """
 
 from ..core.lazy_names import names_of

@@ -70,7 +70,7 @@ def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
 
 
 def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
-    """A lamp at one place that shines to all sides, or to the side of a normal."""
+    """A lamp at one place that emits in all directions, or on the side of a normal."""
     points = box_about(numbers(light.low.position), numbers(light.high.position))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()

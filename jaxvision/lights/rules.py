@@ -56,9 +56,9 @@ class Quadrature(Shown):
 class MonteCarlo(Shown):
     """Random samples where the light is bright, without bias.
 
-    For skies, and for surfaces that are not glossier than the light is small. The samples of one
-    key are spread evenly (a Kronecker sequence with a random shift), so that their mean is better
-    than that of independent ones.
+    Use it for skies, and for surfaces whose lobe is at least as wide as the light. The samples of
+    one key are spread evenly (a Kronecker sequence with a random shift), so that their mean is
+    better than that of independent ones.
 
     Attributes:
         key: random key.

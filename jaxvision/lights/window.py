@@ -57,7 +57,8 @@ class Crossing(eqx.Module):
 
 
 def crossing(ray: Ray, window: Window) -> Crossing:
-    """Where a ray's line crosses the plane of a window, in m and in units of its edges."""
+    """The intersection of a ray's line with the plane of a window, in m and in units of its
+    edges."""
     flat = flat_quad(Quad(window.corner, window.edge_u, window.edge_v))
     height, slope, u, v = line_crossing(ray, flat)
     meets = slope > smallest_divisor(slope.dtype)

@@ -54,10 +54,10 @@ def pixels_of(
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
-    """Return a function from a seed to the function that computes pixels. It does the work before
-    the first pixel. The second function takes rows, columns and, if there are several samples, the
-    number of the first sample. For paths it also takes another depth, at least 2, without compiling
-    again. A second seed, if given, is for the positions of rays within a pixel.
+    """Return a function from a seed to the function that computes pixels. It does the work that
+    precedes the first pixel. The second function takes rows, columns and, if there are several
+    samples, the number of the first sample. For paths it also takes another depth, at least 2,
+    without compiling again. A second seed, if given, is for the positions of rays within a pixel.
 
     Args:
         source: the scene and its view.
@@ -227,7 +227,7 @@ def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _nothing(key: Key) -> None:
-    """Comes before the first pixel of all integrators but radiosity."""
+    """Work before the first pixel, for all integrators except radiosity."""
 
 
 def _along(settings: RenderEntry) -> RaysOf:

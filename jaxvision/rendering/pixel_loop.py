@@ -100,8 +100,8 @@ class Traced(Shown):
 
 
 def _encoded(radiance: Spectrum) -> np.ndarray:
-    """(h, w, 1 or 3), of the first of a batch: white at the 99th percentile; other bands than three
-    show their mean."""
+    """Return a picture (h, w, 1 or 3) of the first in a batch, with white at the 99th percentile.
+    For other numbers of bands than three it is their mean."""
     seen = np.asarray(radiance, float).reshape(-1, *radiance.shape[-3:])[0]
     if seen.shape[2] != 3:
         seen = seen.mean(axis=2, keepdims=True)

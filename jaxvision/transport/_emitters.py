@@ -44,7 +44,7 @@ LARGEST = 256  # numbers in an array of a record that are gathered by each ray
 
 
 class Emissive(eqx.Module):
-    """A surface that shines. `two_sided`: () from its back too. `size`: () m, as `Hit.size`."""
+    """An emissive surface. `two_sided`: () from its back too. `size`: () m, as `Hit.size`."""
 
     shape: Shape
     emission: Colour

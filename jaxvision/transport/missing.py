@@ -80,9 +80,8 @@ def missing_light(
     an environment falls between the directions of a quadrature, and a narrow gloss between its
     samples of a lamp. What such a gloss throws onto other surfaces `path` meets by chance alone.
 
-    Where mirrors and glass stand is not looked at: the light that a sentence names may be little.
-    Light that bounces between matt surfaces, which `direct` and `rays` leave out by their nature,
-    is not told.
+    The positions of mirrors and glass are not checked, so the named light may be small. Light that
+    bounces between matt surfaces, which `direct` and `rays` leave out by their nature, is not told.
 
     Args:
         scene: surfaces and lights, with known numbers.
@@ -356,7 +355,8 @@ def _rarely_in_lobe(
     own: Sequence[tuple[str, Surface]],
     samples: int | None,
 ) -> list[str]:
-    """A sentence for each surface whose lobe throws light where paths hardly ever look for it."""
+    """Return a sentence for each surface whose lobe sends light in directions that paths rarely
+    sample."""
     matt = [surface for _, surface in own if not is_delta(surface.material)]
     found = []
     for name, surface in own:

@@ -98,7 +98,7 @@ def _black(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _toward_light(calibration: BRDFCalibration) -> Numbers | None:
-    """Data that peak toward the light, as those of no model here do."""
+    """A finding about data with a peak toward the light, which no model here has."""
     measured = calibration.measured
     wi, wo = (np.asarray(as_array(v)) for v in (measured.wi, measured.wo))
     values, toward, judged = measured.values.mean(axis=1), 0, 0

@@ -261,8 +261,8 @@ class _Search:
         return min(ends, key=lambda end: end.cost)
 
     def descent(self, kept: np.ndarray, start: LobeFit) -> LobeFit:
-        """Gauss-Newton on the cube roots; a step that leads up is shortened, in the amplitudes and
-        in how far the shape may move."""
+        """Gauss-Newton on the cube roots. A step that increases the cost is shortened, in the
+        amplitudes and in the window of the shape."""
         measured, cosine = self.measured, self.measured.cosine[:, None]
         weights, dark = (kept * measured.weights)[:, None], darkness(measured)
         best = self.at(kept, start.diffuse, start.specular, start.shape)

@@ -1,9 +1,9 @@
 """MERL files (`.binary`): isotropic reflectance in RGB.
 
-Three little-endian int32 n_h, n_d, n_p (90, 90, 180), then as many float64 for red, for green, for
-blue, phi_d fastest and theta_h slowest, over the bins of `brdf.half_difference`. Values times (1,
-1.15, 1.66) / 1500 are f_r in sr^-1. Negative values mark bins that were not measured or lie below
-the surface.
+The file has three little-endian int32 n_h, n_d, n_p (90, 90, 180). Then follow n_h n_d n_p float64
+each for red, green and blue, with phi_d the fastest and theta_h the slowest index, over the bins of
+`brdf.half_difference`. Values times (1, 1.15, 1.66) / 1500 are f_r in sr^-1. Negative values mark
+bins that were not measured or lie below the surface.
 
 Source:
     The reader published with Matusik et al., "A Data-Driven Reflectance Model", 2003.
