@@ -128,7 +128,7 @@ TARGETS = {
 
 
 def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
-    """The known names that a textbook's word stands for; often none."""
+    """The known names that a textbook's word means; often none."""
     names = set(known)
     return tuple(name for name in TARGETS.get(folded(word), ()) if name in names)
 

@@ -73,9 +73,9 @@ def choose(
     """The cheapest setting within a tolerance, or the most accurate within a time. Of settings with
     indistinguishable times the most accurate is taken.
 
-    The error of a random setting is that of a few seeds. Where a result owes much to what few of
-    them meet, as light by a rare path, those seeds may not have met it: then it is off by more than
-    said, in more than one of twenty runs. So it is where all settings share a bias with their
+    The error of a random setting is that of a few seeds. If a result depends on rare events, such
+    as light by a rare path, these seeds may have missed them. The error then exceeds the stated
+    bound in more than one of twenty runs. So it is where all settings share a bias with their
     reference, as an integrator that cannot find some light (`transport.missing_light`).
 
     Args:

@@ -71,7 +71,7 @@ _left_behind: list[_Job] = []
 
 
 def something_left_behind() -> bool:
-    """Whether work that was left behind still goes on, beside which all else is slower."""
+    """Return whether abandoned work still runs and slows down everything else."""
     _left_behind[:] = [job for job in _left_behind if not job.ended.is_set()]
     return bool(_left_behind)
 

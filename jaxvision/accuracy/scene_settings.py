@@ -112,7 +112,7 @@ def measured(
 
 
 def _with_base(knob: Knob, base: Any) -> Knob:
-    """The knob with the setting at which it stands while others are turned among its settings."""
+    """Return the knob with its own base setting added to its settings."""
     if base is None or isinstance(base, str) or base in knob.settings:
         return knob
     if base >= max(knob.reference):

@@ -47,7 +47,7 @@ class Point:
 
 
 class Session:
-    """One problem, one knob, and the time that is left for them."""
+    """One problem, one knob, and the remaining time."""
 
     def __init__(
         self, problem: Problem, knob: Knob, seconds: float, clock: Clock | None = None

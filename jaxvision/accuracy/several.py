@@ -101,7 +101,7 @@ def combined(
 
 
 def _seconds_at(curve: Curve, base: Mapping[str, Any]) -> float:
-    """s of the setting at which a knob stands while others are turned."""
+    """Return the time, s, at the base setting of a knob."""
     setting = base[curve.knob.name]
     known = {trial.setting: trial.seconds for trial in curve.trials}
     if setting in known:

@@ -15,8 +15,9 @@ CHANCE = 0.025  # of a run above the upper bound, and of one below the lower
 
 
 def next_error(errors: np.ndarray) -> tuple[float, float, float]:
-    """Root mean square over runs of their errors (k,), and between what the error of the next one
-    lies in 95 of 100 cases, in their unit. One run, or equal ones: no spread is known."""
+    """Return the root mean square of the errors (k,) of runs, and the bounds that contain the error
+    of the next run in 95 of 100 cases, in their unit. One run, or equal ones: no spread is
+    known."""
     from scipy.special import fdtri, stdtrit
 
     seen = np.abs(np.asarray(errors, np.float64))

@@ -52,7 +52,8 @@ def rows(
 
 
 def _cells(curve: Curve) -> list[str]:
-    """A cell for each tolerance; the first that no setting meets tells the best bound there is."""
+    """Return a cell for each tolerance. The first that no setting meets gives the best bound
+    reached."""
     found = [NOT_REACHED if trial is None else _cell(trial) for trial in reached(curve)]
     if NOT_REACHED in found:
         best = min((trial.error_high for trial in curve.trials), default=np.inf)

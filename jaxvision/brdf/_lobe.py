@@ -27,7 +27,7 @@ ColourOrNeutral = Colour | Float[Array, "1"]
 
 
 class PowerLobe(Material):
-    """What Phong's and Blinn's records hold: each says what its lobe is and stands for.
+    """The fields of Phong's and Blinn's records. Each record describes its lobe and its convention.
 
     `diffuse`, `specular`: (bands,); a `specular` of shape (1,) is neutral. `exponent`: () >= 0, no
     unit. `ambient`: (bands,) k_a, no unit, or None.
@@ -65,8 +65,8 @@ def divisor(cosine: Scalar) -> Scalar:
 
 
 def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " specular"]) -> Scalar:
-    """The part of samples that the diffuse albedo deserves beside the specular one; a half where
-    both are 0."""
+    """Return the share of samples for the diffuse part, in proportion to its albedo; a half if both
+    albedos are 0."""
     body, lobe = diffuse.sum() / diffuse.size, specular.sum() / specular.size
     # of their size, so that the square of a tiny albedo is in range
     size = jax.lax.stop_gradient(jnp.maximum(body, lobe))

@@ -262,7 +262,7 @@ def absorption(material: Any) -> Colour | None:
 
 @takes_numbers
 def specular(material: Any, w: Vector) -> Specular:
-    """Where a ray goes on from a mirror or a clear surface.
+    """Return the continuation of a ray at a mirror or a clear surface.
 
     Args:
         material: a mirror or glass.

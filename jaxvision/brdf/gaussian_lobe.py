@@ -31,7 +31,7 @@ from ._lobe import ColourOrNeutral, about, divisor, lobe_integrals, mirrored, wh
 
 
 class _Concentrated(Material):
-    """What both records hold: each says what its lobe stands for."""
+    """The fields of both records. Each record describes its convention."""
 
     spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)

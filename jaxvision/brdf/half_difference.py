@@ -8,10 +8,10 @@ Variables for Efficient BRDF Representation", 1998.
 
 The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
 [0, pi): bin i of theta_h starts at (i / n_h)^2 pi / 2, so that lobes get most bins, the others are
-equally wide. phi_d is taken modulo pi, so the table is reciprocal by construction. A value stands
-at the middle of its bin; beyond the outermost middles it is clamped. BRDF values in sr^-1, angles
-in radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance
-Model", 2003, and the reference reader published with it.
+equally wide. phi_d is taken modulo pi, so the table is reciprocal by construction. A value is for
+the middle of its bin. Beyond the outermost middles it is clamped. BRDF values in sr^-1, angles in
+radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance Model",
+2003, and the reference reader published with it.
 """
 
 from typing import Literal

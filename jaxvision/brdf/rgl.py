@@ -105,7 +105,7 @@ def rgl_material(
     scaled: bool = True,
     symmetry: int = 1,
 ) -> RGL:
-    """The record from the tables as they stand in a file, densities not yet normalised.
+    """Make the record from the tables of a file, with densities that are not normalised.
 
     Arguments as in `RGL`, angles in rad; `vndf` and `luminance` are densities over the unit
     square.
@@ -125,7 +125,7 @@ def rgl_material(
 
 
 def _unfolded(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
-    """Both directions turned or mirrored together so that `wo` falls in the tabulated sector."""
+    """Rotate or mirror both directions together so that `wo` falls in the tabulated sector."""
 
     def flipped(w: Vec) -> Vec:
         y = jnp.where(wo.y > 0, -w.y, w.y)

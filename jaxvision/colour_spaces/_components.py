@@ -1,4 +1,4 @@
-"""What all conversions share: arrays whose last axis holds the three components of colours, and
+"""Common parts of all conversions: arrays whose last axis is the three components of colours, and
 divisors that count as 0. Components in any unit, matrices without one."""
 
 from functools import reduce

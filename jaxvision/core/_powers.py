@@ -7,12 +7,12 @@ Here it is a sum of two numbers, p = nearest + rest, of which
 
 needs the logarithm to one digit only: the bits of x, read as a whole number, give it.
 
-XLA's exp is off by one unit in the last place, its expm1 by five. Here y = k ln 2 + r, and
+XLA's exp has an error of one unit in the last place, its expm1 of five. Here y = k ln 2 + r, and
 
     exp(-y) = 2^-k (1 + t),    1 - exp(-y) = (1 - 2^-k) - 2^-k t,    t = exp(-r) - 1, |t| < 0.42,
 
 from which both follow with what each sum loses. The powers of two are variables of the program,
-not constants, beside which a compiler would simplify the sums.
+because a compiler would simplify the sums with constants.
 """
 
 import math

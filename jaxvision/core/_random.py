@@ -28,7 +28,7 @@ class Stream(eqx.Module):
 
 
 def seed_of(key: Key) -> UInt32[Array, "2"]:
-    """The two words that a random key stands for."""
+    """Return the two words of a random key."""
     return jax.random.bits(key, (2,), jnp.uint32)
 
 

@@ -88,7 +88,8 @@ def raised_interrupts() -> Iterator[None]:
 
 @contextmanager
 def removed_if_interrupted(file: Path) -> Iterator[None]:
-    """Context at whose end a file is complete or gone; an interrupt removes it."""
+    """Context manager for a file that is complete at the end. An interrupt or an error removes
+    it."""
     _ending.unfinished.add(file)
     try:
         yield

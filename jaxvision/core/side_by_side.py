@@ -45,8 +45,8 @@ def side_by_side(
     """What pieces of work return, in their order, done as many at a time as there are cores; none
     may wait for another, and `progress` is called with (pieces done, all pieces).
 
-    The first exception of a piece is raised at once; pieces not yet begun are left out, and those
-    that run go on to their end unheard.
+    The first exception of a piece is raised at once. Pieces that have not begun are not run, and
+    the results of running pieces are ignored.
     """
     threads = ThreadPoolExecutor(min(cores(), len(pieces)) or 1)
     waiting = [threads.submit(for_any_thread(piece)) for piece in pieces]

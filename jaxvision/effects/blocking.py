@@ -6,9 +6,8 @@ points of a convex body stays in it. Nothing is blocked where lamp, receiver and
 by the plane of one of them: both of the others on one closed side of a flat occluder, the lamp or
 the occluder behind a flat receiver, the receiver or the occluder behind the lamp. Elsewhere the
 hull of lamp and receiver and the occluder
-must be apart (`bodies.gap`). What touches a plane but for a few roundings of its own coordinates
-counts as in it: far fewer than `geometry.offset_length`, within which no ray meets it either.
-Lengths in m.
+must be apart (`bodies.gap`). A point within a few rounding errors of a plane counts as in it: far
+fewer than `geometry.offset_length`, within which no ray meets it either. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -54,8 +53,8 @@ def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> fl
 
 
 def touching(surfaces: Sequence[Ends[Surface]]) -> float:
-    """What coordinates may be off by where shapes touch: a few roundings of their own precision,
-    relative."""
+    """The relative rounding error of coordinates where shapes touch: a few roundings of their own
+    precision."""
     leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
     kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
     return _ROUNDINGS * max(float(np.finfo(kind).eps) for kind in kinds)
@@ -230,7 +229,7 @@ def _apart(
     bounded: np.ndarray,
     reach: float,
 ) -> None:
-    """Clears the triples whose occluder is apart from the hull of lamp and receiver."""
+    """Clear the triples whose occluder is separated from the hull of lamp and receiver."""
     n, tolerance = len(bounded), certain(_BEYOND * reach)
     for k, source in enumerate(sources):
         if source.kind == "sky":

@@ -1,4 +1,4 @@
-"""Light that goes on from surface to surface: what paths of so many pieces can add at most.
+"""Bounds on interreflections: the largest light of paths with a given number of segments.
 
 The light of one more piece is T of the last, in the sup norm over each surface:
 

@@ -105,7 +105,7 @@ def lens_radius(lens: ThinLens) -> float:
 
 
 def anywhere(eye: Eye) -> Eye:
-    """The same where it may be any viewer: another surface, which light goes on to."""
+    """The same for any viewer, such as another surface that receives the light."""
     return eye._replace(everywhere=True)
 
 

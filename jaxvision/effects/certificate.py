@@ -37,7 +37,7 @@ _NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*(%|dn|sigma|)", re.IGNORECAS
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a picture may move by what is dropped.
+    """The largest allowed change of a picture by dropped effects.
 
     Attributes:
         value: of the distance named at the top of `effects.certificate`, >= 0, in `unit`.

@@ -39,7 +39,7 @@ def concerns(field: str, effect: str) -> bool:
 
 
 class Choice:
-    """What is left, what is gone, and what that changed so far."""
+    """The remaining records, the dropped effects, and the change so far."""
 
     def __init__(
         self,
@@ -141,7 +141,7 @@ class Choice:
         return True
 
     def _sums(self, rows: list[Row], bounds: list[float]) -> tuple[float, float]:
-        """What is proved and what is estimated once these have gone too."""
+        """Return the proved and the estimated change after these effects are dropped, too."""
         grows = float(np.prod([row.grows for row in rows]))
         both = [self.total * grows, self.estimated * grows]
         for row, bound in zip(rows, bounds, strict=True):
@@ -242,7 +242,8 @@ def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:
 
 
 def bands_of(draft: Draft) -> int:
-    """How many bands the picture has by what is left: neutral mirrors alone do not say."""
+    """Return the number of bands of the picture from the remaining records. Neutral mirrors alone
+    do not determine it."""
     counts = [1]
     for surface in draft.surfaces:
         material = surface.material

@@ -121,8 +121,8 @@ def tone_map(development: Development) -> Factor:
 
 
 def tone(development: Development) -> Factor:
-    """sRGB: its slope at 0, but for the step of 3e-8 that its rounded constants leave at 0.0031308.
-    A power below 1 has an infinite slope there, one above 1 far away."""
+    """The factor of sRGB: its slope at 0. Its rounded constants cause a step of 3e-8 at 0.0031308,
+    which is ignored. A power below 1 has an infinite slope there, one above 1 far away."""
     match development.tone:
         case SRGB():
             return Factor(SRGB_SLOPE, "slope of sRGB at 0")

@@ -192,7 +192,7 @@ def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two trees of records hold the same numbers."""
+    """Return whether two trees of records have the same numbers."""
     leaves, tree = jax.tree.flatten(a)
     others, other = jax.tree.flatten(b)
     return tree == other and all(np.array_equal(x, y) for x, y in zip(leaves, others, strict=True))

@@ -355,7 +355,7 @@ def _rounding(grids: _Grids) -> float:
 
 
 def _equal(low: Any, high: Any) -> bool:
-    """Whether two fields hold the same numbers."""
+    """Return whether two fields have the same numbers."""
     a, tree = jax.tree.flatten(low)
     b, other = jax.tree.flatten(high)
     return tree == other and all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))

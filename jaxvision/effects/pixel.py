@@ -94,7 +94,7 @@ def growth(before: float, by: float) -> float:
 
 @dataclass(frozen=True)
 class Pixel:
-    """A sensor without what is gone, and the most light that any of its pixels sees."""
+    """A sensor without the dropped effects, and the largest light on any of its pixels."""
 
     # the fields of the sensor at both ends, by name, None where they are gone
     sensor: Ends[Mapping[str, Any]]

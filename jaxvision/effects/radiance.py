@@ -185,7 +185,7 @@ def shadows(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def extent(sums: Sums, onward: Onward, k: int) -> Row:
-    """A rectangle as a `SmallLight` at its middle, where nothing can tell them apart."""
+    """Replace a rectangle by a `SmallLight` at its middle, if they are indistinguishable."""
     amount, small, why = extent_change(sums, k)
     if onward.depth is not None:
         small, why = None, "paths meet the lamp, which hides what is behind it"

@@ -14,7 +14,7 @@ from ..core._bounds import Reflection as Reflection
 
 
 def fills(material: Any) -> bool:
-    """Whether light goes on inside the shape that a material covers."""
+    """Return whether light continues inside the shape that a material covers."""
     own = families().get(type(material))
     return own is not None and own.absorption is not None
 

@@ -21,7 +21,7 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 
 
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
-    """Rays inside a pixel stand for places up to its corners; its middle takes their place. The
+    """Rays inside a pixel reach to its corners. A ray through its middle replaces them. The
     radiance is at most (bands,) W m^-2 sr^-1, and a lens must have stopped blurring before."""
 
     def drop(draft: Draft) -> Draft:

@@ -34,8 +34,7 @@ Advance = Callable[[int, int], Any]
 
 
 class _Part(NamedTuple):
-    """One program of a picture: what tells it from others, a call, and how often a picture calls
-    it."""
+    """One program of a picture: its identity, a call, and the number of calls in a picture."""
 
     kind: Hashable
     run: Callable[[], Any]

@@ -56,7 +56,7 @@ Gone = frozenset[str]
 
 @dataclass(frozen=True)
 class Row:
-    """An effect, what it does at most, and how it is left out."""
+    """An effect, the bound on its change, and a way to drop it."""
 
     # name, reason, rank and place; its `bound` is the largest of `amount`, in its unit, which says
     # what `amount` is: "W m^-2 sr^-1" or "W m^-2", (bands,); "DN", ()

@@ -163,7 +163,7 @@ def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndar
 
 
 class _Shadow(NamedTuple):
-    """The full shadow of one flat occluder: what lies inside all of these half-spaces."""
+    """The full shadow of one flat occluder: the intersection of these half-spaces."""
 
     normals: np.ndarray  # (h, 3) unit, inward; the first is that of the occluder's own plane
     offsets: np.ndarray  # (h,) m
@@ -231,7 +231,7 @@ def covered(
 
 
 def _as_source(eye: Eye) -> Source | None:
-    """An eye at one place as a light: what is in its full shadow no pixel sees."""
+    """An eye at one place is treated as a light: no pixel sees the points in its full shadow."""
     if eye.everywhere or eye.parallel or eye.size > 0:
         return None
     one, body = np.ones(1), (eye.place[None], np.zeros(1))

@@ -118,7 +118,8 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _further_pictures(index: bytes) -> int:
-    """How many pictures a Multi-Picture index lists beside the first and smaller copies of it."""
+    """Return the number of pictures in a Multi-Picture index besides the first and smaller copies
+    of it."""
     order = {b"II": "<", b"MM": ">"}.get(index[:2])
     if order is None:
         return 0

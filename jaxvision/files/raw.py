@@ -167,7 +167,7 @@ def _holds_image(unit: Any) -> bool:
 
 
 def _other_units(units: Any, image: Any) -> list[str]:
-    """The units with data beside that image, in words."""
+    """Describe the other units with data, in words."""
     return [
         f"unit {i}{f' ({unit.name})' if unit.name else ''}"
         for i, unit in enumerate(units)

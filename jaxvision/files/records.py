@@ -35,7 +35,7 @@ def write_record(
     record: Record,
     draws: Record | None,
 ) -> None:
-    """Writes a record as TOML, whole or not at all, and its draws beside it.
+    """Write a record as TOML and its draws in a second file. An error leaves no partial file.
 
     Args:
         file: ending in .toml; missing folders are made.

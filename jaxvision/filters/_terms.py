@@ -101,8 +101,8 @@ def _after(image: Stack, kernels: tuple[Kernel, ...], settings: Settings) -> Sta
 def _shares(
     kernel: Kernel, size: tuple[int, ...], anchor: Anchor
 ) -> tuple[Float[Array, "1 h w _"], Float[Array, "1 h w _"]]:
-    """The sums of the weights that lie inside and outside the picture, for each of its pixels:
-    two sums, so that neither is the rounding of the other."""
+    """Return the sums of the weights inside and outside the picture, for each of its pixels.
+    Separate sums avoid cancellation."""
 
     def reach(axis: int) -> np.ndarray:
         n, taps = size[axis], kernel.shape[axis]

@@ -35,8 +35,8 @@ def bilateral_filter(
 ) -> Floats:
     """Smooths within regions, not across edges.
 
-    A sigma of 0 or below stands for the limit: the pixel itself, or equal colours only. NaN spreads
-    to every window that holds it.
+    A sigma of 0 or below means the limit: the pixel itself, or equal colours only. NaN spreads to
+    every window that holds it.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.

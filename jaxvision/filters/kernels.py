@@ -135,7 +135,8 @@ def gaussian_size(sigma: float, *, truncate: float = 4.0) -> int:
 def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
     """The sigmas of a bank of Gaussians, equally spaced in log(sigma + 1 / 2).
 
-    The blend of two neighbours then errs equally everywhere, since wide blurs are smooth.
+    The error of a blend of two neighbours is then the same everywhere, because wide blurs are
+    smooth.
 
     Args:
         low: the smallest sigma, in pixels, at least 0.

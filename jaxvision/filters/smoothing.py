@@ -136,8 +136,8 @@ def blur_straight(
     """Any blur of a picture with transparency whose light is straight (not premultiplied).
 
     Light counts in proportion to its coverage: the result is blur(alpha light) / blur(alpha) with
-    coverage blur(alpha), so that the colour of wholly transparent pixels never shows. A
-    premultiplied layer needs none of this: blur all its channels alike.
+    coverage blur(alpha), so that the colour of wholly transparent pixels never shows. For a
+    premultiplied layer, blur all channels with the same filter instead.
 
     Args:
         picture: (..., h, w, channels): straight light in any unit, then the coverage alpha. An

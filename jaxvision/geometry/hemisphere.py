@@ -2,7 +2,7 @@
 
 The local frame has the normal along +z. Directions are unit vectors that point away from the
 surface; densities and weights are per solid angle, in sr^-1 and sr. For ONE direction: the caller
-vmaps. A direction made from uniform numbers is a `Vec`; one that is turned stays the kind it was.
+vmaps. A direction made from uniform numbers is a `Vec`; rotations return the type they were given.
 """
 
 import equinox as eqx

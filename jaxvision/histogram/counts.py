@@ -246,8 +246,8 @@ def _weighted_counts(
 
     A running float32 sum of equal weights loses digits at each step, and stalls near 2^24 of them
     (a black background). So a weight is cut in two: the upper digits of thousands of weights add
-    without rounding, and the lower ones, with the gradient, are too small for it to matter. Runs of
-    pixels are summed apart, and then in pairs.
+    without rounding, and the lower ones, with the gradient, are too small for it to matter. Groups
+    of pixels are summed separately, and the sums are then added in pairs.
     """
     bins, low, high = chosen
     n, h, w, bands = values.shape

@@ -1,9 +1,9 @@
 """Equalisation: the tone curve of an image is its own cumulative distribution (Szeliski, Computer
 Vision, 3.1.4). Values are codes (integer images) or relative.
 
-Gradients hold the curve fixed: a pixel's derivative is the slope of the curve at its value. For an
-exact histogram that is the true derivative almost everywhere, since counts are constant as long as
-no value crosses an edge.
+Gradients treat the curve as constant: a pixel's derivative is the slope of the curve at its value.
+For an exact histogram that is the true derivative almost everywhere, since counts are constant as
+long as no value crosses an edge.
 """
 
 from collections.abc import Callable

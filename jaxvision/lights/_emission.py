@@ -1,4 +1,4 @@
-"""Where light starts: rays drawn from a light, each with the flux that it stands for.
+"""Emission: rays drawn from a light, each with its flux.
 
 Weighting any quantity of a ray by `flux` and averaging over the uniform numbers estimates what the
 whole light contributes. Flux in W, lengths in m. For ONE ray; the caller vmaps.

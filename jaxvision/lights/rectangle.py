@@ -118,7 +118,7 @@ def _small_light(light: RectangleLight) -> SmallLight:
 
 
 def _bound(light: Ends[RectangleLight]) -> Source:
-    """A window, which a small light at its middle may stand for where it stays."""
+    """A window, which a small light at its middle may replace if it does not move."""
     source = _window_bound(light, light)._replace(even=True)
     u, v = numbers(light.low.edge_u), numbers(light.low.edge_v)
     if light.low is not light.high or not np.any(np.cross(u, v)):

@@ -83,10 +83,10 @@ class MonteCarlo(Shown):
 class Balanced(Shown):
     """Random samples of light and material, joined by the balance heuristic.
 
-    As `MonteCarlo`, with a direction from the material's own sampler beside each one from the
-    light: for glossy lobes, and whenever in doubt. The error is near the smaller of the two,
-    whether the lobe or the light is the smaller one, for the price of two samples. Where there is
-    no material to draw from (`irradiance`) it is `MonteCarlo`.
+    As `MonteCarlo`, with a direction from the material's own sampler in addition to each one from
+    the light. Use it for glossy lobes, and whenever in doubt. The error is near the smaller of the
+    two, whether the lobe or the light is the smaller one, for the price of two samples. Where there
+    is no material to draw from (`irradiance`) it is `MonteCarlo`.
 
     Attributes:
         key: random key.

@@ -98,9 +98,9 @@ def airy_kernel(
 
         [1 in the middle, else 0] - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds
 
-    in which hardly any ring is left. The share of light beyond the distance R is about 2 lambda N /
-    (pi^2 R); light outside the kernel is put back by rescaling. At a wavelength or an f-number of 0
-    all light is in the middle.
+    in which almost no ring is visible. The share of light beyond the distance R is about 2 lambda N
+    / (pi^2 R); light outside the kernel is put back by rescaling. At a wavelength or an f-number of
+    0 all light is in the middle.
 
     Args:
         wavelength: () or (bands,) m.
@@ -208,7 +208,8 @@ def diffraction_mtf(
     *,
     obstruction: Scalars | None = None,
 ) -> Scalars:
-    """Contrast that diffraction leaves of a sine pattern; 0 from the cut-off 1 / (lambda N) on.
+    """Return the contrast of a sine pattern after diffraction; 0 from the cut-off 1 / (lambda N)
+    on.
 
     The overlap of the pupil with itself, shifted by 2 lambda N frequency radii: for a full disc (2
     / pi) (arccos v - v sqrt(1 - v^2)), with v the frequency over the cut-off.

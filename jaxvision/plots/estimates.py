@@ -106,7 +106,7 @@ def curves(
     title: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Several curves by name, in colours that tell them apart.
+    """Plot several curves by name, in distinguishable colours.
 
     Args:
         x: (n,) any unit, of all; or (n,) each by the names of y.

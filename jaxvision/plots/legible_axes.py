@@ -1,4 +1,4 @@
-"""Axes that can be read: names of points and numbers that keep apart, colours on any background."""
+"""Legible axes: names of points and numbers that do not overlap, and colours for any background."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -119,7 +119,7 @@ def _candidates(low: float, high: float) -> Iterator[list[float]]:
 def _fits(
     ticks: list[float], low: float, high: float, length: float, letters: float, name: str
 ) -> bool:
-    """Whether the numbers of an axis of some length, pt, keep apart."""
+    """Return whether the numbers of an axis of a given length, pt, do not overlap."""
     at = length * np.log(np.array(ticks) / low) / np.log(high / low)
     wide = [WIDE * len(f"{tick:g}") if name == "x" else HIGH for tick in ticks]
     room = letters * np.convolve(wide, [0.5, 0.5], "valid") if len(ticks) > 1 else np.zeros(0)

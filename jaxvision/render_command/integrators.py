@@ -161,8 +161,8 @@ def _structure(source: SceneFile) -> Hashable:
 
 @lru_cache(maxsize=1)
 def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., Pixels]:
-    """The program of the last picture: another one of a like scene is compiled no more. It holds
-    no scene, and is let go with the first of another structure."""
+    """The program of the last picture. A similar scene uses it without compiling again. It holds no
+    scene, and is let go with the first of another structure."""
     return _tile_of(_along(settings), settings)
 
 

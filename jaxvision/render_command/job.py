@@ -1,10 +1,10 @@
-"""A scene file rendered to an image file, tile by tile: in memory that does not grow with the
-picture, and so that a render which was killed goes on where it was and ends bit-identical.
+"""Render a scene file to an image file, tile by tile. The memory does not grow with the picture. A
+killed render continues and ends bit-identical.
 
 Beside the EXR `out` lies `out.partial` as long as it is not finished. A tile is a run of pixels,
 row by row; every tile is computed by the same compiled code from pixel numbers and the seed alone.
-Light tracing, which throws light all over the picture, is cut into passes instead: it holds the
-whole picture.
+Light tracing adds light all over the picture. It is divided into passes instead, and keeps the
+whole picture in memory.
 """
 
 import dataclasses

@@ -109,8 +109,8 @@ def can_shade(surfaces: Sequence[Surface]) -> bool:
 
 
 def _facing(scene: Scene, ray: Ray, index: Int[Array, ""], hit: Hit) -> tuple[Vec, Leaving]:
-    """The shading normal and how shadow rays leave, both turned to the viewer where the surface has
-    two sides."""
+    """Return the shading normal and the offset of shadow rays, both on the viewer's side if the
+    surface is two-sided."""
     smooth, sides = hit.shading_normal or hit.normal, [s.two_sided for s in scene.surfaces]
     if not any(sides):
         return smooth, Leaving(hit.normal, hit.size)

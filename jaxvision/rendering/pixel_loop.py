@@ -198,7 +198,7 @@ def each(along: Callable[[Ray, Stream], Any]) -> Along:
 
 
 def numbers_of(stream: Stream) -> tuple[Array, ...]:
-    """What tells a sample from all others.
+    """The identity of a sample.
 
     Args:
         stream: the sample.

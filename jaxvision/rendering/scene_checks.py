@@ -189,7 +189,7 @@ def lost_numbers(exact: object, kept: object) -> list[str]:
 
 
 def is_inside(shape: Shape, point: np.ndarray) -> bool:
-    """Whether a point, (3,) m, lies within a closed shape.
+    """Return whether a point, (3,) m, is inside a closed shape.
 
     A mesh counts as closed around the point where its triangles together cover most of all
     directions.

@@ -65,7 +65,7 @@ def at_a_time(of_core: int) -> int:
 
 def one_program(function: Callable[P, R]) -> Callable[P, R]:
     """`function`, compiled once for each kind of its arguments: arrays are free, all else is
-    static. Inside another program it is a part of that one, as if it were not compiled apart.
+    static. Inside another program it becomes a part of that program.
 
     XLA compiles an eager loop anew if the function that it repeats is new, as a closure is.
     """
@@ -84,7 +84,7 @@ def stored(function: Callable[..., Any], *arguments: Any) -> Any:
     """`function(*arguments)`, computed once and stored.
 
     XLA fuses a value into every loop that reads it: each tap of a filter's second pass would
-    compute its first pass again. An optimisation barrier is gone before XLA fuses. Loops do not
+    compute its first pass again. An optimisation barrier is removed before XLA fuses. Loops do not
     cross the border of a call that is not inlined.
     """
     return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)

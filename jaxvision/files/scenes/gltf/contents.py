@@ -143,7 +143,7 @@ class Transmission(Entry):
 
 
 class Volume(Entry):
-    """KHR_materials_volume: what is left of white light after a distance, m."""
+    """KHR_materials_volume: the transmittance of white light over a distance, m."""
 
     thicknessFactor: NonNegative = 0.0
     attenuationDistance: Positive | None = None
