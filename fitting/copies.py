@@ -1,4 +1,4 @@
-"""Images that are copies of one exposure, which noise tells from two exposures of one scene."""
+"""Detection of copies of one exposure. Two exposures of one scene would differ by noise."""
 
 import hashlib
 from pathlib import Path

@@ -1,5 +1,5 @@
-"""What each calibration makes of a folder: its images read, the fit, and the sections of a report,
-with pictures to be written beside it. Read from the path alone, so that any process can do it.
+"""Each calibration of a folder: reading of its images, the fit, and the sections of a report with
+its pictures. Read from the path alone, so that any process can do it.
 
 The libraries that compute are imported once the rig is known to be good.
 """

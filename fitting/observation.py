@@ -1,5 +1,4 @@
-"""Images of a rig as arrays, checked before any fit sees them, whether they lie in files or in
-memory already.
+"""Images of a rig as arrays, from files or from memory, checked before any fit.
 
 Digital numbers come as float64 (h, w) or (h, w, channels), as stored: black level, gamma and
 saturation belong to the models, not to the reading.
@@ -374,7 +373,8 @@ def to_one_black(image: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def _channels_of_lists(camera: Camera) -> tuple[str, ...]:
-    """Names of all sites, and of the channels of each where a list tells them apart."""
+    """Return the names of all sites, and of the channels of each site if a list distinguishes
+    them."""
     lengths = [len(v) for name in BY_SITE if isinstance(v := getattr(camera, name), tuple)]
     return camera.channels(colour=any(length > len(camera.sites) for length in lengths))
 

@@ -271,7 +271,7 @@ def _record(kind: type, fields: Mapping[str, Any]) -> Any:
 
 
 def _awaited(client: "Client", future: "Future") -> Any:
-    """The result, unless all workers are gone for good or have too little memory for it."""
+    """Return the result, unless all workers are lost or have too little memory for it."""
     missed, before = time.monotonic(), None
     while True:
         try:
@@ -352,7 +352,8 @@ class _Task:
 
 @cache
 def _source() -> str:
-    """Digits that tell the files of this package from others of the same version."""
+    """Return a digest of the files of this package, which differs between builds of the same
+    version."""
     here, found = Path(__file__).parent, hashlib.sha256()
     for package in (here, here.parent / "fitting"):  # the other package of this distribution
         for file in sorted(package.rglob("*")):

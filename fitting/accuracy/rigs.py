@@ -1,4 +1,4 @@
-"""Which fits a rig holds, as problems whose knobs can be turned."""
+"""The fits of a rig, as problems with knobs."""
 
 import time
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""Coverage of intervals, judged from where the truth lies in each posterior.
+"""Coverage of intervals, from the position of the truth in each posterior.
 
 A fit puts the truth at the place u of its posterior, its cumulative probability there. Over many
 simulations u is uniform if posteriors are right. An interval of probability q holds the truth where

@@ -89,7 +89,7 @@ def check(
 
     Every simulation draws the parameters from their priors and the data from the likelihood, so
     that correct posteriors have the nominal coverage (Talts et al. 2018). The fits start at the
-    truth: the search is not what is checked.
+    truth, because the search is not tested.
 
     Args:
         problem: whose data are replaced by simulated ones.

@@ -141,7 +141,7 @@ CASES = {
 
 
 def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
-    """Poisson electrons and read noise, under lights and by pixels that err.
+    """Simulate Poisson electrons and read noise, with errors of lights and pixels.
 
     Args:
         sphere: to photograph.

@@ -1,4 +1,4 @@
-"""Many simulated fits, kept as they come, so that a check goes on where it was interrupted."""
+"""Many simulated fits, each stored when it is finished, so that an interrupted check continues."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

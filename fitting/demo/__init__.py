@@ -1,5 +1,5 @@
-"""A simulated lab afternoon: its image files, their calibrations, and every estimate beside the
-truth."""
+"""A simulated lab afternoon: its image files, their calibrations, and every estimate compared with
+the truth."""
 
 from jaxvision.core.lazy_names import names_of
 

@@ -32,7 +32,7 @@ Key = tuple[str, str, str]  # section kind, estimate name, group
 
 @dataclass(frozen=True)
 class Comparison:
-    """An estimate beside the value it was simulated with.
+    """An estimate and its true value.
 
     Attributes:
         kind: of its section.

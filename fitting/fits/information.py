@@ -1,4 +1,4 @@
-"""What data are expected to tell about the parameters: Fisher's information, datum by datum.
+"""The expected information of data about the parameters: Fisher's information, datum by datum.
 
     F = sum_i E[s_i s_i^T],    s_i = d ln p_i / d vector,
 

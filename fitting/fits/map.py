@@ -32,7 +32,7 @@ SHOWN = (1, 99)  # percentiles between which a picture's colours go
 
 @dataclass(frozen=True)
 class FitMap:
-    """A small problem, fitted at every pixel. Print it for what is in it, or show it in a notebook.
+    """A small problem, fitted at every pixel. Print it for its contents, or show it in a notebook.
 
     Attributes:
         estimate: (..., *map) best fit of each parameter by name, in its unit; NaN where there is

@@ -191,7 +191,7 @@ def fit(
 
 @dataclass(frozen=True)
 class _How:
-    """What `fit` is told of the search and the judgement."""
+    """The options of `fit` for the search and the verdict."""
 
     starts: int
     start: dict[str, Any] | None
@@ -341,7 +341,7 @@ def _numbers(method: Method) -> dict[str, Any]:
 
 
 def _searched_before(after: Fit, method: Method) -> Optimum:
-    """The optimum of a fit whose chain goes on."""
+    """The optimum of a fit whose chain is continued."""
     if isinstance(method, Laplace) or not after.posterior.blocks:
         raise InputError(
             "after: only chains go on; give a fit by posterior=Emcee() or Nuts(), and the same one."

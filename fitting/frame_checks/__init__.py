@@ -1,1 +1,1 @@
-"""Frames that should be alike, compared with each other before anything is fitted to them."""
+"""Comparison of frames that should be equal, before anything is fitted to them."""

@@ -21,7 +21,7 @@ CLIPPED = 1e-3  # share of the pixels at the top code
 
 
 def _lit(levels: ComparedLevels) -> list[int]:
-    """Levels that are left, in the order of their light."""
+    """The remaining levels, in the order of their light."""
     there = [i for i, frames in enumerate(levels.frames) if frames and levels.light[i] > 0]
     return sorted(there, key=lambda i: levels.light[i])
 

@@ -74,7 +74,7 @@ class ComparedLevels:
         return (means - means.mean()) / max(signal, self.noise[level], 1e-9)
 
     def others(self, level: int) -> list[int]:
-        """Levels that tell of this one."""
+        """Levels that can be compared with this one."""
         return [i for i, frames in enumerate(self.frames) if i != level and len(frames) > 1]
 
     def expected(self, level: int) -> float | None:
@@ -100,7 +100,7 @@ class ComparedLevels:
         ]
 
     def without_single_frames(self) -> None:
-        """Levels of which one frame is left tell no variance."""
+        """Levels with one remaining frame give no variance."""
         for level, frames in enumerate(self.frames):
             if len(frames) == 1:
                 self.remove(level, [0], ALONE)

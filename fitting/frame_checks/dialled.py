@@ -1,6 +1,6 @@
 """Exposure times that were rounded as cameras print them: 1/60 for 1/64, 1/125 for 1/128.
 
-Shutters keep to whole, half or third stops, 2^(k / 3) s, so that times as printed are off by up to
+Shutters keep to whole, half or third stops, 2^(k / 3) s, so that printed times have errors of up to
 7 %.
 """
 
@@ -33,7 +33,7 @@ def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " 
 
 
 def worst_in_words(times: Float[np.ndarray, " n"], exact: Float[np.ndarray, " n"]) -> str:
-    """The time that is off most.
+    """The time with the largest error.
 
     Args:
         times: (n,) s, as stated.

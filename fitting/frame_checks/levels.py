@@ -2,8 +2,7 @@
 
 Frames of one level see the same light, so that their means, their unevenness and the noise between
 them agree. A frame does not belong where it departs by more than the frames of all levels scatter
-and by more than matters. Of two frames that disagree, the levels around them tell which one is
-wrong.
+and by more than matters. If two frames disagree, the neighbouring levels show which one is wrong.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,8 +42,8 @@ def odd_frames(
     light: ArrayLike,
     black: Float[np.ndarray, " levels"] | None = None,
 ) -> list[Odd]:
-    """Frames that differ from the others of their level, and levels that differ from those beside
-    them.
+    """Return the frames that differ from the others of their level, and the levels that differ from
+    their neighbours.
 
     Args:
         levels: frames of each level.
@@ -85,7 +84,7 @@ def _parted(
     limit: float,
     from_expected: Callable[[], Float[np.ndarray, " frames"] | None],
 ) -> Bool[np.ndarray, " frames"] | None:
-    """Which frames depart; None where that cannot be told.
+    """Return the frames that differ; None if this cannot be determined.
 
     Args:
         distances: from the middle of the level; of two frames, from each other.
@@ -175,7 +174,7 @@ def _take(
     far: Bool[np.ndarray, " frames"] | None,
     in_words: Callable[[list[Shown], list[Shown]], str],
 ) -> None:
-    """Takes out frames that depart, or the whole level where it cannot be told which do."""
+    """Remove frames that differ, or the whole level if they cannot be identified."""
     frames = levels.frames[level]
     if far is None:
         parted = f"{in_words(frames[:1], frames[1:])}, and which of them belongs cannot be told"

@@ -21,8 +21,8 @@ def autocorrelation_times(
 ) -> Float[np.ndarray, " parameters"]:
     """Integrated autocorrelation times of an ensemble's chain.
 
-    The same numbers as `emcee.autocorr.integrated_time`; averaging the walkers' spectra before they
-    are turned back takes a seventh of its time.
+    The same numbers as `emcee.autocorr.integrated_time`; averaging the walkers' spectra before the
+    inverse transform takes a seventh of its time.
 
     Returns (P,) in steps, at least 1; infinite where some walker never moved.
 

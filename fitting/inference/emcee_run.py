@@ -2,8 +2,8 @@
 
 The sampler (Foreman-Mackey et al. 2013) evaluates half of its walkers in one call. A chain shorter
 than 50 autocorrelation times is marked as too short (Sokal's window, as emcee documents it): its
-autocorrelation time itself cannot be trusted. It goes on, from memory or from its checkpoint, as if
-it had never stopped.
+autocorrelation time itself cannot be trusted. It continues from memory or from its checkpoint, with
+the same result as without interruption.
 """
 
 import math
@@ -242,7 +242,8 @@ def _moves(dimension: int) -> list[tuple[Any, float]]:
 
 
 def _block(sampler: Any, state: Any, fingerprint: str) -> Block:
-    """What the sampler has done since its last reset, and the state to go on from."""
+    """Return the results of the sampler since its last reset, and the state from which to
+    continue."""
     _, keys, position, has_gauss, gauss = state.random_state
     return {
         "fingerprint": np.array(fingerprint),
@@ -300,7 +301,7 @@ def _due(steps: int, block: int) -> bool:
 
 
 def _judged(blocks: list[Block], options: Emcee) -> Chain | None:
-    """The chain where it is long enough or may not grow; None where it must go on."""
+    """Return the chain if it is long enough or may not grow; None if it must continue."""
     steps = length(blocks)
     last = steps >= options.steps
     if not (last or _due(steps, options.block)):

@@ -58,7 +58,7 @@ def format_percent(share: float, *, decimals: int = 0) -> str:
 
 
 def format_spread(values: np.ndarray) -> tuple[str, str]:
-    """The median, and the interval that holds the middle 90 %.
+    """Return the median, and the interval of the middle 90 %.
 
     `values`: finite, in any unit."""
     low, middle, high = np.percentile(values, (5, 50, 95))

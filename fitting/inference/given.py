@@ -78,7 +78,7 @@ def is_concrete(tree: Any) -> bool:
 def require_whole(
     what: str, value: Any, *, least: int = 1, most: int | None = None, of: str = ""
 ) -> None:
-    """Refuses what is no whole number.
+    """Refuse values that are not integers.
 
     `most`: largest; None for no such end."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
@@ -90,7 +90,7 @@ def require_whole(
 
 
 def require_kind(what: str, value: Any, kind: type, *, source: str = "") -> None:
-    """Refuses what is not of the kind that a function takes."""
+    """Refuse values of a type that a function does not take."""
     if not isinstance(value, kind):
         named = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
         hint = f"; {source} gives one" if source else ""
@@ -99,7 +99,7 @@ def require_kind(what: str, value: Any, kind: type, *, source: str = "") -> None
 
 
 def require_progress(value: Any) -> None:
-    """Refuses what cannot be told how far a chain is."""
+    """Refuse an object that cannot receive the progress of a chain."""
     if not (value is None or callable(value)):
         raise InputError(f"progress = {value!r}: give a function of (steps done, steps in all).")
 

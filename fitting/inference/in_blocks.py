@@ -1,6 +1,6 @@
-"""Sums over many samples, a block at a time: what is computed on the way to each term then stays in
-the processor's cache, and memory does not grow with it. An accelerator, whose every operation costs
-the start of a kernel, takes more of them at a time.
+"""Sums over many samples, a block at a time. Intermediate results then stay in the processor's
+cache, and the memory does not grow with the number of samples. An accelerator, whose every
+operation costs the start of a kernel, takes more of them at a time.
 
 Samples are a record whose arrays hold one value a sample, beside numbers that all samples share.
 The last block is filled up with copies of the last sample, which do not count.

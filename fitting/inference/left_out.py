@@ -1,4 +1,4 @@
-"""Which errors a likelihood can do without: those that no fit can tell from none.
+"""Errors that a likelihood can neglect, because no fit can detect them.
 
 In units of their noise the data have the covariance 1 without an error that they share, and with it
 1 + h h'. The 2-Wasserstein distance of the two laws is

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 
 class Reached(eqx.Module):
-    """How far a search has come: its step size, and whether no more can be gained."""
+    """The state of a search: its step size, and whether it has converged."""
 
     step_size: Float[Array, ""]
     ended: Bool[Array, ""]

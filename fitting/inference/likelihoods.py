@@ -207,7 +207,8 @@ _FAR = -12.0  # deviations; beyond, float32 and then float64 lose the normal dis
 
 
 class Censored(eqx.Module):
-    """A Gaussian signal that saturates: a datum at an end says only that the signal lies beyond.
+    """A Gaussian signal that saturates. A datum at an end of the range says only that the signal is
+    beyond.
 
     Attributes:
         sd: standard deviation of the signal, in the unit of the data: a number, an array of the

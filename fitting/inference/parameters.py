@@ -13,7 +13,7 @@ A prior is a density of x in its own unit, p(x). Without one a parameter is flat
 bounds reach. `log_prior` is the density of u that follows, ln p(x) + ln |dx/du|, so that a mode, a
 Gaussian about it and a chain of draws all refer to one posterior. The mode of a fit is taken in u.
 
-A parameter that a fit does not need is left out of the space: it is then never traced. Natural and
+A parameter that a fit does not need is not in the space, and is never traced. Natural and
 unconstrained values are vectors (..., P) in the order of the space.
 """
 

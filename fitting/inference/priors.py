@@ -1,4 +1,4 @@
-"""Prior densities of one number, in its own unit: what is known before the data are seen.
+"""Prior densities of one number, in its own unit.
 
 Each is a record of plain numbers with two functions: `log_density(x)`, normalised over all x, and
 `quantile(p)`, its inverse distribution function in NumPy, from which starts are spread. A record of

@@ -435,7 +435,7 @@ def _costs_of_grid(knots: Array, problem: Problem, mean: Array, weight: Array) -
 
 
 def _shared_out(leaf: Any) -> bool:
-    """Whether an array lies on several devices; one that is traced does not say."""
+    """Return whether an array is on several devices; False for a traced one."""
     known = isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer)
     return known and len(leaf.sharding.device_set) > 1
 

@@ -8,7 +8,7 @@ The facets of `torrance-sparrow` are GGX, as the record's default is, those of
 `torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. Their Fresnel
 term is that of a clear dielectric of a given index, never fitted: k_s and the reflectance along the
 normal only enter as their product, save at grazing angles. Facets of `torrance-sparrow-metal` (GGX)
-reflect alike at all angles, as a metal nearly does.
+have the same reflectance at all angles, as metals nearly do.
 """
 
 from collections.abc import Callable
@@ -143,7 +143,7 @@ def check_index(index: float) -> None:
 
 
 def has_lobe(model: Model) -> bool:
-    """Whether a specular term stands beside the diffuse one."""
+    """Return whether the model has a specular term in addition to the diffuse one."""
     return REFLECTANCES[model].axis != "none"
 
 

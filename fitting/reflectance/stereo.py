@@ -44,7 +44,7 @@ HEADS = ("", "median", "90 % of pixels in", "unit")
 
 @dataclass(frozen=True)
 class Stereo:
-    """What photographs tell of each pixel. Print it, or show it in a notebook.
+    """The estimates for each pixel. Print it, or show it in a notebook.
 
     Attributes:
         normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights count.
@@ -278,7 +278,8 @@ def _of_contradiction(
     between: Bool[np.ndarray, "lights pixels"],
     limits: tuple[float, float],
 ) -> tuple[str, ...]:
-    """A sentence on readings between the limits that most pixels contradict, neighbours alike."""
+    """Return a sentence about readings between the limits that most pixels contradict in the same
+    way as their neighbours."""
     readings = stack.reshape(len(rows), -1)
     counts = _counted(rows, readings, between, limits, robust=False)
     g, _, used = _least_squares(rows, readings, counts.astype(float))
@@ -404,7 +405,7 @@ def _scatter(
     g: Float[np.ndarray, "pixels 3"],
     used: Int[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, " pixels"]:
-    """Variance of a reading about g; NaN where no residual is left."""
+    """Return the variance of a reading about g; NaN without residuals."""
     residuals = np.where(near, readings - rows @ g.T, 0)
     return (residuals**2).sum(axis=0) / np.where(used > 3, used - 3, np.nan)
 

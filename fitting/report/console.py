@@ -135,7 +135,7 @@ def _columns_of_names(content: Table) -> int:
 
 
 def _spare(chosen: Sequence[int], least: Sequence[int], width: int) -> int:
-    """What the words of these columns and the frame leave of a width."""
+    """Return the width that remains after the words of these columns and the frame."""
     return width - sum(least[i] for i in chosen) - 3 * len(chosen) - 1
 
 

@@ -129,7 +129,7 @@ def write_report(
 
 @dataclass(frozen=True)
 class _Drawn:
-    """A picture as it stands in the page.
+    """A picture as HTML for the page.
 
     Attributes:
         title, caption: of it.

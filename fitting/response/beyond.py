@@ -1,9 +1,9 @@
 """The curve at codes beyond those that pixels were seen at.
 
-A smooth prior alone would go on with the exponent of the last codes seen, and be too sure of it.
-What cameras do is a family of curves of a few shapes, as the empirical model of response has it
-(Grossberg & Nayar, IEEE TPAMI 26, 2004). Here the family is made by formula, with u the code above
-black over full scale and X the exposure:
+A smooth prior alone would continue with the exponent of the last observed codes, with too small an
+error. What cameras do is a family of curves of a few shapes, as the empirical model of response has
+it (Grossberg & Nayar, IEEE TPAMI 26, 2004). Here the family is made by formula, with u the code
+above black over full scale and X the exposure:
 
     gamma        X = u^g
     toe          linear up to where its slope meets ((u + a) / (1 + a))^g: sRGB, Rec. 709

@@ -300,7 +300,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
 
 
 def _of_mid_scale(curve: ResponseCurve) -> np.float32:
-    """What makes exposures relative to mid-scale, where no pixel told of it."""
+    """Return the factor that makes exposures relative to mid-scale, if no pixel determines it."""
     if curve.bins.anchor is None:
         return np.float32(1)
     halfway = (curve.bins.black + curve.bins.edges[-1]) / 2
@@ -308,7 +308,7 @@ def _of_mid_scale(curve: ResponseCurve) -> np.float32:
 
 
 def _log_radiance(channel: ChannelResponse) -> np.ndarray:
-    """NaN where no exposure tells it."""
+    """NaN if no exposure determines it."""
     found = channel.radiance
     known = (found.coverage > 0) & (found.radiance > 0)
     return np.log(np.where(known, found.radiance, np.nan))

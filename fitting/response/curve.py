@@ -152,11 +152,12 @@ def slope_error(noise: NoiseModel) -> float:
 
 
 def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> float:
-    """Standard deviation of a ripple of g that no pixel tells from the curve, in ln X.
+    """Return the standard deviation, in ln X, of a ripple of g that no pixel distinguishes from the
+    curve.
 
-    The size is what simulated stacks of S-shaped and sRGB responses are off by: .01 at 2 1/4 stops,
-    .038 at three. For a smoother curve this error is smaller, in proportion to the prior's 1 /
-    sqrt(smoothness).
+    The size comes from the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2
+    1/4 stops, .038 at three. For a smoother curve this error is smaller, in proportion to the
+    prior's 1 / sqrt(smoothness).
 
     Args:
         exposures: (exposures,) s.
@@ -380,7 +381,8 @@ def _by_the_images(found: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _expected(rule: WeightRule, means: np.ndarray) -> np.ndarray:
-    """Bins whose own exposure is observed in some class; others hold the tails of noise alone."""
+    """Return the bins with at least one direct observation. The others contain only pixels
+    scattered in by noise."""
     assert rule.weight is not None
     cells = cells_of(rule, means, np.zeros(len(means), int))
     return np.any(rule.weight[:, cells] > 0, axis=0)

@@ -370,8 +370,8 @@ def _gamma_sums(
 
 
 def _most_of_shutter(curve: ResponseCurve, free: int) -> float:
-    """tau up to which it is believed: where a response is no gamma, shutters that are off by half
-    would make it one. Few errors that show do not bound those that do not."""
+    """Return the upper limit of tau. Without it, shutter errors of a half would make a gamma of a
+    response that is none. Few errors that show do not bound those that do not."""
     if free < FEWEST_SHOWN:
         return TABULATED[1]
     return max(BELIEVED, curve.shutter_bound)

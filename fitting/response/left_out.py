@@ -1,4 +1,4 @@
-"""Which of the errors that a rig states a response's pixels cannot tell from none.
+"""Stated errors of a rig that the pixels of a response cannot detect.
 
 The energy of the code pairs, v' A v / 2 of a shift v of the curve and of the log exposures, is half
 of the square of what the shift is in standard deviations of all pixels, their irradiances

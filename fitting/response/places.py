@@ -1,10 +1,12 @@
-"""Where pixels lie: how steep and how busy the scene is around them, and which err together.
+"""Properties of pixel positions: the slope and the activity of the scene around them, and groups
+with common errors.
 
-A picture that is registered to half a pixel is off by half the local slope of ln E; so are edges
-that JPEG smears, and leaves that move. Such errors are no noise of the pixel, and steep places have
-far more of them than flat ones: pixels are put into classes of steepness, each with a noise model
-of its own. Sharpening errs where the picture is busy, at peaks as at slopes (`flat_places.py`). And
-neighbours err alike: tiles of the picture, not pixels, are independent.
+A misregistration of half a pixel causes an error of half the local slope of ln E. JPEG edges and
+moving leaves have similar errors. Such errors are no noise of the pixel, and steep places have far
+more of them than flat ones: pixels are put into classes of steepness, each with a noise model of
+its own. Sharpening causes errors where the picture is busy, at peaks and at slopes
+(`flat_places.py`). Errors of neighbours are correlated: tiles of the picture are independent, and
+pixels are not.
 """
 
 from dataclasses import dataclass

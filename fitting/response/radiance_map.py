@@ -6,8 +6,8 @@ maximum-likelihood radiance of a pixel is
     E_i = sum_j u_ij X_ij / t_j / sum_j u_ij,    u_ij = E_i^2 t_j^2 / Var(X_ij),
 
 with u at the predicted exposure, so that noise does not choose its own weight. Clipped codes are
-left out, and so are codes within three standard deviations of clipping, and noisy ones where a
-better exposure is there.
+not used, nor codes within three standard deviations of clipping, nor noisy codes if there is a
+better exposure.
 
 A pixel with no such observation takes what all its unclipped codes say together: coverage 0. Its
 noise may carry a code to black or below it. Such a code counts too, as an exposure below zero,

@@ -1,7 +1,7 @@
 """The effect of errors of the exposure times, delta_j ~ N(0, tau^2), on a curve.
 
-A common exponent of the times cannot be told from another curve; its size, tau, is told by the
-errors that show. Few of them show: of three exposures one, which may be small by chance where tau
+A common exponent of the times is indistinguishable from another curve. Its size, tau, follows from
+the visible errors. Few of them show: of three exposures one, which may be small by chance where tau
 is not. So an error of the curve is a mixture over tau,
 
     sum_k w_k N(0, v + r tau_k^2),    w_k ~ p(shown errors | tau_k) p(tau_k),

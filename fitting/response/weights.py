@@ -170,8 +170,8 @@ def undithered(
 
         Cov(u, x) = -sum_k exp(-2 pi^2 k^2 s^2) / (2 pi^2 k^2),
 
-    -1/12 for s = 0. From half an interval of noise on, nothing is left of it: rounding then is an
-    error like any other (Widrow and Kollar, "Quantization Noise", 2008).
+    -1/12 for s = 0. With at least half an interval of noise this effect vanishes, and rounding is
+    an independent error (Widrow and Kollar, "Quantization Noise", 2008).
 
     Args:
         variance: (points,) of the noise, in squares of the interval.

@@ -1,4 +1,4 @@
-"""Many folders calibrated alike, and their results as one table.
+"""Calibration of many folders, with the results in one table.
 
 outcomes   one folder: calibrated, reported, remembered
 table      all folders as one xarray data set

@@ -1,5 +1,5 @@
-"""What cameras tell beside each other: which is unlike the others, how far they differ, and what
-drifts with date or temperature.
+"""Comparison of cameras: unusual ones, the scatter between them, and drifts with date or
+temperature.
 
 Sources:
     DerSimonian and Laird, "Meta-analysis in clinical trials", Controlled Clinical Trials 7 (1986):

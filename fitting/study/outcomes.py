@@ -142,7 +142,7 @@ def frames_of(path: Path) -> frozenset[str]:
 
 
 def _excerpt(file: Path) -> bytes:
-    """The size of a file and three parts of it: noise tells any two images apart there."""
+    """Return the size of a file and three parts of it, in which any two images differ by noise."""
     size = file.stat().st_size
     parts = [f"{size}\n".encode()]
     try:
@@ -298,7 +298,7 @@ def _report(settings: Settings, folder: Folder, sections: list[Section]) -> None
 
 @contextmanager
 def _silent(description: str) -> Iterator[Progress]:
-    """A step that shows nothing: of many folders, only which are done is told."""
+    """A step without output. For many folders only the finished ones are reported."""
     yield lambda done, total: None
 
 

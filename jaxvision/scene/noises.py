@@ -190,8 +190,8 @@ class HeavyTailedReadNoise(Shown):
 class TelegraphNoise(Shown):
     """Pixels with a trap that is occupied half of the time.
 
-    Under correlated double sampling such a pixel is off by -amplitude, 0 or +amplitude in 1, 2 and
-    1 of 4 frames.
+    Under correlated double sampling the error of such a pixel is -amplitude, 0 or +amplitude in 1,
+    2 and 1 of 4 frames.
 
     Attributes:
         fraction: () of the pixels, in [0, 1], no unit.

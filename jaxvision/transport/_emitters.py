@@ -1,4 +1,4 @@
-"""What shines, lights and surfaces alike, as a path finds it: on purpose, or by chance.
+"""Emitters, lights and surfaces, as paths find them: by next-event estimation, or by hitting them.
 
 On purpose (next-event estimation) one of all emitters is drawn, each as likely as the other, and a
 direction toward it. By chance a ray runs into one. The two estimate one integral, in which a light
@@ -284,8 +284,8 @@ def _shining_surface(
 
 
 def transmitted(absorption: Colour | None, distance: Scalar) -> Colour:
-    """The fraction of light that a body leaves over a distance, m, no unit. `absorption`: (bands,)
-    m^-1, or None. An infinite distance counts as no loss."""
+    """Return the transmittance of a body over a distance, m, no unit. `absorption`: (bands,) m^-1,
+    or None. An infinite distance counts as no loss."""
     if absorption is None:
         return jnp.ones_like(distance)[None]
     return jnp.exp(-absorption * jnp.where(jnp.isinf(distance), 0, distance))

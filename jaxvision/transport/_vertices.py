@@ -1,4 +1,4 @@
-"""Where a ray is reflected: the surface it meets, and the direction in which it goes on.
+"""Vertices of a path: the surface that a ray hits, and the direction in which it continues.
 
 Directions are unit and point away from the surface: `back` is where the ray came from. Whether a
 path carries radiance from the eye or light from a source, a vertex is the same but for what

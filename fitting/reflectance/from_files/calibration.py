@@ -190,7 +190,8 @@ def _log_covariance(
     fit: ModelFit, space: ParameterSpace
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Of the logarithms: amplitudes, which may vanish without an incidence, by their relative
-    deviations. No more incidences than parameters tell no correlations, which are then 0."""
+    deviations. If there are at most as many incidences as parameters, correlations are unknown and
+    set to 0."""
     whole = _natural(fit.whole, space)
     left_out = np.stack([_natural(one, space) for one in fit.without])
     scale = np.where(whole > 0, whole, 1)

@@ -88,7 +88,7 @@ def in_words(errors: Errors, objective: Objective) -> str:
 
 @dataclass(frozen=True)
 class Ratio:
-    """How many times as much one model errs as another.
+    """The ratio of the errors of two models.
 
     Attributes:
         value: of the whole errors.
@@ -112,7 +112,8 @@ class Ratio:
 
     @property
     def more_often(self) -> int:
-        """At how many incidences the model errs more that errs more on the whole."""
+        """Number of incidences at which the model with the larger total error also has the larger
+        error."""
         logs = np.log(self.alone) * np.sign(np.log(self.value))
         return int(np.sum(logs > SAME))
 
@@ -124,9 +125,9 @@ class Ratio:
 
     @property
     def ordered(self) -> bool:
-        """Whether the same model errs more at so many incidences that chance is unlikely. One that
-        stands apart from the others may leave the size of a difference open, hence `told` false,
-        and yet not its sign."""
+        """Whether the same model has the larger error at so many incidences that chance is
+        unlikely. A single outlier may make the size of the difference uncertain, so that `told` is
+        False, but not its sign."""
         return self.chance <= LIKELY and abs(np.log(self.value)) >= np.log(NOTABLE)
 
 
@@ -152,7 +153,8 @@ def exceeds_signal(errors: Errors, objective: Objective) -> bool:
 
 
 def describes(errors: Errors, objective: Objective) -> bool:
-    """Whether a prediction errs by at most half of the signal; always of cube roots."""
+    """Return whether the error of a prediction is at most half of the signal; always True for cube
+    roots."""
     return objective != "cosine" or errors.relative <= DESCRIBES
 
 

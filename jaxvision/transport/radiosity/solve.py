@@ -218,8 +218,8 @@ _BOUNCES = 16
 
 
 def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
-    """How much light of at most 1 can add to a patch by being reflected, all its reflections
-    together; infinite if it may go on forever.
+    """Return a bound on the light that all reflections of light of at most 1 add to a patch;
+    infinite if they do not decrease.
 
     For w of w - rho F w >= 1 - s > 0 everywhere, |(I - rho F)^-1 b| <= w / (1 - s) max |b|, for
     rho F is not negative. The Neumann series w = 1 + rho F + ... + (rho F)^n of ones has
