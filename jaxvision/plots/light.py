@@ -1,6 +1,7 @@
 """Light and its reflection: spectra over wavelength, lobes over angle."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import jax
@@ -90,9 +91,10 @@ def lobe(
     incidence: float = np.pi / 4,
     band: int = 0,
     shape_only: bool = False,
+    components: bool = False,
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """What materials reflect of one ray into each direction of the plane of incidence.
+    """Plot the BRDF of materials for one direction of light, in the plane of incidence.
 
     A direction a degree, and more wherever the curve is steep: a highlight of any width shows its
     height.
@@ -102,6 +104,8 @@ def lobe(
         incidence: rad from the normal, below pi / 2; the light comes from the left, dotted.
         band: of the materials that is drawn.
         shape_only: each lobe over its largest value.
+        components: also draw the diffuse and the specular term of each material that has both,
+            dashed.
         axes: polar ones of matplotlib to draw on; None: new ones.
 
     Returns:
@@ -122,11 +126,12 @@ def lobe(
     if not 0 <= incidence < np.pi / 2:
         raise InputError(f"incidence is an angle from 0 to below pi / 2 rad, got {incidence:g}.")
     several = materials if isinstance(materials, Mapping) else {"": materials}
+    parts = _components(several) if components else {}
     first = np.linspace(-np.pi / 2, np.pi / 2, 361)[1:-1:2]  # 180 directions above the horizon
     dtype = jnp.result_type(float)
     light = jnp.asarray([-np.sin(incidence), 0, np.cos(incidence)], dtype)
     axes = new_axes(axes, polar=True)
-    for name, material in several.items():
+    for name, material in [*several.items(), *parts.items()]:
         if is_delta(material):
             raise InputError(
                 f"{name or type(material).__name__} reflects into one direction, which is no lobe; "
@@ -147,7 +152,8 @@ def lobe(
             for s in (-1, 1)
         ]
         angle, radius = refined(reflected, first, peaks=np.concatenate(peaks))
-        axes.plot(angle, radius / radius.max() if shape_only else radius, label=name or None)
+        shown = radius / (radius.max() or 1) if shape_only else radius
+        axes.plot(angle, shown, "--" if name in parts else "-", label=name or None)
     axes.plot([-incidence, -incidence], [0, axes.get_ylim()[1]], color="0.5", ls=":", lw=1.5)
     axes.set(theta_zero_location="N", theta_direction=-1, thetamin=-90, thetamax=90)  # type: ignore[call-arg]
     axes.set_ylim(bottom=0)
@@ -163,9 +169,20 @@ def lobe(
         va="top",
         fontsize=8,
     )
-    if len(several) > 1 or "" not in several:
+    if parts or len(several) > 1 or "" not in several:
         axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.12))
     return axes
+
+
+def _components(materials: Mapping[str, Material]) -> dict[str, Material]:
+    """The diffuse and the specular term of each material that has both, by name, in sr^-1."""
+    found = {}
+    for name, material in materials.items():
+        if hasattr(material, "diffuse") and hasattr(material, "specular"):
+            for term, other in (("diffuse", "specular"), ("specular", "diffuse")):
+                without = replace(material, **{other: 0 * getattr(material, other)})  # type: ignore[call-arg]
+                found[f"{name}, {term}".removeprefix(", ")] = without
+    return found
 
 
 FINE = 0.01  # of the largest value: the most that neighbouring points differ by

@@ -85,6 +85,21 @@ def test_a_lobe_peaks_at_the_mirror_direction():
     assert relative.max() == 1
 
 
+def test_the_components_of_a_lobe_sum_to_it():
+    """By the closed form k_d + k_s cos^n, each term by itself and both together."""
+    materials = {"paint": jv.PhongBRDF([0.2], [0.5], 20.0), "chalk": jv.Lambert([0.3])}
+    axes = plots.lobe(materials, incidence=0.6, components=True)
+    lines = {line.get_label(): line.get_data() for line in axes.lines[:-1]}
+    assert list(lines) == ["paint", "chalk", "paint, diffuse", "paint, specular"]
+    terms = {"diffuse": 0.2, "specular": lambda x: 0.5 * np.maximum(np.cos(x - 0.6), 0) ** 20}
+    np.testing.assert_allclose(lines["paint, diffuse"][1], terms["diffuse"], rtol=1e-5)
+    angle, radius = lines["paint, specular"]
+    np.testing.assert_allclose(radius, terms["specular"](angle), atol=1e-5)
+    angle, radius = lines["paint"]
+    np.testing.assert_allclose(radius, terms["diffuse"] + terms["specular"](angle), atol=1e-5)
+    assert axes.get_legend() is not None
+
+
 def test_a_lobe_of_any_width_shows_its_height():
     """Of cos^n, 1 at the mirror's direction, and to 1 % what a line between two points shows."""
     shiny = {f"{n:g}": jv.PhongBRDF([0.0], [1.0], n) for n in (1e2, 1e3, 1e4, 1e5, 1e6)}
