@@ -23,6 +23,7 @@ EAGER = {
     "jaxvision.plots.inspection",
     "jaxvision.plots.legible_axes",
     "jaxvision.plots.light",
+    "jaxvision.plots.stages",
     "jaxvision.plots.summary",
     "jaxvision.errors",
     "jaxvision.core.plain_arrays",

@@ -15,4 +15,5 @@ from .images import (
 )
 from .inspection import inspect as inspect
 from .light import lobe as lobe, spectrum as spectrum
+from .stages import pipeline as pipeline
 from .summary import BandSummary as BandSummary, band_names as band_names, summarise as summarise

@@ -1,5 +1,6 @@
 """Plots of results show the numbers that they were given."""
 
+import dataclasses
 import re
 from itertools import combinations, pairwise
 
@@ -279,3 +280,14 @@ def test_a_figure_with_words_of_its_own_stays_whole():
     figure.suptitle("of all")
     assert len(figure_strips(lambda: figure, widest=200)) == 1
     assert len(figure_strips(lambda: panels(1, 8), widest=200)) == 1  # a single column
+
+
+def test_the_pipeline_of_a_camera_shows_absent_stages_in_grey():
+    camera = jv.read_camera("cmos")
+    axes = plots.pipeline(camera)
+    colours = {text.get_text(): text.get_color() for text in axes.texts}
+    for field in dataclasses.fields(camera.sensor):
+        is_grey = colours[field.name.replace("_", " ")] == "0.75"
+        value = getattr(camera.sensor, field.name)
+        assert is_grey == (value is None or (field.name == "own" and not value)), field.name
+    assert {"lens", "sensor", "f number"} <= colours.keys()
