@@ -151,9 +151,9 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
 def run(
     title: str, path: Path, options: Options, calibrate: Calibrate, *, repeats: bool = False
 ) -> None:
-    """Calibrates, writes what was asked for, prints the result. A section without results says why,
-    and the exit status is that of bad input. What `repeats` its fits is compiled with optimisation,
-    the rest quickly."""
+    """Calibrate, write the requested files, and print the result. A section without results says
+    why, and the exit status is that of bad input. What `repeats` its fits is compiled with
+    optimisation, the rest quickly."""
     if not repeats:
         compile_quickly()
     keep_programs()

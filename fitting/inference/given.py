@@ -133,7 +133,7 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
 
 
 def end_or_name(what: str) -> Callable[[Any], Any]:
-    """As `number_or_name`, of an end that may be absent.
+    """As `number_or_name`, for an end that may be None.
 
     Returns the same of None, which stays."""
     convert = number_or_name(what)

@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 def in_double(function: Callable[P, T]) -> Callable[P, T]:
-    """The function in double precision, whatever the caller has set.
+    """Return the function in double precision, for any setting of the caller.
 
     Args:
         function: takes no traced numbers.

@@ -21,7 +21,7 @@ UNKNOWN = 1e6  # factor by which a curve may err at a code of which nothing is k
 
 
 def section(calibration: ResponseCalibration) -> Section:
-    """A calibrated response as its reader sees it.
+    """The report section of a calibrated response.
 
     Args:
         calibration: of a stack.

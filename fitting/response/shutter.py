@@ -60,8 +60,8 @@ class Shutter:
 
 
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
-    """The prior on tau, or on the error in addition to a stated one. Where no error shows, the
-    prior alone makes the interval, and is narrower, about what cameras do.
+    """The prior on tau, or on the error in addition to a stated one. If no error is visible, the
+    prior alone determines the interval. It is then narrower, near the errors of real cameras.
 
     Args:
         shown: how many errors show.

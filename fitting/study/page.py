@@ -69,7 +69,7 @@ def page(
 def _unlike(quantities: Sequence[Compared]) -> dict[str, str]:
     """In which quantities each camera is unlike the others, those with the largest ratio first.
 
-    One cause shows in many quantities, so that a few are named and the others counted.
+    One cause affects many quantities, so a few are named and the others counted.
     """
     found: dict[str, list[tuple[float, str]]] = {}
     for one in quantities:

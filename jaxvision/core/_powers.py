@@ -1,4 +1,4 @@
-"""Powers and exponentials right to the last place or two, as sums of two numbers of the dtype.
+"""Powers and exponentials with errors of one or two ULP, as sums of two numbers of the dtype.
 
 An exponent such as 1 / 2.4 rounded to float32 moves x^p by |log x| / 2 units of the last place.
 Here it is a sum of two numbers, p = nearest + rest, of which

@@ -1,4 +1,4 @@
-"""The display of a record in a notebook: its numbers as an HTML table, and its picture."""
+"""Display of a record in a notebook: its numbers as an HTML table, and its picture."""
 
 import base64
 import io

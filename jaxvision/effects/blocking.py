@@ -86,7 +86,7 @@ def certain(reach: float) -> float:
 def slack_over(
     bodies: Bodies, point: np.ndarray, normal: np.ndarray, relative: float
 ) -> np.ndarray:
-    """(n,) m, by how much the height of each body over a plane may be off."""
+    """Return (n,) m, the largest error of each body's height over a plane."""
     size = (np.abs(bodies.points) @ np.abs(normal) + bodies.radii).max(1)
     return relative * (size + np.abs(point) @ np.abs(normal))
 

@@ -1,9 +1,9 @@
 """Surfaces cut into small cells, each a ball of places with a cone of normals.
 
-What holds for every place and normal of each cell holds for the surface: distances, cosines and
-mirror directions are bounded cell by cell, far more sharply than for a surface as a whole. A cell
-that no pixel sees, for it lies outside of the picture or turns its back, counts for nothing there.
-Lengths in m, angles in rad; NumPy float64.
+Distances, cosines and mirror directions are bounded for every point and normal of each cell. These
+bounds are much sharper than bounds for a whole surface. A cell that no pixel sees, for it lies
+outside of the picture or turns its back, counts for nothing there. Lengths in m, angles in rad;
+NumPy float64.
 """
 
 import math

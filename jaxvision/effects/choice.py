@@ -24,7 +24,7 @@ from .stages import Draft, Gone, Row
 
 @dataclass(frozen=True)
 class Chain:
-    """The rows of all stages, and what turns their bounds into one unit."""
+    """The rows of all stages, and the factors that convert their bounds to one unit."""
 
     rows: tuple[Row, ...]  # of all effects
     opening: float = 1.0  # W m^-2 per W m^-2 sr^-1, the largest gain of the lens

@@ -166,7 +166,8 @@ BOUNDS: dict[str, Callable[[Development], Factor]] = {
 
 
 def lipschitz(development: Development | None) -> Factor:
-    """By how much a development magnifies a change of the raw data at most.
+    """Return an upper bound on the factor by which a development magnifies a change of the raw
+    data.
 
     Args:
         development: the steps; None is no step.

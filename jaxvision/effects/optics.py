@@ -106,7 +106,7 @@ class _Grids:
 
     @property
     def opening(self) -> float:
-        """W m^-2 per W m^-2 sr^-1: the largest gain of any pixel, whichever parts have gone."""
+        """W m^-2 per W m^-2 sr^-1: the largest gain of any pixel, with any parts dropped."""
         most = max(opening_of(view) for view in corners(self.view))
         if not self.has("distortion") or self.straight:
             return most

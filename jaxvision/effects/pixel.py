@@ -416,8 +416,8 @@ class Pixel:
 
 
 def own_bound(effect: Ends[Any], electrons: float) -> tuple[float, float]:
-    """By how many electrons rms an effect from outside moves a pixel, and by how much it multiplies
-    a change of charge, at most; inf for one without a bound."""
+    """Return upper bounds on the change of a pixel by an external effect, electrons rms, and on the
+    factor by which it multiplies a change of charge; inf for an effect without a bound."""
     bound = stage_of(effect.low).bound
     if bound is None or not math.isfinite(electrons):
         return INF, 1.0 if bound is not None else INF

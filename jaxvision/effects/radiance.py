@@ -118,10 +118,10 @@ def _of_light(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
 
 
 def light(sums: Sums, onward: Onward, k: int) -> Row:
-    """All that a light does. One that may be seen also hides what is behind it, however dark it is:
-    there the picture changes by at most its own radiance or the most that the picture holds. In a
-    mirror the same holds of the lights behind it. As long as there are shadows, what is in full
-    shadow counts for nothing."""
+    """The effect of a whole light. One that may be seen also hides what is behind it, however dark
+    it is: there the picture changes by at most its own radiance or the most that the picture holds.
+    In a mirror the same holds of the lights behind it. As long as there are shadows, what is in
+    full shadow counts for nothing."""
     source, dark = sums.sources[k], sums.dark[k]
     why = source.why or type(sums.lights[k].low).__name__
     hides = source.kind == "area" and (sums.visible[k] or onward.depth is not None)

@@ -81,9 +81,9 @@ def _meets(
     reach: float,
     relative: float,
 ) -> np.ndarray:
-    """Whether the hull of a light and each cell may meet an occluder: not below the horizon of a
-    flat cell; then by the ball about it, by fixed directions, and by the best direction where few
-    are left."""
+    """Return whether the hull of a light and each cell may intersect an occluder. The tests are, in
+    order: the horizon of a flat cell, the ball around the occluder, fixed directions, and the best
+    direction for the few remaining triples."""
     cell, occluder = pairs
     tolerance = certain(reach)
     about = (occluders.points.min(1) + occluders.points.max(1)) / 2

@@ -514,7 +514,8 @@ def _name_unused(
 
 
 def _of_gdal(page: TiffPicture) -> list[str]:
-    """What GDAL says of the numbers of a GeoTIFF: scale, offset, and the number of missing ones."""
+    """GDAL's metadata about the numbers of a GeoTIFF: scale, offset, and the value of missing
+    data."""
     items = re.findall(
         r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(GDAL_WORDS)
     )

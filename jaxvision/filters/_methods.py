@@ -241,8 +241,8 @@ def _spectrum(k: Planes, size: tuple[int, ...], dtype: DTypeLike) -> Array:
 
 
 def _transformed(f: Planes, spectrum: Array) -> Planes:
-    """The sums by Fourier transforms in the spectrum's precision, those of whole windows first and
-    then rubbish, as long as the transforms are."""
+    """Return the sums by Fourier transforms in the spectrum's precision, with the length of the
+    transforms. The sums of whole windows come first, and the rest is meaningless."""
     with jax.enable_x64(True):
         lengths = _fast_length(f.shape[2]), _fast_length(f.shape[3])
         product = jnp.fft.rfft2(f.astype(spectrum.real.dtype), lengths) * spectrum

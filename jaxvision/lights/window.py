@@ -1,5 +1,5 @@
-"""A parallelogram in space, seen from one point: where a ray meets it, and a map of the unit square
-onto its directions that stays even when the point is near.
+"""A parallelogram in space, seen from one point: intersection with a ray, and a map of the unit
+square onto its directions that is uniform also for a near point.
 
 Lengths in metres. For ONE point or ray; the caller vmaps.
 """

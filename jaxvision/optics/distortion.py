@@ -25,7 +25,7 @@ _MOST_STEPS = 60
 
 @takes_numbers
 def distort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Where a chief ray meets the sensor of a lens with distortion.
+    """Return the point at which a chief ray meets the sensor of a lens with distortion.
 
     Args:
         distortion: coefficients.

@@ -158,7 +158,7 @@ def _around(
 
 
 def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Of a name that was written before."""
+    """The position of a name that was written before."""
     place = (np.log(text.xy) - first) / np.maximum(last - first, 1e-9) * whole
     extent = np.array([WIDE * len(text.get_text()), HIGH]) * text.get_fontsize()
     sides = np.sign(text.xyann)

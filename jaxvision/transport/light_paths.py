@@ -65,7 +65,7 @@ class _Arrival(eqx.Module):
 def light_traced(
     key: Key, scene: Scene, view: View, *, paths: int, depth: int = 6, samples: int = 16
 ) -> Traced:
-    """The picture in radiance, by paths from what shines.
+    """Render the radiance picture by paths from the emitters.
 
     Mirrors and glass are black, and all that the camera sees in or through them:
     `transport.missing_light` names them.
