@@ -361,7 +361,7 @@ def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) 
     return jnp.where(jnp.isfinite(lost), lost, 0)
 
 
-def _in_x(constant: str, x: str, y: str) -> tuple[float, float, float]:
+def _locus_polynomial(constant: str, x: str, y: str) -> tuple[float, float, float]:
     """Coefficients of constant + x x_D + y y_D on the daylight locus y_D = -3 x_D^2 + 2.87 x_D -
     0.275, which would cancel 300 times over if x_D and y_D were rounded first."""
     c, a, b = Fraction(constant), Fraction(x), Fraction(y)
@@ -374,9 +374,9 @@ def _roots(polynomial: tuple[float, float, float]) -> tuple[float, float]:
 
 
 _DAYLIGHT = (  # CIE 15:2018, equations 4.3: the divisor, the numerators of M_1 and M_2
-    _in_x("0.0241", "0.2562", "-0.7341"),
-    _in_x("-1.3515", "-1.7703", "5.9114"),
-    _in_x("0.0300", "-31.4424", "30.0717"),
+    _locus_polynomial("0.0241", "0.2562", "-0.7341"),
+    _locus_polynomial("-1.3515", "-1.7703", "5.9114"),
+    _locus_polynomial("0.0300", "-31.4424", "30.0717"),
 )
 
 

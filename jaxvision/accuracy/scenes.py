@@ -137,7 +137,7 @@ def scene_problem(
 
     def program(entry: RenderEntry) -> RenderEntry:
         more = {"depth": 2} if entry.integrator == "path" and entry.depth > 2 else {}
-        return entry.model_copy(update={"samples": _at_once(entry), **more})
+        return entry.model_copy(update={"samples": _samples_a_call(entry), **more})
 
     def known(turned: Mapping[str, Any]) -> bool:
         return program(entry_of(own, turned)).model_dump_json() in compiled
@@ -147,7 +147,7 @@ def scene_problem(
         scene, view = as_dtype((source.scene, source.view), entry.dtype)
         given = replace(source, scene=scene, view=view)
         if own.integrator == "light":
-            return _by_passes(given, entry, (len(rows), len(columns)), expand)
+            return _compute_passes(given, entry, (len(rows), len(columns)), expand)
         few = program(entry)
         if few.model_dump_json() not in compiled:
             compiled[few.model_dump_json()] = seeded_pixels_of(given, few)
@@ -160,7 +160,7 @@ def scene_problem(
             pixels = seeded(seed, within_pixels)
             once = now() - start
             total = sum(pixels(*places, first, entry.depth).astype(np.float64) for first in firsts)
-            return _in_all_bands(np.asarray(total) / len(firsts), expand)
+            return _expand_bands(np.asarray(total) / len(firsts), expand)
 
         return compute
 
@@ -203,7 +203,7 @@ def scene_problem(
     return replace(problem, whole=float(np.clip(tile / max(part, 1e-9) * tiles, 1.0, pixels)))
 
 
-def _at_once(entry: RenderEntry) -> int:
+def _samples_a_call(entry: RenderEntry) -> int:
     """Return the number of samples of one call. Several calls give any number of samples, so one
     program serves all. It is one for paths. For the others, whose single sample is the pixel's
     middle, it is two or all."""
@@ -217,7 +217,7 @@ def _spread(size: int, count: int) -> np.ndarray:
     return ((np.arange(count) + 0.5) * size / count).astype(int)
 
 
-def _by_passes(
+def _compute_passes(
     source: SceneFile, entry: RenderEntry, shape: tuple[int, int], expand: np.ndarray | None
 ) -> Compute:
     small = replace(source, view=with_resolution(source.view, shape))
@@ -225,12 +225,12 @@ def _by_passes(
 
     def compute(seed: int) -> np.ndarray:
         total = sum(passes(seed, number) for number in range(entry.samples))
-        return _in_all_bands(np.asarray(total) / entry.samples, expand)
+        return _expand_bands(np.asarray(total) / entry.samples, expand)
 
     return compute
 
 
-def _in_all_bands(radiance: np.ndarray, expand: np.ndarray | None) -> np.ndarray:
+def _expand_bands(radiance: np.ndarray, expand: np.ndarray | None) -> np.ndarray:
     flat = radiance.reshape(-1, radiance.shape[-1])
     return flat if expand is None else flat @ expand.T.astype(flat.dtype)
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..core._bounds import Reflection
-from ..core._loops.bands import by_band
+from ..core._loops.bands import map_bands
 from ..core._types import Colour, Scalar
 from ..core._vector import Direction, Vec, as_vec
 from ._lobe import choose, diffuse_share, divisor, mixed_pdf, where_seen
@@ -105,4 +105,4 @@ def register_lobe(
 def _two_terms(material: Any, wi: Vec, wo: Vec, body: Scalar, lobe: Scalar) -> Colour:
     """k_d body + k_s lobe, (bands,) in sr^-1, 0 where the surface is not seen or not lit."""
     body, lobe = where_seen(wi, wo, body), where_seen(wi, wo, lobe)
-    return by_band(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)
+    return map_bands(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)

@@ -143,7 +143,7 @@ def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
     return slices(material.vndf, phi, theta), origin, place
 
 
-def _over_square(table: Float[Array, "rows columns"], place: Square) -> Scalar:
+def _interpolate_square(table: Float[Array, "rows columns"], place: Square) -> Scalar:
     """A table over the unit square at (x, y), bilinear."""
     rows, columns = table.shape
     return multilinear(table, in_unit(place[1], rows), in_unit(place[0], columns))
@@ -156,7 +156,10 @@ def _reflected_by(
     value = jnp.maximum(bilinear(material.values, at, s), 0)
     if not material.scaled:
         return value
-    ndf, sigma = _over_square(material.ndf, h_place), _over_square(material.sigma, wo_place)
+    ndf, sigma = (
+        _interpolate_square(material.ndf, h_place),
+        _interpolate_square(material.sigma, wo_place),
+    )
     return jnp.where(sigma <= 0, 0, value * (ndf / (4 * or_one(sigma))))
 
 

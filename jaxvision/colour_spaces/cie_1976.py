@@ -29,7 +29,7 @@ def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
     return jnp.where(curved, root, t * (1 / (3 * _BREAK**2))), jnp.where(curved, -4 / 29, 0.0)
 
 
-def _from_lightness(above: Scalars) -> Scalars:
+def _inverse_lightness(above: Scalars) -> Scalars:
     """The inverse: t of f(t) - 4/29."""
     root = above + 4 / 29
     return jnp.where(above > 2 / 29, root * root * root, 3 * _BREAK**2 * above)
@@ -75,7 +75,7 @@ def lab_to_xyz(lab: Colours, white: Float[Array, "3"]) -> Colours:
     lightness, a, b = parts(lab)
     above = lightness / 116
     thirds = (above + a / 500, above, above - b / 200)
-    return joined(*(white[i] * _from_lightness(f) for i, f in enumerate(thirds)))
+    return joined(*(white[i] * _inverse_lightness(f) for i, f in enumerate(thirds)))
 
 
 @takes_numbers
@@ -124,7 +124,7 @@ def luv_to_xyz(luv: Colours, white: Float[Array, "3"]) -> Colours:
     """
     lightness = parts(luv)[0]
     x_n, y_n, z_n = white
-    y = y_n * _from_lightness(lightness / 116)
+    y = y_n * _inverse_lightness(lightness / 116)
     unit, u, v = of_unit_size(*parts(luv))
     share = reciprocal(13 * unit)
     sum_n = x_n + 15 * y_n + 3 * z_n

@@ -169,7 +169,7 @@ def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
     """What each parameter holds, in their order; None unless that is an array of numbers, or either
     an array or a record."""
     hints = get_type_hints(function)
-    return {name: _of_hint(name, hints.get(name)) for name in signature(function).parameters}
+    return {name: _wanted_by_hint(name, hints.get(name)) for name in signature(function).parameters}
 
 
 @cache
@@ -193,7 +193,7 @@ def _placed(function: Callable[..., Any]) -> int:
     return sum(kind is not Parameter.KEYWORD_ONLY for kind in kinds)
 
 
-def _of_hint(name: str, hint: Any) -> _Wanted | None:
+def _wanted_by_hint(name: str, hint: Any) -> _Wanted | None:
     parts = [kind for part in _parts(hint) for kind in _kinds(part)]
     numbers = {float, int} & set(parts)
     others = {np.ndarray, *numbers}

@@ -46,7 +46,7 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
         "MKL_NUM_THREADS": "1",
     }
     options = {
-        "distributed.nanny.pre-spawn-environ": single | _of_jax(),
+        "distributed.nanny.pre-spawn-environ": single | _jax_environment(),
         "distributed.scheduler.allowed-failures": LOSSES,
         "distributed.deploy.lost-worker-timeout": f"{LOOK} s",
         # Samples of a stack as deep as JAX's fill the memory of a worker for an hour.
@@ -78,7 +78,7 @@ def _started(count: int) -> "LocalCluster":
     raise InputError(f"{count} workers could not be started ({lost}).") from lost
 
 
-def _of_jax() -> dict[str, str]:
+def _jax_environment() -> dict[str, str]:
     """Variables of the environment that decide what JAX computes, and where it keeps programs."""
     return {name: text for name, text in os.environ.items() if name.startswith(("JAX_", "XLA_"))}
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._types import as_float, check_choice, print_by_name
 from ..filters import correlate_separable
 from ..filters.padding import pad
@@ -103,7 +103,7 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_
     layout = _layout(pattern)
 
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
-        at = _Shifted(stored(lambda f: _continued(f, 1, border), plane), 1)
+        at = _Shifted(materialise(lambda f: _continued(f, 1, border), plane), 1)
         beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
         diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
         return _chosen(layout, at(0, 0), (beside + above) / 4, beside / 2, above / 2, diagonal / 4)
@@ -141,7 +141,7 @@ def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_ph
     layout = _layout(pattern)
 
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
-        at = _Shifted(stored(lambda f: _continued(f, 2, border), plane), 2)
+        at = _Shifted(materialise(lambda f: _continued(f, 2, border), plane), 2)
         own = at(0, 0)
         beside, above = at(0, -1) + at(0, 1), at(-1, 0) + at(1, 0)
         diagonal = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
@@ -192,7 +192,7 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
     def of_image(plane: Plane) -> Float[Array, "h w 3"]:
         is_green, first_rows = layout.masks(*plane.shape)
         is_first = first_rows & ~is_green
-        green, lead = stored(lambda f: _directed_green(f, is_green), plane)
+        green, lead = materialise(lambda f: _directed_green(f, is_green), plane)
 
         def along(difference: Plane, near: Callable[[Plane, int], Plane]) -> Plane:
             return _directed(lead, near(difference, 1), near(difference, 0))
@@ -225,9 +225,9 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
                 jnp.where(is_green | ~is_first, second, raw - apart),
             )
 
-        first, second = stored(others, plane, green)
+        first, second = materialise(others, plane, green)
         if refine:
-            green, first, second = stored(refined, plane, green, first, second)
+            green, first, second = materialise(refined, plane, green, first, second)
         return _joined(layout, green, first, second)
 
     return _per_image(of_image, raw, pattern)

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from ..core._arguments import takes_numbers, warn_caller
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._numerics import with_gradient_of
 from ..core._types import Image, Scalar, as_float, as_relative, check_choice, is_known
 from ..filters.padding import Picture
@@ -254,8 +254,8 @@ def _coded(plane: Plane, table: Table, whole: bool) -> Plane:
     with the whole numbers that libjpeg has in between (jfdctint.c, jcdctmgr.c, jidctint.c)."""
     height, width = plane.shape
     full = jnp.pad(plane - 128, ((0, -height % 8), (0, -width % 8)), mode="edge")
-    along = stored(lambda x: _pass(x.T, _COSINES, 11, whole), full)
-    eighths = stored(lambda x: _pass(x.T, _COSINES, 15, whole), along)
+    along = materialise(lambda x: _pass(x.T, _COSINES, 11, whole), full)
+    eighths = materialise(lambda x: _pass(x.T, _COSINES, 15, whole), along)
     divisor = jnp.tile(table, (full.shape[0] // 8, full.shape[1] // 8))
     levels = eighths / (8 * divisor)
     if whole:
@@ -264,8 +264,8 @@ def _coded(plane: Plane, table: Table, whole: bool) -> Plane:
     else:
         nearest = jax.lax.stop_gradient(jnp.round(levels))
         levels = nearest + (levels - nearest) ** 3
-    down = stored(lambda x: _pass(x, _COSINES.T, 11, whole), levels * divisor)
-    back = stored(lambda x: _pass(x.T, _COSINES.T, 18, whole), down).T
+    down = materialise(lambda x: _pass(x, _COSINES.T, 11, whole), levels * divisor)
+    back = materialise(lambda x: _pass(x.T, _COSINES.T, 18, whole), down).T
     return jnp.clip(back + 128, 0, 255)[:height, :width]
 
 

@@ -123,7 +123,7 @@ def _extent(
     return low, high
 
 
-def _of_light(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
+def _height_range(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
     """The least and the largest height of a light over a plane, m, 0 where it touches."""
     point, normal = plane
     if source.body is not None:
@@ -169,7 +169,7 @@ def may_block(
     for i, plane in planes.items():
         low, high = _extent(bodies, bounded, planes, plane, relative)
         for k, source in enumerate(sources):
-            light_low, light_high = _of_light(source, plane, relative)
+            light_low, light_high = _height_range(source, plane, relative)
             above, below = light_low >= 0, light_high <= 0
             # as an occluder: lamp and receiver on one closed side
             may[k, above & (low >= 0), i] = False

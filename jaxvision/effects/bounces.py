@@ -121,7 +121,7 @@ class Onward:
         toward any viewer; None: there are no further segments."""
         if self.depth is None:
             return cells
-        least = self._of_surfaces(cells if around is None else around)
+        least = self._largest_of_surfaces(cells if around is None else around)
         total = self.series(least, self.depth - pieces)
         return cells + total[self.sums.cells.surface]
 
@@ -130,7 +130,7 @@ class Onward:
         """(n, bands) W m^-2 sr^-1, the most that each surface makes of all lamps."""
         found = np.zeros_like(self.sums.own)
         for k in range(len(self.sums.sources)):
-            found += self._of_surfaces(sent(self.sums, k, around=True))
+            found += self._largest_of_surfaces(sent(self.sums, k, around=True))
         return found
 
     @cached_property
@@ -181,7 +181,7 @@ class Onward:
                 return np.full_like(found, np.inf)
         return np.where(np.isfinite(sent), found, np.inf)
 
-    def _of_surfaces(self, cells: np.ndarray) -> np.ndarray:
+    def _largest_of_surfaces(self, cells: np.ndarray) -> np.ndarray:
         """The largest of (c, bands) over the cells of each surface, (n, bands)."""
         n = len(self.sums.surfaces)
         first = np.searchsorted(self.sums.cells.surface, np.arange(n))
@@ -228,7 +228,7 @@ def _form_factors(sums: Sums) -> np.ndarray:
             factors[:, j] = np.where(d > size, (size / np.where(d > size, d, 1)) ** 2, 1)
         for i, plane in enumerate(planes):
             if plane is not None and not sums.surfaces[i].low.two_sided:
-                factors[i, j] *= _in_front(plane, body, planes[j])
+                factors[i, j] *= _lies_in_front(plane, body, planes[j])
     for i, surface in enumerate(sums.surfaces):
         shape = surface.low.shape
         dented = isinstance(shape, TriangleMesh) or (
@@ -238,7 +238,7 @@ def _form_factors(sums: Sums) -> np.ndarray:
     return factors
 
 
-def _in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
+def _lies_in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
     """Whether any of a body, or of an endless plane, lies before a flat surface."""
     point, normal = plane
     if body is None:

@@ -152,15 +152,15 @@ def _cells(shape: Ends[Shape], side: int, about: np.ndarray) -> Parts:
         return _anywhere(shape)
     match low:
         case Quad():
-            return _of_quad(numbers(low.corner), numbers(low.edge_u), numbers(low.edge_v), side)
+            return _quad_cells(numbers(low.corner), numbers(low.edge_u), numbers(low.edge_v), side)
         case Disc():
-            return _of_disc(low, side)
+            return _disc_cells(low, side)
         case Sphere():
-            return _of_sphere(low, max(side // 2, _COARSEST))
+            return _sphere_cells(low, max(side // 2, _COARSEST))
         case Box():
-            return _of_box(low, max(side // 2, 1))
+            return _box_cells(low, max(side // 2, 1))
         case TriangleMesh():
-            return _of_mesh(low)
+            return _mesh_cells(low)
         case Plane():
             point, normal = numbers(low.point), unit(numbers(low.normal))
             foot = about - ((about - point) @ normal) * normal
@@ -178,7 +178,7 @@ def _anywhere(shape: Ends[Shape]) -> Parts:
     return [middle[None], radius[None], np.eye(3)[:1], np.array([np.pi])]
 
 
-def _of_quad(corner: np.ndarray, u: np.ndarray, v: np.ndarray, side: int) -> Parts:
+def _quad_cells(corner: np.ndarray, u: np.ndarray, v: np.ndarray, side: int) -> Parts:
     t = (np.arange(side) + 0.5) / side
     s, t = (x.ravel()[:, None] for x in np.meshgrid(t, t))
     radius = max(np.linalg.norm(u + v), np.linalg.norm(u - v)) / (2 * side)
@@ -187,25 +187,25 @@ def _of_quad(corner: np.ndarray, u: np.ndarray, v: np.ndarray, side: int) -> Par
     return [centre, np.full(count, radius), axis, np.zeros(count)]
 
 
-def _of_disc(shape: Disc, side: int) -> Parts:
+def _disc_cells(shape: Disc, side: int) -> Parts:
     normal, r = unit(numbers(shape.normal)), float(shape.radius)
     first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
     u, v = 2 * r * first, 2 * r * np.cross(normal, first)
     middle = numbers(shape.centre)
-    centre, radius, axis, spread = _of_quad(middle - (u + v) / 2, u, v, side)
+    centre, radius, axis, spread = _quad_cells(middle - (u + v) / 2, u, v, side)
     on = np.linalg.norm(centre - middle, axis=1) <= r + radius
     return [centre[on], radius[on], axis[on], spread[on]]
 
 
-def _of_sphere(shape: Sphere, side: int) -> Parts:
+def _sphere_cells(shape: Sphere, side: int) -> Parts:
     """The cells of a cube about it, thrown onto the sphere."""
-    axis, spread = _of_ball(side)
+    axis, spread = _sphere_axes(side)
     r = float(shape.radius)
     return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
 
 
 @cache
-def _of_ball(side: int) -> tuple[np.ndarray, np.ndarray]:
+def _sphere_axes(side: int) -> tuple[np.ndarray, np.ndarray]:
     """The axes, (c, 3), and the spreads, (c,) rad, of a sphere's cells."""
     t = np.tan(np.pi / 4 * np.linspace(-1, 1, side + 1))
     middle, edge = np.tan(np.pi / 4 * (np.linspace(-1, 1, 2 * side + 1)[1::2])), t
@@ -229,7 +229,7 @@ def _of_ball(side: int) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(axis), np.concatenate(spread)
 
 
-def _of_box(shape: Box, side: int) -> Parts:
+def _box_cells(shape: Box, side: int) -> Parts:
     axes = np.eye(3) if shape.rotation is None else numbers(shape.rotation)
     centre, half = numbers(shape.centre), numbers(shape.half_extents)
     faces = []
@@ -237,7 +237,7 @@ def _of_box(shape: Box, side: int) -> Parts:
         for sign in (-1.0, 1.0):
             i, j = (k + 1) % 3, (k + 2) % 3
             u, v = 2 * half[i] * axes[i], 2 * sign * half[j] * axes[j]
-            faces.append(_of_quad(centre + sign * half[k] * axes[k] - (u + v) / 2, u, v, side))
+            faces.append(_quad_cells(centre + sign * half[k] * axes[k] - (u + v) / 2, u, v, side))
     return [np.concatenate(parts) for parts in zip(*faces, strict=True)]
 
 
@@ -246,7 +246,7 @@ def has_faces_apart(shape: TriangleMesh) -> bool:
     return len(shape.faces) <= _TRIANGLES
 
 
-def _of_mesh(shape: TriangleMesh) -> Parts:
+def _mesh_cells(shape: TriangleMesh) -> Parts:
     """Each triangle, or of many triangles runs of neighbours in the list."""
     vertices = numbers(shape.vertices)
     faces = faces_of(shape)

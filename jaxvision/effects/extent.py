@@ -53,7 +53,7 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
     relative = 6 * m2 / (some**2 * (1 - q) ** 5) + kink
     of_cell, spectrum = sums.cells.surface, sums.spectrum[k]
     body = times((peak * relative)[:, None], times(sums.k_body, spectrum)[of_cell])
-    at_place, lobe_at_place = _by_place(sums, k, place, area)
+    at_place, lobe_at_place = _small_light_suprema(sums, k, place, area)
     either = np.maximum(sent(sums, k), at_place + lobe_at_place)
     lobes = np.maximum(lobe_sent(sums, k), lobe_at_place)
     moved = _lobes(sums, k, lobes, peak, (q, some, float(np.sqrt(m2))))
@@ -120,7 +120,9 @@ def _lobes(
     return np.minimum(moved + times(either, (4 * q / (1 - q) ** 5)[:, None]), either)
 
 
-def _by_place(sums: Sums, k: int, place: Source, area: float) -> tuple[np.ndarray, np.ndarray]:
+def _small_light_suprema(
+    sums: Sums, k: int, place: Source, area: float
+) -> tuple[np.ndarray, np.ndarray]:
     """(c, bands) suprema of what bodies and lobes send under the small light."""
     lobes = [own.lobe for own in sums.reflections]
     body, lobe = geometry_of(sums, place, np.zeros(len(lobes)), lobes)

@@ -67,7 +67,7 @@ def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
         cos_i = cosine(np.maximum(off, 0))
         e = (cos_i > 0).astype(float)
     else:
-        wi, width, cos_i, e = _from_places(source, cells, least)
+        wi, width, cos_i, e = _toward_places(source, cells, least)
     body, facing = times(e, cos_i).sum(1), e.sum(1)
     if source.kind == "area":
         body, facing = np.minimum(body, np.pi), np.minimum(facing, 2 * np.pi)
@@ -106,7 +106,7 @@ def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
     return np.where(nothing, 0, np.where(nothing, 1, a) * np.where(nothing, 1, b))
 
 
-def _from_places(
+def _toward_places(
     source: Source, cells: Cells, least: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Toward each place the unit direction, (c, s, 3), by how much that varies, rad, the largest

@@ -48,7 +48,7 @@ def scene_rows(
         rows += further
         if estimates:
             rows += probed_rows(scene.high, view.high, depth)
-            rows = tuple(sorted(rows, key=_as_steps))
+            rows = tuple(sorted(rows, key=_ladder_order))
         return rows, arriving
     if scene.low is not scene.high or view.low is not view.high:
         free = tuple(_free(row) for row in rows)
@@ -57,7 +57,7 @@ def scene_rows(
     times = moments_of(sensor, view.high.resolution[0], moments)
     moved = _moved(scene, view, motion, times)
     found = [scene_stage(*ends, depth=depth, caustics=caustics)[:2] for ends in moved]
-    everywhere = _by_name([rows, *(own for own, _ in found)])
+    everywhere = _unique_rows([rows, *(own for own, _ in found)])
     seen = [arriving, *(own for _, own in found)]
     brightest = np.max([own.radiance for own in seen], axis=0)
     near, far = min(own.near for own in seen), max(own.far for own in seen)
@@ -79,7 +79,7 @@ def _free(row: Row) -> Row:
     return replace(row, effect=effect, amount=0 * row.amount + np.inf, after=None, drop=None)
 
 
-def _as_steps(row: Row) -> float:
+def _ladder_order(row: Row) -> float:
     """In order as they stand, and after all others those of paths, from short to long ones."""
     return -row.saves if row.ladder == "bounces" else -2.0
 
@@ -94,7 +94,7 @@ def _moved(
         yield Ends(there, there), Ends(seen, seen)
 
 
-def _by_name(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
+def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
     """Return the rows of all moments, each once. Objects that a motion adds or removes are kept."""
     found: dict[str, list[Row]] = {}
     for rows in moments:

@@ -138,7 +138,7 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
 
 def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray) -> float:
     """Pixels by which a hull of corners (n, 3) m moves in the picture at most."""
-    rest, now = _in_camera(view, points), _in_camera(seen, others)
+    rest, now = _camera_coordinates(view, points), _camera_coordinates(seen, others)
     across = float(np.hypot(*(now - rest)[:, :2].T).max())
     if isinstance(view, Orthographic):
         return across / float(view.pixel_pitch)
@@ -170,7 +170,7 @@ def steepest_slope(view: View) -> float:
     return float(np.hypot(np.asarray(x, float), np.asarray(y, float)).max())
 
 
-def _in_camera(view: View, points: np.ndarray) -> np.ndarray:
+def _camera_coordinates(view: View, points: np.ndarray) -> np.ndarray:
     """Points (n, 3) m along right, down and forward of a camera."""
     return (points - np.asarray(view.position, float)) @ np.asarray(view.rotation, float).T
 

@@ -299,7 +299,7 @@ def prune(
     while True:
         choice = Choice(chain, goal, level, start, (scene, own), tuple(free or ()), estimates)
         choice.decide()
-        alone = _of_a_new_kind(scene, choice.draft)
+        alone = _new_kinds(scene, choice.draft)
         why = "without it, its surface would need a program of its own"
         bare = any(row.effect.name.startswith(_MOVED) for row in choice.gone)
         if not alone and bare and not _moves_alike(motion, choice, start, scene):
@@ -309,7 +309,7 @@ def prune(
         chain = replace(chain, rows=tuple(_kept_with(row, alone, why) for row in chain.rows))
 
 
-def _of_a_new_kind(scene: Scene, draft: Draft) -> tuple[str, ...]:
+def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
     """Materials whose pruning would add a kind of material: each kind is shaded by a program of its
     own, so the whole would grow."""
     before, after = (

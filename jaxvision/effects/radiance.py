@@ -51,8 +51,8 @@ def scene_stage(
     sums = sums_of(scene, eye, bounces=depth is not None, caustics=caustics)
     onward = Onward(sums, depth)
     rows = [
-        *(row for k in range(len(sums.sources)) for row in _of_light(sums, onward, k)),
-        *(row for i in range(len(sums.surfaces)) for row in _of_surface(sums, onward, i)),
+        *(row for k in range(len(sums.sources)) for row in _light_rows(sums, onward, k)),
+        *(row for i in range(len(sums.surfaces)) for row in _surface_rows(sums, onward, i)),
         ambient(scene, sums, onward),
     ]
     found = Arriving(top(sums, onward), *depths(sums), over_lens(sums, onward))
@@ -110,7 +110,7 @@ def _row(
 # ---------------------------------------------------------------- lights
 
 
-def _of_light(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
+def _light_rows(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
     yield light(sums, onward, k)
     yield shadows(sums, onward, k)
     if sums.sources[k].kind == "area":
@@ -207,7 +207,7 @@ def extent(sums: Sums, onward: Onward, k: int) -> Row:
 # ---------------------------------------------------------------- surfaces
 
 
-def _of_surface(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
+def _surface_rows(sums: Sums, onward: Onward, i: int) -> Iterator[Row]:
     surface, reflection = sums.surfaces[i], sums.reflections[i]
     name, material = f"surfaces[{i}]", surface.low.material
     if reflection.lobe is not None:
@@ -238,7 +238,7 @@ def _all_lights(
     return sum((of_light(k) for k in range(len(sums.sources))), none)
 
 
-def _of_cells(
+def _largest_sent(
     sums: Sums, onward: Onward, i: int, sent: np.ndarray, around: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the light from the cells of one surface to the eye, and `around` to any viewer, (c_i,
@@ -251,7 +251,7 @@ def _of_cells(
     return pictured(sums, onward(cells, on))
 
 
-def _as_lambert(i: int) -> Drop:
+def _make_lambertian(i: int) -> Drop:
     def drop(draft: Draft) -> Draft:
         own = draft.surfaces[i]
         plain = lambertian(own.material)
@@ -273,12 +273,12 @@ def lobe(sums: Sums, onward: Onward, i: int) -> Row:
         _all_lights(sums, i, lambda k, on=on: lobe_sent(sums, k, around=on)[part], others)
         for on in (False, True)
     )
-    amount = _of_cells(sums, onward, i, lamp, around)
+    amount = _largest_sent(sums, onward, i, lamp, around)
     plain = _is_plain_without_lobe(material)
     why = f"the peak of the {type(material).__name__} lobe under all light"
     if not plain:
         why += ", whose body is no Lambertian's"
-    drop = _as_lambert(i) if plain else None
+    drop = _make_lambertian(i) if plain else None
     field = "material.specular" if hasattr(material, "specular") else "material"
     name = f"surfaces[{i}].{field}"
     return _row(name, amount, drop, why, saves=_SAVES["lobe"])
@@ -306,7 +306,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
         seen = whole[part_of(sums.cells, i), None]
         return times(seen, times(sums.k_lobe[i], sums.spectrum[k])[None])
 
-    amount = _of_cells(sums, onward, i, _all_lights(sums, i, of_light, others)) * (1 - least)
+    amount = _largest_sent(sums, onward, i, _all_lights(sums, i, of_light, others)) * (1 - least)
     name, why = f"surfaces[{i}].material", f"facets reflect at least {least:.3g}; costs little"
     return _row(f"{name}.interface", amount, None, why, part_of=f"{name}.specular")
 
@@ -323,14 +323,14 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
         return even + times(sums.facing[k, part, None], times(grazing, sums.spectrum[k])[None])
 
     others = times(np.pi * (plain + 2 * grazing), onward.of_body(i))
-    amount = _of_cells(sums, onward, i, _all_lights(sums, i, of_light, others))
+    amount = _largest_sent(sums, onward, i, _all_lights(sums, i, of_light, others))
     name = f"surfaces[{i}].material"
     if np.isinf(plain).any() or not hasattr(material, "diffuse"):
         why = reflection.why or f"{type(material).__name__} has no Lambertian part"
         return _row(name, amount + np.inf, None, why)
     field, why = reflection.rough or ("", f"{type(material).__name__} to Lambert")
     name = f"{name}.{field}" if field else name
-    return _row(name, amount, _as_lambert(i), why, saves=_SAVES["lobe"])
+    return _row(name, amount, _make_lambertian(i), why, saves=_SAVES["lobe"])
 
 
 def emission(sums: Sums, onward: Onward, i: int) -> Row:

@@ -64,7 +64,7 @@ def seconds_of(
     full = calls.parts(start)
     found = [None if draft is None else calls.parts(draft) for draft in drafts]
     runs = {part.kind: part.run for parts in (full, *found) for part in parts or ()}
-    taken = _in_turns(runs, advance)
+    taken = _median_seconds(runs, advance)
     pixels = np.prod(view.resolution) / np.prod(small)
 
     def seconds(parts: Sequence[_Part]) -> float:
@@ -113,7 +113,7 @@ class _Calls:
         samples = draft.samples
         rays = 1 if samples is None else samples.count
         samples = None if samples is None else replace(samples, count=1)
-        seen = _in_order(left), camera.view, samples
+        seen = _sorted_scene(left), camera.view, samples
         found = [
             _part("scene", _picture, seen, fine * moments * rays, depth=draft.depth),
             _part("lens", _lens, (camera.view, self.radiance), fine * moments),
@@ -133,7 +133,7 @@ def _part(
     return _Part(kind, lambda: function(*records, **static), times)
 
 
-def _in_order(scene: Scene) -> Scene:
+def _sorted_scene(scene: Scene) -> Scene:
     """The scene with its surfaces sorted by their records and sizes, where nothing numbers them."""
     if scene.occluders:
         return scene
@@ -145,7 +145,7 @@ def _in_order(scene: Scene) -> Scene:
     return replace(scene, surfaces=tuple(sorted(scene.surfaces, key=kind)))
 
 
-def _in_turns(
+def _median_seconds(
     runs: dict[Hashable, Callable[[], Any]], advance: Advance | None
 ) -> dict[Hashable, float]:
     """s, the median of each; the first calls, which compile, do not count."""

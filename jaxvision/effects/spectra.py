@@ -150,13 +150,13 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
             return spectrum
         return spectrum[..., kept]
 
-    def of_material(material: Any) -> Any:
+    def cut_material(material: Any) -> Any:
         names = {"ambient", "specular", *material.spectra, *material.neutral_spectra}
         own = {n: cut(getattr(material, n)) for n in names if hasattr(material, n)}
         return replace(material, **own)
 
     surfaces = tuple(
-        replace(s, material=of_material(s.material), emission=cut(s.emission))
+        replace(s, material=cut_material(s.material), emission=cut(s.emission))
         for s in scene.surfaces
     )
     lights = tuple(

@@ -246,7 +246,7 @@ def _geometry(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for k, source in enumerate(sources):
             arrived = arriving(source, cells, nearest[k, cells.surface])
-            body[k], facing[k] = _of_bodies(arrived, grazing), arrived.facing
+            body[k], facing[k] = _body_suprema(arrived, grazing), arrived.facing
             lobe[k] = of_lobes(arrived, source, lobes, cells, eye)
     return body, lobe, facing
 
@@ -271,7 +271,7 @@ def _grazing(reflections: Sequence[Reflection], cells: Cells) -> np.ndarray:
     return np.array([own.grazing for own in reflections])[cells.surface]
 
 
-def _of_bodies(arrived: Arrived, grazing: np.ndarray) -> np.ndarray:
+def _body_suprema(arrived: Arrived, grazing: np.ndarray) -> np.ndarray:
     """(c,) sup of E f_r cos / k_d: E cos, and E of the share that does not fall with cos."""
     return times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
 
@@ -285,7 +285,7 @@ def geometry_of(
         cells = sums.cells
         arrived = arriving(source, cells, nearest[cells.surface])
         found = of_lobes(arrived, source, lobes, cells, sums.eye)
-    return _of_bodies(arrived, _grazing(sums.reflections, cells)), found
+    return _body_suprema(arrived, _grazing(sums.reflections, cells)), found
 
 
 def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:

@@ -92,7 +92,7 @@ def _meets(
     ends = hulls.points[:, 1:]
     middle = (ends.min(1) + ends.max(1)) / 2
     wide = (np.linalg.norm(ends - middle[:, None], axis=2) + hulls.radii[:, 1:]).max(1)
-    apart = _from_segment(about[occluder], cells.centre[cell], middle[cell])
+    apart = _distance_to_segment(about[occluder], cells.centre[cell], middle[cell])
     meets = apart <= size[occluder] + np.maximum(cells.radius, wide)[cell] + tolerance
     left = np.flatnonzero(meets & (cells.spread[cell] == 0))
     i, j = cell[left], occluder[left]
@@ -111,7 +111,7 @@ def _meets(
     return meets
 
 
-def _from_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _distance_to_segment(place: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """(n,) m, from each place, (n, 3), to the segment between two others."""
     along = end - start
     square = (along**2).sum(1)
@@ -158,7 +158,7 @@ def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndar
         else:
             outside = gap(lens, bodies)[0] > 0
         inner &= outside | (cells.surface != i)
-    source = _as_source(eye)
+    source = _eye_as_source(eye)
     return inner if source is None else inner | in_umbra([source], surfaces, cells)[0]
 
 
@@ -217,7 +217,7 @@ def covered(
 ) -> bool:
     """Whether one flat surface hides all of a body, points (p, 3) m and radii (p,) m, from an eye
     at one place."""
-    source = _as_source(eye)
+    source = _eye_as_source(eye)
     if source is None:
         return False
     bodies = stacked([body])
@@ -230,7 +230,7 @@ def covered(
     )
 
 
-def _as_source(eye: Eye) -> Source | None:
+def _eye_as_source(eye: Eye) -> Source | None:
     """An eye at one place is treated as a light: no pixel sees the points in its full shadow."""
     if eye.everywhere or eye.parallel or eye.size > 0:
         return None

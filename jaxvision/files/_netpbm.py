@@ -82,9 +82,9 @@ def read_netpbm(file: Path) -> np.ndarray:
     channels = _CHANNELS[head.magic]
     count = head.columns * head.rows * channels
     if head.magic in _TEXTS:
-        codes, rest = _from_text(file, head, data[head.start - 1 :], count)
+        codes, rest = _text_samples(file, head, data[head.start - 1 :], count)
     else:
-        codes, rest = _from_bytes(file, head, data, count)
+        codes, rest = _byte_samples(file, head, data, count)
     if rest.strip():
         warnings.warn(
             f"{file}: {len(rest)} bytes after its first picture are not used.", stacklevel=2
@@ -106,7 +106,9 @@ def read_netpbm(file: Path) -> np.ndarray:
     return pixels
 
 
-def _from_text(file: Path, head: NetpbmHead, text: bytes, count: int) -> tuple[np.ndarray, bytes]:
+def _text_samples(
+    file: Path, head: NetpbmHead, text: bytes, count: int
+) -> tuple[np.ndarray, bytes]:
     plain = re.sub(rb"#[^\n\r]*", b"", text)
     if head.magic == b"P1":  # its digits need no space between them
         plain = b" ".join(re.findall(rb"\S", plain))
@@ -122,7 +124,9 @@ def _from_text(file: Path, head: NetpbmHead, text: bytes, count: int) -> tuple[n
     return numbers.astype(_code_type(head)), b"".join(words[count:])
 
 
-def _from_bytes(file: Path, head: NetpbmHead, data: bytes, count: int) -> tuple[np.ndarray, bytes]:
+def _byte_samples(
+    file: Path, head: NetpbmHead, data: bytes, count: int
+) -> tuple[np.ndarray, bytes]:
     ending = _ENDING.match(data, head.start - 1)
     data = data[head.start :]
     if head.magic == b"P4":

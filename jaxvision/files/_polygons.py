@@ -36,7 +36,7 @@ def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
         turns = np.cross(np.roll(edges, 1, axis=1), edges)
         inward = np.einsum("ijk,ik->ij", turns, normals)
         for k in np.flatnonzero((inward < 0).any(axis=1)):
-            found[members[k]] = _by_ears(corners[k], normals[k])
+            found[members[k]] = _clip_ears(corners[k], normals[k])
     return found
 
 
@@ -50,7 +50,7 @@ def are_fans(pieces: list[np.ndarray]) -> bool:
     return all(len(one) == 1 or np.array_equal(one, fan(len(one) + 2)) for one in pieces)
 
 
-def _by_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Seen along the axis nearest to its normal; the fan of a polygon that crosses itself."""
     axis = int(np.abs(normal).argmax())
     x, y = np.delete(corners, axis, axis=1).T
@@ -113,7 +113,11 @@ def polygons_of(file: Path) -> Polygons | None:
     """The polygons of a PLY or OFF file in its order; None if it holds nothing but triangles, or is
     no file that this reads."""
     try:
-        found = _of_off(file) if file.suffix.lower() == ".off" else _of_ply(file.read_bytes())
+        found = (
+            _off_polygons(file)
+            if file.suffix.lower() == ".off"
+            else _ply_polygons(file.read_bytes())
+        )
     except (ValueError, IndexError, KeyError, StopIteration, OverflowError):
         return None  # the reader of meshes says why
     if not found or all(len(one) == 3 for one in found) or min(map(len, found)) < 3:
@@ -121,7 +125,7 @@ def polygons_of(file: Path) -> Polygons | None:
     return found
 
 
-def _of_off(file: Path) -> Polygons:
+def _off_polygons(file: Path) -> Polygons:
     text = re.sub(r"#.*", "", file.read_text("latin-1")).split("OFF", 1)[1]
     lines = [line.split() for line in text.splitlines() if line.strip()]
     vertices, faces = int(lines[0][0]), int(lines[0][1])
@@ -168,7 +172,7 @@ def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]],
     return kind, elements, data.index(b"\n", end) + 1
 
 
-def _of_ply(data: bytes) -> Polygons:
+def _ply_polygons(data: bytes) -> Polygons:
     """The lists of corners of the faces, if every face of a binary file has as many."""
     kind, elements, start = _ply_head(data)
     if kind == "ascii":

@@ -93,13 +93,13 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
     check_utf8(file)
     suffix = file.suffix.lower()
     if suffix in RAW_FORMATS:
-        return _of_raw(file)
+        return _raw_settings(file)
     if suffix in FITS_FORMATS:
-        return _of_fits(file, fits_header(file))
+        return _fits_settings(file, fits_header(file))
     if suffix in NETPBM_FORMATS:
         head = netpbm_head(file)
         return ImageSettings(bits=head.bits, saturation=head.saturation)
-    return _of_exif(file, _attributes(file))
+    return _exif_settings(file, _attributes(file))
 
 
 def _attributes(file: Path) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def _attributes(file: Path) -> dict[str, Any]:
     return found
 
 
-def _of_exif(file: Path, said: Mapping[str, Any]) -> ImageSettings:
+def _exif_settings(file: Path, said: Mapping[str, Any]) -> ImageSettings:
     rating = said.get("Exif:PhotographicSensitivity", said.get("Exif:ISOSpeedRatings"))
     return ImageSettings(
         exposure=_seconds(said.get("ExposureTime"), said.get("Exif:ShutterSpeedValue")),
@@ -156,7 +156,7 @@ def _depth(file: Path, said: Mapping[str, Any]) -> int | None:
     return bits if page.first(SAMPLE_FORMAT, 1) == 1 and bits <= 16 else None
 
 
-def _of_raw(file: Path) -> ImageSettings:
+def _raw_settings(file: Path) -> ImageSettings:
     tags = _raw_tags(file)
 
     def said(name: str) -> Any:
@@ -241,7 +241,7 @@ def _raw_tags(file: Path) -> dict[str, Any]:
     }
 
 
-def _of_fits(file: Path, header: Mapping[str, Any]) -> ImageSettings:
+def _fits_settings(file: Path, header: Mapping[str, Any]) -> ImageSettings:
     celsius = _number(header.get("CCD-TEMP", header.get("SET-TEMP")))
     pedestal = _number(header.get("PEDESTAL"))
     return ImageSettings(

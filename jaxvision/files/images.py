@@ -223,14 +223,14 @@ def _read_by_openimageio(
         chosen, names = _channels(file, spec, layer)
         sample = _sample(file, spec, chosen)
         if page and page.first(PHOTOMETRIC) == PALETTE:
-            pixels = _from_palette(file, number, page)
+            pixels = _palette_colours(file, number, page)
         else:
             pixels = _pixels(file, source, number, chosen, sample)
             pixels = _undone(file, pixels, spec, chunks, page)
             if source.format_name() == "gif" and _is_grey(pixels):
                 pixels, names = pixels[..., :1], ("grey",)
         _name_unused(file, source.format_name(), spec, chunks, page)
-    pixels = _in_display_window(file, pixels, spec)
+    pixels = _display_window(file, pixels, spec)
     return pixels[..., 0] if pixels.shape[2] == 1 else pixels, names
 
 
@@ -447,7 +447,7 @@ def _repeated(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
     return whole
 
 
-def _from_palette(file: Path, number: int, page: TiffPicture) -> np.ndarray:
+def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
     """(h, w, 3) colours of a TIFF's palette at its own depth, of which the decoder keeps 8 bits.
 
     The indices come from a copy of the file that calls itself grey.
@@ -502,7 +502,7 @@ def _name_unused(
     if white > 0:
         said.append(f"its luminance of white, {white:g} cd m^-2: values are relative, as stored")
     if page:
-        said += _of_gdal(page)
+        said += _gdal_scaling(page)
     words = spec.get_string_attribute("ImageDescription")
     calibration = dict(re.findall(r"^(cf|c[0-4])=(.*)$", words, re.M))
     plain = [("cf", "0"), ("c0", "0.0"), ("c1", "1.0")]
@@ -513,7 +513,7 @@ def _name_unused(
         warnings.warn(f"{file}: not used: {'; '.join(said)}.", stacklevel=5)
 
 
-def _of_gdal(page: TiffPicture) -> list[str]:
+def _gdal_scaling(page: TiffPicture) -> list[str]:
     """GDAL's metadata about the numbers of a GeoTIFF: scale, offset, and the value of missing
     data."""
     items = re.findall(
@@ -536,7 +536,7 @@ def _differs(number: str, plain: float) -> bool:
         return True
 
 
-def _in_display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
+def _display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
     """The picture of an EXR's display window, or of the whole that a cropped TIFF belongs to, black
     where the file holds nothing."""
     rows, columns = spec.full_height, spec.full_width

@@ -89,7 +89,7 @@ def read_mesh(
     exact = np.asarray(loaded.vertices, float)
     with np.errstate(over="ignore"):  # `geometry.problems` names what is not finite
         vertices = exact.astype(jnp.result_type(float) if dtype is None else dtype)
-    faces = _with_area(file, vertices, exact, np.asarray(loaded.faces, np.int32))
+    faces = _nonempty_triangles(file, vertices, exact, np.asarray(loaded.faces, np.int32))
     normals = None
     if smooth:
         normals = np.asarray(loaded.vertex_normals, float).astype(vertices.dtype)
@@ -121,7 +121,7 @@ def _to_world(
     return whole
 
 
-def _with_area(
+def _nonempty_triangles(
     file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
     """The triangles with a positive area; files often hold some without. A warning tells what
@@ -211,15 +211,15 @@ def _load(file: Path):
     except InputError:
         raise
     except Exception as error:  # each format's reader fails in its own way
-        reason = _of_content(file) or _in_plain_words(error)
+        reason = _content_fault(file) or _error_in_words(error)
         raise InputError(f"{file}: not readable as a mesh ({reason}); export it again.") from error
     if np.shape(mesh.vertices)[1:] != (3,):
         raise InputError(f"{file}: its points do not have three coordinates; export it again.")
     if len(mesh.faces) == 0:
-        why = _of_content(file)
+        why = _content_fault(file)
         reason = f" that can be read: {why}" if why else ""
         raise InputError(f"{file}: holds no triangles{reason}; export it again as a mesh.")
-    return _with_whole_polygons(file, mesh)
+    return _cut_polygons(file, mesh)
 
 
 _OBJ_ZERO = re.compile(r"^[ \t]*f\b(?:[^\n#]*\s)0+(?=[/\s]|$)", re.MULTILINE)
@@ -257,7 +257,7 @@ def _source(file: Path) -> dict[str, Any]:
     return {"file_obj": BytesIO(plain), "file_type": suffix[1:], "resolver": of_folder}
 
 
-def _with_whole_polygons(file: Path, mesh):
+def _cut_polygons(file: Path, mesh):
     """The mesh of a PLY or OFF file whose polygons are cut so that they cover what they enclose."""
     polygons = polygons_of(file) if file.suffix.lower() in (".ply", ".off") else None
     if polygons is None or max(one.max() for one in polygons) >= len(mesh.vertices):
@@ -277,7 +277,7 @@ def _with_whole_polygons(file: Path, mesh):
     return mesh
 
 
-def _of_content(file: Path) -> str | None:
+def _content_fault(file: Path) -> str | None:
     """Why a reader of trimesh failed, as far as the content tells."""
     data = file.read_bytes()
     match file.suffix.lower():
@@ -292,7 +292,7 @@ def _of_content(file: Path) -> str | None:
     return None
 
 
-def _in_plain_words(error: Exception) -> str:
+def _error_in_words(error: Exception) -> str:
     """Why a reader of trimesh failed, as far as the kind of the error tells."""
     match error:
         case UnicodeError() | ModuleNotFoundError(name="charset_normalizer"):

@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
-from ..core._loops.fusion import PLAIN, stored
+from ..core._loops.fusion import PLAIN, materialise
 from ..programs import on_processor
 from .padding import ghosts, pad_axis
 
@@ -181,13 +181,13 @@ def _in_tiles(
         part = part[None, None]
         own = band if k.shape[1] > 1 else 0
         weights, spectrum = (lax.dynamic_slice_in_dim(a, own, 1, 1) for a in (k, wide))
-        sums = _by_magnitudes(part, weights, spectrum)
+        sums = _sum_magnitudes(part, weights, spectrum)
         return lax.dynamic_update_slice(whole, sums, (image_of, band, y, x))
 
     return lax.fori_loop(0, jnp.where(right, 0, n * c * down * across), one, whole)
 
 
-def _by_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
+def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
     """The correlation of one plane, of one range of magnitudes after the other: what a range does
     not reach gets none of its rounding, and NaN and infinity stay within their windows."""
     with jax.enable_x64(True):
@@ -288,11 +288,11 @@ def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Resu
     """
     (kh, kw), (n, _, _, c) = kernel.shape[:2], image.shape
     if border == "extend":
-        image = stored(lambda f: padded(f, (kh, kw), anchor, border), image)
+        image = materialise(lambda f: padded(f, (kh, kw), anchor, border), image)
         border = "none"
     elif kw > 1:
         across = (0, anchor[1])
-        image = stored(lambda f: padded(f, (1, kw), across, border), image)
+        image = materialise(lambda f: padded(f, (1, kw), across, border), image)
     h, w = image.shape[1], image.shape[2] - kw + 1
     if border == "none":
         h -= kh - 1
@@ -300,7 +300,7 @@ def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Resu
     else:
         index, inside, *_ = ghosts(border, h, anchor[0], kh - 1 - anchor[0])
     # a weight for all bands is one number in the loop, otherwise a row of numbers
-    weights = kernel if kernel.shape[-1] == 1 else stored(lambda k: jnp.tile(k, w), kernel)
+    weights = kernel if kernel.shape[-1] == 1 else materialise(lambda k: jnp.tile(k, w), kernel)
 
     def taps(rows: Array, weights: Array, chosen: list[tuple[int, int]]) -> Array:
         sums: list[Array] = []
@@ -320,9 +320,9 @@ def by_shifts(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Resu
     rows = image.reshape(*image.shape[:2], -1)
     every = [(i, j) for i in range(kh) for j in range(kw)]
     groups = [every[k : k + _MOST_TAPS] for k in range(0, len(every), _MOST_TAPS)]
-    total = stored(partial(taps, chosen=groups[0]), rows, weights)
+    total = materialise(partial(taps, chosen=groups[0]), rows, weights)
     for group in groups[1:]:
-        total = stored(lambda t, r, v, g=group: t + taps(r, v, g), total, rows, weights)
+        total = materialise(lambda t, r, v, g=group: t + taps(r, v, g), total, rows, weights)
     return total.reshape(n, h, w, c)
 
 

@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._types import as_float, check_count
 from ._neighbours import AnyPicture, Floats
 from .padding import as_planes, check_border, check_picture, pad_axis
@@ -52,7 +52,7 @@ def reduce_by_two(picture: AnyPicture, *, border: str = "mirror") -> Floats:
     image, restore = as_planes(picture)
     check_border(border, refused=("constant",))
     for axis in ROWS, COLUMNS:
-        image = stored(partial(_normalised, _reduced, axis=axis, border=border), image)
+        image = materialise(partial(_normalised, _reduced, axis=axis, border=border), image)
     return restore(image)
 
 

@@ -21,7 +21,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..core._arguments import takes_numbers, warn_of_idle_fill
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._numerics import divide, smallest_divisor
 from ..core._types import as_float, check_count, print_by_name
 from ._methods import Anchor
@@ -338,7 +338,7 @@ def _rows_of_planes(
 ) -> tuple[Planes, Callable[[Planes], Filtered]]:
     """A picture, padded, as (n, h, c, w), and the way back."""
     image, restore = as_planes(picture)
-    wide = stored(lambda f: jnp.moveaxis(pad(f, reach, border=border), -1, 2), image)
+    wide = materialise(lambda f: jnp.moveaxis(pad(f, reach, border=border), -1, 2), image)
     return wide, lambda planes: restore(jnp.moveaxis(planes, 2, -1))
 
 
@@ -371,7 +371,9 @@ def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
     batch = (1,) * max(members[0].ndim - 3, 0)
     # rows of numbers, whatever the bands: see `_methods.by_shifts`
     t = jnp.clip(position, 0, len(members) - 1).astype(members[0].dtype)
-    t = stored(lambda t: jnp.repeat(t, bands, axis=1), t).reshape(*batch, position.shape[0], -1)
+    t = materialise(lambda t: jnp.repeat(t, bands, axis=1), t).reshape(
+        *batch, position.shape[0], -1
+    )
     total = jnp.zeros((), t.dtype)
     for m, member in enumerate(members):
         hat = jnp.maximum(1 - jnp.abs(t - m), 0)

@@ -110,7 +110,7 @@ def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
             start = scale * origin + _START * direction
             return query(scene, start, np.array(direction), *(scale * x - _START for x in far))
 
-        return np.concatenate(list(_by_cores(found, len(flat[0])))).reshape(batch)
+        return np.concatenate(list(_split_by_cores(found, len(flat[0])))).reshape(batch)
     vertices = np.broadcast_to(vertices, batch + vertices.shape[-2:])
     faces = np.broadcast_to(faces, batch + faces.shape[-2:])
     one_by_one = [
@@ -122,7 +122,7 @@ def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
 _nearest, _blocks = partial(_ask, _found), partial(_ask, _found_before)
 
 
-def _by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:
+def _split_by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:
     """Results for `count` rays, one part a core: Embree releases the interpreter lock."""
     parts = max(min(cores(), count // _SHARE), 1)
     ends = [count * k // parts for k in range(parts + 1)]

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._numerics import divide, dot, normalize, or_one, smallest_divisor
 from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, masked, where
@@ -123,7 +123,7 @@ def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit
     in the ray and the vertices."""
     face = mesh.faces.at[primitive].get(mode="clip")
     a, b, c = (as_vec(v) for v in mesh.vertices.at[face].get(mode="clip"))
-    distance, v, w = stored(_place, ray, primitive >= 0, a, b, c)
+    distance, v, w = materialise(_place, ray, primitive >= 0, a, b, c)
     hit, u = distance < jnp.inf, 1 - v - w
     normal = as_vec(masked(hit, normalize(cross(b - a, c - a))))
     point = where(hit, a + v * (b - a) + w * (c - a), ray.origin)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._numerics import divide, dot, smallest_divisor, with_gradient_of
 from ..core._types import Scalar
 from ..core._vector import Vec, as_vec, where
@@ -117,12 +117,12 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
     Returns:
         The hit; a miss has distance inf.
     """
-    return box_hit(ray, box, stored)
+    return box_hit(ray, box, materialise)
 
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a box. `compute`: `stored`, or `at_once` if the caller computes the whole hit
-    in one loop: computed again elsewhere, with other rounding, face and place could differ."""
+    """The hit, m, of a box. `compute`: `materialise`, or `inline` if the caller computes the whole
+    hit in one loop: computed again elsewhere, with other rounding, face and place could differ."""
     face = compute(_first_face, *jax.lax.stop_gradient((ray, box)))
     distance, place = compute(_place, ray, box, face)
     hit, axis, side = face >= 0, face // 2, _side(face, distance)

@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._numerics import divide, dot, exact_cross, normalize, smallest_divisor
 from ..core._shown import Shown
 from ..core._types import Scalar
@@ -44,7 +44,7 @@ def _hit(
     compute: Callable[..., Any],
 ) -> Hit:
     """The hit of a plane through `point`, projected onto the plane, if it lies ahead. `compute`:
-    `stored`, or `at_once` if the caller computes the whole hit in one loop: a projection by a
+    `materialise`, or `inline` if the caller computes the whole hit in one loop: a projection by a
     height that was rounded differently would miss the plane by the difference."""
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
@@ -69,7 +69,7 @@ def intersect_plane(ray: Ray, plane: Plane) -> Hit:
         >>> print(jv.geometry.intersect_plane(jv.Ray([0, 0, 2], [0.6, 0, -0.8]), floor).distance)
         2.5
     """
-    return plane_hit(ray, plane, stored)
+    return plane_hit(ray, plane, materialise)
 
 
 def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
@@ -93,7 +93,7 @@ def intersect_disc(ray: Ray, disc: Disc) -> Hit:
         >>> print(jv.geometry.intersect_disc(jv.Ray([2, 0, 0], [0, 0, 1]), disc).distance)
         inf
     """
-    return disc_hit(ray, disc, stored)
+    return disc_hit(ray, disc, materialise)
 
 
 def disc_hit(ray: Ray, disc: Disc, compute: Callable[..., Any]) -> Hit:
@@ -178,7 +178,7 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
     """
     flat = flat_quad(quad) if isinstance(quad, Quad) else quad
     _, _, meets = _meet_quad(ray, flat)
-    return quad_hit(ray, flat, meets, stored)
+    return quad_hit(ray, flat, meets, materialise)
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:

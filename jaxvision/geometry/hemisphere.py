@@ -138,7 +138,7 @@ def cosine_direction(u: Float[Array, "2"]) -> Vec:
 
     The radius sqrt(u_0) of a point uniform in the disk is the direction's sine (Malley).
     """
-    return _at_turns(safe_sqrt(u[0]), safe_sqrt(1 - u[0]), u[1])
+    return _spherical_direction(safe_sqrt(u[0]), safe_sqrt(1 - u[0]), u[1])
 
 
 @takes_numbers
@@ -151,7 +151,7 @@ def cosine_pdf(w: Directions) -> Scalars:
 def uniform_direction(u: Float[Array, "2"]) -> Vec:
     """A direction of the constant density 1 / (2 pi) in sr^-1 over the hemisphere, from two
     uniform numbers in [0, 1); unit, local."""
-    return _at_turns(safe_sqrt(u[0] * (2 - u[0])), 1 - u[0], u[1])
+    return _spherical_direction(safe_sqrt(u[0] * (2 - u[0])), 1 - u[0], u[1])
 
 
 @takes_numbers
@@ -161,7 +161,7 @@ def uniform_pdf(w: Vec3) -> Scalars:
     return jnp.where(z > 0, 0.5 / jnp.pi, jnp.where(z <= 0, 0, z))
 
 
-def _at_turns(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
+def _spherical_direction(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
     """Return the unit vector with the given polar sine and cosine, and azimuth in turns of 2 pi
     rad."""
     across, along = sine_cosine(turns)

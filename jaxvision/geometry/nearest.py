@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import at_once, stored, together
+from ..core._loops.fusion import fuse, inline, materialise
 from ..core._loops.groups import group_by_structure, take
 from ..core._numerics import dot, or_one
 from ..core._shown import Shown
@@ -84,7 +84,7 @@ def sorted_shapes(shapes: Shapes) -> Sorted:
     sizes = [jax.vmap(size_of)(group).max() for _, group in groups]
     sizes += [size_of(mesh) for mesh in meshes.values()]
     return Sorted(
-        tuple(together(jax.vmap(flat_quad)(g)) if isinstance(g, Quad) else g for _, g in groups),
+        tuple(fuse(jax.vmap(flat_quad)(g)) if isinstance(g, Quad) else g for _, g in groups),
         tuple(meshes.values()),
         reduce(jnp.maximum, sizes) if sizes else None,
         tuple(tuple(simple[place] for place in places) for places, _ in groups),
@@ -146,7 +146,7 @@ def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
         >>> [int(jv.nearest_shape(ray, floors).shape) for ray in rays]  # the upper one, and none
         [1, -1]
     """
-    return stored(_nearest, *jax.lax.stop_gradient((ray, sorted_shapes(shapes))))
+    return materialise(_nearest, *jax.lax.stop_gradient((ray, sorted_shapes(shapes))))
 
 
 def _nearest(ray: Ray, ready: Sorted) -> Encounter:
@@ -228,13 +228,13 @@ def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
     known to be met."""
     match shape:
         case FlatQuad():
-            return quad_hit(ray, shape, among, at_once)
+            return quad_hit(ray, shape, among, inline)
         case Plane():
-            return plane_hit(ray, shape, at_once)
+            return plane_hit(ray, shape, inline)
         case Disc():
-            return disc_hit(ray, shape, at_once)
+            return disc_hit(ray, shape, inline)
         case Box():
-            return box_hit(ray, shape, at_once)
+            return box_hit(ray, shape, inline)
         case _:
             return intersect(ray, shape)
 
@@ -278,7 +278,7 @@ def occluded(
         >>> [bool(jv.occluded(point, up, up, jnp.array(far), [roof])) for far in (1.0, 3.0)]
         [False, True]
     """
-    return stored(blocked, point, normal, direction, distance, sorted_shapes(shapes), size)
+    return materialise(blocked, point, normal, direction, distance, sorted_shapes(shapes), size)
 
 
 def blocked(
@@ -372,7 +372,7 @@ def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, 
 def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]:
     """The function of a chunk, stored by itself where there is a loop over chunks: its reads of the
     chunk would else be repeated for each ray."""
-    return partial(stored, of_chunk) if count > 2 * _CHUNK else of_chunk
+    return partial(materialise, of_chunk) if count > 2 * _CHUNK else of_chunk
 
 
 def _over_chunks(

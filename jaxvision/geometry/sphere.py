@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._numerics import (
     divide,
     dot,
@@ -71,7 +71,7 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
         >>> print(hit.distance, jv.as_array(hit.normal))
         4.0 [ 0.  0. -1.]
     """
-    found = stored(_first_crossing, *jax.lax.stop_gradient((ray, sphere)))
+    found = materialise(_first_crossing, *jax.lax.stop_gradient((ray, sphere)))
     hit = found < jnp.inf
     b, closest = _closest_approach(ray, sphere)
     half_chord = safe_sqrt(sphere.radius * sphere.radius - dot(closest, closest))

@@ -274,11 +274,11 @@ def _weighted_counts(
         kept = jnp.where(inside, weight, 0).ravel()
         high_digits = jax.lax.stop_gradient(jnp.floor(kept * DIGITS) / DIGITS)
         upper, lower = upper.at[index].add(high_digits), lower.at[index].add(kept - high_digits)
-    whole, rest = (_in_pairs(part.reshape(n * bands, parts, bins)) for part in (upper, lower))
+    whole, rest = (_pairwise_sum(part.reshape(n * bands, parts, bins)) for part in (upper, lower))
     return whole + rest
 
 
-def _in_pairs(parts: Float[Array, "planes parts bins"]) -> Float[Array, "planes bins"]:
+def _pairwise_sum(parts: Float[Array, "planes parts bins"]) -> Float[Array, "planes bins"]:
     """Sums over parts; an error grows with the logarithm of their number alone."""
     while (count := parts.shape[1]) > 1:
         parts = jnp.pad(parts, ((0, 0), (0, count % 2), (0, 0)))

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from ..core._arguments import takes_numbers, warn_caller
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._types import Scalars
 from ._planes import (
     Binning,
@@ -89,9 +89,9 @@ def _equalised(
     levels = levels_of(stack)
     if levels is not None:
         curve_of = _equalising_codes if first_to_zero else _cumulative_codes
-        return _by_table(stack, levels, amount, curve_of)
+        return _equalise_codes(stack, levels, amount, curve_of)
     clamped = jnp.clip(stack, chosen.low, chosen.high)
-    full = _by_curve(clamped, chosen)
+    full = _equalise_values(clamped, chosen)
     return clamped + jnp.asarray(amount, stack.dtype) * (full - clamped)
 
 
@@ -115,7 +115,7 @@ def _cumulative_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "grou
     return (counts.shape[-1] - 1) * below / below[:, -1:]
 
 
-def _by_table(
+def _equalise_codes(
     stack: Stack, levels: int, amount: float | Scalars, curve_of: Callable[[Array], Array]
 ) -> Stack:
     def table(
@@ -127,12 +127,12 @@ def _by_table(
         return jnp.clip(jnp.round(blended), 0, levels - 1).astype(stack.dtype)
 
     counts = bin_counts(stack, binning(stack, None, None))
-    codes = stored(table, counts, jnp.asarray(amount))
+    codes = materialise(table, counts, jnp.asarray(amount))
     entry = plane_numbers(stack) * levels + stack.astype(jnp.int32)
     return jnp.take(codes.ravel(), entry, mode="clip")
 
 
-def _by_curve(stack: Stack, chosen: Binning) -> Stack:
+def _equalise_values(stack: Stack, chosen: Binning) -> Stack:
     to_curves = partial(equalising_curves, chosen=chosen, dtype=stack.dtype)
-    curves = stored(to_curves, bin_counts(stack, chosen))
+    curves = materialise(to_curves, bin_counts(stack, chosen))
     return interpolated(curves, plane_numbers(stack), stack, chosen)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._types import Scalars
 from ._planes import (
     Binning,
@@ -109,14 +109,14 @@ def _equalised(
         ) -> Float[Array, "groups edges"]:
             return equalising_curves(_clipped(counts.astype(dtype), limit), chosen, dtype)
 
-        curves = stored(to_curves, counts, limit)
+        curves = materialise(to_curves, counts, limit)
         return _blended(partial(interpolated, curves, x=stack, chosen=chosen), stack, tiles, tile)
 
     def to_table(counts: Int[Array, "groups levels"], limit: Scalars) -> Float[Array, " entries"]:
         below = jnp.cumsum(_clipped_whole(counts, limit), axis=-1).astype(jnp.float32)
         return jnp.clip(jnp.round(below * ((levels - 1) / area)), 0, levels - 1).ravel()
 
-    table, codes = stored(to_table, counts, limit), stack.astype(jnp.int32)
+    table, codes = materialise(to_table, counts, limit), stack.astype(jnp.int32)
 
     def look_up(group: Int[Array, "..."]) -> Float[Array, "..."]:
         return jnp.take(table, group * levels + codes, mode="clip")

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, plane_numbers
 
 
@@ -51,13 +51,15 @@ def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
             f"{image.shape} and {reference.shape}."
         )
     levels = levels_of(source)
-    matched = _by_rank(source, target) if levels is None else _by_code(source, target, levels)
+    matched = (
+        _match_ranks(source, target) if levels is None else _match_codes(source, target, levels)
+    )
     return matched.reshape(image.shape)
 
 
-def _by_code(source: Stack, target: Stack, levels: int) -> Stack:
+def _match_codes(source: Stack, target: Stack, levels: int) -> Stack:
     counts, offered = (bin_counts(stack, binning(stack, None, None)) for stack in (source, target))
-    table = stored(_matching_codes, counts, offered).astype(source.dtype)
+    table = materialise(_matching_codes, counts, offered).astype(source.dtype)
     entry = plane_numbers(source) * levels + source.astype(jnp.int32)
     return jnp.take(table.ravel(), entry, mode="clip")
 
@@ -81,7 +83,7 @@ def _fractions(counts: Int[Array, "planes levels"]) -> Float[Array, "planes leve
     return below / below[:, -1:]
 
 
-def _by_rank(source: Stack, target: Stack) -> Stack:
+def _match_ranks(source: Stack, target: Stack) -> Stack:
     n, h, w, bands = source.shape
 
     def as_planes(stack: Stack) -> Float[Array, "planes pixels"]:

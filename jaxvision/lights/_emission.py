@@ -57,7 +57,7 @@ def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitt
             "light from infinitely far away can be traced into a scene that ends, got a Plane; a "
             "large Quad or Disc serves."
         )
-    return _from_afar(around, arriving, u)
+    return _emit_from_afar(around, arriving, u)
 
 
 @takes_numbers
@@ -106,7 +106,7 @@ def emitted_from_surface(
     return Emitted(Ray(place.point, direction), flux, normal)
 
 
-def _from_afar(around: Ball, arriving: Incident, u: Float[Array, "4"]) -> Emitted:
+def _emit_from_afar(around: Ball, arriving: Incident, u: Float[Array, "4"]) -> Emitted:
     """E pi R^2: evenly through the disc, across the direction, that covers the scene."""
     toward = as_vec(arriving.direction)
     radius, phi = around.radius * safe_sqrt(u[0]), 2 * jnp.pi * u[1]

@@ -19,7 +19,7 @@ from ..core._numerics import dot, or_one
 from ..core._types import Scalars
 from ..core._vector import Vec, Vec3, as_vec
 from .polygon import nodes_integral, rectangle_irradiance
-from .rectangle import RectangleLight, _from_nearest
+from .rectangle import RectangleLight, _nearest_offset
 
 _ORDERS = (2, 3, 4, 6)  # a side; more nodes take as long as the closed form
 _FACTOR = 100.0  # K of all but one in a thousand of the receivers that see the whole light
@@ -96,7 +96,7 @@ def _rules(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -
     """Which rule each receiver needs: the place of its order in `_ORDERS`, or one past the last."""
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     apart = points - light.corner
-    nearest = _from_nearest(light, points)
+    nearest = _nearest_offset(light, points)
     distance, size = dot(nearest, nearest), jnp.maximum(dot(u, u), dot(v, v))
     needed = jnp.zeros(distance.shape, jnp.int32)
     for order in _ORDERS:

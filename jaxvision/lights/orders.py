@@ -9,7 +9,7 @@ from ..core._numerics import norm
 from ..core._types import Scalars
 from ..core._vector import Vec3, as_vec
 from ..errors import InputError
-from .rectangle import RectangleLight, _from_nearest
+from .rectangle import RectangleLight, _nearest_offset
 
 ORDERS = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 
@@ -54,6 +54,6 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
 
 def _distance_over_size(light: RectangleLight, points: Vec3) -> Scalars:
     """Distance from points to the nearest place of the rectangle, over its longer edge."""
-    return norm(_from_nearest(light, as_vec(points))) / jnp.maximum(
+    return norm(_nearest_offset(light, as_vec(points))) / jnp.maximum(
         norm(light.edge_u), norm(light.edge_v)
     )

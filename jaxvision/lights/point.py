@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._bounds import Ends, Source, box_about, numbers, peak
-from ..core._loops.bands import by_band
+from ..core._loops.bands import map_bands
 from ..core._numerics import dot, or_one, smallest_divisor
 from ..core._types import AMOUNT, Colour, Scalar, as_float, check_fields
 from ..core._vector import Vector, as_vec
@@ -48,7 +48,7 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
     irradiance and gradients are 0. Farther than 1e19 m in float32 the irradiance is 0.
     """
     direction, distance, dilution = _toward(light.position, point)
-    return Incident(direction, by_band(lambda band: band * dilution, light.intensity), distance)
+    return Incident(direction, map_bands(lambda band: band * dilution, light.intensity), distance)
 
 
 def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar, Scalar]:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import together
+from ..core._loops.fusion import fuse
 from ..core._numerics import divide, dot, or_one, polynomial, smallest_divisor
 from ..core._types import Colour, Scalar, Scalars
 from ..core._vector import Direction, Vec, Vector, as_vec, masked, where
@@ -217,7 +217,7 @@ class _Edge(NamedTuple):
 def _seen_edges(corners: Sequence[Vec], normal: Vec) -> list[_Edge]:
     """The four edges and the one that closes the polygon along the horizon."""
     # stored: loops that each computed a height of 0 again would round and cut it differently
-    heights = together([dot(normal, corner) for corner in corners])
+    heights = fuse([dot(normal, corner) for corner in corners])
     zero = jnp.zeros_like(normal.x)
     leaving = entering = Vec(zero, zero, zero)
     of_leaving, of_entering = dict.fromkeys(range(4), zero), dict.fromkeys(range(4), zero)
@@ -259,14 +259,14 @@ def _contour_integral_jvp(primals, tangents):
     zero = jnp.zeros_like(normal.x)
     by_corner = [Vec(zero, zero, zero)] * 4
     by_normal = by_corner[0]
-    edges = together(_seen_edges(corners, normal))
+    edges = fuse(_seen_edges(corners, normal))
     factors = []
     for edge in edges:
         square, along = dot(edge.area, edge.area), dot(normal, edge.area)
         angle = _angle_over_sine(square, edge.cosine)
         by_square, by_cosine = _slopes(square, edge.cosine, angle)
         factors.append((angle, 2 * along * by_square, along * by_cosine))
-    for edge, (angle, twist, pull) in zip(edges, together(factors), strict=True):
+    for edge, (angle, twist, pull) in zip(edges, fuse(factors), strict=True):
         turn = angle * normal + twist * edge.area
         by_start = cross(turn, edge.end) + pull * edge.end
         by_end = cross(edge.start, turn) + pull * edge.start
@@ -274,7 +274,7 @@ def _contour_integral_jvp(primals, tangents):
         for slope, parts in ((by_start, edge.of_start), (by_end, edge.of_end)):
             for i, part in parts.items():
                 by_corner[i] = by_corner[i] + part * slope
-    by_corner, by_normal = together((by_corner, by_normal))
+    by_corner, by_normal = fuse((by_corner, by_normal))
     change = dot(by_normal, tilt)
     for slope, move in zip(by_corner, moves, strict=True):
         change = change + dot(slope, move)
@@ -315,7 +315,7 @@ def _nodes_integral_jvp(order, primals, tangents):
         front * by_v + total * cross(u, corner),
         front * by_normal,
     ]
-    slopes = together(slopes)
+    slopes = fuse(slopes)
     change = zero
     for slope, move in zip(slopes, tangents, strict=True):
         change = change + dot(slope, move)

@@ -73,7 +73,7 @@ def window_of(light: RectangleLight) -> Window:
     return Window(light.corner, light.edge_u, light.edge_v)
 
 
-def _from_nearest(light: RectangleLight, points: Vec) -> Vec:
+def _nearest_offset(light: RectangleLight, points: Vec) -> Vec:
     """The vector from the nearest point of the rectangle to each point, m."""
     apart = nearest = points - light.corner
     for edge in (as_vec(light.edge_u), as_vec(light.edge_v)):

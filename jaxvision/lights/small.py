@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core._bounds import Ends, Source, numbers, unit
-from ..core._loops.bands import by_band
+from ..core._loops.bands import map_bands
 from ..core._numerics import dot, normalize
 from ..core._types import AMOUNT, Colour, as_float, check_fields
 from ..core._vector import Vector, as_vec
@@ -59,7 +59,7 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
     factor = cosine * dilution
-    irradiance = by_band(lambda band: band * factor, light.intensity)
+    irradiance = map_bands(lambda band: band * factor, light.intensity)
     return Incident(direction, irradiance, distance)
 
 

@@ -77,11 +77,11 @@ def estimate_foreground(
             f"alpha must be (h, w, 1) for its image (h, w, bands), got {alpha.shape} and "
             f"{image.shape}."
         )
-    return _over_levels(image, alpha, regularisation, coarse_steps, fine_steps)
+    return _solve_levels(image, alpha, regularisation, coarse_steps, fine_steps)
 
 
 @partial(jax.jit, static_argnames=("coarse_steps", "fine_steps"))
-def _over_levels(
+def _solve_levels(
     image: Picture, alpha: Alpha, regularisation: Scalar, coarse_steps: int, fine_steps: int
 ) -> tuple[Picture, Picture]:
     """Both pictures from checked arguments, one program for each size."""

@@ -50,7 +50,7 @@ def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Sc
         case RectangularAperture():
             return (2 * u[0] - 1) * aperture.width, (2 * u[1] - 1) * aperture.height
         case PolygonalAperture():
-            return _in_polygon(aperture, u)
+            return _sample_polygon(aperture, u)
 
 
 @takes_numbers
@@ -151,7 +151,7 @@ def _concentric(u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
     return jnp.where(wide, along, across), jnp.where(wide, across, along)
 
 
-def _in_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
+def _sample_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
     """u[0] chooses the triangle between the centre and one side, and the place from its centre to
     that side; u[1] the place along the side.
     """

@@ -139,7 +139,7 @@ def opencv_view(
         )
     k1, k2, p1, p2, k3 = (*given[:5], *np.zeros(5 - min(given.size, 5)))
     if pose.size == 3:
-        pose = _by_rodrigues(np.asarray(pose, float).ravel())
+        pose = _rotation_matrix(np.asarray(pose, float).ravel())
     moved = np.zeros(3) if translation is None else np.asarray(translation, float).ravel()
     rows, columns = resolution
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
@@ -160,7 +160,7 @@ def opencv_view(
     )
 
 
-def _by_rodrigues(vector: np.ndarray) -> np.ndarray:
+def _rotation_matrix(vector: np.ndarray) -> np.ndarray:
     """Return the (3, 3) rotation about a vector, by its length in rad."""
     angle = np.linalg.norm(vector)
     if angle == 0:

@@ -58,7 +58,7 @@ def name_points(
         label = ", ".join(known)
         extent = np.array([WIDE * len(label), HIGH]) * letters
         boxes = list(_around(place * whole, extent, below=below))
-        x, y, box = min(boxes, key=lambda one: _in_the_way(one[2], taken, drawn, whole))
+        x, y, box = min(boxes, key=lambda one: _covered_area(one[2], taken, drawn, whole))
         taken.append(box)
         axes.annotate(
             label,
@@ -189,7 +189,7 @@ def _drawn(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray)
     return np.concatenate(found)
 
 
-def _in_the_way(
+def _covered_area(
     box: np.ndarray, taken: Sequence[np.ndarray], drawn: np.ndarray, whole: np.ndarray
 ) -> float:
     """pt^2 of a name over others, over what is drawn, and beyond the axes."""

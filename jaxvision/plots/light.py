@@ -200,7 +200,7 @@ def refined(
     steps = (high - low) * np.geomspace(NARROWEST, 0.05, 24)
     about = np.concatenate([peaks, *(peaks[:, None] + sign * steps for sign in (-1, 1))], axis=None)
     x = np.unique(np.concatenate([places, about[(about > low) & (about < high)]]))
-    y = _in_blocks(function, x)
+    y = _evaluate_blocks(function, x)
     for _ in range(_ROUNDS):
         jumps, gaps = np.abs(np.diff(y)), np.diff(x)
         coarse = (jumps > FINE * np.abs(y).max()) & (gaps > 2 * NARROWEST * (high - low))
@@ -210,10 +210,10 @@ def refined(
         worst = first[np.argsort(jumps[first])[::-1][:_AT_ONCE]]
         new = (x[worst] + x[worst + 1]) / 2
         order = np.argsort(x := np.concatenate([x, new]), kind="stable")
-        x, y = x[order], np.concatenate([y, _in_blocks(function, new)])[order]
+        x, y = x[order], np.concatenate([y, _evaluate_blocks(function, new)])[order]
     return x, y
 
 
-def _in_blocks(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+def _evaluate_blocks(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
     padded = np.resize(x, -(-len(x) // _AT_ONCE) * _AT_ONCE)
     return np.concatenate([function(block) for block in padded.reshape(-1, _AT_ONCE)])[: len(x)]

@@ -42,7 +42,7 @@ def graded_filter(
         ValueError: for fewer than two axes, and a width below 0.
     """
     image, rows, columns = _sized(image)
-    right, up = _from_centre(rows, columns, image.dtype, unit=rows)
+    right, up = _centred_places(rows, columns, image.dtype, unit=rows)
     along = jnp.cos(angle) * right + jnp.sin(angle) * up
     t = jnp.clip((along - centre) / jnp.maximum(width, smallest_divisor(image.dtype)) + 0.5, 0, 1)
     return image * _per_pixel(jnp.exp(-_LN_10 * density * t * t * (3 - 2 * t)), image)
@@ -95,7 +95,7 @@ def _falloff(
     rows: int, columns: int, dtype: np.dtype, coefficients: Float[Array, " terms"]
 ) -> Float[Array, "h w"]:
     half_diagonal = ((rows - 1) ** 2 + (columns - 1) ** 2) ** 0.5 / 2
-    right, up = _from_centre(rows, columns, dtype, unit=half_diagonal or 1)
+    right, up = _centred_places(rows, columns, dtype, unit=half_diagonal or 1)
     r2 = right * right + up * up
     total = jnp.zeros_like(r2)
     for k in coefficients[::-1]:
@@ -112,7 +112,7 @@ def _sized(image: Picture) -> tuple[Picture, int, int]:
     return image, rows, columns
 
 
-def _from_centre(
+def _centred_places(
     rows: int, columns: int, dtype: np.dtype, *, unit: float | int
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """(right, up) of each pixel's centre from that of the picture, in `unit`s of pixels."""

@@ -84,7 +84,7 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
         ) -> np.ndarray:
             places = rows.astype(np.int32), columns.astype(np.int32)
             numbers = np.uint32(first), np.uint32(depth)
-            with _in_words_of(source):
+            with _refusals_in_words(source):
                 found = tile(source.scene, source.view, key, within, ready, *places, *numbers)
             radiance = np.asarray(found)
             return np.broadcast_to(radiance.reshape(len(rows), -1), (len(rows), source.bands))
@@ -116,7 +116,7 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
 
     def compute(seed: int, number: int) -> np.ndarray:
         key = jax.random.fold_in(jax.random.key(seed), number)
-        with _in_words_of(source):
+        with _refusals_in_words(source):
             return np.asarray(one(key, source.scene, source.view))
 
     return compute
@@ -248,7 +248,7 @@ def _along(settings: RenderEntry) -> RaysOf:
 def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
     """The scene cut into patches, whose exchange of light, a function of a key, comes before the
     first pixel; and the radiance along rays after it."""
-    with _in_words_of(source):
+    with _refusals_in_words(source):
         scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
         plan = plan_patches(scene, size=float(np.sqrt(whole / settings.patches)))
@@ -261,7 +261,7 @@ def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
         return found
 
     def solve(key: Key) -> Solution:
-        with _in_words_of(source):
+        with _refusals_in_words(source):
             return exchanged(scene, table=table(), rule=_rule(settings, key))
 
     def along(scene: Scene, key: Key, solution: Solution | None, depth: Array) -> Along:
@@ -318,7 +318,7 @@ def in_words_of(source: SceneFile, text: str) -> str:
 
 
 @contextmanager
-def _in_words_of(source: SceneFile) -> Iterator[None]:
+def _refusals_in_words(source: SceneFile) -> Iterator[None]:
     """A refusal by the library, rephrased with the names of the scene file."""
     try:
         yield

@@ -80,7 +80,7 @@ def render_to_file(
         check_writable(preview, kind=np.uint8)
     unfinished = out.with_name(out.name + ".partial")
     _check_room(out, unfinished, source)
-    whole = _in_tiles if settings.integrator in BY_PIXEL else _in_passes
+    whole = _render_tiles if settings.integrator in BY_PIXEL else _render_passes
     ending = f"{out}: interrupted."
     say_if_interrupted(ending)
 
@@ -127,7 +127,7 @@ def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
 
 
 @contextmanager
-def _in_tiles(
+def _render_tiles(
     source: SceneFile,
     settings: RenderEntry,
     pruned: Pruned | None,
@@ -151,7 +151,7 @@ def _in_tiles(
 
 
 @contextmanager
-def _in_passes(
+def _render_passes(
     source: SceneFile,
     settings: RenderEntry,
     pruned: Pruned | None,

@@ -46,7 +46,7 @@ class PartialImage:
             self.done = self._count_whole(self._file)
             self._file.truncate(self._start_of(self.done))
         elif found.endswith(b"\n") and path.stat().st_size > len(found):
-            raise _of_another(path, found, key)
+            raise _differs_error(path, found, key)
 
     def __enter__(self) -> "PartialImage":
         return self
@@ -136,7 +136,7 @@ class PartialSum:
         line, _, data = content.partition(b"\n")
         passes = _read_head(line).get("passes")
         if not isinstance(passes, int) or line + b"\n" != _head(key, passes=passes):
-            raise _of_another(path, line, key)
+            raise _differs_error(path, line, key)
         if len(data) == self.total.nbytes + _CHECKSUM and _is_whole(content):
             self.total = np.frombuffer(data[:-_CHECKSUM], "<f8").reshape(shape).copy()
             self.done = passes
@@ -173,7 +173,7 @@ def _first_line(path: Path) -> bytes:
         return file.readline(8192)
 
 
-def _of_another(path: Path, line: bytes, key: Key) -> InputError:
+def _differs_error(path: Path, line: bytes, key: Key) -> InputError:
     found, wanted = _read_head(line).get("render"), json.loads(json.dumps(key))
     if isinstance(found, dict):
         differing = [name for name in {**found, **wanted} if found.get(name) != wanted.get(name)]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Int
 
-from ..core._loops.fusion import together
+from ..core._loops.fusion import fuse
 from ..core._loops.groups import group_by_structure, take
 from ..core._numerics import dot
 from ..core._random import Stream
@@ -74,7 +74,7 @@ def sorted_scene(scene: Scene) -> SortedScene:
 def _along(scene: Scene, shapes: SortedScene, ray: Ray, rules: tuple[Rule, ...]) -> Colour:
     """`radiance_along` one of many rays, for which the shapes have been sorted."""
     encounter = checkpoint_name(nearest_shape(ray, shapes.shapes), TRACED)
-    hit = together(hit_shape(ray, shapes.shapes, encounter))
+    hit = fuse(hit_shape(ray, shapes.shapes, encounter))
     normal, leaving = _facing(scene, ray, encounter.shape, hit)
     light = lighting(
         scene.lights,

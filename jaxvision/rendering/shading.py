@@ -18,8 +18,8 @@ from jaxtyping import Array, Bool
 
 from .. import brdf
 from ..core._arguments import takes_numbers
-from ..core._loops.bands import FEW, Bands, apart, plus
-from ..core._loops.fusion import together
+from ..core._loops.bands import FEW, Bands, plus, split_bands
+from ..core._loops.fusion import fuse
 from ..core._types import Colour, common_dtype
 from ..core._vector import Direction, Vec, Vector, as_vec
 from ..geometry import Ray, Shapes, sorted_shapes
@@ -152,7 +152,9 @@ def reflected_radiance(
 
     def shown(arriving: Incident, wi: Direction, passes: Bool[Array, ""] | None) -> Bands:
         shading = brdf.shading(parameters(), wi, viewer)
-        pairs = zip(apart(arriving.irradiance, bands), apart(shading, bands), strict=True)
+        pairs = zip(
+            split_bands(arriving.irradiance, bands), split_bands(shading, bands), strict=True
+        )
         return tuple(where_clear(passes, e * s) for e, s in pairs)
 
     def sampled(rule: Rule, radiance: Bands, item: tuple[Light, Array | None]) -> tuple:
@@ -168,17 +170,17 @@ def reflected_radiance(
             u, weight, passes, of_material = node
             if paired is not None:
                 both = balanced(material, source, point, frame, viewer, u, of_material, light.place)
-                return plus(total, apart(weight * both, bands)), None
+                return plus(total, split_bands(weight * both, bands)), None
             arriving = incident_sample(source, rule, point, u, weight)
-            wi = together(to_local(frame, arriving.direction))
-            return plus(total, together(shown(arriving, wi, passes))), None
+            wi = fuse(to_local(frame, arriving.direction))
+            return plus(total, fuse(shown(arriving, wi, passes))), None
 
         nodes = *light_nodes(source, rule, dtype), visible, own
         return jax.lax.scan(add, radiance, nodes)
 
     radiance = (jnp.zeros((), dtype),) * bands
     if light.ambient is not None and k_a is not None:
-        radiance = plus(radiance, apart(k_a * light.ambient.radiance, bands))
+        radiance = plus(radiance, split_bands(k_a * light.ambient.radiance, bands))
     for members, group, rule in lights_by_rule(light.lights, light.rules):
         passes = [None if light.visible is None else light.visible[i] for i in members]
         if can_be_seen(light.lights[members[0]]) or len(members) > UNROLLED:
@@ -193,9 +195,9 @@ def reflected_radiance(
     if (mirror := brdf.seen_in_mirror(material, viewer)) is not None:
         toward, reflectance = mirror
         seen = _seen_along(light, as_vec(in_world(frame, toward, wo)))
-        radiance = plus(radiance, apart(reflectance * seen, bands))
+        radiance = plus(radiance, split_bands(reflectance * seen, bands))
     unseen = jnp.where(viewer.z <= 0, 0, viewer.z)  # or NaN
-    return jnp.stack(together(tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)))
+    return jnp.stack(fuse(tuple(jnp.where(viewer.z > 0, band, unseen) for band in radiance)))
 
 
 def _seen_along(light: Lighting, direction: Vec) -> Colour:
@@ -210,7 +212,7 @@ def _in_numbers(material: Material) -> Callable[[], Material]:
     lights directly, whereas those of arrays would be stacked first."""
     leaves, tree = jax.tree.flatten(material)
     few = [i for i, leaf in enumerate(leaves) if leaf.ndim <= 1 and leaf.size <= FEW]
-    numbers = [apart(leaves[i].reshape(-1), leaves[i].size) for i in few]
+    numbers = [split_bands(leaves[i].reshape(-1), leaves[i].size) for i in few]
 
     def assembled() -> Material:
         again = list(leaves)

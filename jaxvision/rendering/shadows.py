@@ -11,7 +11,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool
 
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import stored
+from ..core._loops.fusion import materialise
 from ..core._shown import Shown
 from ..core._types import Scalar, common_dtype
 from ..core._vector import Direction, Vector, as_vec
@@ -121,7 +121,7 @@ def visibility(
         if extended or len(members) > UNROLLED:
             flags = list(jax.lax.map(of_light, group))
         else:
-            flags = [stored(_light_comes_through, place, lights[i])[None] for i in members]
+            flags = [materialise(_light_comes_through, place, lights[i])[None] for i in members]
             flags = [checkpoint_name(flag, TRACED) for flag in flags]
         for i, own_flags in zip(members, flags, strict=True):
             found[i] = own_flags

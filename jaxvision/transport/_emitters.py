@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..core._loops.bands import Bands, apart, plus, times
-from ..core._loops.fusion import stored
-from ..core._loops.groups import Tree, group_by_structure, of_member, row
+from ..core._loops.bands import Bands, plus, split_bands, times
+from ..core._loops.fusion import materialise
+from ..core._loops.groups import Tree, call_member, group_by_structure, row
 from ..core._numerics import divide, dot, or_one, reciprocal, safe_sqrt, smallest_divisor
 from ..core._types import Colour, Scalar
 from ..core._vector import Vec, as_vec
@@ -136,7 +136,7 @@ def of_drawn(emitters: Emitters, u: Scalar, function: Callable[[Any], Tree]) -> 
     """`function` applied to the emitter that `u`, uniform in [0, 1), selects."""
     count = emitters.count
     index = jnp.minimum((u * count).astype(jnp.int32), count - 1)
-    found = of_member(emitters.members, emitters.groups, index, function)
+    found = call_member(emitters.members, emitters.groups, index, function)
     if found is None:
         raise ValueError("light can only be drawn in a scene with something that shines.")
     return found
@@ -239,14 +239,14 @@ def shining_ahead(
     or None. Emitters that next-event estimation can sample are weighted by the `strategy`.
     """
     looks = jnp.isinf(density)
-    left = apart(transmitted(absorption, distance), bands)
+    left = split_bands(transmitted(absorption, distance), bands)
     found, ends = (jnp.zeros_like(distance),) * bands, jnp.zeros_like(looks)
     if emitters.emission is not None:
-        shines, on_purpose = stored(_shining_surface, emitters, surface, distance, cosine)
+        shines, on_purpose = materialise(_shining_surface, emitters, surface, distance, cosine)
         counts = jnp.where(shines, chance_weight(strategy, density, on_purpose), 0)
         met = jnp.maximum(surface, 0)
         emission = (row(emitters.emission[:, k], met) for k in range(emitters.emission.shape[1]))
-        found = tuple(counts * x for x in times(apart(tuple(emission), bands), left))
+        found = tuple(counts * x for x in times(split_bands(tuple(emission), bands), left))
     if not emitters.lights:
         return found, ends
 
@@ -265,7 +265,7 @@ def shining_ahead(
             weight = chance_weight(strategy, density, drawn)
             arriving = ahead.radiance * transmitted(absorption, ahead.distance)
             passed = passed + jnp.where(visible(ahead.distance), weight, 0) * arriving
-    of_lights = apart(jnp.where(looks, shown, passed), bands)
+    of_lights = split_bands(jnp.where(looks, shown, passed), bands)
     return plus(tuple(jnp.where(ends, 0, x) for x in found), of_lights), ends
 
 

@@ -22,8 +22,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .. import brdf
 from ..brdf import Carries, Specular, draw_way, is_body, is_delta, transmitted
-from ..core._loops.bands import Bands, apart
-from ..core._loops.fusion import searched, together
+from ..core._loops.bands import Bands, split_bands
+from ..core._loops.fusion import fuse, searched
 from ..core._loops.groups import group_by_structure, take
 from ..core._numerics import divide, dot, reciprocal, select, smallest_divisor
 from ..core._types import Colour, Scalar, common_dtype
@@ -126,7 +126,7 @@ def _splits(material: Material) -> bool:
 def meet(surfaces: Surfaces, ray: Ray) -> Met:
     """The first surface that a ray meets, in m; gradients reach the shape that is met."""
     encounter = checkpoint_name(searched(nearest_shape, ray, surfaces.shapes), SEARCHED)
-    return Met(encounter.shape, together(hit_shape(ray, surfaces.shapes, encounter)))
+    return Met(encounter.shape, fuse(hit_shape(ray, surfaces.shapes, encounter)))
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
@@ -166,7 +166,7 @@ def vertex(
         chosen = here if chosen is None else select(among, here, chosen)
     assert chosen is not None  # a scene has at least one surface
     # stored; otherwise XLA draws it again for every use
-    world = together(as_vec(to_world(frame, chosen.onward.direction)))
+    world = fuse(as_vec(to_world(frame, chosen.onward.direction)))
     return eqx.tree_at(lambda v: v.onward.direction, chosen, world)
 
 
@@ -249,9 +249,9 @@ def _vertex(
         return Vertex(
             (zero,) * bands,
             zero if weighed else None,
-            Onward(onward, apart(weight, bands), everywhere),
+            Onward(onward, split_bands(weight, bands), everywhere),
         )
-    onward, density = together(jax.lax.stop_gradient(_drawn(material, back, u)))
+    onward, density = fuse(jax.lax.stop_gradient(_drawn(material, back, u)))
     weight = _transfer(material, onward, back, flat, carries) * reciprocal(density)
     shaded = _transfer(material, asked, back, flat, carries)
     front = back.z > 0
@@ -260,11 +260,11 @@ def _vertex(
         front &= dot(back, flat) > 0
         shows, goes = front & (dot(asked, flat) > 0), front & (dot(onward, flat) > 0)
     return Vertex(
-        apart(jnp.where(shows, shaded, 0), bands),
+        split_bands(jnp.where(shows, shaded, 0), bands),
         jnp.where(front, jax.lax.stop_gradient(brdf.pdf(material, asked, back)), 0)
         if weighed
         else None,
-        Onward(onward, apart(jnp.where(goes, weight, 0), bands), density),
+        Onward(onward, split_bands(jnp.where(goes, weight, 0), bands), density),
     )
 
 

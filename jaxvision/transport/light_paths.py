@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from .. import lights
 from ..core._arguments import takes_numbers
-from ..core._loops.fusion import TILE, at_a_time, one_program, together
+from ..core._loops.fusion import TILE, at_a_time, fuse, one_program
 from ..core._numerics import divide, dot, norm, safe_sqrt, smallest_divisor
 from ..core._random import Stream, seed_of, uniforms
 from ..core._types import Key, Scalar, check_count, check_given
@@ -164,7 +164,7 @@ def _light_path(
         flux = flux * transmitted(absorption, met.hit.distance)
         flux = jnp.where(met.surface >= 0, flux, 0)
         of_lens, of_surface = uniforms(stream, 2 * k + 2, dtype), uniforms(stream, 2 * k + 3, dtype)
-        arrival = together(_arrival(view, met.hit.point, of_lens[:2]))
+        arrival = fuse(_arrival(view, met.hit.point, of_lens[:2]))
         at = vertex(
             world.surfaces,
             met,
@@ -175,7 +175,7 @@ def _light_path(
             bands=world.bands,
             weighed=False,
         )
-        at = together(at)
+        at = fuse(at)
         dark = hidden(world.surfaces, met, arrival.toward, arrival.distance)
         reaches = ~dark & (arrival.response > 0) & (met.surface >= 0)
         if world.emitters.lights:  # a light in front hides what lies behind it

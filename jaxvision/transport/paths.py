@@ -29,8 +29,8 @@ from jaxtyping import Array, Bool
 
 from ..brdf import is_delta
 from ..core._arguments import takes_numbers
-from ..core._loops.bands import Bands, apart, plus, times
-from ..core._loops.fusion import at_a_time, one_program, stored
+from ..core._loops.bands import Bands, plus, split_bands, times
+from ..core._loops.fusion import at_a_time, materialise, one_program
 from ..core._numerics import divide, dot
 from ..core._random import Stream, Word, seed_of, uniforms
 from ..core._shown import Shown
@@ -231,7 +231,7 @@ def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
     weight = path.weight
     if path.absorption is not None:
         left = transmitted(path.absorption, met.hit.distance)
-        weight = times(weight, apart(left, world.bands))
+        weight = times(weight, split_bands(left, world.bands))
     radiance = plus(path.radiance, _where(path.alive, times(path.weight, found)))
     alive = path.alive & (met.surface >= 0) & ~ends
     return _Path(path.ray, weight, radiance, path.density, path.absorption, alive), met
@@ -266,7 +266,7 @@ def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) 
         blocked = hidden(world.surfaces, met, light.direction, light.clear)
         arriving = light.irradiance * transmitted(path.absorption, light.distance)
         arriving = arriving * purpose_weight(method.strategy, light.density, at.density)
-        shown = times(times(path.weight, at.shaded), apart(arriving, world.bands))
+        shown = times(times(path.weight, at.shaded), split_bands(arriving, world.bands))
         radiance = plus(radiance, _where(path.alive & ~blocked, shown))
     onward = at.onward
     weight = times(path.weight, onward.weight)
@@ -276,7 +276,7 @@ def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) 
         likely = jnp.where(k >= method.roulette, jnp.minimum(jax.lax.stop_gradient(largest), 1), 1)
         alive &= of_surface[3] < likely
         weight = tuple(divide(w, likely) for w in weight)
-    ray = stored(leave, met, came, onward.direction, alive)
+    ray = materialise(leave, met, came, onward.direction, alive)
     absorption = absorption_after(world.surfaces, met, came.direction, ray, path.absorption)
     return _Path(ray, _where(alive, weight), radiance, onward.density, absorption, alive)
 

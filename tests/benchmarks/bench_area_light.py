@@ -38,7 +38,7 @@ from jaxvision import (
     look_at,
     render,
 )
-from jaxvision.core._loops.fusion import TILE, together
+from jaxvision.core._loops.fusion import TILE, fuse
 from jaxvision.core._vector import as_array
 from jaxvision.lights.adaptive import adaptive_irradiance
 from jaxvision.lights.polygon import rectangle_irradiance
@@ -72,7 +72,7 @@ def floor_picture(scene, view, irradiance):
 
     def tile(rows):
         points = jax.vmap(jax.vmap(met, in_axes=(None, 0)), in_axes=(0, None))(rows, columns)
-        points = together(jax.tree.map(jnp.ravel, points))
+        points = fuse(jax.tree.map(jnp.ravel, points))
         return irradiance(lamp, points, floor.shape.normal)[:, 0]
 
     lit = jax.lax.map(tile, rows.reshape(-1, TILE // SIDE))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvision.core._loops.fusion import searched, together
+from jaxvision.core._loops.fusion import fuse, searched
 
 X, Y = jnp.linspace(0.1, 1.3, 6), jnp.linspace(2.0, -1.0, 6)
 
@@ -21,7 +21,7 @@ def plain(x, y):
 
 
 def staged(x, y):
-    return together(plain(x, y))
+    return fuse(plain(x, y))
 
 
 def total(function):
@@ -76,7 +76,7 @@ def test_together_is_the_plain_evaluation(name):
 
 def test_together_keeps_two_precisions_apart():
     values = X, Y.astype(jnp.float32)
-    assert_same(jax.jit(together)(values), values)
+    assert_same(jax.jit(fuse)(values), values)
 
 
 def an_operand_alone(join):
@@ -87,14 +87,14 @@ def an_operand_alone(join):
 def test_an_operand_without_a_batch_axis():
     expected = jax.vmap(an_operand_alone(lambda values: values))(X)
     for run in (lambda f: f, jax.jit):
-        assert_same(run(jax.vmap(an_operand_alone(together)))(X), expected)
-        slope = run(jax.vmap(jax.grad(lambda x: sum(an_operand_alone(together)(x)))))(X)
+        assert_same(run(jax.vmap(an_operand_alone(fuse)))(X), expected)
+        slope = run(jax.vmap(jax.grad(lambda x: sum(an_operand_alone(fuse)(x)))))(X)
         np.testing.assert_allclose(slope, 2 * X, rtol=1e-15)
 
 
 @pytest.mark.parametrize("tree", [(), (jnp.ones(3),), {"a": {"b": jnp.zeros((2, 0))}}])
 def test_together_keeps_trees_of_none_and_of_one(tree):
-    assert_same(jax.jit(together)(tree), tree)
+    assert_same(jax.jit(fuse)(tree), tree)
 
 
 def first_above(levels, x, *, offset):

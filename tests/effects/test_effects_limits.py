@@ -118,7 +118,7 @@ def test_effects_that_leave_the_same_program_share_it(monkeypatch):
         asked.update(runs)
         return dict.fromkeys(runs, 1.0)
 
-    monkeypatch.setattr(seconds, "_in_turns", in_turns)
+    monkeypatch.setattr(seconds, "_median_seconds", in_turns)
     shiny = jv.Phong([0.2], [0.1], 20.0)
     balls = [jv.Surface(replace(BALL, centre=[x, 0, 0.5]), shiny) for x in (-0.5, 0.0, 0.5)]
     found = effects.inspect(jv.Scene([FLOOR, *balls], [POINT]), VIEW, depth=5, time=True)

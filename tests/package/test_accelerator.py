@@ -14,7 +14,7 @@ from jaxvision.core._loops import fusion
 from jaxvision.transport import light_traced
 
 KEY = jax.random.key(0)
-SPECIAL = {"together", "one_step", "jaxvision_correlate"}  # primitives that serve a processor
+SPECIAL = {"fuse", "one_step", "jaxvision_correlate"}  # primitives that serve a processor
 
 
 def scene():

@@ -14,7 +14,7 @@ Bands = tuple[Scalar, ...]
 FEW = 8  # numbers of an array that are computed one by one; of more, the code would only grow
 
 
-def apart(spectrum: Colour | Bands, bands: int) -> Bands:
+def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:
     """The bands of a spectrum, a neutral one's repeated; in its unit. Uses `lax.split`: its
     gradient is a concatenation, whereas indexing would pad and add one array for each band."""
     if not isinstance(spectrum, tuple):
@@ -33,7 +33,7 @@ def plus(a: Bands, b: Bands) -> Bands:
     return tuple(x + y for x, y in zip(a, b, strict=True))
 
 
-def by_band(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
+def map_bands(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
     """`function` of spectra, neutral ones among them, elementwise: (bands,) in the unit it gives.
 
     What it computes of other numbers stays one number a ray: where that met an array of bands, XLA
@@ -42,5 +42,5 @@ def by_band(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Co
     bands = max(spectrum.shape[0] for spectrum in spectra)
     if bands > FEW:
         return function(*spectra)
-    each = zip(*(apart(spectrum, bands) for spectrum in spectra), strict=True)
+    each = zip(*(split_bands(spectrum, bands) for spectrum in spectra), strict=True)
     return jnp.stack([function(*band) for band in each])

@@ -80,7 +80,7 @@ def one_program(function: Callable[P, R]) -> Callable[P, R]:
     return of_kind
 
 
-def stored(function: Callable[..., Any], *arguments: Any) -> Any:
+def materialise(function: Callable[..., Any], *arguments: Any) -> Any:
     """`function(*arguments)`, computed once and stored.
 
     XLA fuses a value into every loop that reads it: each tap of a filter's second pass would
@@ -90,12 +90,12 @@ def stored(function: Callable[..., Any], *arguments: Any) -> Any:
     return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)
 
 
-def at_once(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)`: used in place of `stored` where storing is not needed."""
+def inline(function: Callable[..., Any], *arguments: Any) -> Any:
+    """`function(*arguments)`: used in place of `materialise` where storing is not needed."""
     return function(*arguments)
 
 
-def together(values: Any) -> Any:
+def fuse(values: Any) -> Any:
     """The same tree of arrays, of one shape, computed in one loop and stored; their derivatives
     alike.
 
@@ -103,10 +103,10 @@ def together(values: Any) -> Any:
     reduction of several arrays is one loop with several results: here over an axis of two equal
     entries, of which the last one stays.
     """
-    if _together is None or not on_processor():
+    if _fuse is None or not on_processor():
         return values
     leaves, tree = jax.tree.flatten(values)
-    return jax.tree.unflatten(tree, _together(*leaves))
+    return jax.tree.unflatten(tree, _fuse(*leaves))
 
 
 def _in_one_loop(*values: Array) -> Sequence[Array]:
@@ -130,7 +130,7 @@ def _in_one_loop(*values: Array) -> Sequence[Array]:
     return results
 
 
-_together = None if PLAIN else _primitives.identity("together", _in_one_loop)
+_fuse = None if PLAIN else _primitives.identity("fuse", _in_one_loop)
 
 
 def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:

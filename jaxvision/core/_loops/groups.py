@@ -61,7 +61,7 @@ def take(
     return jax.tree.map(lambda leaf: row(leaf, slot), group), found
 
 
-def of_member(
+def call_member(
     members: Sequence[tuple[int, ...]],
     groups: Sequence[Any],
     index: Int[Array, ""],

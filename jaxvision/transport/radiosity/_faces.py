@@ -89,7 +89,7 @@ def face_place(
     none = jnp.zeros((), jnp.int32)
     match shape:
         case Quad():
-            return none, *_in_parallelogram(point - shape.corner, shape.edge_u, shape.edge_v)
+            return none, *_edge_coordinates(point - shape.corner, shape.edge_u, shape.edge_v)
         case Box():
             axes = _half_sides(shape)
             local = [dot(point - shape.centre, axis) / dot(axis, axis) for axis in axes]
@@ -112,7 +112,7 @@ def face_place(
         case TriangleMesh():
             triangle = none if primitive is None else jnp.maximum(primitive, 0)
             a, b, c = (as_vec(shape.vertices[shape.faces[triangle, k]]) for k in range(3))
-            s, t = _in_parallelogram(point - a, b - a, c - a)
+            s, t = _edge_coordinates(point - a, b - a, c - a)
             u = jnp.minimum(s + t, 1)
             return triangle, u, divide(t, s + t, u > 0)
     raise TypeError(f"{type(shape).__name__} has no faces.")
@@ -129,7 +129,7 @@ def _turn(x: Scalar, y: Scalar) -> Scalar:
     return jnp.where(y < 0, 1 - half, half)
 
 
-def _in_parallelogram(inside: Vec, u: Vec3, v: Vec3) -> tuple[Scalar, Scalar]:
+def _edge_coordinates(inside: Vec, u: Vec3, v: Vec3) -> tuple[Scalar, Scalar]:
     """The coordinates, in [0, 1], along two edges."""
     area = cross(u, v)
     square = dot(area, area)

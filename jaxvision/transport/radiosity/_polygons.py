@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool
 
-from ...core._loops.fusion import together
+from ...core._loops.fusion import fuse
 from ...core._numerics import divide, dot
 from ...core._types import Scalar
 from ...core._vector import Vec
@@ -33,7 +33,7 @@ def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
     """`point_to_polygon` by the contour integral alone, m."""
     around = [corner - point for corner in corners]
     scale = 1 / largest_coordinate(around)
-    around = together([corner * scale for corner in around])
+    around = fuse([corner * scale for corner in around])
     # seen from the front the corners run counterclockwise, opposite to the sense of lights
     area = cross(around[2] - around[0], around[3] - around[1])
     facing = -dot(area, around[0] + around[2])

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...brdf.lambert import Lambert
-from ...core._loops.fusion import stored
+from ...core._loops.fusion import materialise
 from ...core._numerics import divide, dot, normalize
 from ...core._types import Colour, Scalar
 from ...core._vector import Vec, as_array, as_vec
@@ -45,7 +45,7 @@ def _stacked(values: Sequence[Array], like: Array) -> Table:
 
 def shapes_of(scene: Scene) -> Sorted:
     """All shapes, m, prepared for many rays."""
-    return stored(sorted_shapes, [surface.shape for surface in scene.surfaces])
+    return materialise(sorted_shapes, [surface.shape for surface in scene.surfaces])
 
 
 def largest_of(shapes: Sorted) -> Scalar:
@@ -82,9 +82,9 @@ def irradiance_at(
 
         def from_light(_: None, light: Light, rule: Rule = rule) -> tuple[None, Colour]:
             if not isinstance(light, RectangleLight):
-                return None, _by_nodes(light, shapes, point, normal, rule)[1]
+                return None, _sum_nodes(light, shapes, point, normal, rule)[1]
             white = eqx.tree_at(lambda light: light.radiance, light, jnp.ones(1, point.x.dtype))
-            met, passed = jax.lax.stop_gradient(_by_nodes(white, shapes, point, normal, rule))
+            met, passed = jax.lax.stop_gradient(_sum_nodes(white, shapes, point, normal, rule))
             share = divide(passed, met, met != 0)
             return None, rectangle_irradiance(light, point, normal) * share
 
@@ -92,7 +92,7 @@ def irradiance_at(
     return total
 
 
-def _by_nodes(
+def _sum_nodes(
     light: Light, shapes: Shapes, point: Vec, normal: Vec, rule: Rule
 ) -> tuple[Colour, Colour]:
     """The sums over the nodes of a light: (without occlusion, with shadows)."""

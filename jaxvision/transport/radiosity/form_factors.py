@@ -312,8 +312,8 @@ def _surest(terms: Array, first: Array, second: Array, corners: tuple[Polygon, P
     apart = _clearance(small, large)
     area, eps = jnp.minimum(_area(first), _area(second)), jnp.finfo(terms.dtype).eps
     seen = polygon_to_polygon(small, large)
-    coarse, finer, nodes = (_by_nodes(small, large, order) for order in (2, 3, 4))
-    of_nodes = _of_next(jnp.abs(finer - coarse), jnp.abs(nodes - finer))
+    coarse, finer, nodes = (_gauss_exchange(small, large, order) for order in (2, 3, 4))
+    of_nodes = _extrapolate(jnp.abs(finer - coarse), jnp.abs(nodes - finer))
     values = jnp.stack([jnp.maximum(terms.sum(), 0), area * seen.value, nodes])
     errors = jnp.stack(
         [
@@ -341,12 +341,12 @@ def _clearance(first: Polygon, second: Polygon) -> Scalar:
     return norm(Vec(*gaps))
 
 
-def _of_next(before: Scalar, last: Scalar) -> Scalar:
+def _extrapolate(before: Scalar, last: Scalar) -> Scalar:
     """The next of two steps toward a limit, if they shrink, as a geometric series."""
     return last * jnp.minimum(divide(last, before, before > 0), 1)
 
 
-def _by_nodes(first: Polygon, second: Polygon, order: int) -> Scalar:
+def _gauss_exchange(first: Polygon, second: Polygon, order: int) -> Scalar:
     """The exchange, m^2, at `order`^4 Gauss-Legendre nodes."""
     nodes, weights = square_nodes(order)
     s, t = jnp.asarray(nodes, first[0].x.dtype).T

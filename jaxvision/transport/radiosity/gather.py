@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...core._loops.fusion import one_program, stored
+from ...core._loops.fusion import materialise, one_program
 from ...core._loops.groups import group_by_structure, take
 from ...core._numerics import dot
 from ...core._random import Stream
@@ -231,11 +231,11 @@ def _along(
 
 
 def _meet(enclosure: _Enclosure, ray: Ray) -> _Met:
-    encounter = stored(nearest_shape, ray, enclosure.shapes)
-    hit = stored(hit_shape, ray, enclosure.shapes, encounter)
+    encounter = materialise(nearest_shape, ray, enclosure.shapes)
+    hit = materialise(hit_shape, ray, enclosure.shapes, encounter)
     surface = jnp.maximum(encounter.shape, 0)
     behind = dot(hit.normal, ray.direction) > 0
-    around, weights = stored(
+    around, weights = materialise(
         partial(_around, enclosure), enclosure.solution.covered, hit, encounter, behind
     )
     return _Met(

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from ...brdf.lambert import Lambert
 from ...core._arguments import takes_numbers
-from ...core._loops.fusion import one_program, stored, together
+from ...core._loops.fusion import fuse, materialise, one_program
 from ...core._numerics import divide, norm, normalize, reciprocal
 from ...core._shown import Shown
 from ...core._vector import Vec, as_vec
@@ -134,7 +134,7 @@ def patches_at(scene: Scene, plan: Plan, splits: Sequence[int]) -> list[Patches]
 
 @one_program
 def _patches_at(scene: Scene, plan: Plan, splits: tuple[int, ...]) -> list[Patches]:
-    measured = stored(partial(_measured, plan=plan, splits=splits), scene)
+    measured = materialise(partial(_measured, plan=plan, splits=splits), scene)
     start, results = 0, []
     for split in splits:
         surfaces = surfaces_of(plan, split=split)
@@ -159,7 +159,7 @@ def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "
     third = jnp.full_like(share, 1 / 3)
     centre = third * (a + c + share * b + (1 - share) * d)
     fields = (*corners, centre, as_vec(normalize(vector)), norm(vector) / 2, bulge)
-    return jnp.stack(together(jax.tree.leaves(fields)))
+    return jnp.stack(fuse(jax.tree.leaves(fields)))
 
 
 def _planes(scene: Scene, plan: Plan, split: int) -> np.ndarray:

@@ -90,11 +90,11 @@ def solve_radiosity(
     table = as_float(table)
     if method == "progressive":
         return _progressive(table, albedo, sent, tolerance, limit)
-    return _by_lineax(table, albedo, sent, method, tolerance)
+    return _solve_by_lineax(table, albedo, sent, method, tolerance)
 
 
 @one_program
-def _by_lineax(
+def _solve_by_lineax(
     table: Table, albedo: PatchSpectra, sent: PatchSpectra, method: str, tolerance: float
 ) -> PatchSpectra:
     import lineax
