@@ -218,15 +218,13 @@ def _compiling(
     problem: Problem, curves: Sequence[Curve], *, chosen: Mapping[str, Any] | None = None
 ) -> float:
     """Return the compile time, s, of the programs of the chosen settings; None: of any settings."""
-    return max(
-        problem.compiling,
-        *(
-            trial.first_seconds - part_seconds(problem, trial.seconds)
-            for one in curves
-            for trial in one.trials
-            if chosen is None or trial.setting == chosen.get(one.knob.name)
-        ),
-    )
+    compiled = [
+        trial.first_seconds - part_seconds(problem, trial.seconds)
+        for one in curves
+        for trial in one.trials
+        if chosen is None or trial.setting == chosen.get(one.knob.name)
+    ]
+    return max([problem.compiling, *compiled])
 
 
 def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | None) -> Chosen:
