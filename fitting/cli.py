@@ -44,6 +44,10 @@ from .reflectance.names import INDEX, Model, Objective, is_measured_brdf
 from .reflectance.paths import check_files, check_index_of, check_one_rig
 from .report.progress import Reporter
 
+BitsOfTable = Annotated[int | None, typer.Option(help="ADC bits of a CSV's camera.", min=1, max=16)]
+Channel = Annotated[
+    str, typer.Option(help="Site of a mosaic, or tap, to use (default: each by itself).")
+]
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 
 
@@ -56,12 +60,8 @@ def noise(
             help="Rig folder, or a CSV of sums per exposure.", metavar="PATH", parser=typed_path
         ),
     ],
-    bits: Annotated[
-        int | None, typer.Option(help="ADC bits of a CSV's camera.", min=1, max=16)
-    ] = None,
-    channel: Annotated[
-        str, typer.Option(help="Site of a mosaic, or tap, to use (default: each by itself).")
-    ] = "",
+    bits: BitsOfTable = None,
+    channel: Channel = "",
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
 
@@ -69,6 +69,45 @@ def noise(
         return folders.noise(path, reporter.step, options.draws, bits=bits, channel=channel)
 
     run("Photon transfer", path, options, calibrate_noise)
+
+
+@command(
+    "jaxvision-fit predict noise/sensor.toml frames --out predicted",
+    "jaxvision-fit predict noise sums.csv",
+)
+def predict(
+    options: Options,
+    camera: Annotated[
+        str,
+        typer.Argument(
+            help="Camera file, the folder that noise --out wrote, or a shipped camera.",
+            metavar="CAMERA",
+        ),
+    ],
+    path: Annotated[
+        Path,
+        typer.Argument(
+            help="Flats and darks: a rig folder, or a CSV of sums per exposure.",
+            metavar="FRAMES",
+            parser=typed_path,
+        ),
+    ],
+    bits: BitsOfTable = None,
+    channel: Channel = "",
+    light_error: Annotated[
+        float,
+        typer.Option(help="Relative error of the light of a level, .01 for 1 %.", min=0, max=0.99),
+    ] = 0.0,
+) -> None:
+    """Compare frames with what a camera file alone predicts of them: mean, variance and covariance
+    of neighbours at each level, and the effect that the camera lacks where they differ."""
+
+    def compare_frames(reporter: Reporter) -> folders.Found:
+        refuse_mcmc(options, "nothing is fitted")
+        kept = {"bits": bits, "channel": channel, "light_error": light_error}
+        return folders.predict(camera, path, reporter.step, **kept)
+
+    run("Prediction of frames", path, options, compare_frames)
 
 
 @command("jaxvision-fit response stack --out response")

@@ -80,14 +80,7 @@ def noise(
     Raises:
         InputError: for what cannot be calibrated.
     """
-    table = path.suffix.lower() == ".csv"
-    if table and channel:
-        raise InputError(f"{path}: is a table of one channel; leave out the channel {channel!r}.")
-    if not table and bits is not None:
-        raise InputError(f"{path}: camera.bits of the rig counts; leave out the bits, {bits}.")
-    rig = None if table else read_rig(path, "photon transfer")
-    if table:
-        existing(path)
+    rig = _flats_and_darks(path, bits, channel)
     from .noise.calibration import calibrate
     from .noise.read import read_photon_transfer
     from .noise.section import KIND, TITLE, section
@@ -108,6 +101,95 @@ def noise(
             known=(*measurement.bright.left_out, *measurement.dark.left_out),
         )
     return [found if rig is None else with_inputs(found, rig, "photon transfer")], {}
+
+
+def _flats_and_darks(path: Path, bits: int | None, channel: str) -> "Rig | None":
+    """The rig of a photon transfer; None of a table."""
+    if path.suffix.lower() != ".csv":
+        if bits is not None:
+            raise InputError(f"{path}: camera.bits of the rig counts; leave out the bits, {bits}.")
+        return read_rig(path, "photon transfer")
+    if channel:
+        raise InputError(f"{path}: is a table of one channel; leave out the channel {channel!r}.")
+    existing(path)
+    return None
+
+
+def predict(
+    camera: str,
+    path: Path,
+    step: Step,
+    *,
+    bits: int | None = None,
+    channel: str = "",
+    light_error: float = 0.0,
+) -> Found:
+    """Flats and darks beside what a camera predicts of them.
+
+    Args:
+        camera: a file of a sensor or a camera, the folder that a noise calibration wrote, or the
+            name of a shipped camera.
+        path: folder of a rig, or a CSV of sums per exposure.
+        step: shows what is done.
+        bits: of a CSV's camera.
+        channel: site of a mosaic, or tap; "" for all of them, one after the other.
+        light_error: relative standard deviation of the light of a level about what is stated.
+
+    Returns:
+        One section, or one a site; no pictures.
+
+    Raises:
+        InputError: for what cannot be compared.
+    """
+    rig = _flats_and_darks(path, bits, channel)
+    sites = ("",) if rig is None else (channel,) if channel else rig.camera.sites
+    several = len(sites) > 1
+    named = {"" if site == "grey" else site for site in sites}
+    files = {site: _camera_file(camera, site) for site in named}
+    if several and len({*files.values()}) == 1:
+        raise InputError(
+            f"{camera}: is the camera of one channel, but {path} has {len(sites)}; give the folder "
+            "that jaxvision-fit noise --out wrote, or one of them by --channel."
+        )
+    from .noise.prediction.predict import predict as predicted
+    from .noise.prediction.section import section
+    from .noise.read import read_photon_transfer
+    from .noise.settings import require_one_setting
+    from .report.inputs import with_inputs
+
+    if rig is not None:
+        require_one_setting(rig, "give the frames of one, and the camera at it")
+    sections = []
+    for site, file in files.items():
+        with step(f"reading frames{f' of {site}' if several else ''}"):
+            measurement = read_photon_transfer(path, bits=bits, channel=site)
+        with step(f"predicting them{f' of {site}' if several else ''}"):
+            found = section(predicted(file, measurement, light_error=light_error))
+        if several:
+            word = in_file_names(site)
+            found = replace(found, kind=f"{found.kind}_{word}", title=f"{found.title}: {site}")
+        sections.append(found)
+    if rig is not None:
+        sections[0] = with_inputs(sections[0], rig, "photon transfer")
+    return sections, {}
+
+
+def _camera_file(camera: str, site: str) -> Path:
+    """The file of the camera of a site; of a folder that of the site by its name."""
+    folder = Path(camera)
+    if not folder.is_dir():
+        return folder
+    own = folder / (f"sensor_{in_file_names(site)}.toml" if site else "sensor.toml")
+    if own.is_file():
+        return own
+    there = sorted(file.name for file in folder.glob("sensor*.toml"))
+    has = f"has {', '.join(there)}" if there else "no calibration wrote a camera to it"
+    raise InputError(f"{folder}: holds no {own.name} ({has}); name the file, or another folder.")
+
+
+def in_file_names(site: str) -> str:
+    """The name of a site as files have it."""
+    return site.replace(" ", "_").replace(",", "_")
 
 
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":

@@ -11,5 +11,6 @@ from .from_memory import (
     from_frames as from_frames,
 )
 from .levels import Levels as Levels, PhotonTransfer as PhotonTransfer
+from .prediction.predict import Prediction as Prediction, predict as predict
 from .read import read_photon_transfer as read_photon_transfer
 from .settings import Setting as Setting

@@ -146,19 +146,21 @@ def fitted_kernel(
 
 
 def fitted_effect(
-    kernel: Float[np.ndarray, "rows columns"], values: dict[str, Array], top: Array
+    kernel: Float[Array | np.ndarray, "rows columns"] | None,
+    values: dict[str, Array],
+    top: Array | np.ndarray,
 ) -> BrighterFatter | None:
     """The effect of a sensor.
 
     Args:
-        kernel: for a_00 = -1.
+        kernel: for a_00 = -1; None where the camera shows none.
         values: natural parameters by name.
         top: X, DN.
 
     Returns:
         The effect; None where the camera shows none.
     """
-    if "brighter_fatter" not in values:
+    if kernel is None or "brighter_fatter" not in values:
         return None
     change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top
     return BrighterFatter(jnp.asarray(kernel) * change)

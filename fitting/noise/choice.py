@@ -1,13 +1,16 @@
 """The choice of what a camera calls for.
 
 A linear camera comes first, with pixel noise and the noise that rows, columns or frames of the
-darks are seen to share. Where it misses the measurement (p < 0.1 %), what the darks alone show, a
+darks are seen to share. Where it misses the measurement (p < 0.1 %), or nearest neighbours are seen
+to share what they hold (which means and variances need not show), what the darks alone show, a
 wandering black level or variances that scatter more than that noise can, joins. Fitted with it are
 random errors of the light, a compression of one or two terms, an offset of the light, and, where
 the black level drifts from frame to frame, its wander from level to level: each stays only if it
 earns its parameter by Schwarz' criterion (BIC), a squared Wald ratio above the logarithm of the
 number of observations, and is no chance of one in a hundred.
 """
+
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +41,8 @@ from .shared import drift, shared_noise
 
 SPURIOUS = 0.01  # chance of a term that a camera does not have
 SPURIOUS_SHARING = 0.001  # the same of neighbours that share charges, which leads the gain astray
+SPURIOUS_BESIDE = 0.05  # the same where nearest neighbours are seen to covary
+SHARING = (BRIGHTER_FATTER, PIXEL_MIXING)
 CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 
 
@@ -76,6 +81,7 @@ def choose_model(
     standard: Sheet,
     *,
     trend: Drifting | None = None,
+    sharing: bool = False,
 ) -> tuple[LikelihoodFit, LikelihoodFit]:
     """The model that a camera calls for.
 
@@ -85,12 +91,13 @@ def choose_model(
         data: of the fit.
         standard: the standard's sheet, from which fits start.
         trend: of the flats from frame to frame; None without.
+        sharing: whether nearest neighbours are seen to covary.
 
     Returns:
         (linear camera, chosen model); the same fit twice where the linear camera does.
     """
     linear = fitted(base_space(measurement, within, offsets=data.offsets), data, standard)
-    if linear.p_value >= MISFIT:
+    if linear.p_value >= MISFIT and not sharing:
         return linear, linear
     bright_levels = int(jnp.sum(data.lit))
     offset = LIGHT_OFFSET if measurement.photons_known else SHUTTER_OFFSET
@@ -102,27 +109,31 @@ def choose_model(
         candidates += (BLACK_SCATTER,)
     always = linear.space + of_darks
     whole = always + candidates
-    chosen = _reduced(fitted(whole, data, standard, among=whole), whole, candidates, standard)
+    reduced = partial(_reduced, whole=whole, standard=standard, sharing=sharing)
+    chosen = reduced(fitted(whole, data, standard, among=whole), candidates=candidates)
     drifts = _may_be_drift(chosen, trend)
     if drifts or (chosen.p_value < MISFIT and any(p in chosen.space for p in CURVE)):
         # Light that drifts from level to level looks like a curve, to which a search can lead
         # although the variances contradict it.
         straight = tuple(p for p in candidates if p not in CURVE)
         other = fitted(always + straight, data, standard, among=whole)
-        other = _reduced(other, whole, straight, standard)
+        other = reduced(other, candidates=straight)
         described = drifts and other.p_value >= MISFIT
         chosen = other if described else min(chosen, other, key=lambda fit: fit.bic)
-    return (linear, chosen) if chosen.bic < linear.bic else (linear, linear)
+    shares = any(p in chosen.space for p in SHARING)
+    return (linear, chosen) if shares or chosen.bic < linear.bic else (linear, linear)
 
 
 def _reduced(
     fit: LikelihoodFit,
-    whole: ParameterSpace,
     candidates: tuple[Parameter, ...],
+    *,
+    whole: ParameterSpace,
     standard: Sheet,
+    sharing: bool,
 ) -> LikelihoodFit:
     """The fit without the candidates that do not pay for themselves, the weakest left out first."""
-    while unearned := _unearned(fit, candidates):
+    while unearned := _unearned(fit, candidates, sharing):
         space = tuple(p for p in fit.space if p is not unearned)
         fit = fitted(space, fit.data, standard, among=whole, near=fit)
     return fit
@@ -143,7 +154,9 @@ def _drifts(measurement: PhotonTransfer) -> bool:
     return drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames)).believed
 
 
-def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Parameter | None:
+def _unearned(
+    fit: LikelihoodFit, candidates: tuple[Parameter, ...], sharing: bool
+) -> Parameter | None:
     """The weakest candidate in the model that does not pay for itself; the second term of the
     compression before the first."""
     ratios = {}
@@ -160,22 +173,24 @@ def _unearned(fit: LikelihoodFit, candidates: tuple[Parameter, ...]) -> Paramete
         size = float(vector[i]) if parameter.transform == "identity" else 1.0
         if parameter is BRIGHTER_FATTER:  # charges repel each other
             size = max(size, 0.0)
-        ratios[parameter] = size**2 * max(precision, 0.0) / _price(fit, parameter)
+        ratios[parameter] = size**2 * max(precision, 0.0) / _price(fit, parameter, sharing)
     weakest = min(ratios, key=ratios.__getitem__, default=None)
     return weakest if weakest is not None and ratios[weakest] < 1 else None
 
 
-def _price(fit: LikelihoodFit, parameter: Parameter) -> float:
+def _price(fit: LikelihoodFit, parameter: Parameter, sharing: bool) -> float:
     """The squared Wald ratio that earns a parameter its place: Schwarz', and beyond that what comes
-    about by chance once in a hundred cameras (once in a thousand of what neighbours share, which
-    moves the gain by as many errors), since errors do not know of the choice. A scatter of
-    m lights about a curve of q terms is most likely too small by (m - q) / m, and uncertain, so
+    about by chance once in a hundred cameras, since errors do not know of the choice. What
+    neighbours share moves the gain by as many errors: once in a thousand, or once in twenty where
+    nearest neighbours are seen to covary, so that one of its two forms is there. A scatter of m
+    lights about a curve of q terms is most likely too small by (m - q) / m, and uncertain, so
     that a term of the curve then has to pass Fisher's F."""
     price = float(np.log(observations(fit.data)))
     if parameter.transform == "log":
         return price
-    if parameter in (BRIGHTER_FATTER, PIXEL_MIXING):
-        return max(price, float(chdtri(1, SPURIOUS_SHARING)))
+    if parameter in SHARING:
+        chance = SPURIOUS_BESIDE if sharing else SPURIOUS_SHARING
+        return float(chdtri(1, chance)) if sharing else max(price, float(chdtri(1, chance)))
     if LIGHT_SCATTER not in fit.space or parameter not in CURVE:
         return max(price, float(chdtri(1, SPURIOUS)))
     lights = int(jnp.sum(fit.data.lit))

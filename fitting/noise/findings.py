@@ -195,7 +195,8 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
     if not told:
         return [
             f"{_linear_model(calibration)} explains every mean and variance: chi-square per degree "
-            f"of freedom {linear.chi_square / linear.degrees:.2f} ({format_p(linear.p_value)})."
+            f"of freedom {linear.chi_square / linear.degrees:.2f} ({format_p(linear.p_value)}).",
+            *_neighbours(calibration),
         ]
     if "compression" in chosen.values:
         told += _compression(calibration)

@@ -57,6 +57,7 @@ class LikelihoodFit:
         residuals: standardised.
         chi_square: of all residuals.
         degrees: of freedom.
+        among: the larger model whose compiled program found it; empty where its own did.
     """
 
     space: ParameterSpace
@@ -65,6 +66,7 @@ class LikelihoodFit:
     residuals: Residuals
     chi_square: float
     degrees: int
+    among: ParameterSpace = ()
 
     @property
     def p_value(self) -> float:
@@ -143,6 +145,7 @@ def noise_data(
         offsets=offsets,
         unsteady=unsteady,
         converter=measurement.converter,
+        kept=jnp.ones_like(lit),
     )
 
 
@@ -322,9 +325,28 @@ def fitted(
         )
     residuals = _residuals(vector, (among or space, data))
     chi_square = float(sum(jnp.sum(x**2) for x in jax.tree.leaves(residuals)))
-    return LikelihoodFit(
-        space, data, solution, residuals, chi_square, observations(data) - len(space)
-    )
+    degrees = observations(data) - len(space)
+    return LikelihoodFit(space, data, solution, residuals, chi_square, degrees, among)
+
+
+def fitted_without(
+    fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"], standard: Sheet
+) -> NewtonSolution:
+    """The same model fitted again, by the same compiled program, with some levels kept out.
+
+    Args:
+        fit: of all levels, from which the search starts.
+        left_out: (levels,) true for a level that is kept out.
+        standard: the standard's sheet.
+
+    Returns:
+        Where the fit ended.
+    """
+    kept = jnp.asarray(~left_out, fit.data.mean.dtype)
+    data = eqx.tree_at(lambda data: data.kept, fit.data, kept)
+    if fit.among:
+        return _fit_among(fit.among, fit.space, data, standard, fit)[0]
+    return minimise(cost, fit.solution.vector, (fit.space, data))
 
 
 def observations(data: NoiseData) -> int:

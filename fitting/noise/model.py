@@ -82,6 +82,8 @@ class NoiseData(eqx.Module):
         offsets: how the pixels of the darks differ; None where rounding makes nothing of it.
         unsteady: (levels,) variance of a frame's mean by light that flickers, DN^2; None without.
         converter: the grid on which the numbers lie.
+        kept: (levels,) 1 of a level that the likelihood uses, 0 of one that is kept out of it; None
+            uses all.
     """
 
     light: Float[Array, " levels"]
@@ -100,6 +102,7 @@ class NoiseData(eqx.Module):
     offsets: OffsetData | None = None
     unsteady: Float[Array, " levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())
+    kept: Float[Array, " levels"] | None = None
 
 
 class Moments(eqx.Module):
@@ -457,7 +460,7 @@ def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseD
     """
     space, data = args
     terms, _ = log_likelihood_terms(named(space, vector), data)
-    return -jnp.sum(terms)
+    return -jnp.sum(terms if data.kept is None else terms * data.kept)
 
 
 def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:

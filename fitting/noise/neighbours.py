@@ -25,6 +25,8 @@ from .shared import believed_lines
 PERIOD = 32  # pixels after which the sensor of the series repeats itself
 TERMS = 20  # the next is below 1e-10 up to a_00 mu = -1
 
+SURE = 4.5  # standard errors by which nearest neighbours covary: once in 70,000 without
+
 Lags = Float[np.ndarray, "lags lags"]
 
 
@@ -165,6 +167,29 @@ def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
     return not believed_lines(dark.shared, dark.variance, dark.frames)
 
 
+def are_seen(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
+    """Whether nearest neighbours covary beyond chance, in proportion to the variance: the sum over
+    all neighbours, which a fit explains, is known less well.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+
+    Returns:
+        False where covariances are not known.
+    """
+    if not tell_of_neighbours(measurement):
+        return False
+    bright, dark = measurement.bright, measurement.dark
+    found, variances = above_dark(bright, dark)
+    shot = np.asarray(bright.variance - dark.variance[measurement.dark_of])[usable]
+    nearest = ((0, 1), (1, 0))
+    along = np.array([found[usable, i, j] for i, j in nearest])
+    weight = shot / np.array([variances[usable, i, j] for i, j in nearest])
+    strength = np.sum(weight * along, axis=1) / np.sqrt(np.sum(weight * shot, axis=1))
+    return bool(np.any(np.abs(strength) > SURE))
+
+
 def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
     """The covariances of a measurement as a fit takes them.
 
@@ -244,7 +269,7 @@ def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> La
     Returns:
         (lags, lags), 1 at offset (0, 0), which with all others sums to 0.
     """
-    slopes, errors = squares_of(signal, found, variances)
+    slopes, errors = _powers_of(signal, found, variances)[1]
     square = np.maximum(slopes**2, np.finfo(float).tiny)
     kept = slopes * np.maximum(1 - errors**2 / square, 0)
     total = np.sum(kept * copies())
@@ -262,10 +287,9 @@ def nearest() -> Lags:
     return shape
 
 
-def squares_of(
-    signal: np.ndarray, found: np.ndarray, variances: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """b and its error in C = r x + b x^2, at each offset, by weighted least squares.
+def shares_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
+    """The shape of the covariances that grow in proportion to the signal, made smaller by chance
+    as in `shape_of`.
 
     Args:
         signal: (levels,) x, DN.
@@ -273,14 +297,37 @@ def squares_of(
         variances: by chance, DN^4.
 
     Returns:
-        (lags, lags) per electron, twice.
+        (lags, lags), 0 at offset (0, 0), which sum to 1 over all offsets; a quarter each of the
+        four nearest where none is seen.
     """
+    even = -nearest()
+    even[0, 0] = 0
+    if not signal.size:
+        return even
+    slopes, errors = _powers_of(signal, found, variances)[0]
+    square = np.maximum(slopes**2, np.finfo(float).tiny)
+    kept = slopes * np.maximum(1 - errors**2 / square, 0)
+    total = np.sum(kept * copies())
+    if total <= 3 * np.sqrt(np.sum(errors**2 * copies() ** 2)):
+        return even
+    return kept * (copies() > 0) / total
+
+
+def _powers_of(
+    signal: np.ndarray, found: np.ndarray, variances: np.ndarray
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """r and its error, b and its error, in C = r x + b x^2, at each offset, by weighted least
+    squares."""
     x, weight = signal[:, None, None], 1 / variances
     moments = [np.sum(weight * x**power, axis=0) for power in (2, 3, 4)]
     first, second = (np.sum(weight * x**power * found, axis=0) for power in (1, 2))
     determinant = moments[0] * moments[2] - moments[1] ** 2
-    slopes = (moments[0] * second - moments[1] * first) / determinant
-    return slopes, np.sqrt(moments[0] / determinant)
+    lines = (moments[2] * first - moments[1] * second) / determinant
+    squares = (moments[0] * second - moments[1] * first) / determinant
+    return (
+        (lines, np.sqrt(moments[2] / determinant)),
+        (squares, np.sqrt(moments[0] / determinant)),
+    )
 
 
 def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:

@@ -19,6 +19,8 @@ from .findings import findings, is_no_sensor
 from .misfit import MISFIT
 from .parts import deviation_quantiles
 from .pattern import PatternVariance, Spread
+from .prediction import section as prediction
+from .prediction.predict import of_calibration
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
 
@@ -45,6 +47,7 @@ def section(calibration: NoiseCalibration) -> Section:
         Estimates by both methods, findings, tables and pictures.
     """
     likelihood = calibration.likelihood
+    predicted = None if is_no_sensor(calibration) else of_calibration(calibration)
     of_fit = {}
     if likelihood is not None:
         chosen = likelihood.chosen
@@ -57,17 +60,22 @@ def section(calibration: NoiseCalibration) -> Section:
         kind=KIND,
         title=TITLE,
         estimates=_sheet_estimates(calibration),
-        findings=findings(calibration),
-        pictures=noise_pictures(calibration),
+        findings=(
+            *findings(calibration),
+            *(() if predicted is None else prediction.findings(predicted)),
+        ),
+        pictures=(
+            *noise_pictures(calibration),
+            *(() if predicted is None else (prediction.picture(predicted),)),
+        ),
         tables=(
             *(() if likelihood is None else (_models_table(calibration),)),
             *(() if likelihood is None else _area_changes_table(calibration)),
+            *(() if predicted is None else (prediction.table(predicted),)),
             *left_out_tables([("", calibration.left_out)]),
         ),
         posteriors={} if likelihood is None else {"": likelihood.posterior},
-        records={}
-        if is_no_sensor(calibration)
-        else {"sensor": partial(write_fitted_sensor, calibration)},
+        records={} if predicted is None else {"sensor": partial(write_fitted_sensor, calibration)},
         about=_operating_point(calibration),
         headings=HEADINGS,
         settings={

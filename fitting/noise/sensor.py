@@ -3,41 +3,74 @@
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxvision import PoissonShotNoise, Sensor
+from jaxvision import Compression, PoissonShotNoise, Sensor, ShutterOffset
 from jaxvision.files.cameras import write_sensor
 
-from ..inference.parameters import names
+from ..codes import Converter
+from ..inference.compiled import compiled_briefly
+from ..inference.parameters import names, to_natural
 from .brighter_fatter import fitted_effect, fitted_kernel
 from .calibration import NoiseCalibration
+from .fit import fitted_without
+from .full_well import full_well
+from .mixing import fitted_mixing, mixed_shares
+from .pattern import SEEN
+from .shared import drift, temporal_lines
 
 DRAWS = 1000  # kept at most
+LINES = ("row_noise", "column_noise")  # which the read noise of the likelihood holds
 
 
-def fitted_sensor(calibration: NoiseCalibration) -> tuple[Sensor, Sensor]:
-    """The sensor of a calibration.
+def fitted_sensor(
+    calibration: NoiseCalibration, *, left_out: Bool[np.ndarray, " levels"] | None = None
+) -> tuple[Sensor, Sensor]:
+    """The sensor of a calibration, with every effect that was found.
 
-    Gain and efficiency are those at zero signal: a compression of the chosen model has no place in
-    a `Sensor`, and so has a mixing of pixels. Patterns and the shape of the kernel by which charges
-    repel each other are the best fit's in every draw. Exposure is the median of the flats', so
-    that light is a rate, photons per pixel and second. Where the numbers of the frames are
-    multiples of a step, as left-aligned ones are, the sensor gives the converter's own codes.
+    Gain and efficiency are those at zero signal. Noise that rows, columns or frames share is not
+    part of the read noise, and unequal rows and columns are not part of DSNU, nor columns of PRNU.
+    The kernels by which charges repel each other and by which pixels are mixed have the best fit's
+    shape in every draw. Exposure is the median of the flats', so that light is a rate, photons per
+    pixel and second. Where the numbers of the frames are multiples of a step, as left-aligned ones
+    are, the sensor gives the converter's own codes.
 
     Args:
         calibration: of the camera, with an efficiency of at most 1.
+        left_out: (levels,) true for those of the likelihood's levels, bright ones and darks, that
+            the same model is to be fitted without; None for none.
 
     Returns:
         The best fit; and the same with a leading axis of draws at every number.
     """
-    posterior = calibration.posterior
+    posterior, usable = calibration.posterior, calibration.usable
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
-    drawn = jnp.asarray(posterior.samples[rows.astype(int)])
-    kernel = fitted_kernel(calibration.measurement, calibration.usable)
-    best = _sensor(calibration, kernel, jnp.asarray(posterior.mode))
-    return best, eqx.filter_vmap(lambda values: _sensor(calibration, kernel, values))(drawn)
+    if left_out is None:
+        mode, natural = posterior.mode, posterior.samples[rows.astype(int)]
+    else:
+        mode, natural = _fitted_without(calibration, left_out, len(rows))
+        usable = usable[~left_out[: len(usable)]]
+    labels, measurement = names(posterior.space), calibration.measurement
+    kernel = fitted_kernel(measurement, usable) if "brighter_fatter" in labels else None
+    shares = mixed_shares(measurement, usable) if "pixel_mixing" in labels else None
+    about = _About(
+        labels=labels,
+        converter=measurement.converter,
+        full_scale=measurement.full_scale if measurement.converter.step else None,
+        photons_known=measurement.photons_known,
+        fades=any("dark_current" in doubt.of for doubt in measurement.doubts),
+        exposure=np.median(np.asarray(measurement.bright.exposure)),
+        top=np.asarray(calibration.chosen.data.top_signal),
+        kernel=kernel,
+        shares=shares,
+    )
+    every = np.concatenate([mode[None], natural])
+    drawn = _sensors(about, every, _beside_the_likelihood(calibration, len(rows)))
+    best = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), drawn)
+    return best, jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[1:]), drawn)
 
 
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
@@ -55,41 +88,138 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
     write_sensor(best, path, draws=draws, about=about)
 
 
-def _sensor(
-    calibration: NoiseCalibration,
-    kernel: Float[np.ndarray, "rows columns"],
-    natural: Float[Array, " parameters"],
-) -> Sensor:
-    space = calibration.posterior.space
-    values = dict(zip(names(space), natural, strict=True))
-    gain, measurement = values["system_gain"], calibration.measurement
-    photons, scale = measurement.photons_known, measurement.full_scale
-    step, origin = measurement.converter.step or 1.0, measurement.converter.origin
-    if not measurement.converter.step:
-        scale = None
-    dark_noise, response = _patterns(calibration)
-    doubted = {name for doubt in measurement.doubts for name in doubt.of}
-    current = None if "dark_current" in doubted else values.get("dark_current")
+def _fitted_without(
+    calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The mode of a fit that does without some levels, and Laplace's draws about it."""
+    chosen = calibration.chosen
+    solution = fitted_without(chosen, left_out, calibration.standard.values)
+    covariance = chosen.inflation * np.linalg.inv(np.asarray(solution.information))
+    rng = np.random.default_rng(calibration.posterior.seed)
+    drawn = rng.multivariate_normal(np.asarray(solution.vector), covariance, count)
+    every = np.concatenate([np.asarray(solution.vector)[None], drawn])
+    natural = np.asarray(to_natural(chosen.space, jnp.asarray(every)))
+    return natural[0], natural[1:]
+
+
+def _beside_the_likelihood(
+    calibration: NoiseCalibration, count: int
+) -> dict[str, Float[np.ndarray, " draws"]]:
+    """What a sensor has besides the parameters of the likelihood, by the name of its field: the
+    best estimate, then draws. In DN^2, so that the gain of a draw counts; PRNU^2 relative, and the
+    full well in DN."""
+    rng, found = np.random.default_rng(calibration.posterior.seed), {}
+
+    def add(name: str, variance: float, degrees: float, noise: float = 0.0) -> None:
+        """A variance of so many degrees of freedom, with noise on its estimate."""
+        drawn = variance * degrees / rng.chisquare(degrees, count)
+        drawn = np.maximum(drawn + noise * rng.standard_normal(count), 0.0)
+        found[name] = np.concatenate([[max(variance, 0.0)], drawn])
+
+    measurement = calibration.measurement
+    dark = measurement.dark
+    if dark.shared is not None:
+        of = np.asarray(dark.variance), np.asarray(dark.frames)
+        passing = {
+            "row_noise": temporal_lines(dark.shared, *of, 0),
+            "column_noise": temporal_lines(dark.shared, *of, 1),
+            "frame_noise": drift(dark.shared, *of),
+        }
+        for name, one in passing.items():
+            if one.believed:
+                add(name, one.variance, 2 * (one.variance / one.error) ** 2)
+    labels = names(calibration.posterior.space)
+    if "frame_noise" not in found and "black_scatter" in labels:
+        # Levels of so many frames wander by that much.
+        place, frames = labels.index("black_scatter"), float(np.median(np.asarray(dark.frames)))
+        value, error = calibration.posterior.mode[place], calibration.chosen.errors["black_scatter"]
+        add("frame_noise", frames * float(value) ** 2, 1 / (2 * error**2))
+    if calibration.patterns is not None:
+        offsets, gains = calibration.patterns[1].dark, calibration.patterns[1].response
+        own, *lines = offsets.parts
+        if own.variance > SEEN * offsets.noise:
+            add("dsnu", own.variance, own.degrees, offsets.noise)
+        for name, part in zip(("row_dsnu", "column_dsnu"), lines, strict=False):
+            if part.variance > 0:
+                add(name, part.variance, part.degrees)
+        own, *lines = gains.parts
+        pixels = own.variance + (lines[0].variance if lines else 0.0)
+        if pixels > SEEN * gains.noise:
+            add("prnu", pixels, own.degrees, gains.noise)
+        if lines[1:] and lines[1].variance > 0:
+            add("column_prnu", lines[1].variance, lines[1].degrees)
+    well = full_well(calibration)
+    if well is not None:
+        drawn = well[0] + well[1] * rng.standard_normal(count)
+        found["full_well"] = np.maximum(np.concatenate([[well[0]], drawn]), 0.0)
+    return found
+
+
+class _About(eqx.Module):
+    """What all draws of a sensor share: names of the likelihood's parameters, the converter and
+    what is known of light, the median exposure, X, and the shapes of the kernels."""
+
+    labels: tuple[str, ...] = eqx.field(static=True)
+    converter: Converter = eqx.field(static=True)
+    full_scale: float | None = eqx.field(static=True)
+    photons_known: bool = eqx.field(static=True)
+    fades: bool = eqx.field(static=True)
+    exposure: np.ndarray
+    top: np.ndarray
+    kernel: np.ndarray | None
+    shares: np.ndarray | None
+
+
+@compiled_briefly
+def _sensors(about: _About, natural: np.ndarray, known: dict[str, np.ndarray]) -> Sensor:
+    """A sensor for each draw."""
+    return eqx.filter_vmap(lambda values, beside: _sensor(about, values, beside))(natural, known)
+
+
+def _sensor(about: _About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
+    """One draw: of the parameters of the likelihood, and of what is known beside them."""
+    values = dict(zip(about.labels, natural, strict=True))
+    gain, converter, scale = values["system_gain"], about.converter, about.full_scale
+    step, origin = converter.step or 1.0, converter.origin
+    current = None if about.fades else values.get("dark_current")
+    offset = values.get("light_offset")
+    if offset is not None and not about.photons_known:
+        offset = ShutterOffset(offset)
+    # The sensor rounds once, by its step; what its file went through beyond that is read noise.
+    rounding = converter.rounding - (0.0 if scale is None else step**2 / 12)
+    read = values["read_noise"] ** 2 + rounding / gain**2
+    read = read - sum(known[name] for name in LINES if name in known) / gain**2
+    rms = {name: jnp.sqrt(variance) for name, variance in known.items()}
+    electrons = {name: deviation / gain for name, deviation in rms.items()}
+    bits = None if scale is None else jnp.asarray(np.log2((scale - origin) / step + 1))
     return Sensor(
         shot_noise=PoissonShotNoise(),
-        brighter_fatter=fitted_effect(kernel, values, calibration.chosen.data.top_signal),
-        exposure_time=jnp.median(measurement.bright.exposure),
-        quantum_efficiency=values["responsivity"] / gain if photons else None,
-        read_noise=values["read_noise"],
+        light_offset=offset,
+        brighter_fatter=fitted_effect(about.kernel, values, about.top),
+        mixing=fitted_mixing(about.shares, values),
+        nonlinearity=_compression(values, about.top),
+        exposure_time=jnp.asarray(about.exposure),
+        quantum_efficiency=values["responsivity"] / gain if about.photons_known else None,
+        read_noise=jnp.sqrt(jnp.maximum(read, 0)),
         dark_current=None if current is None else jnp.maximum(current, 0),
+        full_well=known["full_well"] / gain if "full_well" in known else None,
         gain=gain / step,
         offset=(values["black_level"] - origin) / step,
-        dsnu=dark_noise,
-        prnu=response,
-        bits=None if scale is None else float(np.log2((scale - origin) / step + 1)),
+        bits=bits,
+        row_noise=electrons.get("row_noise"),
+        column_noise=electrons.get("column_noise"),
+        frame_noise=electrons.get("frame_noise"),
+        dsnu=electrons.get("dsnu"),
+        row_dsnu=electrons.get("row_dsnu"),
+        column_dsnu=electrons.get("column_dsnu"),
+        prnu=rms.get("prnu"),
+        column_prnu=rms.get("column_prnu"),
     )
 
 
-def _patterns(calibration: NoiseCalibration) -> tuple[float | None, float | None]:
-    """DSNU, e-, and PRNU of the fit to all levels; None where temporal noise hides them."""
-    if calibration.patterns is None:
-        return None, None
-    found = calibration.patterns[1]
-    gain = float(calibration.chosen.values["system_gain"])
-    dark = np.sqrt(found.dark.variance) / gain if found.dark.seen else None
-    return dark, float(np.sqrt(found.response.variance)) if found.response.seen else None
+def _compression(values: dict[str, Array], top: Array | np.ndarray) -> Compression | None:
+    """That of the chosen model, over electrons."""
+    if "compression" not in values:
+        return None
+    electrons = top / values["system_gain"]
+    return Compression(values["compression"], values.get("compression_2"), electrons=electrons)

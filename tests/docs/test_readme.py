@@ -25,7 +25,10 @@ README = (ROOT / "README.md").read_text()
 COMMANDS_PAGE = (ROOT / "docs" / "how-to" / "commands.md").read_text()
 COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
 # Smaller numbers for what takes minutes as written, and files for those that a user has.
-INSTEAD = {"--samples 64": "--samples 1 --resolution 16,16", "FILE ...": "paint.binary"} | {
+INSTEAD = {
+    "--samples 64": "--samples 1 --resolution 16,16",
+    "FILE ...": "paint.binary",
+    "CAMERA": "emva1288",
     "check brdf": "check brdf --simulations 4",
     "accuracy PATH": "accuracy PATH --knob 'curve rounds' --seconds 90",
     "cornell_box --seconds 60": "cornell_box --knob depth --seconds 40",
@@ -71,7 +74,8 @@ def workplace(tmp_path, monkeypatch, lab):
     (tmp_path / "init").mkdir()
     for ms in (2, 4):
         write_image(tmp_path / "init" / f"flat_{ms}ms_0.tif", np.full((6, 8), 99 * ms, np.uint16))
-    others = {"joint": "brdf", "plan": "brdf", "accuracy": "response", "study": "noise"}
+    others = {"joint": "brdf", "plan": "brdf", "accuracy": "response"}
+    others |= {"study": "noise", "predict": "noise"}
     for kind, of in others.items():
         (tmp_path / kind).symlink_to(lab[0] / of)
     return tmp_path

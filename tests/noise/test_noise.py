@@ -393,8 +393,10 @@ def test_a_bent_camera_is_told_in_words(bent):
     # The standard's regression sees the mean slope of the bent curve.
     standard = float(calibration.standard.values["system_gain"])
     error = float(calibration.standard.errors["system_gain"])
-    assert abs(calibration.standard_of_chosen - standard) < 4 * error
-    assert calibration.standard_of_chosen < float(calibration.chosen.values["system_gain"])
+    assert abs(calibration.likelihood.standard_of_chosen - standard) < 4 * error
+    assert calibration.likelihood.standard_of_chosen < float(
+        calibration.chosen.values["system_gain"]
+    )
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """A real 12-bit camera against its published EMVA 1288 sheet (reference_results.csv)."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from fitting.inference.estimates import find
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.emva1288 import ranges
 from fitting.noise.levels import linear_levels, saturation_index
+from fitting.noise.prediction.predict import of_calibration, predict
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
+from jaxvision import read_sensor
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +109,7 @@ def test_the_non_linearity_is_noticed_and_explained(calibration):
         float(x["system_gain"]) for x in (calibration.standard.values, calibration.standard.errors)
     )
     assert gain.value - standard > 4 * np.hypot(gain.standard_error, error)
-    assert abs(calibration.standard_of_chosen - standard) < 2 * error
+    assert abs(calibration.likelihood.standard_of_chosen - standard) < 2 * error
     told = " ".join(noise_section(calibration).findings)
     assert "not linear" in told
     assert "the gain falls by" in told
@@ -120,3 +123,21 @@ def test_dark_current_by_mean_variance_and_likelihood_agree(calibration):
     assert abs(values["dark_current_mean"] - values["dark_current_variance"]) < 3 * spread
     both = find(noise_section(calibration).estimates, "dark_current")
     assert abs(both.value - values["dark_current_mean"]) < 3 * both.standard_error
+
+
+@pytest.mark.slow
+def test_the_written_camera_predicts_its_own_levels(calibration, measurement, tmp_path):
+    """Without the compression and the light offset of the file, means are up to 65 DN off."""
+    prediction = of_calibration(calibration)
+    kept_out, whole = prediction.comparisons
+    assert len(whole.lit.lit) == 35 + 50
+    for comparison in (kept_out, whole):
+        for name in ("means", "variances"):
+            assert comparison.agreement[name].ratio < 1.2, name
+    calibration.section.records["sensor"](tmp_path / "sensor.toml")
+    written = read_sensor(tmp_path / "sensor.toml")
+    straight = predict(replace(written, nonlinearity=None), measurement)
+    named = {one.key: one.clause for one in straight.missing}
+    assert {"compression", "light_scatter", "variance_scatter"} == {*named}
+    assert "the mean is 1.69" in named["compression"]
+    assert not any(one.is_missed for one in straight.missing[-1].after.values())

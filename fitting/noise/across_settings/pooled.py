@@ -13,13 +13,12 @@ import numpy as np
 
 from ...inference.estimates import find
 from ..calibration import LIKELIHOOD, NoiseCalibration
-from ..levels import CLEAR_OF_CLIPPING
+from ..full_well import ends_at_full_scale
 from ..misfit import MISFIT, p_value
 from ..parts import Part
 from ..pattern import SEEN
 
 ALIKE = 0.1  # relative deviation of settings up to which one value, less well known, serves all
-AT_FULL_SCALE = 0.98  # of it, from which a brightest level counts as the converter's end
 
 
 @dataclass(frozen=True)
@@ -63,16 +62,6 @@ class Pooled:
     @property
     def seen(self) -> bool:
         return self.value > SEEN * self.error
-
-
-def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
-    """Whether the converter's range ends before the well of one setting is full."""
-    measurement = calibration.measurement
-    if measurement.full_scale is None:
-        return False
-    bright = measurement.bright
-    reached = np.asarray(bright.mean) + CLEAR_OF_CLIPPING * np.sqrt(np.asarray(bright.variance))
-    return float(reached.max()) >= AT_FULL_SCALE * measurement.full_scale
 
 
 def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:

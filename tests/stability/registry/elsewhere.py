@@ -233,6 +233,8 @@ ELSEWHERE = (
             fitting.noise.flicker: flicker_in_words
             fitting.noise.drifting: drifting_in_words
             fitting.*.section.*
+            fitting.noise.prediction.section: picture residual_figure section table
+            fitting.noise.prediction.section: findings
             fitting.report.*
             fitting.inference.formatting.*
             fitting.checks.section.*
@@ -618,7 +620,7 @@ ELSEWHERE = (
     Elsewhere(
         STATISTICS,
         "test_noise test_emva1288 test_photon_transfer test_noise_shared test_noise_neighbours "
-        "foreign/test_noise",
+        "test_noise_prediction foreign/test_noise",
         """
             fitting.noise.brighter_fatter.*
             fitting.noise.calibration: calibrate finest_read_noise sheet_estimate widened
@@ -646,6 +648,13 @@ ELSEWHERE = (
             fitting.noise.flicker: extra_in_flats without_flicker
             fitting.noise.drifting: drifting
             fitting.noise.hits: hits
+            fitting.noise.fit: fitted_without
+            fitting.noise.full_well.*
+            fitting.noise.mixing.*
+            fitting.noise.prediction.comparison.*
+            fitting.noise.prediction.missing.*
+            fitting.noise.prediction.moments.*
+            fitting.noise.prediction.predict.*
         """,
     ),
     Elsewhere(
@@ -675,7 +684,7 @@ ELSEWHERE = (
         "test_noise_settings",
         """
             fitting.noise.across_settings.calibration: calibrate_one calibrate_settings
-            fitting.noise.across_settings.pooled: ends_at_full_scale full_well pattern
+            fitting.noise.across_settings.pooled: full_well pattern
             fitting.noise.across_settings.statement: figures fitted predict proportional_gain
             fitting.noise.across_settings.setting: told_by_calibration told_by_darks
         """,

@@ -1,0 +1,1 @@
+"""What a camera file says of frames, beside what these frames show."""

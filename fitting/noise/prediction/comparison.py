@@ -1,0 +1,249 @@
+"""Frames beside what a camera predicts of them.
+
+The camera alone predicts, by the moments of `jaxvision`; no fit knows of these frames, but for one
+number where their photons are not known: the rate of the light, which the means then give. With
+residuals r of one quantity over the levels, of variance N by the noise of the frames and P by the
+draws of the camera,
+
+    chi-square = r (N + P)^-1 r                  levels that the camera was not fitted to
+    chi-square = r N^-1 r,  n - tr(P N^-1) degrees of freedom        levels that it was fitted to
+
+A fit explains the sum of the covariances of all neighbours, in which those of the nearest count for
+little: they are compared as if they were kept out.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import chdtr, chdtrc
+
+from jaxvision import Sensor
+
+from ..levels import PhotonTransfer
+from .moments import (
+    QUANTITIES,
+    Expected,
+    Frames,
+    Lit,
+    charge_and_step,
+    clipped,
+    expected,
+    levels_of,
+    near_an_end,
+    noise,
+)
+
+REFINEMENTS = 3  # of the rate of the light; the signal is nearly linear in it
+CLOSE = (0.9, 1.1)  # of chi-square over its degrees of freedom, where no effect is looked for
+CHANCE = 1e-3  # of a chi-square further from its degrees of freedom without a missing effect
+NEIGHBOURS = "covariances of neighbours"
+PARTS = {"means": (0,), "variances": (1,), NEIGHBOURS: (2, 3)}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well one quantity is predicted.
+
+    Attributes:
+        chi_square: of its residuals.
+        degrees: of freedom.
+    """
+
+    chi_square: float
+    degrees: float
+
+    @property
+    def ratio(self) -> float:
+        return self.chi_square / self.degrees
+
+    @property
+    def p_value(self) -> float:
+        """How often chance gives a chi-square as far from its mean, on either side."""
+        ends = (tail(self.degrees, self.chi_square) for tail in (chdtr, chdtrc))
+        return min(2 * float(min(ends)), 1.0)
+
+    @property
+    def is_missed(self) -> bool:
+        """Whether it is further from 1 than a tenth and than chance."""
+        return not CLOSE[0] <= self.ratio <= CLOSE[1] and self.p_value < CHANCE
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Observed and predicted quantities of some levels.
+
+    Attributes:
+        lit: light and exposure of the levels.
+        levels: what their frames show.
+        found: what the best estimate of the camera predicts, DN.
+        noise: (quantities, levels) variance by the frames' own noise.
+        camera: (quantities levels, quantities levels) covariance by the draws of the camera; 0 of
+            what the camera was fitted to.
+        agreement: by the names of `PARTS`.
+    """
+
+    lit: Lit
+    levels: Frames
+    found: Expected
+    noise: Float[np.ndarray, "quantities levels"]
+    camera: Float[np.ndarray, "values values"]
+    agreement: dict[str, Agreement]
+
+    @property
+    def seen(self) -> Float[np.ndarray, "quantities levels"]:
+        """What the frames show, DN and DN^2."""
+        return self.levels.seen
+
+    @property
+    def errors(self) -> Float[np.ndarray, "quantities levels"]:
+        """Standard deviations of the residuals."""
+        own = np.diagonal(self.camera).reshape(self.noise.shape)
+        return np.sqrt(self.noise + own)
+
+    @property
+    def residuals(self) -> Float[np.ndarray, "quantities levels"]:
+        """Observed less predicted, in standard errors."""
+        return (self.seen - self.found.values) / self.errors
+
+    @property
+    def missed(self) -> list[str]:
+        """Names of the quantities that are not predicted."""
+        return [name for name, one in self.agreement.items() if one.is_missed]
+
+
+def compare(
+    best: Sensor,
+    draws: Sensor | None,
+    measurement: PhotonTransfer,
+    usable: np.ndarray,
+    *,
+    shown: Bool[np.ndarray, " levels"] | None = None,
+    fitted: bool = False,
+    light_error: float = 0.0,
+    variance_error: float = 0.0,
+) -> Comparison:
+    """What a camera predicts of a measurement, beside it.
+
+    Args:
+        best: the camera, light counted in photons per pixel.
+        draws: of it, with a leading axis at every number; None where it has none.
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+        shown: (levels,) which of these and of all darks are compared; None for all.
+        fitted: whether the camera was fitted to these levels.
+        light_error: relative, by which the light of a level is off.
+        variance_error: relative, by which variances scatter for reasons that are not known.
+
+    Returns:
+        The comparison.
+    """
+    errors = {"light_error": light_error, "variance_error": variance_error}
+    lit, levels = levels_of(measurement, usable, **errors)
+    shown = np.ones(lit.lit.size, bool) if shown is None else shown
+    seen = levels.seen
+    unscaled = best.quantum_efficiency is None or not measurement.photons_known
+    every = _every(best, draws)
+    if unscaled:
+        lit = _scaled(best, every, measurement, lit, seen, shown)
+    found, drawn = _expected(best, every, measurement, lit, len(seen) == len(QUANTITIES))
+    own = noise(levels, found)
+    spread = drawn - drawn.mean(axis=0)
+    if unscaled:  # each draw has its own rate of the light, by the means
+        weight = shown * found.by_light[0] / own[0]
+        moved = spread[:, 0] @ weight / float(np.sum(weight * found.by_light[0]))
+        spread = spread - moved[:, None, None] * found.by_light
+    spread = spread[..., shown]
+    levels, found, own = levels.at(shown), found.at(shown), own[:, shown]
+    seen, lit = levels.seen, jax.tree.map(lambda x: x[shown], lit)
+    flat = spread.reshape(len(spread), -1)
+    camera = flat.T @ flat / len(flat)
+    agreement = {}
+    for name, rows in PARTS.items():
+        if rows[-1] < len(seen):
+            free = int(unscaled and name == "means")
+            place = np.ravel([np.arange(seen.shape[1]) + row * seen.shape[1] for row in rows])
+            missed = (seen - found.values).ravel()[place]
+            taken = fitted and name != NEIGHBOURS
+            agreement[name] = _agreement(
+                missed, own.ravel()[place], camera[np.ix_(place, place)], taken, free
+            )
+            if taken:
+                camera[place] = camera[:, place] = 0.0
+    return Comparison(lit, levels, found, own, camera, agreement)
+
+
+def _agreement(
+    missed: np.ndarray, own: np.ndarray, camera: np.ndarray, fitted: bool, free: int
+) -> Agreement:
+    if fitted:
+        taken = min(float(np.sum(np.diagonal(camera) / own)), len(missed) - 1.0 - free)
+        return Agreement(float(np.sum(missed**2 / own)), len(missed) - free - taken)
+    chi_square = float(missed @ np.linalg.solve(np.diag(own) + camera, missed))
+    return Agreement(chi_square, float(max(len(missed) - free, 1)))
+
+
+def _every(best: Sensor, draws: Sensor | None) -> Sensor:
+    """The best estimate and the draws, along one leading axis."""
+    if draws is None:
+        return jax.tree.map(lambda x: np.asarray(x)[None], best)
+    return jax.tree.map(lambda x, own: np.concatenate([np.asarray(x)[None], own]), best, draws)
+
+
+def _expected(
+    sensor: Sensor, every: Sensor, measurement: PhotonTransfer, lit: Lit, neighbours: bool
+) -> tuple[Expected, Float[np.ndarray, "draws quantities levels"]]:
+    """What the best estimate and what the draws predict, in the numbers of the file, whose codes
+    the sensor gives; one row of the best where there are no draws."""
+    step, origin = measurement.converter.step or 1.0, measurement.converter.origin
+    of_every = expected(every, lit, neighbours=neighbours)
+    values = of_every[0].copy()
+    electrons, slope, by_light = (np.asarray(x) for x in charge_and_step(sensor, lit))
+    near = near_an_end(sensor, values, electrons)
+    if near.any():
+        places = np.flatnonzero(near)
+        values[:2, places] = clipped(sensor, jax.tree.map(lambda x: x[places], lit))
+    gain = 1.0 if sensor.gain is None else float(sensor.gain)
+    rows, columns, frames = (
+        0.0 if one is None else (step * gain * float(one)) ** 2
+        for one in (sensor.row_noise, sensor.column_noise, sensor.frame_noise)
+    )
+    over_light = np.zeros_like(values)
+    over_light[:2] = step * by_light, step**2 * slope * by_light
+    values = _in_file(values, step, origin)
+    found = Expected(values, over_light, electrons, step * slope, rows, columns, frames)
+    return found, _in_file(of_every[min(len(of_every) - 1, 1) :], step, origin)
+
+
+def _in_file(values: np.ndarray, step: float, origin: float) -> np.ndarray:
+    """Codes, and their squares, as numbers of the file."""
+    scaled = values * step**2
+    scaled[..., 0, :] = origin + step * values[..., 0, :]
+    return scaled
+
+
+def _scaled(
+    sensor: Sensor,
+    every: Sensor,
+    measurement: PhotonTransfer,
+    lit: Lit,
+    seen: np.ndarray,
+    shown: np.ndarray,
+) -> Lit:
+    """Light in the unit of the sensor, where its scale is known from the means alone."""
+    step, origin = measurement.converter.step or 1.0, measurement.converter.origin
+    signal = (seen[0] - origin) / step - (0.0 if sensor.offset is None else float(sensor.offset))
+    gain, efficiency = (
+        1.0 if one is None else float(one) for one in (sensor.gain, sensor.quantum_efficiency)
+    )
+    light = np.asarray(lit.light)
+    told = shown & (light > 0)
+    factor = float(np.median(signal[told] / (gain * efficiency * light[told])))
+    for _ in range(REFINEMENTS):
+        now = replace(lit, light=light * max(factor, 1e-300))
+        found, _ = _expected(sensor, every, measurement, now, len(seen) == len(QUANTITIES))
+        weight = 1 / np.maximum(found.values[1][told], 1e-300)
+        slope, missed = found.by_light[0][told], (seen[0] - found.values[0])[told]
+        factor *= float(np.exp(np.sum(weight * slope * missed) / np.sum(weight * slope**2)))
+    return replace(lit, light=light * factor)

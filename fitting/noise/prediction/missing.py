@@ -1,0 +1,461 @@
+"""Which effect a camera lacks, of those whose trace in means, variances and covariances is known.
+
+Each candidate adds a known shape, times a size that is fitted, to what the camera predicts. Levels
+may also scatter, in their light, black level or variance: scatter explains any misfit, so its sizes
+(variance components by restricted likelihood) are fitted beside each candidate, and a candidate
+counts by what it explains beyond. That which explains most is taken, then the next beside it, until
+the rest is within chance or nothing earns its place; scatter is named where it does.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+
+from ...inference.formatting import format_with_error
+from .comparison import PARTS, Agreement, Comparison
+from .moments import Expected, noise
+
+MOST = 3  # effects that are named
+PRICE = 15.0  # fall of -2 log likelihood that an effect must earn: once in 10,000 by chance
+REFINEMENTS = 3  # of the noise of the frames with an effect
+LEAST_SHARE = 10.0  # by which an effect may lower a variance, of which errors are made, at most
+FINEST = 1e-8  # of the largest scatter that residuals allow, squared: as good as none
+
+Shape = Float[np.ndarray, "quantities levels"]
+
+
+class Size(NamedTuple):
+    """Of an effect, with its standard error."""
+
+    value: float
+    error: float
+
+    def told(self, scale: float = 1.0) -> str:
+        return format_with_error(abs(scale * self.value), abs(scale) * self.error)
+
+    def root(self, scale: float = 1.0) -> str:
+        """Of the square root of a variance."""
+        deviation = np.sqrt(abs(self.value))
+        return format_with_error(scale * deviation, scale * self.error / (2 * deviation))
+
+    def word(self, more: str, less: str) -> str:
+        return more if self.value > 0 else less
+
+
+class Traces(NamedTuple):
+    """What shapes are made of, each (levels,) and in DN or DN^2.
+
+    Attributes:
+        lit: 1 with light, 0 without.
+        exposure: s.
+        signal: mean above black.
+        shot: variance by the counting of electrons.
+        total: variance.
+        light: mean by light alone.
+        light_shot: variance by light alone.
+        amount: photons, or electrons where light has no scale; 1 in the dark.
+        step: DN of one electron.
+    """
+
+    lit: np.ndarray
+    exposure: np.ndarray
+    signal: np.ndarray
+    shot: np.ndarray
+    total: np.ndarray
+    light: np.ndarray
+    light_shot: np.ndarray
+    amount: np.ndarray
+    step: np.ndarray
+
+    @property
+    def share(self) -> np.ndarray:
+        """Of the signal of the brightest level."""
+        return self.signal / max(float(self.signal.max()), 1e-300)
+
+
+class Candidate(NamedTuple):
+    """An effect that a camera may lack.
+
+    Attributes:
+        key: a word.
+        shape: what a size of 1 adds to mean, variance, covariance along rows and along columns;
+            None of what stays. Of a scatter, its standard deviation.
+        sentence: what the camera lacks, as a clause with the size.
+        positive: whether its size cannot be below 0.
+    """
+
+    key: str
+    shape: Callable[[Traces], tuple[np.ndarray | float | None, ...]]
+    sentence: Callable[[Size, Traces], str]
+    positive: bool = False
+
+
+def _shared(neighbours: str) -> Callable[[Size, Traces], str]:
+    """Mixing of pixels that a gain was fitted without."""
+    return lambda a, t: (
+        f"{neighbours} {a.told(100)} % of the signal's variance (mixing of pixels, as by "
+        "capacitance between them or by interpolation), by which the camera's gain is then too "
+        "small"
+    )
+
+
+CANDIDATES = (
+    Candidate(
+        "light",
+        lambda t: (t.light, t.light_shot, None, None),
+        lambda a, t: (
+            f"{a.told(100)} % {a.word('more', 'less')} light than stated, or a quantum "
+            f"efficiency {a.word('larger', 'smaller')} by that"
+        ),
+    ),
+    Candidate(
+        "gain",
+        lambda t: (t.signal, 2 * t.total, None, None),
+        lambda a, t: f"a gain {a.word('larger', 'smaller')} by {a.told(100)} %",
+    ),
+    Candidate(
+        "compression",
+        lambda t: (-t.signal * t.share, -4 * t.share * t.shot, None, None),
+        lambda a, t: (
+            f"a response that is not linear: at the brightest level the mean is "
+            f"{a.told(100)} % {a.word('below', 'above')} the line"
+        ),
+    ),
+    Candidate(
+        "light_offset",
+        lambda t: (t.light / t.amount, t.light_shot / t.amount, None, None),
+        lambda a, t: (
+            f"{a.told()} photons {a.word('more', 'less')} in every exposure with light, as "
+            "of a shutter that is late or light that leaks"
+        ),
+    ),
+    Candidate(
+        "black_level",
+        lambda t: (1.0, None, None, None),
+        lambda a, t: f"a black level {a.word('higher', 'lower')} by {a.told()} DN",
+    ),
+    Candidate(
+        "dark_current",
+        lambda t: (t.step * t.exposure, t.step**2 * t.exposure, None, None),
+        lambda a, t: f"{a.told()} e⁻/s {a.word('more', 'less')} dark current",
+    ),
+    Candidate(
+        "read_noise",
+        lambda t: (None, 1.0, None, None),
+        lambda a, t: (
+            f"noise of {a.root()} DN {a.word('more', 'less')} at every level, light or "
+            "dark: read noise"
+        ),
+    ),
+    Candidate(
+        "row_noise",
+        lambda t: (None, 1.0, 1.0, None),
+        lambda a, t: (
+            f"noise of {a.root(1 / float(t.step[0]))} e⁻ rms that the pixels of a row "
+            "share, new in every frame (row noise)"
+        ),
+        positive=True,
+    ),
+    Candidate(
+        "column_noise",
+        lambda t: (None, 1.0, None, 1.0),
+        lambda a, t: (
+            f"noise of {a.root(1 / float(t.step[0]))} e⁻ rms that the pixels of a column "
+            "share, new in every frame (column noise)"
+        ),
+        positive=True,
+    ),
+    Candidate(
+        "brighter_fatter",
+        lambda t: (None, -t.share * t.shot, t.share * t.shot / 4, t.share * t.shot / 4),
+        lambda a, t: (
+            "charges that repel each other (the brighter-fatter effect), which take "
+            f"{a.told(100)} % of the brightest level's variance"
+        ),
+        positive=True,
+    ),
+    Candidate(
+        "mixing",
+        lambda t: (None, -t.shot, t.shot / 4, t.shot / 4),
+        lambda a, t: (
+            f"neighbours that share {a.told(100)} % of the signal's variance (mixing of "
+            "pixels, as by capacitance between them or by interpolation)"
+        ),
+        positive=True,
+    ),
+    Candidate(
+        "sharing",
+        lambda t: (None, None, t.shot / 4, t.shot / 4),
+        _shared("neighbours that share"),
+        positive=True,
+    ),
+    Candidate(
+        "sharing_along_rows",
+        lambda t: (None, None, t.shot / 2, None),
+        _shared("neighbours along a row that share"),
+        positive=True,
+    ),
+    Candidate(
+        "sharing_along_columns",
+        lambda t: (None, None, None, t.shot / 2),
+        _shared("neighbours along a column that share"),
+        positive=True,
+    ),
+    Candidate(
+        "flicker_of_rows",
+        lambda t: (None, t.light**2, t.light**2, None),
+        lambda a, t: (
+            f"light that differs by {a.root(100)} % rms from row to row of a frame, as a "
+            "lamp that flickers while a shutter rolls"
+        ),
+        positive=True,
+    ),
+    Candidate(
+        "shot_noise",
+        lambda t: (None, t.light_shot, None, None),
+        lambda a, t: (
+            f"shot noise whose variance is {a.told(100)} % {a.word('larger', 'smaller')} "
+            "at the same mean, as where frames were "
+            f"{a.word('sharpened, or electrons multiplied', 'averaged, denoised or compressed')}"
+        ),
+    ),
+)
+SCATTERS = (  # new at every level
+    Candidate(
+        "light_scatter",
+        lambda t: (t.light, None, None, None),
+        lambda a, t: f"light that is off by {a.told(100)} % rms from level to level",
+    ),
+    Candidate(
+        "black_scatter",
+        lambda t: (1.0, None, None, None),
+        lambda a, t: f"a black level that wanders by {a.told()} DN rms from level to level",
+    ),
+    Candidate(
+        "variance_scatter",
+        lambda t: (None, t.total, None, None),
+        lambda a, t: f"variances that scatter by {a.told(100)} % rms from level to level",
+    ),
+    Candidate("", lambda t: (None, None, t.total, t.total), lambda a, t: ""),  # of no known kind
+)
+
+
+@dataclass(frozen=True)
+class Missing:
+    """An effect that a camera lacks.
+
+    Attributes:
+        key: of the candidate.
+        clause: what is lacking, with its size.
+        strength: by how many standard errors it is not there by chance.
+        after: how well each quantity is predicted with it, and with those named before it.
+    """
+
+    key: str
+    clause: str
+    strength: float
+    after: dict[str, Agreement]
+
+
+def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
+    """The effects whose lack explains what a camera misses.
+
+    Args:
+        comparison: of the camera with frames.
+
+    Returns:
+        The effects, that which explains most first; none where nothing is missed.
+    """
+    agreement = comparison.agreement
+    if all(one.ratio <= 1 for one in agreement.values() if one.is_missed):
+        return ()
+    traces, found = traces_of(comparison), []
+    fit = _Fit(comparison, traces)
+    while len(found) < MOST and fit.is_missed:
+        tried = [one for one in CANDIDATES if one.key not in [named.key for named in found]]
+        gains = [fit.gain_of(one) for one in tried]
+        best = int(np.argmax(gains))
+        if gains[best] < PRICE:
+            break
+        found.append(fit.take(tried[best], gains[best]))
+    for place, scatter in enumerate(SCATTERS):
+        gain = fit.gain_of_scatter(place) if scatter.key else 0.0
+        if gain >= PRICE and fit.is_missed:
+            found.append(fit.take_scatter(place, gain))
+    return tuple(found)
+
+
+def traces_of(comparison: Comparison) -> Traces:
+    """What the shapes of effects are made of.
+
+    Args:
+        comparison: of a camera with frames.
+
+    Returns:
+        The parts, for the best estimate of the camera.
+    """
+    found, lit = comparison.found, np.asarray(comparison.lit.lit)
+    amount = np.asarray(comparison.lit.light)
+    return Traces(
+        lit=lit,
+        exposure=np.asarray(comparison.lit.exposure),
+        signal=found.signal,
+        shot=found.step**2 * found.electrons,
+        total=found.values[1],
+        light=found.by_light[0],
+        light_shot=found.by_light[1],
+        amount=np.where(amount > 0, amount, 1.0),
+        step=found.step,
+    )
+
+
+class _Fit:
+    """Residuals of all quantities, and the effects that explain part of them."""
+
+    def __init__(self, comparison: Comparison, traces: Traces) -> None:
+        self._comparison, self._traces = comparison, traces
+        self._found, self._taken = comparison.found, []
+        self._named = np.zeros(len(SCATTERS), bool)
+        self._take_noise()
+        most = np.log(np.sum(self._missed**2) + 1)
+        self._bounds = [(most + np.log(FINEST), most)] * len(SCATTERS)
+        self._logs = np.full(len(SCATTERS), most - 5)
+        self._logs = self._searched(self._columns)
+
+    def _take_noise(self) -> None:
+        """Residuals, covariances and shapes over the frames' own noise, as it is expected now."""
+        comparison = self._comparison
+        self._unit = np.sqrt(noise(comparison.levels, self._found)).ravel()
+        self._missed = (comparison.seen - comparison.found.values).ravel() / self._unit
+        self._known = np.eye(self._unit.size)
+        self._known = self._known + comparison.camera / np.outer(self._unit, self._unit)
+        squares = np.array([self._shape(one) ** 2 for one in SCATTERS])
+        self._scales = np.maximum(squares.max(axis=1), 1e-300)
+        self._squares = squares / self._scales[:, None]
+        shapes = [self._shape(one) for one in self._taken]
+        self._columns = np.array(shapes).reshape(-1, self._unit.size).T
+
+    @property
+    def is_missed(self) -> bool:
+        """Whether what was taken so far leaves more than chance."""
+        return any(one.is_missed and one.ratio > 1 for one in self.agreement().values())
+
+    def gain_of(self, one: Candidate) -> float:
+        """By how much an effect lowers -2 log likelihood."""
+        shape = self._shape(one)
+        size = float(np.sqrt(np.sum(shape**2)))
+        if not size:
+            return -np.inf
+        columns = np.column_stack([self._columns, shape / size])
+        logs = self._searched(columns)
+        if one.positive and self._sizes(columns, self._covariance(logs))[0][-1] < 0:
+            return -np.inf
+        # Restricted likelihoods of other columns compare by what all lose to the same ones.
+        return self._unrestricted(self._columns, self._logs) - self._unrestricted(columns, logs)
+
+    def take(self, one: Candidate, gain: float) -> Missing:
+        """Adds an effect, with which the noise of the frames is another one."""
+        self._taken.append(one)
+        for _ in range(REFINEMENTS):
+            self._take_noise()
+            self._logs = self._searched(self._columns)
+            self._found = self._with_effects(
+                self._sizes(self._columns, self._covariance(self._logs))[0]
+            )
+        self._take_noise()
+        sizes, covariance = self._sizes(self._columns, self._covariance(self._logs))
+        size = Size(float(sizes[-1]), float(np.sqrt(covariance[-1, -1])))
+        return self._missing(one, size, gain)
+
+    def _with_effects(self, sizes: np.ndarray) -> Expected:
+        found = self._comparison.found
+        shape = found.values.shape
+        added = (self._columns @ sizes * self._unit).reshape(shape)
+        lines = {"row_noise": found.rows, "column_noise": found.columns}
+        for one, size in zip(self._taken, sizes, strict=True):
+            if one.key in lines:
+                lines[one.key] += max(float(size), 0.0)
+        values = found.values + added
+        values[1] = np.maximum(values[1], found.values[1] / LEAST_SHARE)
+        rows, columns = lines.values()
+        return replace(found, values=values, rows=rows, columns=columns)
+
+    def gain_of_scatter(self, place: int) -> float:
+        """By how much a scatter lowers -2 log likelihood, beside what was taken."""
+        logs = np.where(np.arange(len(SCATTERS)) == place, -np.inf, self._logs)
+        return self._unrestricted(self._columns, logs) - self._unrestricted(
+            self._columns, self._logs
+        )
+
+    def take_scatter(self, place: int, gain: float) -> Missing:
+        """Names a scatter."""
+        self._named[place] = True
+        value = float(np.sqrt(np.exp(self._logs[place]) / self._scales[place]))
+        levels = np.count_nonzero(self._squares[place])
+        return self._missing(SCATTERS[place], Size(value, value / np.sqrt(2 * levels)), gain)
+
+    def agreement(self) -> dict[str, Agreement]:
+        """How well each quantity is predicted with the effects and scatters that were named."""
+        levels, found = self._comparison.noise.shape[1], {}
+        own = self._covariance(np.where(self._named, self._logs, -np.inf))
+        left = self._missed - self._columns @ self._sizes(self._columns, own)[0]
+        for name, before in self._comparison.agreement.items():
+            place = np.ravel([np.arange(levels) + row * levels for row in PARTS[name]])
+            part = own[np.ix_(place, place)]
+            chi_square = float(left[place] @ np.linalg.solve(part, left[place]))
+            used = np.any(self._columns[place] != 0, axis=0).sum()
+            found[name] = Agreement(chi_square, max(before.degrees - float(used), 1.0))
+        return found
+
+    def _missing(self, one: Candidate, size: Size, gain: float) -> Missing:
+        clause = one.sentence(size, self._traces)
+        return Missing(one.key, clause, float(np.sqrt(gain)), self.agreement())
+
+    def _shape(self, one: Candidate) -> np.ndarray:
+        """Over the standard deviations of the frames' noise."""
+        rows = one.shape(self._traces)[: len(self._comparison.noise)]
+        none = np.zeros(self._comparison.noise.shape[1])
+        shape = np.concatenate([none if row is None else none + row for row in rows])
+        return shape / self._unit
+
+    def _covariance(self, logs: np.ndarray) -> np.ndarray:
+        return self._known + np.diag(np.exp(logs) @ self._squares)
+
+    def _searched(self, columns: np.ndarray) -> np.ndarray:
+        """The most likely scatters beside some effects, as logarithms of their squares."""
+
+        def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
+            covariance = self._covariance(logs)
+            inverse = np.linalg.inv(covariance)
+            of = inverse @ columns
+            inner = columns.T @ of
+            apart = inverse - of @ np.linalg.pinv(inner) @ of.T
+            left = apart @ self._missed
+            slope = self._squares @ (np.diagonal(apart) - left**2) * np.exp(logs)
+            _, size = np.linalg.slogdet(covariance)
+            _, more = np.linalg.slogdet(inner) if columns.size else (1.0, 0.0)
+            return float(self._missed @ left + size + more), slope
+
+        start = np.clip(self._logs, *np.transpose(self._bounds))
+        found = minimize(cost, start, jac=True, bounds=self._bounds, method="L-BFGS-B")
+        return found.x
+
+    def _unrestricted(self, columns: np.ndarray, logs: np.ndarray) -> float:
+        covariance = self._covariance(logs)
+        sizes, _ = self._sizes(columns, covariance)
+        left = self._missed - columns @ sizes
+        return float(left @ np.linalg.solve(covariance, left)) + float(
+            np.linalg.slogdet(covariance)[1]
+        )
+
+    def _sizes(self, columns: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sizes of effects by generalised least squares, and their covariance."""
+        unit = np.sqrt(np.sum(columns**2, axis=0))
+        scaled = columns / unit
+        of = np.linalg.solve(covariance, scaled)
+        inverse = np.linalg.pinv(scaled.T @ of)
+        return inverse @ (of.T @ self._missed) / unit, inverse / np.outer(unit, unit)

@@ -1,0 +1,329 @@
+"""Mean, variance and covariances of neighbours that a sensor predicts of even light and of none, by
+the moments of `jaxvision` alone, and by how much a few frames scatter about them."""
+
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.special import ndtri
+
+from jaxvision import Sensor, ShutterOffset, clipped_moments, expected_signal, signal_variance
+from jaxvision.sensor import neighbour_covariances
+
+from ...inference.compiled import compiled_briefly
+from ..levels import CLEAR_OF_CLIPPING, PhotonTransfer
+
+QUANTITIES = ("mean", "variance", "along rows", "along columns")
+SHORTEST = 1e-12  # s, of a flash or a bias frame
+DITHERED = 0.6  # codes rms, below which rounding is no noise of its own
+OFFSETS = 24  # of the pixels, over which rounding is averaged
+
+
+class Lit(eqx.Module):
+    """Levels of light, and none.
+
+    Attributes:
+        light: (levels,) photons per pixel and exposure; electrons of a sensor without efficiency.
+        exposure: (levels,) s.
+        lit: (levels,) 1 with light, 0 without.
+    """
+
+    light: Float[Array | np.ndarray, "..."]
+    exposure: Float[Array | np.ndarray, "..."]
+    lit: Float[Array | np.ndarray, "..."]
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What one sensor predicts.
+
+    Attributes:
+        values: (quantities, levels) the `QUANTITIES`, DN and DN^2.
+        by_light: (quantities, levels) their slopes over the logarithm of the light.
+        electrons: (levels,) mean charge of a pixel.
+        step: (levels,) DN of one more electron.
+        rows: DN^2, noise that the pixels of a row share, new in every frame.
+        columns: likewise.
+        frames: likewise of all pixels.
+    """
+
+    values: Float[np.ndarray, "quantities levels"]
+    by_light: Float[np.ndarray, "quantities levels"]
+    electrons: Float[np.ndarray, " levels"]
+    step: Float[np.ndarray, " levels"]
+    rows: float
+    columns: float
+    frames: float
+
+    @property
+    def signal(self) -> Float[np.ndarray, " levels"]:
+        """DN above black, about."""
+        return self.step * self.electrons
+
+    def at(self, shown: Bool[np.ndarray, " levels"]) -> "Expected":
+        """That of some levels."""
+        return replace(
+            self,
+            values=self.values[:, shown],
+            by_light=self.by_light[:, shown],
+            electrons=self.electrons[shown],
+            step=self.step[shown],
+        )
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Statistics of the frames of levels, as `Levels` has them.
+
+    Attributes:
+        light: (levels,) as of the measurement.
+        mean: (levels,) DN.
+        variance: (levels,) temporal, DN^2.
+        neighbours: (2, levels) covariances along rows and along columns, DN^2; None where they are
+            not known.
+        frames: (levels,) how many.
+        pixels: how many.
+        shape: rows and columns; None where they are not known.
+        unsteady: (levels,) variance of a frame's mean by noise that was taken out, DN^2.
+        light_error: (levels,) relative, by which the light of each level is off.
+        variance_error: relative, by which variances scatter for reasons that are not known.
+    """
+
+    light: Float[np.ndarray, " levels"]
+    mean: Float[np.ndarray, " levels"]
+    variance: Float[np.ndarray, " levels"]
+    neighbours: Float[np.ndarray, "2 levels"] | None
+    frames: Float[np.ndarray, " levels"]
+    pixels: float
+    shape: tuple[float, float] | None
+    unsteady: Float[np.ndarray, " levels"]
+    light_error: Float[np.ndarray, " levels"]
+    variance_error: float
+
+    @property
+    def seen(self) -> Float[np.ndarray, "quantities levels"]:
+        """The `QUANTITIES`, as far as they are known."""
+        around = () if self.neighbours is None else tuple(self.neighbours)
+        return np.array([self.mean, self.variance, *around])
+
+    def at(self, shown: Bool[np.ndarray, " levels"]) -> "Frames":
+        """Those of some levels."""
+        return replace(
+            self,
+            light=self.light[shown],
+            mean=self.mean[shown],
+            variance=self.variance[shown],
+            neighbours=None if self.neighbours is None else self.neighbours[:, shown],
+            frames=self.frames[shown],
+            unsteady=self.unsteady[shown],
+            light_error=self.light_error[shown],
+        )
+
+
+def levels_of(
+    measurement: PhotonTransfer, usable: np.ndarray, *, light_error: float, variance_error: float
+) -> tuple[Lit, Frames]:
+    """The usable bright levels and all darks in one row.
+
+    Args:
+        measurement: bright and dark levels.
+        usable: indices of the bright levels to use.
+        light_error: relative, by which the light of a level is off, beside what was rounded.
+        variance_error: relative, by which variances scatter for reasons that are not known.
+
+    Returns:
+        What lit them, and their statistics.
+    """
+    bright, dark = measurement.bright, measurement.dark
+    darks = dark.mean.size
+
+    def row(name: str) -> np.ndarray:
+        return np.concatenate(
+            [np.asarray(getattr(bright, name))[usable], np.asarray(getattr(dark, name))]
+        )
+
+    lit = Lit(row("light"), row("exposure"), np.repeat([1.0, 0.0], [len(usable), darks]))
+    unsteady, neighbours, shape = np.zeros(len(usable) + darks), None, None
+    if bright.covariances is not None and dark.covariances is not None:
+        covariances = row("covariances")
+        neighbours = np.array([covariances[:, 0, 1], covariances[:, 1, 0]])
+        if bright.flicker is not None:
+            neighbours[:, : len(usable)] -= np.asarray(bright.flicker)[:, usable]
+    if bright.unsteady is not None:
+        unsteady[: len(usable)] = np.asarray(bright.unsteady)[usable]
+    if bright.shared is not None:
+        rows, columns = (float(size) for size in bright.shared.shape)
+        shape = rows, columns
+    light = np.asarray(lit.light)
+    rounded = float(measurement.light_step) / np.sqrt(12) if measurement.photons_known else 0.0
+    of_light = np.divide(rounded, light, out=np.zeros_like(light), where=light > 0)
+    return lit, Frames(
+        light=light,
+        mean=row("mean"),
+        variance=row("variance"),
+        neighbours=neighbours,
+        frames=row("frames"),
+        pixels=float(bright.pixels),
+        shape=shape,
+        unsteady=unsteady,
+        light_error=np.hypot(light_error, of_light),
+        variance_error=variance_error,
+    )
+
+
+def expected(
+    sensors: Sensor, lit: Lit, *, neighbours: bool
+) -> Float[np.ndarray, "draws quantities levels"]:
+    """The quantities, in the sensor's codes, clear of the ends of the scale.
+
+    Args:
+        sensors: a sensor with a leading axis at every number.
+        lit: the levels.
+        neighbours: whether covariances are asked for.
+
+    Returns:
+        (draws, quantities, levels).
+    """
+    return np.asarray(_expected(sensors, lit, neighbours=neighbours))
+
+
+@compiled_briefly
+def _expected(sensors: Sensor, lit: Lit, *, neighbours: bool) -> Array:
+    def of(sensor: Sensor) -> Array:
+        one = jax.vmap(lambda at: _quantities(sensor, at, neighbours=neighbours), out_axes=1)
+        return one(lit)
+
+    return eqx.filter_vmap(of)(sensors)
+
+
+def _quantities(sensor: Sensor, at: Lit, *, neighbours: bool) -> Array:
+    sensor, light = _at(sensor, at)
+    found = [expected_signal(sensor, light)]
+    if not neighbours:
+        found.append(signal_variance(sensor, light))
+        return jnp.stack([one.reshape(()) for one in found])
+    around = neighbour_covariances(sensor, light, reach=1)
+    around = around.reshape(2, 2)
+    return jnp.stack([found[0].reshape(()), around[0, 0], around[0, 1], around[1, 0]])
+
+
+def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
+    """The sensor at the exposure of ONE level, without noise that whole frames share, and its
+    light as a rate."""
+    time = jnp.maximum(at.exposure, SHORTEST)
+    offset = sensor.light_offset
+    if offset is not None and not isinstance(offset, ShutterOffset):
+        offset = at.lit * offset  # no shutter lets light into a dark
+    sensor = replace(sensor, exposure_time=time, frame_noise=None, light_offset=offset)
+    return sensor, jnp.full((1, 1, 1), at.light / time)
+
+
+@compiled_briefly
+def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
+    """Electrons of each level, codes of one more electron, and codes of light e times as much.
+
+    Args:
+        sensor: one.
+        lit: the levels.
+
+    Returns:
+        (levels,) three times.
+    """
+
+    def one(at: Lit) -> tuple[Array, Array, Array]:
+        def both(more: Array) -> tuple[Array, Array]:
+            own, light = _at(sensor, replace(at, light=at.light + more))
+            plain = replace(own, gain=None, offset=None, nonlinearity=None, bits=None)
+            return jnp.sum(expected_signal(own, light)), jnp.sum(expected_signal(plain, light))
+
+        nothing = jnp.zeros_like(at.light)
+        (_, electrons), (codes, charge) = jax.jvp(both, (nothing,), (jnp.ones_like(nothing),))
+        return electrons, codes / charge, codes * at.light
+
+    return jax.vmap(one)(lit)
+
+
+def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np.ndarray:
+    """Which levels the ends of the scale, the well or coarse rounding change.
+
+    Args:
+        sensor: one.
+        values: its quantities, codes.
+        electrons: (levels,) mean charge.
+
+    Returns:
+        (levels,) true where `clipped_moments` are needed.
+    """
+    mean, deviation = values[0], np.sqrt(np.maximum(values[1], 0))
+    near = np.zeros(mean.shape, bool)
+    if sensor.bits is not None:
+        near |= mean < CLEAR_OF_CLIPPING * deviation
+        near |= mean + CLEAR_OF_CLIPPING * deviation > 2.0 ** float(sensor.bits) - 1
+        near |= deviation < DITHERED
+    if sensor.full_well is not None:
+        near |= electrons + CLEAR_OF_CLIPPING * np.sqrt(electrons) > float(sensor.full_well)
+    return near
+
+
+def clipped(sensor: Sensor, lit: Lit) -> Float[np.ndarray, "2 levels"]:
+    """Mean and variance near the ends of the scale, averaged over the offsets of the pixels.
+
+    Args:
+        sensor: one.
+        lit: the levels.
+
+    Returns:
+        Codes and their square.
+    """
+    return np.asarray(_clipped(sensor, lit))
+
+
+@compiled_briefly
+def _clipped(sensor: Sensor, lit: Lit) -> Array:
+    spread = sum(x**2 for x in (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu) if x is not None)
+    gain = 1.0 if sensor.gain is None else sensor.gain
+    black = 0.0 if sensor.offset is None else sensor.offset
+    places = jnp.asarray(ndtri((np.arange(OFFSETS) + 0.5) / OFFSETS))
+    offsets = black + gain * jnp.sqrt(spread) * places
+
+    def one(at: Lit, offset: Array) -> Array:
+        own, light = _at(replace(sensor, offset=offset), at)
+        return jnp.stack([moment.reshape(()) for moment in clipped_moments(own, light)])
+
+    of_offsets = jax.lax.map(lambda offset: jax.vmap(lambda at: one(at, offset))(lit), offsets)
+    return jnp.mean(of_offsets, axis=0).T
+
+
+def noise(levels: Frames, found: Expected) -> Float[np.ndarray, "quantities levels"]:
+    """Variance by which what frames show scatters about what is expected.
+
+    Args:
+        levels: how many frames and pixels there are, and errors from level to level.
+        found: what is expected.
+
+    Returns:
+        DN^2, then DN^4.
+    """
+    frames, pixels, degrees = levels.frames, levels.pixels, levels.frames - 1
+    total = found.values[1]
+    own = np.maximum(total - found.rows - found.columns, 0)
+    lines = []
+    if levels.shape is not None:
+        lines = [(found.rows, *levels.shape), (found.columns, *levels.shape[::-1])]
+    mean = own / pixels + found.frames + sum(line / count for line, count, _ in lines)
+    mean = (mean + levels.unsteady) / frames + (levels.light_error * found.by_light[0]) ** 2
+    fourth = found.step**4 * found.electrons
+    variance = (2 * total**2 / degrees + fourth / frames) / pixels
+    variance = variance + sum(2 * line**2 / count for line, count, _ in lines) / degrees
+    variance = variance + (levels.variance_error * total) ** 2
+    variance = variance + (levels.light_error * found.by_light[1]) ** 2
+    variances = [mean, variance]
+    if len(found.values) == len(QUANTITIES):
+        for (line, count, across), (other, of_other, _) in (lines, lines[::-1]):
+            pairs = pixels * (1 - 1 / across)
+            shared = 2 * line * (line + 2 * own / across) / count + other**2 / of_other
+            variances.append((own**2 / pairs + shared) / degrees)
+    return np.array(variances)

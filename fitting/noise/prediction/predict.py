@@ -1,0 +1,251 @@
+"""What a camera predicts of later frames, and that of a calibration of its own."""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool
+
+from jaxvision import PhotonConversion, Sensor, as_dtype
+from jaxvision.errors import InputError
+from jaxvision.files.cameras import read_camera, read_sensor, write_sensor
+from jaxvision.files.toml import read_toml
+
+from ...inference.given import require_kind
+from ...inference.parameters import names
+from ...inference.precision import in_double
+from ...report.notebook import ShownInNotebooks
+from ..calibration import NoiseCalibration
+from ..levels import PhotonTransfer, linear_levels
+from ..sensor import fitted_sensor
+from .comparison import Comparison, compare
+from .missing import Missing, missing_effects
+
+DRAWS = 200  # of a camera file, by which its own uncertainty is judged
+LEAST = 3  # levels of light beyond the terms of a curve that half of the levels must have
+EVERY = 2  # levels of which one is kept out
+FEWEST_DARKS = 8  # from which on darks are kept out, too
+
+Camera = NoiseCalibration | Sensor | str | os.PathLike[str]
+
+
+@dataclass(frozen=True, repr=False)
+class Prediction(ShownInNotebooks):
+    """Frames beside what a camera predicts of them.
+
+    Attributes:
+        camera: its name in sentences.
+        comparisons: of the camera with levels; the first one is judged.
+        labels: what the levels of each comparison are.
+        unscaled: whether the means gave the rate of the light.
+        light_error: relative, by which the light of a level is off.
+        variance_error: relative, by which variances scatter for reasons that are not known.
+        missing: effects that the camera lacks, of those that are known.
+    """
+
+    camera: str
+    comparisons: tuple[Comparison, ...]
+    labels: tuple[str, ...]
+    unscaled: bool
+    light_error: float
+    variance_error: float
+    missing: tuple[Missing, ...]
+
+    @property
+    def judged(self) -> Comparison:
+        return self.comparisons[0]
+
+
+@in_double
+def predict(
+    camera: Camera,
+    measurement: PhotonTransfer,
+    *,
+    draws: Sensor | None = None,
+    light_error: float = 0.0,
+) -> Prediction:
+    """Compares frames with what a camera alone predicts of them.
+
+    Args:
+        camera: a calibration, a sensor, a file of one (`sensor.toml` that a noise calibration
+            wrote, with its draws beside it) or of a camera, or the name of a shipped camera.
+        measurement: flats and darks, as `read_photon_transfer` or `from_frames` gives them.
+        draws: of a sensor that is no file, with a leading axis at every number; None where its
+            numbers are exact.
+        light_error: relative standard deviation of the light of a level about what is stated.
+
+    Returns:
+        Mean, variance and covariance of neighbours of each level beside the prediction, with
+        chi-squares, and the effects that the camera lacks.
+
+    Raises:
+        InputError: for what is no camera of one channel.
+
+    Example:
+        >>> from fitting.noise import Camera, from_frames, predict
+        >>> known = {"quantum_efficiency": 0.5, "read_noise": 4.0, "gain": 0.5, "offset": 50.0}
+        >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), bits=12, **known)
+        >>> photons = [500.0, 1000.0, 2000.0, 4000.0]
+        >>> def frames(seed, light):
+        ...     field, keys = jnp.full((40, 40, 1), light), jax.random.split(jax.random.key(seed))
+        ...     return [np.asarray(jv.raw_image(key, sensor, field))[..., 0] for key in keys]
+        >>> flats = [frames(i, light) for i, light in enumerate(photons)]
+        >>> at = {"camera": Camera(bits=12), "dark_exposures": [1.0]}
+        >>> measured = from_frames(flats, [frames(9, 0.0)], [1.0] * 4, photons, **at)
+        >>> predict(sensor, measured).judged.missed  # nothing
+        []
+    """
+    require_kind("noise.predict: measurement", measurement, PhotonTransfer, source="from_frames")
+    if not 0 <= light_error < 1:
+        raise InputError(
+            f"light_error is {light_error:g}, but is relative: give .01 for 1 %, at least 0 and "
+            "below 1."
+        )
+    name = "The camera"
+    if isinstance(camera, NoiseCalibration):
+        camera, draws = written(camera)
+    elif not isinstance(camera, Sensor):
+        name = str(camera)
+        camera, draws = _read(Path(camera))
+    camera = _of_one_channel(name, camera)
+    if draws is not None:
+        draws = eqx.tree_at(_conversion, draws, None, is_leaf=lambda leaf: leaf is None)
+    measurement = as_dtype(measurement, np.float64)
+    usable = linear_levels(measurement)
+    found = compare(camera, draws, measurement, usable, light_error=light_error)
+    unscaled = camera.quantum_efficiency is None or not measurement.photons_known
+    return Prediction(
+        camera=name,
+        comparisons=(found,),
+        labels=("all levels below saturation",),
+        unscaled=unscaled,
+        light_error=light_error,
+        variance_error=0.0,
+        missing=missing_effects(found),
+    )
+
+
+@in_double
+def of_calibration(calibration: NoiseCalibration) -> Prediction:
+    """What the camera of a calibration, written and read back, predicts of its own frames: of
+    levels that a second fit of the same model was kept from, where there are enough, and of all.
+
+    Args:
+        calibration: that a sensor can be made of.
+
+    Returns:
+        The comparison.
+    """
+    values = calibration.chosen.values
+    errors = {
+        "light_error": float(values.get("light_scatter", 0.0)),
+        "variance_error": float(values.get("variance_scatter", 0.0)),
+    }
+    whole = _compared(calibration, None, errors)
+    kept_out = levels_kept_out(calibration)
+    comparisons, labels = (whole,), ("the levels of its fit",)
+    if kept_out is not None:
+        apart = _compared(calibration, kept_out, errors)
+        comparisons = (apart, whole)
+        labels = ("levels kept out of its fit", "all levels, fitted to them")
+    return Prediction(
+        camera="The written camera",
+        comparisons=comparisons,
+        labels=labels,
+        unscaled=not calibration.measurement.photons_known,
+        missing=missing_effects(comparisons[0]),
+        **errors,
+    )
+
+
+def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"] | None:
+    """Every second level of light, with the darks that are of no other level.
+
+    Args:
+        calibration: with a likelihood.
+
+    Returns:
+        (levels,) of the likelihood's levels, bright ones and darks; None where the rest would be
+        too few for the fit.
+    """
+    measurement, chosen = calibration.measurement, calibration.chosen
+    bright, darks = len(calibration.usable), measurement.dark.mean.size
+    curve = {"compression", "compression_2", "light_offset"} & {*names(chosen.space)}
+    apart = np.arange(bright) % EVERY == 1
+    if (~apart).sum() < LEAST + len(curve) + 1:
+        return None
+    unlit = np.zeros(darks, bool)
+    if darks >= FEWEST_DARKS:
+        matched = np.asarray(measurement.dark_of)
+        used = np.isin(np.arange(darks), matched[calibration.usable[~apart]])
+        unlit = np.isin(np.arange(darks), matched[calibration.usable[apart]]) & ~used
+        if (~unlit).sum() < FEWEST_DARKS // 2:
+            unlit[:] = False
+    return np.concatenate([apart, unlit])
+
+
+def _compared(
+    calibration: NoiseCalibration,
+    kept_out: Bool[np.ndarray, " levels"] | None,
+    errors: dict[str, float],
+) -> Comparison:
+    """Of the camera as it was written, not of the fit."""
+    camera, drawn = written(calibration, kept_out=kept_out)
+    fitted, usable = kept_out is None, calibration.usable
+    at = {"shown": kept_out, "fitted": fitted, **errors}
+    return compare(camera, drawn, calibration.measurement, usable, **at)
+
+
+def written(
+    calibration: NoiseCalibration, *, kept_out: Bool[np.ndarray, " levels"] | None = None
+) -> tuple[Sensor, Sensor | None]:
+    """The sensor of a calibration, written to a file and read back.
+
+    Args:
+        calibration: that a sensor can be made of.
+        kept_out: (levels,) of the likelihood's levels that it is fitted without; None for none.
+
+    Returns:
+        The best fit, and draws.
+    """
+    best, draws = fitted_sensor(calibration, left_out=kept_out)
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "sensor.toml"
+        write_sensor(best, file, draws=draws)
+        return _read(file)
+
+
+def _read(file: Path) -> tuple[Sensor, Sensor | None]:
+    """A sensor and the draws that lie beside its file, if there are any."""
+    if not file.suffix and not file.exists():
+        return read_camera(str(file)).sensor, None
+    whole = "view" in read_toml(file, "camera")
+    beside = file.with_suffix(".npz")
+    there = 0
+    if beside.is_file():
+        with np.load(beside) as stored:
+            there = min((len(stored[name]) for name in stored.files), default=0)
+    count = min(DRAWS, there)
+    if whole:
+        draws = read_camera(file, draws=count).sensor if count else None
+        return read_camera(file).sensor, draws
+    return read_sensor(file), read_sensor(file, draws=count) if count else None
+
+
+def _of_one_channel(name: str, sensor: Sensor) -> Sensor:
+    """The sensor, whose light is photons per pixel."""
+    several = sensor.colour_filter is not None and sensor.colour_filter.transmission.size > 1
+    several |= sensor.quantum_efficiency is not None and sensor.quantum_efficiency.size > 1
+    if several or sensor.infrared_cut is not None:
+        raise InputError(
+            f"{name}: has several bands, but flats have one light; give the sensor of one channel, "
+            "as jaxvision-fit noise writes it for each site of a mosaic."
+        )
+    return replace(sensor, photon_conversion=None)
+
+
+def _conversion(sensor: Sensor) -> PhotonConversion | None:
+    return sensor.photon_conversion

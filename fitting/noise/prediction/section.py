@@ -1,0 +1,187 @@
+"""A prediction as its reader sees it: chi-squares, what the camera lacks, and the residuals."""
+
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ...inference.formatting import format_number, format_p
+from ...report.colours import BLUE
+from ...report.section import Picture, Section, Table
+from .comparison import PARTS, Agreement
+from .predict import Prediction
+
+KIND, TITLE = "prediction", "What the camera predicts of its frames"
+NOTHING_KNOWN = "No effect that is known here explains it."
+REST_UNKNOWN = "No effect that is known here explains the rest."
+ORANGE, GREY = "tab:orange", "0.45"
+BAND = 2  # standard errors
+
+
+def section(prediction: Prediction) -> Section:
+    """A prediction as a section of a report.
+
+    Args:
+        prediction: of frames.
+
+    Returns:
+        Findings, the table of chi-squares, and the picture of residuals.
+    """
+    return Section(
+        kind=KIND,
+        title=TITLE,
+        estimates=(),
+        findings=findings(prediction),
+        pictures=(picture(prediction),),
+        tables=(table(prediction),),
+        about=f"{prediction.camera} and {len(prediction.judged.lit.lit)} levels of light and dark.",
+    )
+
+
+def findings(prediction: Prediction) -> tuple[str, ...]:
+    """What a prediction has to say, in sentences.
+
+    Args:
+        prediction: of frames.
+
+    Returns:
+        How well each quantity is predicted, and what the camera lacks.
+    """
+    judged = prediction.judged
+    lit = int(np.sum(np.asarray(judged.lit.lit)))
+    dark = judged.lit.lit.size - lit
+    levels = f"{lit} levels of light" + (f" and {dark} of dark" if dark else "")
+    kept = ""
+    if len(prediction.comparisons) > 1:
+        kept = ", which the fit of another camera file like it was kept from,"
+    elif prediction.labels[0] == "the levels of its fit":
+        kept = ", those of its fit, as there are too few to keep some out of it,"
+    told = [
+        f"{prediction.camera} alone predicts {levels}{kept} with chi-squares per degree of freedom "
+        f"of {_ratios(judged.agreement)}."
+    ]
+    if prediction.unscaled:
+        told.append(
+            "The camera or the frames do not tell photons, so the means gave the rate of the light."
+        )
+    errors = [
+        f"{what} by {format_number(100 * size, 3)} %"
+        for what, size in (
+            ("light is off", prediction.light_error),
+            ("variances scatter", prediction.variance_error),
+        )
+        if size
+    ]
+    if errors:
+        told.append(
+            f"These allow for what no camera file holds: from level to level {' and '.join(errors)}"
+            " rms."
+        )
+    return (*told, *_missed(prediction))
+
+
+def _missed(prediction: Prediction) -> list[str]:
+    agreement = prediction.judged.agreement
+    told = []
+    far = {name: agreement[name] for name in prediction.judged.missed}
+    less = {name: one for name, one in far.items() if one.ratio < 1}
+    more = {name: one for name, one in far.items() if one.ratio > 1}
+    if less:
+        told.append(
+            f"The {_listed(less)} scatter less about the prediction than independent frames do "
+            f"({_chances(less)}): frames of a level may be copies or averages of each other."
+        )
+    if not more:
+        return told
+    told.append(f"The {_listed(more)} are missed by more than chance ({_chances(more)}).")
+    for one in prediction.missing:
+        first = one is prediction.missing[0]
+        told.append(
+            f"{'What explains it most likely is' if first else 'Beside that, there is'} "
+            f"{one.clause}: {one.strength:.0f} standard errors from none. With it the chi-squares "
+            f"are {_ratios(one.after)}."
+        )
+    left = prediction.missing[-1].after if prediction.missing else agreement
+    if any(one.is_missed and one.ratio > 1 for one in left.values()):
+        told.append(NOTHING_KNOWN if not prediction.missing else REST_UNKNOWN)
+    return told
+
+
+def _ratios(agreement: dict[str, Agreement]) -> str:
+    return _joined([f"{one.ratio:.3g} for {name}" for name, one in agreement.items()])
+
+
+def _listed(agreement: dict[str, Agreement]) -> str:
+    return _joined(list(agreement))
+
+
+def _chances(agreement: dict[str, Agreement]) -> str:
+    return ", ".join(format_p(one.p_value) for one in agreement.values())
+
+
+def _joined(words: list[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def table(prediction: Prediction) -> Table:
+    """The chi-squares of a prediction.
+
+    Args:
+        prediction: of frames.
+
+    Returns:
+        A row for each quantity and group of levels.
+    """
+    rows = [
+        (name, label, one.degrees, one.ratio, one.p_value)
+        for comparison, label in zip(prediction.comparisons, prediction.labels, strict=True)
+        for name, one in comparison.agreement.items()
+    ]
+    return Table(
+        f"What {prediction.camera[:1].lower()}{prediction.camera[1:]} predicts",
+        ("quantity", "levels", "degrees of freedom", "χ² per degree", "p-value"),
+        tuple(rows),
+        "The camera alone predicts each level by the moments of its sensor; errors are those of "
+        "the frames and of the camera's draws. χ² per degree is near 1 where it holds.",
+    )
+
+
+def picture(prediction: Prediction) -> Picture:
+    """The residuals of a prediction, drawn when asked for.
+
+    Args:
+        prediction: of frames.
+
+    Returns:
+        The picture.
+    """
+    return Picture(
+        "prediction",
+        "Residuals of the prediction",
+        "What frames show less what the camera alone predicts, in standard errors, over the mean "
+        "signal; squares are levels without light. The band is two standard errors.",
+        partial(residual_figure, prediction),
+    )
+
+
+def residual_figure(prediction: Prediction) -> Figure:
+    """Residuals over signal, a panel for each quantity."""
+    judged = prediction.judged
+    figure = Figure(figsize=(5.4, 1.5 + 1.3 * len(judged.agreement)), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(judged.agreement), 1, sharex=True))
+    signal, lit = judged.found.signal, np.asarray(judged.lit.lit) > 0
+    colours = (BLUE, ORANGE)
+    for panel, name in zip(panels, judged.agreement, strict=True):
+        panel.axhspan(-BAND, BAND, color="0.93", zorder=0)
+        panel.axhline(0, color="k", lw=0.8)
+        words = ("along rows", "along columns") if len(PARTS[name]) > 1 else (None,)
+        for row, colour, word in zip(PARTS[name], colours, words, strict=False):
+            left = judged.residuals[row]
+            panel.plot(signal[lit], left[lit], ".", color=colour, ms=6, label=word)
+            panel.plot(signal[~lit], left[~lit], "s", color=colour, ms=3.5, mfc="none")
+        if words[0]:
+            panel.legend(fontsize=8)
+        panel.set_ylabel(name.replace(" of ", "\nof "), fontsize=9)
+    panels[-1].set_xlabel("mean signal above black [DN]")
+    return figure

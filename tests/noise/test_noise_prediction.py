@@ -1,0 +1,282 @@
+"""What a written camera predicts: frames of known cameras, whose moments are in closed form."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from commands import called
+
+import fitting.noise.calibration as calibrations
+from fitting.cli import app
+from fitting.noise import Camera, calibrate, from_frames, predict
+from fitting.noise.levels import Levels, PhotonTransfer
+from fitting.noise.prediction.comparison import compare
+from fitting.noise.prediction.predict import levels_kept_out, of_calibration
+from fitting.noise.prediction.section import NOTHING_KNOWN, findings
+from fitting.noise.sensor import fitted_sensor
+from fitting.noise.shared import SharedVariance
+from jaxvision import (
+    Compression,
+    PoissonShotNoise,
+    Sensor,
+    raw_image,
+    read_sensor,
+    write_sensor,
+)
+from jaxvision.errors import InputError
+
+GAIN, EFFICIENCY, READ, BLACK, CURRENT = 0.25, 0.5, 5.0, 64.0, 100.0
+SIZE, FRAMES = 96, 4
+PHOTONS = np.linspace(240.0, 24_000.0, 12)
+EXPOSURES = np.linspace(0.001, 0.02, 12)
+PLAIN = Sensor(
+    shot_noise=PoissonShotNoise(),
+    quantum_efficiency=EFFICIENCY,
+    read_noise=READ,
+    dark_current=CURRENT,
+    gain=GAIN,
+    offset=BLACK,
+    bits=12,
+)
+
+
+def closed_form(photons, seconds, *, rows=0.0, curve=0.0, leak=0.0, mixed=0.0, repelled=0.0):
+    """Mean, variance, covariances along rows and along columns of pixels, DN: by hand."""
+    electrons = EFFICIENCY * (photons + leak * (photons > 0)) + CURRENT * seconds
+    top = EFFICIENCY * PHOTONS[-1]
+    slope = GAIN * (1 - 2 * curve * electrons / top)
+    lost = repelled * electrons / top  # of the variance, to four neighbours
+    own = slope**2 * electrons * (1 - mixed - lost)
+    around = slope**2 * electrons * (mixed + lost) / 4
+    mean = BLACK + GAIN * electrons * (1 - curve * electrons / top)
+    noise = GAIN**2 * (READ**2 + rows**2) + 1 / 12
+    return np.array([mean, own + noise, around + (GAIN * rows) ** 2, around])
+
+
+def measured(rng, *, chance=1.0, **planted):
+    """Flats and darks whose statistics scatter about the closed form as those of frames do."""
+    n = SIZE**2
+    shared = (GAIN * planted.get("rows", 0.0)) ** 2
+
+    def levels(photons, seconds):
+        found = closed_form(photons, seconds, **planted)
+        total, count = found[1], len(photons)
+        errors = [
+            np.sqrt((total / n + shared / SIZE) / FRAMES),
+            np.sqrt((2 * total**2 / n + 2 * shared**2 / SIZE) / (FRAMES - 1)),
+            np.sqrt((total**2 / n + 2 * shared * (shared + total / SIZE) / SIZE) / (FRAMES - 1)),
+            np.sqrt((total**2 / n + shared**2 / SIZE) / (FRAMES - 1)),
+        ]
+        found = found + chance * np.array(errors) * rng.standard_normal(found.shape)
+        covariances = np.zeros((count, 4, 4))
+        covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 0] = found[1:]
+        none = jnp.zeros(count)
+        of_rows = jnp.full(count, shared)
+        return Levels(
+            light=jnp.asarray(photons),
+            exposure=jnp.asarray(seconds),
+            mean=jnp.asarray(found[0]),
+            variance=jnp.asarray(found[1]),
+            frames=jnp.full(count, float(FRAMES)),
+            pixels=jnp.asarray(float(n)),
+            shared=SharedVariance(of_rows, none, none, none, none, jnp.full(2, float(SIZE))),
+            covariances=jnp.asarray(covariances),
+        )
+
+    return PhotonTransfer(
+        bright=levels(PHOTONS, EXPOSURES),
+        dark=levels(np.zeros(6), EXPOSURES[::2]),
+        dark_of=jnp.arange(12) // 2,
+        light_step=jnp.asarray(0.0),
+        full_scale=4095.0,
+    )
+
+
+def test_a_sensor_predicts_the_closed_form_of_every_quantity():
+    top = EFFICIENCY * PHOTONS[-1]
+    sensor = replace(PLAIN, row_noise=6.0, nonlinearity=Compression(0.04, electrons=top))
+    sensor = replace(sensor, light_offset=30.0)
+    planted = {"rows": 6.0, "curve": 0.04, "leak": 30.0}
+    exact = measured(np.random.default_rng(0), chance=0.0, **planted)
+    found = compare(sensor, None, exact, np.arange(12))
+    np.testing.assert_allclose(found.found.values, found.seen, rtol=2e-3)
+    np.testing.assert_allclose(found.found.values[0], found.seen[0], rtol=1e-5)
+
+
+def test_a_true_camera_is_missed_by_no_more_than_chance():
+    """Chi-squares of 60 measurements against their distribution."""
+    chi_squares = {"means": [], "variances": [], "covariances of neighbours": []}
+    sensor = replace(PLAIN, row_noise=6.0)
+    for seed in range(60):
+        made = measured(np.random.default_rng(seed), rows=6.0)
+        for name, one in compare(sensor, None, made, np.arange(12)).agreement.items():
+            chi_squares[name].append(one.chi_square)
+            degrees = one.degrees
+            assert degrees == (36 if name.startswith("cov") else 18)
+    for name, found in chi_squares.items():
+        degrees = 36 if name.startswith("cov") else 18
+        assert abs(np.mean(found) / degrees - 1) < 4 * np.sqrt(2 / degrees / 60), name
+        assert 0.5 < np.var(found) / (2 * degrees) < 2, name
+
+
+PLANTED = {
+    "row_noise": {"rows": 4.0},
+    "compression": {"curve": 0.02},
+    "light_offset": {"leak": 40.0},
+    "mixing": {"mixed": 0.08},
+    "brighter_fatter": {"repelled": 0.1},
+}
+
+
+@pytest.mark.parametrize("effect", PLANTED)
+def test_a_planted_effect_that_the_camera_lacks_is_named(effect):
+    named = []
+    for seed in range(5):
+        prediction = predict(PLAIN, measured(np.random.default_rng(seed), **PLANTED[effect]))
+        assert prediction.judged.missed
+        named.append([one.key for one in prediction.missing])
+        assert not any(one.is_missed for one in prediction.missing[-1].after.values())
+        told = findings(prediction)
+        assert any("What explains it most likely is" in sentence for sentence in told)
+        assert NOTHING_KNOWN not in told
+    assert sum(keys == [effect] for keys in named) >= 4, named
+
+
+def test_an_effect_of_no_known_kind_is_not_named():
+    made = measured(np.random.default_rng(1))
+    waves = 1 + 0.02 * np.sin(np.arange(12.0))[:, None, None] ** 3
+    covariances = np.asarray(made.bright.covariances).copy()
+    covariances[:, 1, 0] += 40 * waves[:, 0, 0] * (-1.0) ** np.arange(12)
+    bright = replace(made.bright, covariances=jnp.asarray(covariances))
+    prediction = predict(PLAIN, replace(made, bright=bright))
+    assert prediction.judged.missed == ["covariances of neighbours"]
+    assert NOTHING_KNOWN in findings(prediction)
+
+
+def test_frames_that_are_averages_scatter_too_little():
+    made = measured(np.random.default_rng(2), chance=0.05)
+    told = findings(predict(PLAIN, made))
+    assert any("scatter less about the prediction than independent frames" in one for one in told)
+
+
+def test_light_that_is_known_roughly_widens_the_errors():
+    made = measured(np.random.default_rng(3))
+    off = 1 + 0.01 * np.random.default_rng(4).standard_normal(12)
+    bright = replace(made.bright, light=made.bright.light / off)
+    off_lights = replace(made, bright=bright)
+    missed = predict(PLAIN, off_lights)
+    assert missed.missing[0].key == "light_scatter"
+    assert not predict(PLAIN, off_lights, light_error=0.01).judged.missed
+
+
+def test_without_photons_the_means_give_the_rate_of_the_light():
+    made = measured(np.random.default_rng(5))
+    light = made.bright.exposure * 1.3  # a lamp of another power, counted in seconds
+    rate = PHOTONS / np.asarray(light)
+    made = replace(made, bright=replace(made.bright, light=jnp.asarray(PHOTONS / rate.mean())))
+    made = replace(made, photons_known=False)
+    found = predict(PLAIN, made)
+    assert found.unscaled
+    assert not found.judged.missed
+    assert found.judged.agreement["means"].degrees == 17
+    assert any("the means gave the rate" in one for one in findings(found))
+
+
+def frames_of(sensor, key, photons, seconds, count=FRAMES, size=64):
+    """Frames of one level, drawn by the library."""
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(3), key), count)
+    light = jnp.full((size, size, 1), photons / seconds)
+    sensor = replace(sensor, exposure_time=seconds)
+    draw = jax.jit(lambda one: raw_image(one, sensor, light, die_key=jax.random.key(8))[..., 0])
+    return [np.asarray(draw(one)) for one in keys]
+
+
+@pytest.fixture(scope="module")
+def afternoon():
+    """The camera whose findings name noise of rows, unequal columns and the well."""
+    sensor = replace(PLAIN, row_noise=7.5, column_dsnu=12.0, full_well=14_000.0)
+    photons, seconds = np.linspace(600.0, 33_000.0, 11), np.full(11, 0.01)
+    flats = [frames_of(sensor, i, light, 0.01) for i, light in enumerate(photons)]
+    darks = [frames_of(sensor, 100 + i, 0.0, t) for i, t in enumerate((0.001, 0.01, 0.1))]
+    made = from_frames(
+        flats, darks, list(seconds), list(photons), camera=Camera(bits=12),
+        dark_exposures=[0.001, 0.01, 0.1],
+    )  # fmt: skip
+    return sensor, calibrate(made)
+
+
+@pytest.mark.slow
+def test_every_effect_that_is_found_is_in_the_written_file(afternoon, tmp_path):
+    truth, calibration = afternoon
+    best, draws = fitted_sensor(calibration)
+    write_sensor(best, tmp_path / "sensor.toml", draws=draws)
+    read = read_sensor(tmp_path / "sensor.toml")
+    many = read_sensor(tmp_path / "sensor.toml", draws=500)
+    for name in ("row_noise", "column_dsnu", "read_noise", "full_well", "gain"):
+        value, drawn = float(getattr(read, name)), np.asarray(getattr(many, name))
+        assert abs(value - float(getattr(truth, name))) < 4 * drawn.std(), name
+        assert drawn.std() < 0.3 * value, name
+    assert read.row_dsnu is None
+    assert read.column_noise is None
+
+
+@pytest.mark.slow
+def test_levels_kept_out_of_the_fit_are_predicted(afternoon):
+    _, calibration = afternoon
+    kept_out = levels_kept_out(calibration)
+    assert kept_out is not None
+    assert kept_out[: len(calibration.usable)].sum() == len(calibration.usable) // 2
+    prediction = of_calibration(calibration)
+    assert prediction.labels[0] == "levels kept out of its fit"
+    for comparison in prediction.comparisons:
+        assert not comparison.missed
+    told = calibration.section.findings
+    assert any("predicts" in one and "the fit of another camera file" in one for one in told)
+    assert "prediction" in [picture.name for picture in calibration.section.pictures]
+
+
+@pytest.mark.slow
+def test_the_prediction_rests_on_the_file_and_on_no_fit(afternoon, monkeypatch):
+    """A wrong gain in the file is a missed prediction, whatever the fit found."""
+    _, calibration = afternoon
+    best, _ = fitted_sensor(calibration)
+    wrong = replace(best, gain=1.02 * float(np.asarray(best.gain)))
+    monkeypatch.setattr(calibrations, "choose_model", None)
+    found = predict(wrong, calibration.measurement)
+    assert "variances" in found.judged.missed
+    assert found.missing[0].key == "gain"
+
+
+@pytest.mark.slow
+def test_neighbours_that_are_mixed_are_found_though_means_and_variances_are_linear():
+    made = measured(np.random.default_rng(7), mixed=0.06)
+    calibration = calibrate(made)
+    fit = calibration.chosen
+    assert "pixel_mixing" in fit.values
+    gain, error = float(fit.values["system_gain"]), fit.errors["system_gain"]
+    assert abs(np.log(gain / GAIN)) < 4 * error
+    best, _ = fitted_sensor(calibration)
+    assert best.mixing is not None
+    kernel = np.asarray(best.mixing.kernel)
+    assert abs(kernel.sum() - 1) < 1e-6
+    assert abs(1 - np.sum(kernel**2) - float(fit.values["pixel_mixing"])) < 2e-3
+
+
+def test_bad_input_is_named(tmp_path):
+    made = measured(np.random.default_rng(0))
+    with pytest.raises(InputError, match=r"relative: give \.01 for 1 %"):
+        predict(PLAIN, made, light_error=1.5)
+    with pytest.raises(InputError, match="several bands"):
+        predict(replace(PLAIN, quantum_efficiency=jnp.array([0.5, 0.6])), made)
+    with pytest.raises(InputError, match=r"noise\.predict: measurement"):
+        predict(PLAIN, np.zeros(3))  # type: ignore[arg-type]
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "table.csv").write_text("exposure_s\n")
+    status, _, stderr = called(app, "predict", tmp_path / "empty", tmp_path / "table.csv")
+    assert status == 2
+    assert "holds no sensor.toml (no calibration wrote a camera to it)" in stderr
+    status, _, stderr = called(app, "predict", "emva1288", tmp_path / "none")
+    assert status == 2
+    assert "no such rig file" in stderr
