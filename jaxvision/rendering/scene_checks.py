@@ -93,7 +93,8 @@ def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str
     its name or, without names, its place in the scene.
 
     A lamp is idle if it is black, if all surfaces lie behind a flat lamp, or if all of them show it
-    their back. Skies, light fields and lamps of your own are not looked at.
+    their back. Ambient light is idle if no material has an ambient reflectance. Skies, light fields
+    and lamps of your own are not looked at.
 
     Example:
         >>> floor = jv.Surface(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), jv.Lambert([0.25]))
@@ -118,7 +119,24 @@ def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str
         far = isinstance(light, DirectionalLight)
         if places and not any(_faces(surface, places, far) for surface in scene.surfaces):
             found.append(f"{name}: lies behind every surface, which shows it its back; move it.")
+    if scene.ambient is not None and not np.asarray(scene.ambient.radiance).any():
+        found.append("ambient: has no power.")
+    elif scene.ambient is not None and not reflects_ambient(scene):
+        found.append(
+            "ambient: lights no surface, as no material has an ambient reflectance; give materials "
+            "one, or give a light of kind 'environment'."
+        )
     return found
+
+
+def reflects_ambient(scene: Scene) -> bool:
+    """Whether a scene has ambient light, and a material that reflects it."""
+    reflected = (getattr(surface.material, "ambient", None) for surface in scene.surfaces)
+    return (
+        scene.ambient is not None
+        and bool(np.asarray(scene.ambient.radiance).any())
+        and any(one is not None and np.asarray(one).any() for one in reflected)
+    )
 
 
 def _front(light: Light) -> tuple[np.ndarray, np.ndarray] | None:

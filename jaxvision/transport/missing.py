@@ -4,7 +4,8 @@ Each integrator finds these paths, written from the lamp to the eye. L is a lamp
 lamp without (a point or a direction), D a surface with a BRDF, S a mirror or glass, and E the eye.
 S* means any number of S, and S+ one or more.
 
-    direct      L D E and P D E, L E, L S E by an opaque mirror; glass is black and casts shadows
+    direct      L D E and P D E, L E, L S E by an opaque mirror, and ambient light; glass is black
+                and casts shadows
     rays        the same, and (L | P) D S* E, L S* E
     path        all paths of L; those of P whose first surface is a D
     light       all paths whose last surface is a D, and L E
@@ -48,6 +49,7 @@ from ..lights import (
 )
 from ..lights.environment import environment_node
 from ..optics import view_ray
+from ..rendering.scene_checks import reflects_ambient
 from ..rendering.shadows import DEFAULT_RULE
 from ..scene import Light, Material, Plane, Quad, Scene, Shape, Surface, TriangleMesh, View
 from ._vertices import Surfaces, branches, leave, meet, surfaces_of
@@ -79,6 +81,7 @@ def missing_light(
     they throw onto other surfaces from `direct` and `rays`, and themselves from `light`. The sun of
     an environment falls between the directions of a quadrature, and a narrow gloss between its
     samples of a lamp. What such a gloss throws onto other surfaces `path` meets by chance alone.
+    Only `direct` adds ambient light.
 
     The positions of mirrors and glass are not checked, so the named light may be small. Light that
     bounces between matt surfaces, which `direct` and `rays` leave out by their nature, is not told.
@@ -118,6 +121,11 @@ def missing_light(
     placed = [n for n, light in zip(lamps, scene.lights, strict=True) if not can_be_seen(light)]
     sized = [n for n, light in zip(lamps, scene.lights, strict=True) if can_be_seen(light)]
     found = []
+    if integrator != "direct" and reflects_ambient(scene):
+        found.append(
+            "Missing: the light of ambient. It stands for light that bounces, and integrator = "
+            "'direct' alone adds it. Set that, or give a light of kind 'environment'."
+        )
     if integrator == "direct" and shining:
         found.append(
             f"Missing: light of {_list(shining)} on other surfaces. Emission is only seen here. "

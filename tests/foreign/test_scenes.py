@@ -247,6 +247,30 @@ def test_lamps_that_light_nothing_are_named():
     assert [s[:9] for s in idle_lamps(jv.Scene([both], [away, under, below]))] == ["lights[0]"]
 
 
+def test_ambient_light_that_is_left_out_is_named():
+    sky = jv.AmbientLight([2.0])
+    bare, paint = (replace(FLOOR, material=jv.Lambert([0.1], ambient=k)) for k in (None, [0.5]))
+    lit, idle, dark = (
+        jv.Scene([floor], [LAMP], ambient=light)
+        for floor, light in ((paint, sky), (bare, sky), (paint, jv.AmbientLight([0.0])))
+    )
+    down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+    view = jv.Orthographic([0.1, 0.1, 1], down, 0.1, resolution=(1, 1))
+    without = jv.Scene([paint], [LAMP])
+    gains = [float((jv.render(s, view) - jv.render(without, view)).sum()) for s in (lit, idle)]
+    np.testing.assert_allclose(gains, [0.5 * 2, 0], rtol=1e-5)
+    traced = [jv.ray_traced(s, view) for s in (lit, without)]
+    np.testing.assert_array_equal(*traced)
+    assert missing_light(lit, integrator="direct") == idle_lamps(lit) == []
+    for integrator in ("rays", "path", "light", "radiosity"):
+        said = missing_light(lit, integrator=integrator)
+        assert len(said) == 1
+        assert said[0].startswith("Missing: the light of ambient.")
+        assert missing_light(idle, integrator=integrator) == []
+    assert idle_lamps(idle)[0].startswith("ambient: lights no surface, as no material")
+    assert idle_lamps(dark) == ["ambient: has no power."]
+
+
 REFUSED = {
     "degrees for alpha": (lambda: jv.TorranceSparrow([0.0], [1.0], 30.0), "alpha, at most 3"),
     "per cent for a share": (lambda: jv.Sensor(prnu=1.0), "1 % being 0.01"),
