@@ -23,6 +23,7 @@ from .pattern import SEEN
 from .shared import drift, temporal_lines
 
 DRAWS = 1000  # kept at most
+WHOLE = 0.01  # bits by which a range may exceed a power of two
 LINES = ("row_noise", "column_noise")  # which the read noise of the likelihood holds
 
 
@@ -191,7 +192,8 @@ def _sensor(about: _About, natural: Float[Array, " parameters"], known: dict[str
     read = read - sum(known[name] for name in LINES if name in known) / gain**2
     rms = {name: jnp.sqrt(variance) for name, variance in known.items()}
     electrons = {name: deviation / gain for name, deviation in rms.items()}
-    bits = None if scale is None else jnp.asarray(np.log2((scale - origin) / step + 1))
+    # A step that a file scaled is known to a few digits; a range may end early.
+    bits = None if scale is None else float(np.ceil(np.log2((scale - origin) / step + 1) - WHOLE))
     return Sensor(
         shot_noise=PoissonShotNoise(),
         light_offset=offset,
@@ -205,7 +207,7 @@ def _sensor(about: _About, natural: Float[Array, " parameters"], known: dict[str
         full_well=known["full_well"] / gain if "full_well" in known else None,
         gain=gain / step,
         offset=(values["black_level"] - origin) / step,
-        bits=bits,
+        bits=None if bits is None else jnp.asarray(bits),
         row_noise=electrons.get("row_noise"),
         column_noise=electrons.get("column_noise"),
         frame_noise=electrons.get("frame_noise"),

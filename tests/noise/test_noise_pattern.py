@@ -91,7 +91,8 @@ def estimates_of(measurement):
     pattern = fitted_pattern(measurement, np.arange(6))
     known = SimpleNamespace(name="system_gain", value=1.0, standard_error=0.0)
     standard = SimpleNamespace(values={"system_gain": 1.0}, errors={"system_gain": 0.0})
-    given = SimpleNamespace(patterns=(pattern, pattern), standard=standard, sheet=[known])
+    shown = {"system_gain": known}
+    given = SimpleNamespace(patterns=(pattern, pattern), standard=standard, shown=shown, gain=1.0)
     lines = {quantity.name: quantity for quantity in QUANTITIES}
     return [_pattern_estimates(given, lines[name])[1] for name in ("dsnu", "prnu")]  # pyright: ignore[reportArgumentType]
 
