@@ -144,7 +144,7 @@ def predict(
     rig = _flats_and_darks(path, bits, channel)
     sites = ("",) if rig is None else (channel,) if channel else rig.camera.sites
     several = len(sites) > 1
-    named = {"" if site == "grey" else site for site in sites}
+    named = ("" if site == "grey" else site for site in sites)
     files = {site: _camera_file(camera, site) for site in named}
     if several and len({*files.values()}) == 1:
         raise InputError(
@@ -165,12 +165,12 @@ def predict(
             measurement = read_photon_transfer(path, bits=bits, channel=site)
         with step(f"predicting them{f' of {site}' if several else ''}"):
             found = section(predicted(file, measurement, light_error=light_error))
+        if rig is not None and not sections:
+            found = with_inputs(found, rig, "photon transfer")
         if several:
             word = in_file_names(site)
             found = replace(found, kind=f"{found.kind}_{word}", title=f"{found.title}: {site}")
         sections.append(found)
-    if rig is not None:
-        sections[0] = with_inputs(sections[0], rig, "photon transfer")
     return sections, {}
 
 

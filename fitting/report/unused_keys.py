@@ -63,6 +63,15 @@ def _is_given(rig: Rig, key: str) -> bool:
 def _noise(rig: Rig) -> Unused:
     yield _camera((*BLACK, *NOISE)), "photon transfer measures them"
     yield _camera(GAMMA), "photon transfer takes digital numbers as linear in light"
+    yield from _light_of_flats(rig)
+
+
+def _prediction(rig: Rig) -> Unused:
+    yield _camera((*BLACK, *NOISE, *GAMMA)), "the camera file alone predicts the frames"
+    yield from _light_of_flats(rig)
+
+
+def _light_of_flats(rig: Rig) -> Unused:
     if any(flat.photons is not None for flat in rig.flat):
         yield ("flat.irradiance",), "the photons of each flat are given"
     if not any(flat.photons is None and flat.irradiance is not None for flat in rig.flat):
@@ -100,4 +109,10 @@ def _joint(rig: Rig) -> Unused:
         yield _camera(("black_sd",)), "without camera.black_level the darks tell the black level"
 
 
-REASONS = {"noise": _noise, "response": _response, "brdf": _brdf, "joint": _joint}
+REASONS = {
+    "noise": _noise,
+    "prediction": _prediction,
+    "response": _response,
+    "brdf": _brdf,
+    "joint": _joint,
+}

@@ -280,3 +280,29 @@ def test_bad_input_is_named(tmp_path):
     status, _, stderr = called(app, "predict", "emva1288", tmp_path / "none")
     assert status == 2
     assert "no such rig file" in stderr
+
+
+@pytest.mark.slow
+def test_the_taps_of_a_folder_are_predicted_each_by_its_own_camera(tmp_path):
+    """Even and odd columns; the camera of one amplifier names gain and black of the other."""
+    rng, odd = np.random.default_rng(0), np.arange(96) % 2
+    text = "camera = {bits = 12, taps = [1, 2]}\n"
+    levels = [("flat", f"photons = {light}", light) for light in np.linspace(500, 20_000, 10)]
+    for i, (kind, light, photons) in enumerate([*levels, ("dark", "", 0.0)]):
+        files = [f"{i}_{j}.npy" for j in range(3)]
+        for file in files:
+            electrons = rng.poisson(0.5 * photons, (96, 96)) + 5 * rng.standard_normal((96, 96))
+            raw = np.round(64 + 6 * odd + (0.25 + 0.05 * odd) * electrons)
+            np.save(tmp_path / file, np.clip(raw, 0, 4095).astype(np.uint16))
+        text += f"[[{kind}]]\nfiles = {files}\nexposure = 0.01\n{light}\n"
+    (tmp_path / "rig.toml").write_text(text)
+    out = tmp_path / "out"
+    assert called(app, "noise", tmp_path, "--out", out)[0] == 0
+    status, told, _ = called(app, "predict", out, tmp_path)
+    assert status == 0
+    assert "missed" not in told
+    one = out / "sensor_tap_0_0.toml"
+    assert "the camera of one channel" in called(app, "predict", one, tmp_path)[2]
+    other = called(app, "predict", one, tmp_path, "--channel", "tap 0,1")[1]
+    assert "a gain larger by 20." in other
+    assert "a black level higher by 5.9" in other
