@@ -33,7 +33,8 @@ TOPICS = {  # of what `jaxvision` itself offers, by the module that defines it
     "Lights": "lights scene.light",
     "Rendering": "rendering transport",
     "Views and lenses": "scene.views scene.lenses optics",
-    "Cameras and sensors": "scene.camera scene.sensors scene.noises sensor shot",
+    "Cameras and sensors": "scene.camera scene.sensors scene.sensor_effects scene.noises sensor "
+    "shot",
     "Development and pictures": "scene.developments development point_ops",
     "Files": "files",
     "Arrays, vectors and machinery": "",
