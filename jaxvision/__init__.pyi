@@ -294,9 +294,13 @@ from .scene import (
     WhiteBalance as WhiteBalance,
 )
 from .sensor import (
+    Calibrated as Calibrated,
+    Master as Master,
+    Masters as Masters,
     Moments as Moments,
     clipped_moments as clipped_moments,
     collect as collect,
+    correct as correct,
     digitise as digitise,
     expected_signal as expected_signal,
     exposed as exposed,

@@ -13,6 +13,13 @@ from .brighter_fatter import (
     gathered as gathered,
 )
 from .ccd import bloomed as bloomed, transferred as transferred
+from .correction import (
+    Calibrated as Calibrated,
+    Master as Master,
+    Masters as Masters,
+    Part as Part,
+    correct as correct,
+)
 from .dark import dark_rate as dark_rate
 from .expectation import (
     expected_of_count as expected_of_count,

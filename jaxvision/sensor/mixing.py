@@ -40,8 +40,8 @@ def mixed(electrons: Counts, mixing: Mixing) -> Counts:
 
     Example:
         >>> mixing = jv.Mixing([[0.1, 0.9, 0.0]])  # a tenth is read one column earlier
-        >>> print(jv.sensor.mixed([[[0.0], [0.0], [100.0]]], mixing).ravel())
-        [ 0. 10. 90.]
+        >>> print(jv.sensor.mixed([[[0.0], [100.0], [0.0]]], mixing).ravel())
+        [10. 90.  0.]
     """
     check_image("Sensor.mixing", electrons.shape)
     return convolve(electrons, mixing.kernel.astype(electrons.dtype))

@@ -202,8 +202,8 @@ def neighbour_covariances(
         >>> mixing = jv.sensor.even_mixing(0.1)
         >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), mixing=mixing)
         >>> found = jv.sensor.neighbour_covariances(sensor, jnp.full((1, 1, 1), 1000.0))
-        >>> [round(float(x), 1) for x in found.ravel()]  # 900 + 4 x 23 + ... is 1000
-        [900.0, 23.6, 23.6, 1.4]
+        >>> [round(float(x), 1) for x in found.ravel()]  # with all farther ones 1000
+        [900.0, 24.5, 24.5, 0.3]
     """
     check_count("neighbour_covariances: reach", reach, 0)
     if sensor.own is not None:

@@ -40,6 +40,17 @@ SENSOR = replace(
     charge_transfer=TRANSFER,
     bits=None,
 )
+CORRECTED = s.Sensor(
+    mixing=MIXING,
+    nonlinearity=CURVE,
+    dark_current=DARK,
+    exposure_time=0.5,
+    shot_noise=s.GaussianShotNoise(),
+    read_noise=5.0,
+    prnu=0.01,
+    gain=0.8,
+    offset=10.0,
+)
 MOMENTS_OF = s.Sensor(
     exposure_time=0.5,
     dark_current=DARK,
@@ -81,6 +92,7 @@ EXAMPLES = {
     "sensor.ccd.transferred_variance": ((ELECTRONS, TRANSFER), {}),
     "sensor.ccd.counted_variance": ((ELECTRONS, ELECTRONS, TRANSFER), {}),
     "sensor.ccd.transfer_noise": ((KEY, ELECTRONS, TRANSFER), {}),
+    "sensor.correction.correct": ((ELECTRONS, CORRECTED), {}),
     "sensor.dark.dark_rate": ((DARK,), {}),
     "sensor.exposure.at_iso": ((SENSOR, 400 * ONE), {}),
     "sensor.exposure.photon_rate": ((X, 1e-6 * X[0, 0], ONE), {}),

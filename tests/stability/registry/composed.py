@@ -257,6 +257,7 @@ COMPOSED: dict[str, float] = {
     "sensor.ccd.transfer_noise": 4,
     "sensor.ccd.transferred": 4,
     "sensor.ccd.transferred_variance": 2,
+    "sensor.correction.correct": 8,
     "sensor.exposure.at_iso": 1,
     "sensor.exposure.drifted": 2,
     "sensor.exposure.expected_charge": 4,

@@ -1,0 +1,561 @@
+"""Raw numbers back to light: what the camera did is undone, and how well is known.
+
+    light = (unmixed(g^-1((raw - black) / K)) - dark) / flat
+
+The error of a corrected frame is a sum of parts, each an amplitude times standard draws that are
+new in each pixel, each row, each column or each frame, or the same in all pixels; a small kernel
+spreads it where neighbours were unmixed. Shot noise, read noise and rounding are new in each frame.
+Errors of master frames, unequal pixels and the uncertainty of the camera's own numbers are the same
+in all frames, so they cancel in part where two frames are subtracted.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.signal import convolve2d
+from jaxtyping import Array, Bool, Float
+
+from ..core._arguments import takes_numbers
+from ..core._shown import Shown
+from ..core._types import NOT_NEGATIVE, Scalar, Scalars, as_float, check_choice, check_fields
+from ..filters.convolution import convolve
+from ..scene import Camera, Sensor, ShutterOffset
+from ._taps import factored, of_taps, total_gain
+from .adc import largest_number
+from .brighter_fatter import gathered
+from .ccd import transferred
+from .exposure import (
+    PLANCK,
+    SPEED_OF_LIGHT,
+    Counts,
+    drifted,
+    mean_dark,
+    mean_photoelectrons,
+    smeared,
+)
+from .moments import QUANTISATION_VARIANCE, Moments, signal_variance
+from .nonlinearity import charge_of_signal, signal_of_charge
+from .read_out import read_out_variance
+from .sampling import light_share
+
+Along = Literal["pixels", "rows", "columns", "frame", "all"]
+Kernel = Float[Array, "rows columns"]
+
+_PERIOD, _REACH = 32, 8  # of the grid on which a kernel is inverted, and of what is kept, pixels
+UNITS = ("electrons", "photons", "irradiance")
+
+
+class Master(Shown):
+    """The mean of several frames.
+
+    Attributes:
+        mean: (h, w, bands) DN.
+        frames: () how many were averaged, > 0.
+
+    Example:
+        >>> jv.Master(jnp.full((2, 2, 1), 64.0), 100).frames.item()
+        100.0
+    """
+
+    mean: Float[Array, "h w bands"] = eqx.field(converter=as_float)
+    frames: Scalar = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        check_fields(self, frames=NOT_NEGATIVE)
+
+
+class Masters(Shown):
+    """Frames by which others are corrected, of the same exposure time.
+
+    Attributes:
+        dark: without light: black level, dark current and the offset of each pixel; or None.
+        flat: in even light: the sensitivity of each pixel; or None.
+        defects: (h, w) whether a pixel is not to be used; or None.
+
+    Example:
+        >>> jv.Masters(dark=jv.Master(jnp.full((2, 2, 1), 64.0), 100)).flat is None
+        True
+    """
+
+    dark: Master | None = eqx.field(default=None, kw_only=True)
+    flat: Master | None = eqx.field(default=None, kw_only=True)
+    defects: Bool[Array, "h w"] | None = eqx.field(default=None, kw_only=True)
+
+
+class Part(Shown):
+    """A part of the error of a corrected frame.
+
+    Attributes:
+        name: what errs; parts of one name that last are the same draws in all frames. Static.
+        amplitude: (..., h, w, bands) standard deviation in the unit of the frame; its sign counts
+            where the draws last.
+        kernel: (rows, columns) no unit, which spreads the error, or None.
+        along: which pixels share a draw: none ("pixels"), those of a row or a column, or all of one
+            "frame"; "all" lasts. Static.
+        lasts: whether the draws are the same in all frames. Static.
+
+    Example:
+        >>> jv.sensor.Part("shot", jnp.ones((2, 2, 1))).lasts
+        False
+    """
+
+    name: str = eqx.field(static=True)
+    amplitude: Counts
+    kernel: Kernel | None = None
+    along: Along = eqx.field(static=True, default="pixels", kw_only=True)
+    lasts: bool = eqx.field(static=True, default=False, kw_only=True)
+
+
+class Calibrated(Shown):
+    """A frame without its camera, and the parts of its error.
+
+    Attributes:
+        image: (..., h, w, bands) electrons of light that a pixel of mean sensitivity frees, or
+            photons, or W m^-2; NaN in defects and where the raw number was saturated.
+        parts: of its error.
+
+    Example:
+        >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=0.5, offset=10.0)
+        >>> found = jv.sensor.correct(jnp.full((2, 2, 1), 60.0), sensor)
+        >>> found.image[0, 0].tolist(), found.variance[0, 0].tolist()
+        ([100.0], [100.0])
+    """
+
+    image: Counts
+    parts: tuple[Part, ...]
+
+    @property
+    def variance(self) -> Counts:
+        """(..., h, w, bands) of what is new in each frame: shot noise, read noise, rounding."""
+        return self._sum(lambda part: not part.lasts)
+
+    @property
+    def total_variance(self) -> Counts:
+        """(..., h, w, bands) of all parts: by how much a pixel is off the light."""
+        return self._sum(lambda part: True)
+
+    @property
+    def shared(self) -> Float[Array, "factors ..."]:
+        """(factors, ..., h, w, bands): how far one standard deviation along each principal axis of
+        the camera's numbers moves all pixels together."""
+        found = [_spread(part.amplitude, part.kernel) for part in self.parts if part.along == "all"]
+        return jnp.stack(found) if found else jnp.zeros((0, *self.image.shape))
+
+    def mean(self, where: Bool[Array, "h w"] | None = None) -> Moments:
+        """The mean of a patch and its variance, with all that pixels share.
+
+        Args:
+            where: (h, w) which pixels count, or None for all; NaN never count.
+
+        Returns:
+            Mean and variance (..., bands), in the unit of the image and its square.
+        """
+        kept = jnp.isfinite(self.image)
+        if where is not None:
+            kept = kept & _beside(jnp.asarray(where)[..., None], kept)
+        counted = kept.astype(self.image.dtype)
+        weights = counted / jnp.sum(counted, axis=(-3, -2), keepdims=True)
+        value = jnp.sum(jnp.where(kept, self.image, 0) * weights, axis=(-3, -2))
+        variances = (_of_sum(part, weights) for part in self.parts)
+        return Moments(value, sum(variances, jnp.zeros_like(value)))
+
+    def filtered(self, kernel: Kernel) -> "Calibrated":
+        """The frame after a convolution, border "mirror", with the covariances that it makes.
+
+        Args:
+            kernel: (rows, columns) no unit.
+
+        Returns:
+            The filtered frame.
+        """
+        kernel = as_float(kernel)
+        parts = (replace(part, kernel=_both(part.kernel, kernel)) for part in self.parts)
+        return Calibrated(convolve(self.image, kernel), tuple(parts))
+
+    def __sub__(self, other: "Calibrated") -> "Calibrated":
+        """The difference of two frames of one camera: what lasts in both cancels."""
+        lasting = {part.name: part for part in other.parts if part.lasts}
+        parts = [part for part in other.parts if not part.lasts]
+        for part in self.parts:
+            same = lasting.pop(part.name, None) if part.lasts else None
+            if same is not None:
+                part = replace(part, amplitude=part.amplitude - same.amplitude)
+            parts.append(part)
+        return Calibrated(self.image - other.image, (*parts, *lasting.values()))
+
+    def _sum(self, counts: Callable[[Part], bool]) -> Counts:
+        found = [_variance(part) for part in self.parts if counts(part)]
+        return jnp.zeros_like(self.image) + sum(found)
+
+
+def _beside(picture: Array, frames: Counts) -> Array:
+    """A picture with as many axes as frames."""
+    return picture.reshape(*(1,) * (frames.ndim - picture.ndim), *picture.shape)
+
+
+def _spread(picture: Counts, kernel: Kernel | None) -> Counts:
+    return picture if kernel is None else convolve(picture, kernel)
+
+
+def _both(first: Kernel | None, second: Kernel | None) -> Kernel | None:
+    """The kernel of two, one after the other."""
+    if first is None or second is None:
+        return second if first is None else first
+    return convolve2d(first, second)
+
+
+def _variance(part: Part) -> Counts:
+    """Of each pixel; amplitudes are taken as even over the reach of the kernel."""
+    kernel = part.kernel
+    if part.along in ("frame", "all") or kernel is None:
+        return _spread(part.amplitude, kernel) ** 2
+    if part.along == "rows":
+        kernel = kernel.sum(1, keepdims=True)
+    elif part.along == "columns":
+        kernel = kernel.sum(0, keepdims=True)
+    return convolve(part.amplitude**2, kernel**2)
+
+
+def _of_sum(part: Part, weights: Counts) -> Scalars:
+    """Variance of a weighted sum over the pixels, (..., bands)."""
+    back = weights if part.kernel is None else convolve(weights, part.kernel[::-1, ::-1])
+    share = back * part.amplitude
+    match part.along:
+        case "pixels":
+            return jnp.sum(share**2, axis=(-3, -2))
+        case "rows":
+            return jnp.sum(jnp.sum(share, axis=-2) ** 2, axis=-2)
+        case "columns":
+            return jnp.sum(jnp.sum(share, axis=-3) ** 2, axis=-2)
+        case _:
+            return jnp.sum(share, axis=(-3, -2)) ** 2
+
+
+@takes_numbers
+def correct(
+    raw: Counts,
+    camera: Sensor | Camera,
+    *,
+    masters: Masters | None = None,
+    draws: Sensor | Camera | None = None,
+    expected: Counts | None = None,
+    unit: str = "electrons",
+) -> Calibrated:
+    """Undoes a camera: black level, gain, non-linearity, mixing, charge transfer, brighter-fatter
+    effect, dark current, flat field, crosstalk, smear and light offset.
+
+    Charge transfer and the brighter-fatter effect are undone to the first order. Without a master
+    the pixels' differences stay in the image, as parts of its error of the size that the sensor
+    states. Banding counts as noise of rows.
+
+    Args:
+        raw: (..., h, w, bands) DN; (..., h, w, 1) of a mosaic. Leading axes are frames.
+        camera: the sensor, or the camera that has it.
+        masters: dark and flat frames, and defects.
+        draws: the same with a leading axis at every number, from the posterior of its calibration:
+            `read_sensor(file, draws=200)`. Their covariance makes the parts that pixels share.
+        expected: (..., h, w, bands) electrons of light, whatever the unit, whose shot noise counts,
+            such as a smooth picture; None takes the image, whose own noise then moves the variance.
+        unit: "electrons", "photons" per pixel and exposure, or "irradiance" in W m^-2.
+
+    Returns:
+        The frame, and the parts of its error.
+
+    Raises:
+        ValueError: for an unknown unit, one that several bands or a colour filter make ambiguous,
+            and effects of one's own or a curve without an inverse.
+
+    Example:
+        >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)
+        >>> raw = jv.raw_image(None, sensor, jnp.full((4, 4, 1), 5000.0))
+        >>> round(float(jv.sensor.correct(raw, sensor).image[0, 0, 0]))
+        5000
+    """
+    check_choice("unit", unit, UNITS)
+    sensor = camera.sensor if isinstance(camera, Camera) else camera
+    masters = Masters() if masters is None else masters
+    measured = raw
+    if masters.defects is not None:  # neighbours are unmixed from the mean of those around
+        raw, masters = _filled(raw, masters.defects), _without_defects(masters, masters.defects)
+    if sensor.own is not None:
+        names = ", ".join(type(effect).__name__ for effect in sensor.own)
+        raise ValueError(f"correct knows no inverse of {names}.")
+    scale = _scale(sensor, unit, raw)
+    image = _image(sensor, raw, masters) * scale
+    of_light = scale * _shutter(sensor, raw)
+    parts = [
+        replace(part, amplitude=part.amplitude * of_light)
+        for part in _parts(sensor, raw, masters, expected)
+    ]
+    if draws is not None:
+        of = draws.sensor if isinstance(draws, Camera) else draws
+        parts += _drawn(sensor, of, lambda one: _image(one, raw, masters) * _scale(one, unit, raw))
+    return Calibrated(jnp.where(_unusable(sensor, measured, masters), jnp.nan, image), tuple(parts))
+
+
+def _unusable(sensor: Sensor, raw: Counts, masters: Masters) -> Bool[Array, "..."]:
+    """Defects, and numbers at the end of the converter's range or of a full well."""
+    bad = jnp.zeros(raw.shape, bool)
+    if masters.defects is not None:
+        bad = bad | _beside(masters.defects[..., None], raw)
+    if sensor.bits is not None:
+        bad = bad | (raw >= largest_number(sensor.bits))
+    if sensor.full_well is not None:
+        bad = bad | (_charge(sensor, raw, None) >= sensor.full_well)
+    return bad
+
+
+def _image(sensor: Sensor, raw: Counts, masters: Masters) -> Counts:
+    """Electrons of light that a pixel of mean sensitivity frees."""
+    light = _charge(sensor, raw, masters.dark) - mean_dark(sensor, raw)
+    light = light / _response(sensor, masters, raw)
+    if sensor.crosstalk is not None:
+        light = convolve(light, _inverse(_cross(sensor.crosstalk)))
+    if sensor.smear is not None:
+        column = light.sum(axis=-3, keepdims=True)
+        whole = column / (1 + sensor.smear * (light.shape[-3] - 1))
+        light = (light - sensor.smear * whole) / (1 - sensor.smear)
+    return (light - _unasked(sensor, light)) * _shutter(sensor, light)
+
+
+def _unasked(sensor: Sensor, like: Counts) -> Scalars:
+    """Electrons of a light offset in photons."""
+    if sensor.light_offset is None or isinstance(sensor.light_offset, ShutterOffset):
+        return jnp.zeros((), like.dtype)
+    colours = sensor.colour_filter
+    bands = like.shape[-1:] if colours is None else colours.transmission.shape[1:]
+    return mean_photoelectrons(sensor, jnp.zeros((*like.shape[:-1], *bands), like.dtype))
+
+
+def _shutter(sensor: Sensor, like: Counts) -> Scalar:
+    """The exposure time that is stated over that of the light."""
+    if not isinstance(sensor.light_offset, ShutterOffset):
+        return jnp.ones((), like.dtype)
+    assert sensor.exposure_time is not None
+    return sensor.exposure_time / (sensor.exposure_time + sensor.light_offset.time)
+
+
+def _charge(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
+    """Electrons that a pixel held, of light and dark current."""
+    signal = _signal(sensor, raw, dark)
+    charge = signal
+    if sensor.nonlinearity is not None:
+        charge = charge_of_signal(sensor.nonlinearity, signal)
+    if sensor.mixing is not None:
+        charge = convolve(charge, _inverse(sensor.mixing.kernel.astype(charge.dtype)))
+    if sensor.charge_transfer is not None:
+        charge = 2 * charge - transferred(charge, sensor.charge_transfer)
+    if sensor.brighter_fatter is not None:
+        there = jnp.maximum(charge, 0)
+        moved = gathered(None, there, sensor.brighter_fatter, full_well=sensor.full_well)
+        charge = charge - (moved - there)
+    return charge
+
+
+def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
+    """Electrons that a linear sensor would have read."""
+    gain = total_gain(sensor, shape=raw.shape, dtype=raw.dtype)
+    if dark is not None:
+        above = raw - _beside(dark.mean.astype(raw.dtype), raw)
+        above = above if gain is None else above / gain
+        held = mean_dark(sensor, raw)
+        curve = sensor.nonlinearity
+        return above + (held if curve is None else signal_of_charge(curve, held))
+    above = raw if sensor.offset is None else raw - sensor.offset
+    if sensor.taps is not None and sensor.taps.offset is not None:
+        above = above - of_taps(sensor.taps.offset, sensor.taps, shape=raw.shape, dtype=raw.dtype)
+    return above if gain is None else above / gain
+
+
+def _response(sensor: Sensor, masters: Masters, raw: Counts) -> Scalars:
+    """Sensitivity of each pixel over that of the mean pixel, by the flat."""
+    if masters.flat is None:
+        return jnp.ones((), raw.dtype)
+    return _flat(sensor, masters, raw) / jnp.mean(
+        _flat(sensor, masters, raw), (-3, -2), keepdims=True
+    )
+
+
+def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts:
+    """Electrons of light in the flat."""
+    assert masters.flat is not None
+    flat = _beside(masters.flat.mean.astype(raw.dtype), raw)
+    return _charge(sensor, flat, masters.dark) - mean_dark(sensor, flat)
+
+
+def _without_defects(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
+    """Masters with defects filled."""
+
+    def filled(master: Master | None) -> Master | None:
+        return master and replace(master, mean=_filled(master.mean, defects))
+
+    return replace(masters, dark=filled(masters.dark), flat=filled(masters.flat))
+
+
+def _filled(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
+    """Defects filled with the mean of the usable pixels around them, within 5 x 5."""
+    good = jnp.broadcast_to(~_beside(defects[..., None], raw), raw.shape)
+    around = jnp.ones((5, 5), raw.dtype)
+    mean = convolve(jnp.where(good, raw, 0), around) / jnp.maximum(
+        convolve(good.astype(raw.dtype), around), 1
+    )
+    return jnp.where(good, raw, mean)
+
+
+def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | None) -> list[Part]:
+    """All parts but those of the camera's own numbers, electrons."""
+    of = {"shape": raw.shape, "dtype": raw.dtype}
+    whole = jnp.ones_like(raw)
+    dark, response = mean_dark(sensor, raw), _response(sensor, masters, raw)
+    if expected is None:
+        charge = jnp.maximum(_charge(sensor, raw, masters.dark), 0)
+    else:
+        light = jnp.broadcast_to(expected, raw.shape).astype(raw.dtype) / _shutter(sensor, raw)
+        light = light + _unasked(sensor, raw)
+        light = light if sensor.smear is None else smeared(light, sensor.smear)
+        light = light if sensor.crosstalk is None else drifted(light, sensor.crosstalk)
+        charge = light * response + dark
+    light = (charge - dark) / response
+    apart = None if sensor.crosstalk is None else _inverse(_cross(sensor.crosstalk))
+    unmixed = None if sensor.mixing is None else _inverse(sensor.mixing.kernel.astype(raw.dtype))
+    behind = _both(unmixed, apart)  # of what is added behind the mixing
+    slope = whole if sensor.nonlinearity is None else whole / _slope(sensor, charge)
+    gain = total_gain(sensor, **of)
+    gain = whole if gain is None else whole * gain
+    parts: list[Part] = []
+
+    def add(name: str, size: Scalars, kernel: Kernel | None, **how: Any) -> None:
+        parts.append(Part(name, size * whole / response, kernel, **how))
+
+    if sensor.shot_noise is not None:
+        add("shot noise", jnp.sqrt(charge), apart)
+    lines = {
+        "row noise": (_square(sensor.row_noise) + _hum(sensor), "rows"),
+        "column noise": (_square(sensor.column_noise), "columns"),
+        "frame noise": (_square(sensor.frame_noise), "frame"),
+    }
+    alone = replace(sensor, row_noise=None, column_noise=None, frame_noise=None, banding=None)
+    read = read_out_variance(alone, **of)
+    if sensor.bits is not None:
+        read = read + QUANTISATION_VARIANCE / gain**2
+    add("read noise", jnp.sqrt(read) * slope, behind)
+    for name, (variance, along) in lines.items():
+        if not isinstance(variance, float):
+            add(name, jnp.sqrt(variance) * slope, behind, along=along)
+    if masters.dark is not None:
+        own = (
+            signal_variance(replace(sensor, light_offset=None), jnp.zeros_like(raw))
+            if (sensor.colour_filter is None)
+            else (dark + read) * gain**2
+        )
+        add("dark", jnp.sqrt(own / masters.dark.frames) / gain * slope, behind, lasts=True)
+    else:
+        for name, along in (("dsnu", "pixels"), ("column_dsnu", "columns"), ("row_dsnu", "rows")):
+            if getattr(sensor, name) is not None:
+                size = getattr(sensor, name) * slope
+                add(name, size, behind, along=along, lasts=True)
+    if masters.flat is not None:
+        flat = _flat(sensor, masters, raw)
+        noise = jnp.maximum(flat, 0) + dark if sensor.shot_noise is not None else 0.0
+        rise = whole if sensor.nonlinearity is None else whole / _slope(sensor, flat + dark)
+        relative = jnp.sqrt((noise + read * rise**2) / masters.flat.frames) / flat
+        add("flat", light * response * relative, apart, lasts=True)
+        return parts
+    if sensor.prnu is not None:
+        add("prnu", factored(sensor.prnu, sensor.taps, "prnu", **of) * light, apart, lasts=True)
+    if sensor.conversion_prnu is not None:
+        add("conversion_prnu", sensor.conversion_prnu * charge, behind, lasts=True)
+    if sensor.column_prnu is not None:
+        add("column_prnu", sensor.column_prnu * charge, behind, along="columns", lasts=True)
+    return parts
+
+
+def _square(rms: Scalar | None) -> Scalar | float:
+    return 0.0 if rms is None else rms**2
+
+
+def _hum(sensor: Sensor) -> Scalar | float:
+    return 0.0 if sensor.banding is None else sensor.banding.amplitude**2 / 2
+
+
+def _slope(sensor: Sensor, charge: Counts) -> Counts:
+    """By how much the signal rises with the charge."""
+    curve = sensor.nonlinearity
+    assert curve is not None
+    one = jnp.ones_like(charge)
+    return jax.jvp(lambda x: signal_of_charge(curve, x), (charge,), (one,))[1]
+
+
+def _drawn(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Counts]) -> list[Part]:
+    """The derivatives of an image along the principal axes of the draws of its camera."""
+    leaves, tree = jax.tree.flatten(sensor)
+    drawn = [np.asarray(x, float) for x in jax.tree.leaves(draws)]
+    if jax.tree.structure(draws) != tree or any(
+        d.shape[1:] != np.shape(x) for d, x in zip(drawn, leaves, strict=True)
+    ):
+        raise ValueError("draws must be of the same kind of sensor, with one leading axis.")
+    table = np.concatenate([x.reshape(len(x), -1) for x in drawn], axis=1)
+    centred = table - table.mean(0)
+    scale = centred.std(0)
+    varies = scale > 1e-12 * np.abs(table).max(0)
+    _, sizes, axes = np.linalg.svd(centred[:, varies] / scale[varies], full_matrices=False)
+    splits = np.cumsum([np.size(x) for x in leaves])[:-1]
+    parts = []
+    for i, (size, axis) in enumerate(zip(sizes, axes, strict=True)):
+        if size <= 1e-6 * sizes[0]:
+            continue
+        step = np.zeros(table.shape[1])
+        step[varies] = size / np.sqrt(len(table) - 1) * axis * scale[varies]
+        steps = (
+            jnp.asarray(part.reshape(np.shape(x)), jnp.asarray(x).dtype)
+            for part, x in zip(np.split(step, splits), leaves, strict=True)
+        )
+        moved = jax.jvp(image, (sensor,), (jax.tree.unflatten(tree, list(steps)),))[1]
+        parts.append(Part(f"camera {i}", moved, along="all", lasts=True))
+    return parts
+
+
+def _scale(sensor: Sensor, unit: str, raw: Counts) -> Scalars:
+    """The unit per electron of light."""
+    if unit == "electrons":
+        return jnp.ones((), raw.dtype)
+    several = sensor.quantum_efficiency is not None and sensor.quantum_efficiency.ndim > 0
+    conversion = sensor.photon_conversion
+    if sensor.colour_filter is not None or sensor.infrared_cut is not None or several:
+        raise ValueError(f"correct: {unit} of several bands are not known; ask for electrons.")
+    per_photon = jnp.ones((), raw.dtype)
+    if sensor.quantum_efficiency is not None:
+        per_photon = per_photon * sensor.quantum_efficiency
+    if sensor.pixel_aperture is not None:
+        per_photon = per_photon * light_share(sensor.pixel_aperture)
+    if unit == "photons":
+        return 1 / per_photon
+    if conversion is None or sensor.exposure_time is None or conversion.wavelength.ndim > 0:
+        raise ValueError(
+            "correct: irradiance needs Sensor.photon_conversion of one wavelength and "
+            "Sensor.exposure_time; give them, or ask for electrons."
+        )
+    per_joule = conversion.wavelength / (PLANCK * SPEED_OF_LIGHT)
+    return 1 / (per_photon * per_joule * conversion.pixel_area * sensor.exposure_time)
+
+
+def _cross(share: Scalar) -> Kernel:
+    """The kernel of crosstalk."""
+    around = jnp.asarray([[0, 1, 0], [1, 0, 1], [0, 1, 0]], share.dtype)
+    middle = jnp.asarray([[0, 0, 0], [0, 1, 0], [0, 0, 0]], share.dtype)
+    return share * around + (1 - 4 * share) * middle
+
+
+def _inverse(kernel: Kernel) -> Kernel:
+    """The kernel that undoes another, cut beyond 8 pixels."""
+    rows, columns = kernel.shape
+    wide = jnp.zeros((_PERIOD, _PERIOD), kernel.dtype).at[:rows, :columns].set(kernel)
+    wide = jnp.roll(wide, (-(rows // 2), -(columns // 2)), (0, 1))
+    undone = jnp.fft.irfft2(1 / jnp.fft.rfft2(wide), wide.shape)
+    size = 2 * _REACH + 1
+    return jnp.roll(undone, (_REACH, _REACH), (0, 1))[:size, :size].astype(kernel.dtype)

@@ -1,0 +1,264 @@
+"""`correct` undoes a camera: against the light that went in, naive NumPy, and the errors that it
+states, by simulated frames."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from jaxvision import sensor as js
+
+SIDE = 24
+LIGHT = np.full((SIDE, SIDE, 1), 3000.0) + np.linspace(0, 3000, SIDE)[:, None, None]  # e-
+PATCH = np.zeros((SIDE, SIDE), bool)
+PATCH[8:16, 6:18] = True
+INSIDE = (slice(None), slice(4, -4), slice(4, -4))
+SENSOR = jv.Sensor(
+    exposure_time=0.02,
+    light_offset=100.0,
+    crosstalk=0.02,
+    prnu=0.01,
+    dark_current=2000.0,
+    shot_noise=jv.PoissonShotNoise(),
+    brighter_fatter=jv.BrighterFatter([[4e-7]]),
+    mixing=js.even_mixing(0.08),
+    nonlinearity=jv.Compression(0.05, 0.01, electrons=1e4),
+    dsnu=3.0,
+    read_noise=15.0,
+    row_noise=4.0,
+    column_noise=2.0,
+    frame_noise=1.0,
+    gain=0.5,
+    offset=100.0,
+    bits=14,
+)
+DIE = jax.random.key(3)
+SIMPLE = replace(
+    SENSOR, brighter_fatter=None, crosstalk=None, nonlinearity=jv.Compression(0.05, electrons=1e4)
+)
+
+
+def exposed(light):
+    """Photons a second."""
+    return jnp.asarray(light / 0.02)
+
+
+def test_a_camera_without_noise_is_undone():
+    """All that does not draw: within the second order of the brighter-fatter effect and of charge
+    transfer, 0.02 %."""
+    sensor = replace(
+        SENSOR,
+        shot_noise=None,
+        prnu=None,
+        dsnu=None,
+        read_noise=None,
+        row_noise=None,
+        column_noise=None,
+        frame_noise=None,
+        bits=None,
+        smear=1e-4,
+        quantum_efficiency=0.5,
+        charge_transfer=jv.ChargeTransfer(1e-5, serial_inefficiency=1e-5),
+        taps=jv.Taps(((0, 1),), offset=[0.0, 5.0], gain=[1.0, 1.1]),
+    )
+    scene = LIGHT * (1 + 0.2 * np.random.default_rng(1).uniform(-1, 1, LIGHT.shape))
+    raw = jv.raw_image(None, sensor, exposed(scene))
+    found = js.correct(raw, sensor)
+    np.testing.assert_allclose(found.image, 0.5 * scene, rtol=4e-4)
+    photons = js.correct(raw, sensor, unit="photons")
+    np.testing.assert_allclose(photons.image, scene, rtol=4e-4)
+    assert np.abs(np.asarray(raw) - 100 - 0.25 * scene).max() > 100  # there was much to undo
+
+
+def test_dark_flat_and_defects_against_naive_numpy():
+    rng = np.random.default_rng(2)
+    raw, dark, flat = (
+        rng.uniform(*ends, (6, 7, 1)) for ends in ((500, 900), (90, 110), (900, 990))
+    )
+    defects = np.zeros((6, 7), bool)
+    defects[2, 3] = True
+    sensor = jv.Sensor(gain=0.25, offset=100.0, read_noise=2.0)
+    masters = jv.Masters(dark=jv.Master(dark, 10), flat=jv.Master(flat, 10), defects=defects)
+    found = js.correct(raw, sensor, masters=masters)
+    field = flat - dark
+    around = np.ones_like(field, bool)
+    around[2, 3] = False
+    hood = around[0:5, 1:6] * 1.0
+    field[2, 3] = (hood * field[0:5, 1:6]).sum() / hood.sum()
+    wanted = (raw - dark) / 0.25 / (field / field.mean())
+    wanted[2, 3] = np.nan
+    np.testing.assert_allclose(found.image, wanted, rtol=1e-5)
+    clipped = js.correct(jnp.array([[[255.0], [254.0]]]), jv.Sensor(bits=8))
+    assert np.isnan(clipped.image).ravel().tolist() == [True, False]
+
+
+def test_irradiance_is_what_went_in():
+    conversion = jv.PhotonConversion(550e-9, 25e-12)
+    sensor = jv.Sensor(
+        photon_conversion=conversion, quantum_efficiency=0.6, exposure_time=0.01, gain=0.5
+    )
+    raw = jv.raw_image(None, sensor, jnp.full((2, 3, 1), 0.02))
+    np.testing.assert_allclose(js.correct(raw, sensor, unit="irradiance").image, 0.02, rtol=1e-6)
+
+
+def test_what_it_refuses():
+    raw = jnp.ones((2, 2, 1))
+    with pytest.raises(ValueError, match="unit must be one of electrons, photons, irradiance"):
+        js.correct(raw, jv.Sensor(), unit="lux")
+    with pytest.raises(ValueError, match=r"irradiance needs Sensor\.photon_conversion"):
+        js.correct(raw, jv.Sensor(), unit="irradiance")
+    with pytest.raises(ValueError, match="photons of several bands"):
+        js.correct(raw, jv.Sensor(quantum_efficiency=[0.5]), unit="photons")
+    with pytest.raises(ValueError, match="draws must be of the same kind"):
+        js.correct(raw, jv.Sensor(gain=1.0), draws=jv.Sensor(offset=1.0))
+
+
+def test_a_filter_carries_the_errors_as_a_mean_does():
+    """A box of 5 x 5 at one pixel is the mean over these 25; and so for one that is shared."""
+    draws = jax.vmap(lambda x: replace(SIMPLE, gain=SIMPLE.gain * (1 + 0.01 * x)))
+    raw = jv.raw_image(jax.random.key(1), SIMPLE, exposed(LIGHT), die_key=DIE)
+    found = js.correct(raw, SIMPLE, draws=draws(jnp.linspace(-1, 1, 9)))
+    box = np.zeros((SIDE, SIDE), bool)
+    box[10:15, 9:14] = True
+    mean, filtered = found.mean(box), found.filtered(jnp.full((5, 5), 1 / 25))
+    np.testing.assert_allclose(filtered.image[12, 11], mean.mean, rtol=1e-6)
+    np.testing.assert_allclose(filtered.total_variance[12, 11], mean.variance, rtol=0.02)
+    np.testing.assert_allclose(filtered.shared[:, 12, 11], found.shared[:, box].mean(1), rtol=1e-5)
+
+
+def test_what_pixels_share_is_how_far_draws_move_them():
+    """The sum of squares against the variance of frames corrected with each draw."""
+    best = jv.Sensor(gain=0.5, offset=100.0, nonlinearity=jv.Compression(0.05, electrons=1e4))
+    rng = np.random.default_rng(4)
+
+    def drawn(x):
+        curve = jv.Compression(0.05 + 0.002 * x[2], electrons=1e4)
+        return replace(best, gain=0.5 + 0.002 * x[0], offset=100 + x[1] + x[0], nonlinearity=curve)
+
+    draws = jax.vmap(drawn)(jnp.asarray(rng.normal(size=(300, 3))))
+    raw = jnp.linspace(200, 4000, 12).reshape(3, 4, 1)
+    found = js.correct(raw, best, draws=draws)
+    assert found.shared.shape == (3, 3, 4, 1)
+    each = jax.vmap(lambda sensor: js.correct(raw, sensor).image)(draws)
+    np.testing.assert_allclose(np.sum(found.shared**2, 0), np.var(each, 0), rtol=0.03)
+
+
+def simulated(count, masters_of, frames=16):
+    """z of pixels, patches, and their differences in pairs of frames that share dark and flat; each
+    pair with a die of its own."""
+
+    def master(sensor, key, die, light):
+        shots = jax.random.split(key, frames)
+        mean = jax.vmap(lambda k: jv.raw_image(k, sensor, light, die_key=die))(shots).mean(0)
+        return jv.Master(mean, frames)
+
+    @jax.jit
+    def pair(key):
+        die, one, other, dark, flat = jax.random.split(key, 5)
+        lit = jnp.full(LIGHT.shape, 5000 / 0.02)
+        masters = jv.Masters(
+            dark=master(replace(SENSOR, light_offset=None), dark, die, 0 * lit),
+            flat=master(SENSOR, flat, die, lit),
+        )
+        a, b = (
+            js.correct(
+                jv.raw_image(k, SENSOR, exposed(LIGHT), die_key=die),
+                SENSOR,
+                masters=masters if masters_of else None,
+                expected=jnp.asarray(LIGHT),
+            )
+            for k in (one, other)
+        )
+        difference, patches = a - b, (a.mean(PATCH), (a - b).mean(PATCH))
+        return (
+            (a.image - LIGHT) / jnp.sqrt(a.total_variance),
+            difference.image / jnp.sqrt(difference.total_variance),
+            (patches[0].mean - LIGHT[PATCH].mean()) / jnp.sqrt(patches[0].variance),
+            patches[1].mean / jnp.sqrt(patches[1].variance),
+        )
+
+    keys = jax.random.split(jax.random.key(17), count)
+    return [np.asarray(z) for z in jax.lax.map(pair, keys)]
+
+
+def check(count, found):
+    pixels, differences, patch, patches = found
+    for z in (pixels[INSIDE], differences[INSIDE]):
+        per_frame = z.mean((1, 2, 3))
+        assert abs(per_frame.mean()) < 4 * per_frame.std() / np.sqrt(count) + 0.01
+        assert abs(z.var() - 1) < 0.02
+    for z in (patch, patches):
+        assert abs(z.mean()) < 4 / np.sqrt(count)
+        assert abs(z.var() - 1) < 4 * np.sqrt(2 / count)
+
+
+def test_stated_errors_are_those_of_a_few_simulated_frames():
+    """Mixing, a curve, lines and read noise, of one die without a pattern."""
+    plain = replace(SIMPLE, prnu=None, dsnu=None, row_noise=12.0)
+    keys = jax.random.split(jax.random.key(6), 60)
+    raw = jax.jit(jax.vmap(lambda key: jv.raw_image(key, plain, exposed(LIGHT))))(keys)
+    found = js.correct(raw, plain, expected=jnp.asarray(LIGHT)[None])
+    pixels = ((np.asarray(found.image) - LIGHT) / np.sqrt(found.total_variance))[INSIDE]
+    patch = found.mean(PATCH)
+    z = (np.asarray(patch.mean) - LIGHT[PATCH].mean()) / np.sqrt(patch.variance)
+    frames = pixels.mean((1, 2, 3))
+    assert abs(frames.mean()) < 4 * frames.std() / np.sqrt(60) + 0.01
+    assert abs(pixels.var() - 1) < 0.05
+    assert abs(z.var() - 1) < 4 * np.sqrt(2 / 60)
+    alone = np.asarray(found.variance)[:, PATCH].sum(1) / PATCH.sum() ** 2
+    assert (alone < 0.8 * patch.variance).all()  # lines are shared by the pixels of a patch
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("with_masters", [True, False])
+def test_stated_errors_are_those_of_two_hundred_simulated_frames(with_masters):
+    """Without masters the pattern of each die counts as an error."""
+    check(200, simulated(200, with_masters))
+
+
+@pytest.mark.slow
+def test_patches_of_cameras_that_differ_as_their_draws_do():
+    """200 cameras drawn from the posterior; each frame is corrected with the best of them."""
+    plain = jv.Sensor(
+        exposure_time=0.02,
+        shot_noise=jv.PoissonShotNoise(),
+        nonlinearity=jv.Compression(0.05, electrons=1e4),
+        read_noise=5.0,
+        gain=0.5,
+        offset=100.0,
+    )
+
+    def drawn(x):
+        curve = jv.Compression(0.05 + 0.003 * x[1], electrons=1e4)
+        return replace(plain, gain=0.5 * (1 + 0.003 * x[0]), nonlinearity=curve)
+
+    normal = np.random.default_rng(8).normal(size=(500, 2))
+    draws = jax.vmap(drawn)(jnp.asarray(normal))
+    light = jnp.asarray(LIGHT)
+
+    @jax.jit
+    def z(key):
+        own, frame = jax.random.split(key)
+        camera = drawn(jax.random.normal(own, (2,)))
+        found = js.correct(
+            jv.raw_image(frame, camera, exposed(LIGHT)), plain, draws=draws, expected=light
+        )
+        patch = found.mean(PATCH)
+        off = (found.image - light) / jnp.sqrt(found.total_variance)
+        alone = found.variance[PATCH].sum() / float(PATCH.sum()) ** 2
+        return (
+            (patch.mean - LIGHT[PATCH].mean()) / jnp.sqrt(patch.variance),
+            off,
+            alone / patch.variance,
+        )
+
+    patch, pixels, share = (
+        np.asarray(x) for x in jax.lax.map(z, jax.random.split(jax.random.key(2), 200))
+    )
+    assert abs(patch.mean()) < 4 / np.sqrt(200)
+    assert abs(patch.var() - 1) < 4 * np.sqrt(2 / 200)
+    assert abs(pixels.var() - 1) < 0.05
+    assert share.max() < 0.5  # most of a patch's error is shared
