@@ -17,7 +17,7 @@ from ..inference.newton import minimise
 from ..observation import Load
 from ..reflectance.from_images.fit import ChannelFit, fit_channel
 from ..reflectance.from_images.geometry_cells import Grouping, average, group, saturated_only
-from ..reflectance.from_images.model import Form, Samples, negative_log_likelihood
+from ..reflectance.from_images.model import Samples, negative_log_likelihood
 from ..reflectance.from_images.posterior import (
     composite,
     composite_log_density,
@@ -25,6 +25,7 @@ from ..reflectance.from_images.posterior import (
 )
 from ..reflectance.from_images.read import Photographs, read_reflectance_observation
 from ..reflectance.from_images.samples import Selection, gather, select
+from ..reflectance.from_images.signal import Form
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
@@ -52,7 +53,7 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
     chosen = select(observation, held_out=False, form=form, minimum_cosine=0.0)
     usual = _grouping(observation, chosen, 1.0)
     every = range(len(observation.channels))
-    gathered = gather(observation, chosen, models=(form.model,), channels=every)
+    gathered = gather(observation, chosen, channels=every)
     fits = (fit_channel(gathered, channel, form, usual) for channel in every)
     fit = next((one for one in fits if one.robustness is not None), None)
     if fit is None or fit.robustness is None:
@@ -116,7 +117,7 @@ def _part(samples: Samples, chosen: np.ndarray) -> Samples:
         samples,
         **{
             name: jax.tree.map(of, getattr(samples, name))
-            for name in ("cosine", "geometry", "irradiance", "dn", "deviation", "saturated")
+            for name in ("geometry", "dn", "deviation", "saturated")
         },
         offset=jax.tree.map(of, samples.offset),
     )

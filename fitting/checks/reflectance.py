@@ -11,11 +11,10 @@ from ..reflectance.from_images.calibration import open_parameters
 from ..reflectance.from_images.fit import fit_channel
 from ..reflectance.from_images.from_memory import from_photographs
 from ..reflectance.from_images.geometry_cells import Grouping, group
-from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.posterior import channel_posterior
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.samples import Selection, gather, select
-from ..reflectance.names import Model
+from ..reflectance.from_images.signal import Form
 from ..rig import Camera, SphereGeometry
 from .simulations import places_in
 
@@ -193,9 +192,8 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
     """
     observation, chosen, cells = sphere.observed
     dn = photographs(sphere, seed)[None][:, :, observation.rows, observation.columns]
-    models: tuple[Model, ...] = ("phong", "lambert")
-    again = gather(replace(observation, dn=dn), chosen, models=models, channels=(0,))
-    found, matt = (fit_channel(again, 0, Form(model), cells) for model in models)
+    again = gather(replace(observation, dn=dn), chosen, channels=(0,))
+    found, matt = (fit_channel(again, 0, Form(model), cells) for model in ("phong", "lambert"))
     if found.robustness is None or open_parameters(found, matt):
         raise InputError("the data leave a parameter open.")
     posterior = channel_posterior(found, cells, sampling=None, seed=seed)

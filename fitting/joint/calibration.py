@@ -11,9 +11,9 @@ from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.posterior import Posterior, sample
 from ..inference.precision import in_double
-from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.shading_check import without_strangers
+from ..reflectance.from_images.signal import Form
 from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks

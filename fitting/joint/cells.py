@@ -16,18 +16,24 @@ them that no noise did, since else a reference that is wrong would hide what con
 from dataclasses import dataclass, replace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxvision import Vec, as_array, as_vec
-from jaxvision.geometry.hemisphere import local_frame, to_local
+from jaxvision import Vec
 
-from ..reflectance.from_images.model import Form
-from ..reflectance.from_images.read import VIEW, Photographs
-from ..reflectance.models import has_lobe, shape_of, unit_shading
-from .model import Cells, Geometry, Values, signal, stored
+from ..reflectance.from_images.read import Photographs
+from ..reflectance.from_images.signal import (
+    Form,
+    Geometry,
+    Values,
+    local_geometry,
+    signal,
+    stored,
+    unit_lobe,
+)
+from ..reflectance.models import has_lobe, shape_of
+from .model import Cells
 
 WIDEST, NARROWEST = 0.05, 0.00625  # rad of the normal: widths of a cell
 FINE = 0.5  # width of the finest cells over that of the lobe, as the normal turns
@@ -74,15 +80,10 @@ def cell_width(form: Form, shape: float | None) -> float:
     angle = np.linspace(0, 1.2, 1201)
     wi = Vec(*(jnp.asarray(x) for x in (np.sin(angle), np.zeros(1201), np.cos(angle))))
     wo = Vec(jnp.zeros(1201), jnp.zeros(1201), jnp.ones(1201))
-    lobe = np.asarray(_lobe(form, jnp.asarray(shape), wi, wo))
+    lobe = np.asarray(unit_lobe(form, jnp.asarray(shape), Geometry(wi, wo, jnp.ones(1201))))
     below = lobe < np.exp(-0.5) * lobe[0]
     width = angle[int(np.argmax(below))] / 2 if below.any() else angle[-1]
     return float(np.clip(FINE * width, NARROWEST, WIDEST))
-
-
-@eqx.filter_jit
-def _lobe(form: Form, shape: Array, wi: Vec, wo: Vec) -> Array:
-    return unit_shading(form.model, shape, wi, wo, form.index)
 
 
 def make_grid(
@@ -172,53 +173,10 @@ def _lobe_at(
     observation: Photographs, light: int, reference: Values, form: Form
 ) -> Float[np.ndarray, " pixels"]:
     """The lobe at unit amplitude, of the lit pixels of one image."""
-    wi, blank = observation.wi[light][None], np.ones((1, len(observation.normals)))
-    at = local_geometry(observation.normals[None], wi, blank, turns=False)
-    shape = jnp.asarray(reference[shape_of(form.model).name])
-    of_image = jax.tree.map(lambda a: a[0], (at.wi, at.wo))
-    return np.where(observation.cosine[light] > 0, np.asarray(_lobe(form, shape, *of_image)), 0)
-
-
-def local_geometry(
-    normals: Float[np.ndarray, "images cells 3"],
-    wi: Float[np.ndarray, "images cells 3"],
-    irradiance: Float[np.ndarray, "images cells"],
-    *,
-    turns: bool,
-) -> Geometry:
-    """Directions in the frames of normals.
-
-    Args:
-        normals: (images, cells, 3) unit.
-        wi: (images, cells, 3) unit, toward the light.
-        irradiance: (images, cells) E on a facing surface.
-        turns: whether to tell how `wi` changes as the light turns.
-
-    Returns:
-        The geometry.
-    """
-    return _local_geometry(jnp.asarray(normals), jnp.asarray(wi), jnp.asarray(irradiance), turns)
-
-
-@eqx.filter_jit
-def _local_geometry(normals: Array, wi: Array, irradiance: Array, turns: bool) -> Geometry:
-    frame = local_frame(as_vec(normals))
-
-    def seen(directions: Array) -> Vec:
-        return as_vec(to_local(frame, as_vec(directions)))
-
-    turned = None
-    if turns:
-        middle = jnp.mean(wi, axis=1)
-        across = local_frame(as_vec(middle / jnp.linalg.norm(middle, axis=1, keepdims=True)))
-
-        def along(t: Array) -> Vec:
-            return seen(t[:, None] - jnp.sum(t[:, None] * wi, axis=2, keepdims=True) * wi)
-
-        turned = along(as_array(across.tangent)), along(as_array(across.bitangent))
-    view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
-    wo = as_vec(to_local(frame, as_vec(view)))
-    return Geometry(wi=seen(wi), wo=wo, irradiance=irradiance, turned=turned)
+    at = local_geometry(
+        observation.normals, observation.wi[light], np.ones(len(observation.normals))
+    )
+    return np.asarray(unit_lobe(form, jnp.asarray(reference[shape_of(form.model).name]), at))
 
 
 def reduce_images(
@@ -293,7 +251,7 @@ def pixels_at(
     """
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     wi = observation.wi[light]
-    geometry = local_geometry(observation.normals[None], wi[None], irradiance[None], turns=False)
+    geometry = local_geometry(observation.normals[None], wi[None], irradiance[None])
     expected, x, variance, noise = (
         np.asarray(a)[0]
         for a in _pixel_moments(values, form, geometry, jnp.asarray(observation.white))
@@ -322,7 +280,7 @@ def _pixel_moments(
     values: Values, form: Form, geometry: Geometry, white: Array
 ) -> tuple[Array, ...]:
     """E[DN], X, Var[DN], and the deviation of the linear signal."""
-    x = signal(values, form, geometry.wi, geometry.wo, geometry.irradiance)
+    x = signal(values, form, geometry)
     gain = values["system_gain"]
     noise = jnp.sqrt(gain * x + (gain * values["read_noise"]) ** 2)
     mean, variance, _ = stored(values, jnp.maximum(x, noise) if "gamma" in values else x, white)
@@ -331,7 +289,7 @@ def _pixel_moments(
 
 @eqx.filter_jit
 def _mean_dn(values: Values, form: Form, geometry: Geometry, white: Array) -> Array:
-    x = signal(values, form, geometry.wi, geometry.wo, geometry.irradiance)
+    x = signal(values, form, geometry)
     return stored(values, jnp.where(x > 0, x, white), white)[0]
 
 

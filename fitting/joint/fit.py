@@ -17,8 +17,8 @@ from ..inference.diagnostics import Identifiability, identifiability
 from ..inference.left_out import LeftOut
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_unconstrained
-from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.read import Photographs, UniformLevels
+from ..reflectance.from_images.signal import Form, Values
 from ..reflectance.models import is_searched, shape_of
 from . import marginal
 from .cells import Grid, cell_width, make_grid, reduce_images
@@ -28,7 +28,6 @@ from .model import (
     JointData,
     Levels,
     Prediction,
-    Values,
     cell_errors,
     cost,
     predicted,

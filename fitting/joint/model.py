@@ -1,16 +1,7 @@
 """The images that a reflectance, a response and a sensor predict together, and their likelihood.
 
-For light j and a pixel (or a cell of pixels of like normals) with cosine of incidence n.l,
-
-    X   = E (k_d [n.l]+ + k_s lobe)                     signal, DN of a linear camera
-    v   = K X + (K sigma)^2                             its variance: shot and read noise
-    DN  = b + f(X),   f(X) = W (X / W)^(1 / gamma)      what the file holds; f(X) = X where linear
-    E[DN]   = b + f + f'' v / 2
-    Var[DN] = f'^2 v + f' f'' K^2 X + (f''^2 / 2 + f' f''') v^2 + 1 / 12
-
-the latter two to second order in the noise, which is enough for X of five deviations and more. E is
-the irradiance on a facing surface in the rig's unit, and `lobe` the shading of one of
-`reflectance.models`. Cells have a count, a mean and a scatter about it, and their likelihood is
+Signal, encoding and noise of a pixel, or of a cell of pixels of like normals, are those of
+`from_images.signal`. Cells have a count, a mean and a scatter about it, and their likelihood is
 that of their pixels, so that the gain K speaks through the scatter.
 
 What the rig calls uncertain enters as a shared error of a whole image or of a pixel in all images,
@@ -42,37 +33,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxvision import Vec
-from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
-from ..reflectance.from_images.model import Form
-from ..reflectance.models import has_lobe, shape_of, unit_shading
+from ..reflectance.from_images.signal import Form, Geometry, Values, signal, stored
 from . import marginal
 
-Values = dict[str, Array]
 Table = Float[Array, "images cells"]
 MISFIT_AT = 0.1  # of full scale: W_0 / W
 BY_IMAGE = ("light_scatter", "direction_scatter", "stray_scatter")
-
-
-class Geometry(eqx.Module):
-    """How light falls on each cell of pixels, in its local frame.
-
-    Attributes:
-        wi: components (images, cells) toward the light.
-        wo: components (images, cells) toward the viewer.
-        irradiance: (images, cells) E on a facing surface.
-        turned: derivatives of `wi` to two angles of the light, rad^-1; None where its direction is
-            exact.
-        about: (2, images) rad, angles by which the lights are turned from where the rig puts them;
-            None for none.
-    """
-
-    wi: Vec
-    wo: Vec
-    irradiance: Table
-    turned: tuple[Vec, Vec] | None = None
-    about: Float[Array, "2 images"] | None = None
 
 
 class Cells(eqx.Module):
@@ -153,56 +121,6 @@ def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
     return data.known | {name: natural[i] for i, name in enumerate(names(data.space))}
 
 
-def signal(values: Values, form: Form, wi: Vec, wo: Vec, irradiance: Table) -> Table:
-    """X of every cell in every image.
-
-    Args:
-        values: natural, by name.
-        form: of the fit.
-        wi: components (images, cells), local, toward the light.
-        wo: components (images, cells), local, toward the viewer.
-        irradiance: (images, cells) E.
-
-    Returns:
-        (images, cells) DN above black.
-    """
-    lit = wi.z > 0
-    if form.model == "lambert":
-        return irradiance * values["diffuse"] * jnp.where(lit, wi.z, 0)
-    shape = values[shape_of(form.model).name]
-    unit = jax.vmap(lambda i, o: unit_shading(form.model, shape, i, o, form.index))(wi, wo)
-    unit = jnp.where(lit, unit, 0)
-    if not has_lobe(form.model):
-        return irradiance * values["diffuse"] * unit
-    body = values["diffuse"] * jnp.where(lit, wi.z, 0)
-    return irradiance * (body + values["specular"] * unit)
-
-
-def stored(values: Values, x: Array, white: Array) -> tuple[Array, Array, Array]:
-    """Mean, variance and slope of the digital number of a signal.
-
-    Args:
-        values: natural, by name.
-        x: (...) X, DN, positive where there is a gamma.
-        white: W, DN.
-
-    Returns:
-        (...) E[DN] in DN, Var[DN] in DN^2, and d DN / d X.
-    """
-    gain, black = values["system_gain"], values["black_level"]
-    v = gain * x + (gain * values["read_noise"]) ** 2
-    if "gamma" not in values:
-        return black + x, v + QUANTISATION_VARIANCE, jnp.ones_like(x)
-    power = 1 / values["gamma"]
-    f = white * (x / white) ** power
-    slope = power * f / x
-    second = (power - 1) * slope / x
-    third = (power - 2) * second / x
-    skew = slope * second * gain**2 * x
-    variance = slope**2 * v + skew + (second**2 / 2 + slope * third) * v**2
-    return black + f + second * v / 2, variance + QUANTISATION_VARIANCE, slope
-
-
 class Prediction(eqx.Module):
     """What a model says of the cells.
 
@@ -238,7 +156,7 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
     seen = cells.count > 0
 
     def signal_of(wi: Vec) -> Array:
-        return signal(values, form, wi, geometry.wo, geometry.irradiance)
+        return signal(values, form, replace(geometry, wi=wi))
 
     x = jnp.where(seen, signal_of(geometry.wi), data.white)
     mean, variance, slope = stored(values, x, data.white)

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..reflectance.from_images.read import Photographs
-from .cells import DARKEST, SMALLEST_COSINE, local_geometry, pixels_at
+from ..reflectance.from_images.signal import local_geometry
+from .cells import DARKEST, SMALLEST_COSINE, pixels_at
 from .fit import JointFit
 from .model import BY_IMAGE, Cells, JointData, predicted, values_at
 from .start import scatter_scales

@@ -13,13 +13,12 @@ from jaxtyping import Float
 
 from ..inference.parameters import Parameter, ParameterSpace, names, to_natural
 from ..inference.priors import LogNormal, Normal
-from ..reflectance.from_images import model as images_model
 from ..reflectance.from_images.geometry_cells import average, group
-from ..reflectance.from_images.model import Form
+from ..reflectance.from_images.model import parameter_space
 from ..reflectance.from_images.optimum import project
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.samples import Selection, make_samples, select
-from ..reflectance.models import amplitude, has_lobe, shape_of
+from ..reflectance.from_images.signal import GAMMA, Form, decoded, surface_parameters
 
 TRUST = 1.6  # factor, one standard deviation, by which a stated error may be off
 MOST_AT_START = 100_000  # samples
@@ -27,7 +26,6 @@ MOST_AT_START = 100_000  # samples
 GAIN = Parameter("system_gain", symbol="K", unit="DN/e-", transform="log")
 READ_NOISE = Parameter("read_noise", symbol="σ", unit="e-", lower=0.0)
 BLACK = Parameter("black_level", symbol="b", unit="DN")
-GAMMA = Parameter("gamma", symbol="γ", unit="1", transform="log")
 SCATTERS = {
     "light_scatter": Parameter("light_scatter", symbol="s_l", unit="1", transform="log"),
     "direction_scatter": Parameter("direction_scatter", symbol="s_d", unit="rad", transform="log"),
@@ -82,11 +80,7 @@ def parameters(
         Parameters with their priors, and numbers by name.
     """
     camera, known = observation.camera, {}
-    space = [amplitude("diffuse", "k_d", images_model.COEFFICIENT_UNIT)]
-    if has_lobe(form.model):
-        space.append(amplitude("specular", "k_s", images_model.COEFFICIENT_UNIT))
-    if form.model != "lambert":
-        space.append(shape_of(form.model))
+    space = [*surface_parameters(form)]
 
     def add(parameter: Parameter, value: float | None, sd: float | None) -> None:
         if value is None:
@@ -145,7 +139,7 @@ def first_reflectance(
         observation.mirror_angle[chosen.light, chosen.pixel],
     )
     found, vector = project(average(samples, cells))
-    space = images_model.parameter_space(found.form)
+    space = parameter_space(found.form)
     natural = np.asarray(to_natural(space, vector), np.float64)
     start = dict(zip(names(space), natural.tolist(), strict=True))
     if not form.free_gamma and observation.gamma is not None:
@@ -181,7 +175,7 @@ def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | N
     """K from the differences of neighbours in a row: their light is nearly the same."""
     dn = np.clip(observation.dn[channel], observation.black + 1, None)
     linear = np.asarray(
-        images_model.decoded(
+        decoded(
             jnp.asarray(dn),
             jnp.asarray(observation.black),
             jnp.asarray(observation.white),

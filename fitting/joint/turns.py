@@ -9,8 +9,8 @@ turns that it finds (Gauss-Newton), until no light moves.
 import numpy as np
 from jaxtyping import Float
 
-from ..reflectance.from_images.model import Form
 from ..reflectance.from_images.read import Photographs
+from ..reflectance.from_images.signal import Form
 from ..reflectance.from_images.turns import turned
 from .fit import JointFit, fit_channel, image_errors
 

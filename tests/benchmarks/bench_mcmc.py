@@ -17,8 +17,9 @@ import pytest
 from oracles.sphere_photographs import light_directions, sphere_normals
 
 from fitting.reflectance.from_images.geometry_cells import average, group
-from fitting.reflectance.from_images.model import Form, Samples
+from fitting.reflectance.from_images.model import Samples
 from fitting.reflectance.from_images.posterior import Composite, composite_log_density
+from fitting.reflectance.from_images.signal import Form, local_geometry
 
 pytestmark = pytest.mark.benchmark
 
@@ -30,7 +31,7 @@ NUMPY, PIXELS, CELLS = "pixels in NumPy", "pixels in JAX", "cells in JAX"
 
 
 def data():
-    """Light index, n.l, mirror cosine and digital numbers of all lit pixels."""
+    """Light index, n.l, mirror cosine, digital numbers and geometry of all lit pixels."""
     normals = sphere_normals(64, 31.0).reshape(-1, 3)
     normals = normals[~np.isnan(normals[:, 2])]
     directions = light_directions(LIGHTS)
@@ -40,7 +41,9 @@ def data():
     cosine, cos_mirror = n_l[lit], np.clip(mirrored[lit], 1e-6, 1)
     signal = WHITE * (0.4 * cosine + 0.45 * cos_mirror**40)
     dn = signal + DEVIATION * np.random.default_rng(0).standard_normal(signal.size)
-    return np.nonzero(lit)[0], cosine, cos_mirror, dn
+    light, pixel = np.nonzero(lit)
+    seen = local_geometry(normals[pixel], directions[light], np.full_like(cosine, WHITE))
+    return light, cosine, cos_mirror, dn, seen
 
 
 def numpy_log_density(q, cosine, log_cos, dn):
@@ -50,18 +53,16 @@ def numpy_log_density(q, cosine, log_cos, dn):
 
 
 def numpy_args():
-    _, cosine, cos_mirror, dn = data()
+    _, cosine, cos_mirror, dn, _ = data()
     return cosine, np.log(cos_mirror), dn
 
 
 def posterior_of(*, cells):
-    light, cosine, cos_mirror, dn = data()
+    light, cosine, cos_mirror, dn, seen = data()
     one = jnp.ones(())
     samples = Samples(
         form=Form("phong"),
-        cosine=jnp.asarray(cosine),
-        geometry=jnp.log(cos_mirror),
-        irradiance=jnp.full_like(cosine, WHITE),
+        geometry=seen,
         dn=jnp.asarray(dn),
         deviation=jnp.full_like(cosine, DEVIATION),
         saturated=None,

@@ -14,9 +14,10 @@ from fitting.joint.model import cost as joint_cost
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.model import cost as noise_cost
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.model import Form, negative_log_likelihood
+from fitting.reflectance.from_images.model import negative_log_likelihood
 from fitting.reflectance.from_images.optimum import optimum
 from fitting.reflectance.from_images.samples import gather
+from fitting.reflectance.from_images.signal import Form
 from fitting.reflectance.models import has_lobe, is_searched, shape_range
 from fitting.reflectance.names import MODELS
 
@@ -48,7 +49,7 @@ def judge(found, at_least):
 def test_reflectance(model):
     """Amplitudes from a hundredth to ten times the light, shapes over the searched range."""
     observation, chosen, cells = reflectance.SPHERE.observed
-    gathered = gather(observation, chosen, models=(model,), channels=(0,))
+    gathered = gather(observation, chosen, channels=(0,))
     fit = fit_channel(gathered, 0, Form(model), cells)
     rng = np.random.default_rng(7)
     ranges = [(0.01, 10.0)] * (1 + has_lobe(model))
@@ -110,7 +111,7 @@ def test_a_lobe_beyond_the_range_that_is_searched_is_no_optimum():
     """A start on the plateau of facets so rough that they no longer shine: the gradient vanishes,
     and the fit says that it failed."""
     observation, chosen, cells = reflectance.SPHERE.observed
-    gathered = gather(observation, chosen, models=("torrance-sparrow-beckmann",), channels=(0,))
+    gathered = gather(observation, chosen, channels=(0,))
     fit = fit_channel(gathered, 0, Form("torrance-sparrow-beckmann"), cells)
     assert fit.converged
     *_, converged = optimum(jnp.asarray([-0.9, 8.5, 11.4]), fit.samples)

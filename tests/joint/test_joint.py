@@ -28,13 +28,13 @@ from fitting.joint.fit import fit_channel
 from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.halves import Halves, widened
 from fitting.joint.misfit import _by_image, over_images
-from fitting.joint.model import Cells, Geometry, JointData, log_likelihood
+from fitting.joint.model import Cells, JointData, log_likelihood
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
 from fitting.joint.start import parameters, scatter_scales
 from fitting.joint.turns import fit_turned
 from fitting.joint.unequal_pixels import unequal_pixels
-from fitting.reflectance.from_images.model import Form
+from fitting.reflectance.from_images.signal import Form, Geometry
 from fitting.rig import Camera, SphereGeometry
 from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError

@@ -12,10 +12,10 @@ from fitting.joint.fit import fit_channel
 from fitting.joint.prediction import score as predicted_images
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
 from fitting.reflectance.from_images.calibration import mean_residual
-from fitting.reflectance.from_images.model import Form
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.section import section as reflectance_section
 from fitting.reflectance.from_images.shading_check import contradictions, directions_by_shading
+from fitting.reflectance.from_images.signal import Form
 from fitting.rig import load_rig
 
 

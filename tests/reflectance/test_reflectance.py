@@ -33,7 +33,6 @@ from fitting.reflectance.from_images.comparison import compare, relative_error
 from fitting.reflectance.from_images.findings import findings
 from fitting.reflectance.from_images.fit import fit_channel, predicted_image
 from fitting.reflectance.from_images.geometry_cells import group
-from fitting.reflectance.from_images.model import Form
 from fitting.reflectance.from_images.posterior import (
     channel_posterior,
     composite,
@@ -42,6 +41,7 @@ from fitting.reflectance.from_images.posterior import (
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.samples import gather, select
 from fitting.reflectance.from_images.section import section as reflectance_section
+from fitting.reflectance.from_images.signal import Form
 from fitting.report.page import as_json
 from jaxvision.errors import InputError
 
@@ -76,7 +76,7 @@ def with_frames(observation, frames):
 def fit(observation, model="phong", **options):
     form = Form(model, **options)
     chosen = select(observation, held_out=False, form=form)
-    gathered = gather(observation, chosen, models=(model,), channels=(0,))
+    gathered = gather(observation, chosen, channels=(0,))
     return fit_channel(gathered, 0, form, cells(observation, chosen))
 
 
@@ -106,6 +106,13 @@ def calibrated(observation, *fits):
         held_out=held_out,
         minimum_cosine=0.0,
     )
+
+
+def cosines(samples):
+    """n.l, and the logarithm of the cosine of the angle between view and mirror direction."""
+    wi, wo = (np.array([v.x, v.y, v.z]) for v in (samples.geometry.wi, samples.geometry.wo))
+    mirrored = 2 * wi[2] * wo[2] - (wi * wo).sum(axis=0)
+    return wi[2], np.log(np.maximum(mirrored, 1e-300))
 
 
 def deviations(found):
@@ -169,9 +176,8 @@ def test_facets_of_another_index_change_k_s_and_hardly_the_fit(observation):
 def test_the_optimum_is_scipys(observation):
     found = fit(observation)
     s = found.samples
-    cosine, mirror, dn, deviation = (
-        np.asarray(x) for x in (s.cosine, s.geometry, s.dn, s.deviation)
-    )
+    cosine, mirror = cosines(s)
+    dn, deviation = np.asarray(s.dn), np.asarray(s.deviation)
 
     def residuals(p):
         lobe = np.exp(np.exp(p[2]) * mirror)
@@ -199,9 +205,8 @@ def test_censored_optimum_is_scipys(observation):
     again = with_frames(observation, photographs(np.random.default_rng(2), clip=clip))
     found = fit(dataclasses.replace(again, clip=clip))
     s = found.samples
-    cosine, mirror, dn, deviation, saturated = (
-        np.asarray(x) for x in (s.cosine, s.geometry, s.dn, s.deviation, s.saturated)
-    )
+    cosine, mirror = cosines(s)
+    dn, deviation, saturated = (np.asarray(x) for x in (s.dn, s.deviation, s.saturated))
 
     def cost(p):
         lobe = np.exp(np.exp(p[2]) * mirror)
@@ -257,7 +262,7 @@ def test_without_the_highlight_its_parameters_are_not_determined(observation):
     far = observation.mirror_angle.min(axis=0) > np.radians(35)
     kept = {
         name: getattr(observation, name)[..., far]
-        for name in ("dn", "falloff", "cosine", "mirror_angle", "log_cos_mirror", "rows", "columns")
+        for name in ("dn", "falloff", "cosine", "mirror_angle", "rows", "columns")
     }
     cut = dataclasses.replace(
         observation, normals=observation.normals[far], wi=observation.wi[:, far], **kept
@@ -329,8 +334,9 @@ def test_the_composite_density_has_the_robust_curvature(observation):
 def log_likelihood_of_pixels(vector, samples):
     """Phong's formula and Tobin's likelihood of each pixel, by NumPy."""
     diffuse, specular, exponent = np.exp(vector)
-    lit = np.where(samples.cosine > 0, np.exp(exponent * np.asarray(samples.geometry)), 0)
-    signal = samples.irradiance * (diffuse * np.asarray(samples.cosine) + specular * lit)
+    cosine, mirror = cosines(samples)
+    lobe = np.where(cosine > 0, np.exp(exponent * mirror), 0)
+    signal = samples.geometry.irradiance * (diffuse * cosine + specular * lobe)
     predicted, sd = np.asarray(signal + samples.black), np.asarray(samples.deviation)
     found = norm.logpdf(samples.dn, predicted, sd)
     if samples.saturated is None:

@@ -20,12 +20,12 @@ from fitting.reflectance.from_images.comparison import relative_error
 from fitting.reflectance.from_images.derivatives import scores_and_slopes
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.model import (
-    Form,
     linear_signal,
     negative_log_likelihood,
     predicted_dn,
 )
 from fitting.reflectance.from_images.samples import Selection, gather, make_samples
+from fitting.reflectance.from_images.signal import Form
 from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
 from fitting.reflectance.from_images.turns import beyond_turns, information_on_turns
 from fitting.report.left_out import left_out_tables
@@ -38,7 +38,7 @@ def fitted():
     observation, chosen, cells = SPHERE.observed
 
     def fit(**changed):
-        gathered = gather(replace(observation, **changed), chosen, models=("phong",), channels=(0,))
+        gathered = gather(replace(observation, **changed), chosen, channels=(0,))
         return fit_channel(gathered, 0, Form("phong"), cells)
 
     return observation, fit
@@ -73,11 +73,8 @@ def turned_by_hand(observation, size, about):
     turned = light + size * axis / np.linalg.norm(axis)
     turned /= np.linalg.norm(turned)
     changed = {name: getattr(observation, name).copy() for name in ("wi", "cosine")}
-    changed["log_cos_mirror"] = observation.log_cos_mirror.copy()
-    mirrored = 2 * (observation.normals @ turned) * observation.normals[:, 2] - turned[2]
     changed["wi"][2] = turned
     changed["cosine"][2] = observation.normals @ turned
-    changed["log_cos_mirror"][2] = np.log(np.maximum(mirrored, 1e-300))
     return changed
 
 
@@ -146,7 +143,7 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
     observation, fit = fitted
     known = np.zeros(5)
     known[2] = 5e-3
-    brighter = core * observation.dn.max() * np.exp(400 * observation.log_cos_mirror)
+    brighter = core * observation.dn.max() * np.maximum(np.cos(observation.mirror_angle), 0) ** 400
     observation = replace(observation, dn=observation.dn + brighter * (observation.cosine > 0))
     found = fit(dn=observation.dn, uncertain={"direction_sd": known})
     samples, vector = found.samples, jnp.asarray(found.vector)

@@ -8,8 +8,8 @@ import pytest
 from fitting.joint.read import read_joint_measurement
 from fitting.joint.start import parameters
 from fitting.noise.read import reduce_rig
-from fitting.reflectance.from_images.model import Form
 from fitting.reflectance.from_images.read import read_reflectance_observation
+from fitting.reflectance.from_images.signal import Form
 from fitting.report.unused_keys import unused_keys
 from fitting.response.read import read_exposure_stack
 from fitting.rig import Rig

@@ -21,11 +21,12 @@ from ..names import INDEX, MODELS, Model
 from .comparison import ModelScore, compare
 from .fit import ChannelFit, fit_channel, lights_as_fitted, predicted_image
 from .geometry_cells import group
-from .model import Form, parameter_space
+from .model import parameter_space
 from .posterior import channel_posterior
 from .read import Photographs
 from .samples import Selection, gather, select
 from .shading_check import without_strangers
+from .signal import Form
 
 FEWEST_SAMPLES = 50
 USUAL: tuple[Model, ...] = (
@@ -134,7 +135,7 @@ def calibrate(
         observation.mirror_angle[fitted.light, fitted.pixel],
     )
     channels = range(len(observation.channels))
-    gathered = gather(observation, fitted, models=forms, channels=channels)
+    gathered = gather(observation, fitted, channels=channels)
     each = side_by_side(
         [
             partial(fit_channel, gathered, channel, form, cells)

@@ -13,9 +13,10 @@ from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from .calibration import ReflectanceCalibration, mean_residual
 from .fit import ChannelFit, lights_as_fitted, predicted_image
-from .model import decoded, encoding_gamma, lobe
+from .model import encoding_gamma
 from .read import Photographs
 from .samples import Selection, make_samples
+from .signal import decoded, unit_lobe
 
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
 DISPLAY_GAMMA = 2.2
@@ -168,7 +169,7 @@ def _draw_terms(
     colour, marker = OF_CHANNEL[fit.channel], MARKERS[fit.channel]
     natural = dict(zip((p.name for p in fit.space), fit.natural, strict=True))
     shown = has_lobe(fit.form.model)
-    rough = fit.samples.geometry is not None and not shown
+    rough = fit.form.model != "lambert" and not shown
     body = natural["diffuse"] * (unit if rough else np.maximum(cosine, 0))
     glossy = unit / unit.max() if shown else np.zeros_like(unit)
     away = glossy < OFF_HIGHLIGHT
@@ -207,14 +208,15 @@ def _per_unit_light(
     linear = np.asarray(decoded(samples.dn, samples.black, samples.white, gamma))
     ambient = {p.name: v for p, v in zip(fit.space, fit.natural, strict=True)}.get("ambient", 0.0)
     unit = np.zeros(len(linear))
-    if samples.geometry is not None:
+    if fit.form.model != "lambert":
         place = [p.name for p in fit.space].index(shape_of(fit.form.model).name)
-        unit = np.asarray(lobe(fit.form, samples.geometry, jnp.exp(vector[place])))
+        unit = np.asarray(unit_lobe(fit.form, jnp.exp(vector[place]), samples.geometry))
     angle = observation.mirror_angle[selection.light, selection.pixel]
-    lit = np.asarray(samples.cosine) > 0
+    cosine = np.asarray(samples.geometry.wi.z)
+    lit = cosine > 0
     trusted = lit & (observation.dn[channel, selection.light, selection.pixel] < observation.clip)
-    values = (linear - ambient) / np.asarray(samples.irradiance)
-    return values[trusted], np.asarray(samples.cosine)[trusted], angle[trusted], unit[trusted]
+    values = (linear - ambient) / np.asarray(samples.geometry.irradiance)
+    return values[trusted], cosine[trusted], angle[trusted], unit[trusted]
 
 
 def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:

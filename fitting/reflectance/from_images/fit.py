@@ -13,11 +13,12 @@ from ...inference.neighbours import regions
 from ...inference.parameters import ParameterSpace, to_natural
 from .derivatives import scores_and_slopes
 from .geometry_cells import Grouping
-from .model import Form, Samples, negative_log_likelihood, parameter_space, predicted_dn
+from .model import Samples, negative_log_likelihood, parameter_space, predicted_dn
 from .optimum import best, residual_signal_slope, weighted
 from .optimum_among_turns import TurnedLights, among_turns, with_wider_directions
 from .read import Photographs
 from .samples import Gathered, Selection, make_samples
+from .signal import Form
 from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread
 from .stated import StatedErrors, stated_errors, with_stated_errors
 from .turns import information_on_turns, shifts_of_turns, turned

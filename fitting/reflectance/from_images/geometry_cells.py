@@ -5,6 +5,7 @@ geometry with the mean digital number; what the curvature of the model inside th
 mean is a correction known at any given parameters, so that there cells and pixels agree exactly.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
@@ -12,7 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxvision import Vec
+
 from .model import Samples, predicted_dn
+from .signal import Geometry
 
 COSINE_STEP = 0.05  # of a cell in n.l
 FEWEST_SATURATED = 64  # samples of a program of saturated ones
@@ -89,9 +93,7 @@ def average(
     deviation = np.where(filled, 1 / np.sqrt(np.where(filled, total, 1)), UNCERTAIN)
     cells = replace(
         samples,
-        cosine=mean(samples.cosine),
-        geometry=jax.tree.map(mean, samples.geometry),
-        irradiance=mean(samples.irradiance),
+        geometry=_mean_geometry(samples.geometry, mean),
         dn=mean(samples.dn),
         deviation=jnp.asarray(deviation, samples.dn.dtype),
         saturated=None,
@@ -100,6 +102,21 @@ def average(
         return cells
     offset = mean(predicted_dn(exact_at, samples)) - predicted_dn(exact_at, cells)
     return replace(cells, offset=offset)
+
+
+def _mean_geometry(seen: Geometry, mean: Callable[[Array], Array]) -> Geometry:
+    """Directions of the mean cosines between light, normal and viewer, which like pixels share in
+    any frame: the viewer in the xz plane, the light on the side of +y."""
+    cos_i, cos_o = mean(seen.wi.z), mean(seen.wo.z)
+    between = mean(seen.wi.x * seen.wo.x + seen.wi.y * seen.wo.y + seen.wi.z * seen.wo.z)
+    sin_i, sin_o = (jnp.sqrt(jnp.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
+    tilted = sin_i * sin_o > 0
+    cos_phi = (between - cos_i * cos_o) / jnp.where(tilted, sin_i * sin_o, 1)
+    cos_phi = jnp.clip(jnp.where(tilted, cos_phi, 1), -1, 1)
+    sin_phi = jnp.sqrt((1 - cos_phi) * (1 + cos_phi))
+    toward_light = Vec(sin_i * cos_phi, sin_i * sin_phi, cos_i)
+    toward_view = Vec(sin_o, jnp.zeros_like(sin_o), cos_o)
+    return Geometry(toward_light, toward_view, mean(seen.irradiance))
 
 
 def saturated_only(samples: Samples) -> Samples | None:
@@ -116,9 +133,7 @@ def saturated_only(samples: Samples) -> Samples | None:
     at = jnp.asarray(np.resize(chosen, count))
     return replace(
         samples,
-        cosine=samples.cosine[at],
         geometry=jax.tree.map(lambda x: x[at], samples.geometry),
-        irradiance=samples.irradiance[at],
         dn=samples.dn[at],
         deviation=jnp.where(real, samples.deviation[at], UNCERTAIN),
         saturated=real,

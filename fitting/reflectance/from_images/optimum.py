@@ -27,17 +27,15 @@ from .derivatives import with_information
 from .geometry_cells import Grouping, average, saturated_only
 from .model import (
     Samples,
-    decoded,
     encoding_gamma,
-    encoding_slope,
     linear_signal,
-    lobe,
     negative_log_likelihood,
     parameter_space,
     predicted_dn,
     residuals,
     total_log_likelihood,
 )
+from .signal import decoded, encoding_slope, unit_lobe
 from .spread import Spread, fit_spread, flat_spread, variance
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
@@ -79,8 +77,7 @@ def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum
         The optimum, whose form lacks the terms of amplitude zero.
     """
     cells, first = project(average(samples, grouping))
-    geometry = None if cells.geometry is None else samples.geometry
-    own = replace(samples, form=cells.form, geometry=geometry)
+    own = replace(samples, form=cells.form)
     if samples.form.free_gamma:  # the encodings that were tried lie apart
         first = minimise_residuals(residuals, first, cells).vector
     return weighed_and_fitted(first, own, grouping, sensor)
@@ -165,18 +162,17 @@ def _linearised(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Ar
         weights = jnp.where(samples.saturated, 0, weights)
     constant = jnp.ones_like(linear) if form.ambient else jnp.zeros_like(linear)
     # A rough diffuse surface is a single term: its amplitude is the searched column's.
-    body = samples.cosine if form.model == "lambert" or has_lobe(form.model) else 0 * constant
-    return jnp.stack([samples.irradiance * body, constant]), linear[:, None], weights[:, None]
+    geometry = samples.geometry
+    cosine = jnp.maximum(geometry.wi.z, 0)
+    body = cosine if form.model == "lambert" or has_lobe(form.model) else 0 * constant
+    return jnp.stack([geometry.irradiance * body, constant]), linear[:, None], weights[:, None]
 
 
 @compiled_briefly
 def _lobe_columns(samples: Samples, log_shapes: Array) -> Array:
-    geometry = samples.geometry
-    assert geometry is not None, "a model with a lobe has its angles"
-
     def column(log_shape: Array) -> Array:
-        unit = lobe(samples.form, geometry, jnp.exp(log_shape))
-        return jnp.where(samples.cosine > 0, samples.irradiance * unit, 0)
+        unit = unit_lobe(samples.form, jnp.exp(log_shape), samples.geometry)
+        return samples.geometry.irradiance * unit
 
     return jax.lax.map(column, log_shapes)
 
@@ -189,7 +185,7 @@ def _present_terms(
     if rough:
         diffuse, specular = specular, 0.0
     elif specular == 0 and samples.form.model != "lambert":
-        samples = replace(samples, form=replace(samples.form, model="lambert"), geometry=None)
+        samples = replace(samples, form=replace(samples.form, model="lambert"))
     if ambient == 0 and samples.form.ambient:
         samples = replace(samples, form=replace(samples.form, ambient=False))
     form = samples.form

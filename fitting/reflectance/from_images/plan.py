@@ -24,15 +24,14 @@ from .calibration import ReflectanceCalibration
 from .derivatives import scores_and_slopes
 from .fit import ChannelFit
 from .model import (
-    Form,
     encoding_gamma,
-    encoding_slope,
     linear_signal,
     parameter_space,
     predicted_dn,
 )
 from .read import Photographs, angles
 from .samples import Selection, make_samples
+from .signal import Form, encoding_slope
 from .spread import variance
 
 FROM_VIEW = (0, 20, 40, 60, 80)  # degrees
@@ -136,7 +135,7 @@ def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
             directions.append((away * across[0], away * across[1], np.cos(np.radians(tilt))))
     count, pixels = len(described), len(rigs.normals)
     wi = np.broadcast_to(np.array(directions)[:, None], (count, pixels, 3))
-    cosine, log_cos_mirror, mirror_angle = angles(rigs.normals, wi)
+    cosine, mirror_angle = angles(rigs.normals, wi)
     strength = np.median(rigs.intensity * np.median(rigs.falloff, axis=1), axis=1)
     new = replace(
         rigs,
@@ -147,7 +146,6 @@ def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
         wi=wi,
         cosine=cosine,
         mirror_angle=mirror_angle,
-        log_cos_mirror=log_cos_mirror,
         held_out=np.zeros(count, bool),
     )
     return new, described

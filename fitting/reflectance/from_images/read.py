@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
-from jaxvision.geometry import angle_between, log_cos_between, mirror_direction
+from jaxvision.geometry import angle_between, mirror_direction
 
 from ...frame_checks.frame import refuse_half
 from ...frame_checks.heads import Stated, odd_heads
@@ -81,7 +81,6 @@ class Photographs:
         wi: (lights, pixels, 3) unit, toward the light.
         cosine: (lights, pixels) n.l, negative in attached shadows.
         mirror_angle: (lights, pixels) between view and mirror direction, rad.
-        log_cos_mirror: (lights, pixels) log of its cosine.
         normals: (pixels, 3) unit.
         held_out: (lights,), which are kept for testing.
         rows: (pixels,) in images of `shape`.
@@ -109,7 +108,6 @@ class Photographs:
     wi: Float[np.ndarray, "lights pixels 3"]
     cosine: Float[np.ndarray, "lights pixels"]
     mirror_angle: Float[np.ndarray, "lights pixels"]
-    log_cos_mirror: Float[np.ndarray, "lights pixels"]
     normals: Float[np.ndarray, "pixels 3"]
     held_out: Bool[np.ndarray, " lights"]
     rows: Int[np.ndarray, " pixels"]
@@ -165,7 +163,7 @@ def read_reflectance_observation(
     shape = (frames.shape[2], frames.shape[3])
     rows, columns, normals = _surface(rig, rig.geometry, shape, load)
     wi, falloff = _light_field(rig, normals)
-    cosine, log_cos_mirror, mirror_angle = angles(normals, wi)
+    cosine, mirror_angle = angles(normals, wi)
     camera = one_black(rig.camera)
     black = camera.black_level or 0.0
     held_out, how = _held_out(rig)
@@ -178,7 +176,6 @@ def read_reflectance_observation(
         wi=wi,
         cosine=cosine,
         mirror_angle=mirror_angle,
-        log_cos_mirror=log_cos_mirror,
         normals=normals,
         held_out=held_out,
         rows=rows,
@@ -334,7 +331,7 @@ def _angles_of_one_light(normals: jax.Array, wi: jax.Array) -> tuple[jax.Array, 
     mirrored = mirror_direction(normals, wi)
     view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
     cosine = jnp.sum(normals * wi, axis=-1)
-    return cosine, log_cos_between(mirrored, view), angle_between(mirrored, view)
+    return cosine, angle_between(mirrored, view)
 
 
 def angles(
@@ -347,7 +344,7 @@ def angles(
         wi: (lights, pixels, 3) unit, toward the light.
 
     Returns:
-        n.l, log of the mirror angle's cosine, and the mirror angle in rad, each (lights, pixels).
+        n.l and the mirror angle in rad, each (lights, pixels).
     """
     per_light = [_angles_of_one_light(jnp.asarray(normals), jnp.asarray(w)) for w in wi]
     return tuple(np.stack([np.asarray(x) for x in kind]) for kind in zip(*per_light, strict=True))

@@ -1,77 +1,15 @@
-"""The samples of a fit: lights and pixels chosen from an observation, with what a lobe takes."""
+"""The samples of a fit: lights and pixels chosen from photographs, with their geometry."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cache
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxvision import Vec, as_vec
-from jaxvision.brdf.blinn import log_cos_half
-from jaxvision.geometry.hemisphere import local_frame, to_local
-
-from ..models import REFLECTANCES
-from ..names import Model
-from .model import Form, Invariants, Samples
-from .read import VIEW, Photographs
-
-
-def lobe_geometry(
-    observation: Photographs, models: Iterable[Model], selection: "Selection"
-) -> dict[Model, Array | Invariants | None]:
-    """What the lobes of models take.
-
-    Args:
-        observation: of the object.
-        models: whose lobes they are.
-        selection: indices of light and pixel.
-
-    Returns:
-        By model: the log cosine of the lobe's own angle (Phong, Blinn), the mirror angle in rad
-        (Gaussian lobe), all invariants (the others); None for Lambert. Models share their arrays.
-    """
-    light, pixel = selection.light, selection.pixel
-
-    @cache
-    def mirror_angle() -> Array:
-        return jnp.asarray(observation.mirror_angle[light, pixel])
-
-    @cache
-    def log_cos(axis: str) -> Array:
-        if axis == "mirror":
-            return jnp.asarray(observation.log_cos_mirror[light, pixel])
-        return _log_cos_half(
-            jnp.asarray(observation.normals[pixel]), jnp.asarray(observation.wi[light, pixel])
-        )
-
-    @cache
-    def cosines() -> tuple[Array, Array]:
-        both = observation.cosine[light, pixel], observation.normals[pixel, 2]
-        return jnp.asarray(both[0]), jnp.asarray(both[1])
-
-    def of(model: Model) -> Array | Invariants | None:
-        axis = "half" if REFLECTANCES[model].axis == "half" else "mirror"
-        match model:
-            case "lambert":
-                return None
-            case "gaussian-lobe":
-                return mirror_angle()
-            case "phong" | "blinn":
-                return log_cos(axis)
-        cos_i, cos_o = cosines()
-        return Invariants(cos_i=cos_i, cos_o=cos_o, log_cos=log_cos(axis))
-
-    return {model: of(model) for model in models}
-
-
-@jax.jit
-def _log_cos_half(normals: jax.Array, wi: jax.Array) -> jax.Array:
-    view = Vec(*(jnp.full(normals.shape[:1], x, normals.dtype) for x in VIEW))
-    frame = local_frame(as_vec(normals))
-    return log_cos_half(as_vec(to_local(frame, as_vec(wi))), as_vec(to_local(frame, view)))
+from .model import Samples
+from .read import Photographs
+from .signal import Form, Geometry, local_geometry
 
 
 @dataclass(frozen=True)
@@ -118,18 +56,14 @@ class Gathered:
     Attributes:
         observation: of the object.
         selection: of its samples.
-        cosine: (samples,) [n.l]+.
-        geometry: of each model, what its lobe takes.
-        irradiance: (samples,) of each channel by its index, on a surface that faces the light.
+        geometry: of each channel by its index.
         dn: (samples,) of each channel, DN.
         saturated: (samples,) of each channel; None where nothing clips in any.
     """
 
     observation: Photographs
     selection: Selection
-    cosine: Array
-    geometry: dict[Model, Array | Invariants | None]
-    irradiance: dict[int, Array]
+    geometry: dict[int, Geometry]
     dn: dict[int, Array]
     saturated: dict[int, Array | None]
 
@@ -147,9 +81,7 @@ class Gathered:
         gamma = None if form.free_gamma else observation.gamma
         return Samples(
             form=form,
-            cosine=self.cosine,
-            geometry=self.geometry[form.model],
-            irradiance=self.irradiance[channel],
+            geometry=self.geometry[channel],
             dn=self.dn[channel],
             deviation=jnp.ones_like(self.dn[channel]),
             saturated=self.saturated[channel],
@@ -160,19 +92,12 @@ class Gathered:
         )
 
 
-def gather(
-    observation: Photographs,
-    selection: Selection,
-    *,
-    models: Iterable[Model],
-    channels: Iterable[int],
-) -> Gathered:
+def gather(observation: Photographs, selection: Selection, *, channels: Iterable[int]) -> Gathered:
     """Gathers what fits of a selection need.
 
     Args:
         observation: of the object.
         selection: indices of light and pixel.
-        models: to be fitted.
         channels: indices.
 
     Returns:
@@ -182,12 +107,18 @@ def gather(
     clips = bool(observation.saturated[:, light, pixel].any())
     dn = {channel: observation.dn[channel, light, pixel] for channel in channels}
     falloff = observation.falloff[light, pixel]
+    shared = local_geometry(
+        jnp.asarray(observation.normals[pixel]),
+        jnp.asarray(observation.wi[light, pixel]),
+        jnp.asarray(falloff),
+    )
     return Gathered(
         observation=observation,
         selection=selection,
-        cosine=jnp.asarray(np.maximum(observation.cosine[light, pixel], 0)),
-        geometry=lobe_geometry(observation, models, selection),
-        irradiance={c: jnp.asarray(observation.intensity[c, light] * falloff) for c in dn},
+        geometry={
+            c: replace(shared, irradiance=jnp.asarray(observation.intensity[c, light] * falloff))
+            for c in dn
+        },
         dn={c: jnp.asarray(values) for c, values in dn.items()},
         saturated={
             c: jnp.asarray(values >= observation.clip) if clips else None
@@ -210,7 +141,7 @@ def make_samples(
     Returns:
         The samples.
     """
-    found = gather(observation, selection, models=(form.model,), channels=(channel,))
+    found = gather(observation, selection, channels=(channel,))
     return found.samples(channel, form)
 
 
@@ -235,7 +166,7 @@ def of_some_pixels(
         columns=observation.columns[some],
         **{
             name: getattr(observation, name)[:, some]
-            for name in ("wi", "cosine", "log_cos_mirror", "mirror_angle", "falloff")
+            for name in ("wi", "cosine", "mirror_angle", "falloff")
         },
         dn=observation.dn[..., some],
     )

@@ -132,7 +132,7 @@ def without_strangers(observation: Photographs) -> Photographs:
     enough = np.count_nonzero(kept & ~observation.held_out) >= FEWEST_LEFT
     if kept.all() or not enough or kept.sum() < (1 - MOST) * len(kept):
         return observation
-    by_light = ("falloff", "wi", "cosine", "mirror_angle", "log_cos_mirror", "held_out")
+    by_light = ("falloff", "wi", "cosine", "mirror_angle", "held_out")
     sentences = (f"{names[i]} was left out: {why}." for i, why in sorted(reasons.items()))
     return replace(
         observation,

@@ -29,12 +29,12 @@ from .derivatives import scores_and_slopes
 from .model import (
     Samples,
     encoding_gamma,
-    encoding_slope,
     linear_signal,
     predicted_dn,
 )
 from .read import Photographs
 from .samples import Selection
+from .signal import encoding_slope
 from .turns import beyond_turns, shifts_of_turns
 
 CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
@@ -184,7 +184,7 @@ def _shifts_of_lights(
     along = {
         "intensity_sd": slope * signal,
         "exposure_sd": slope * signal,
-        "stray_sd": slope * samples.irradiance,
+        "stray_sd": slope * samples.geometry.irradiance,
     }
     found = {
         name: np.asarray(moved, np.float64)[None] * known[name]

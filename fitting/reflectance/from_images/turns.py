@@ -47,10 +47,8 @@ def turned(observation: Photographs, angles_across: Float[np.ndarray, "lights 2"
     axes = np.stack([np.asarray(as_array(v)) for v in (frame.tangent, frame.bitangent)], axis=1)
     moved = observation.wi + np.einsum("la,lac->lc", angles_across, axes)[:, None]
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
-    cosine, log_cos, mirror = angles(observation.normals, moved)
-    return replace(
-        observation, wi=moved, cosine=cosine, log_cos_mirror=log_cos, mirror_angle=mirror
-    )
+    cosine, mirror = angles(observation.normals, moved)
+    return replace(observation, wi=moved, cosine=cosine, mirror_angle=mirror)
 
 
 def shifts_of_turns(

@@ -721,7 +721,7 @@ ELSEWHERE = (
         "test_joint test_joint_nuts test_joint_left_out test_joint_turns test_stated_errors",
         """
             fitting.joint.calibration: calibrate is_determined
-            fitting.joint.cells: cell_width local_geometry make_grid pixels_at reduce_images
+            fitting.joint.cells: cell_width make_grid pixels_at reduce_images
             fitting.joint.fit: fit_channel image_errors is_searched_shape predicted_cells
             fitting.joint.freedom: degrees_of_freedom laplace_miss
             fitting.joint.left_out: small widest without
@@ -729,8 +729,8 @@ ELSEWHERE = (
             fitting.joint.halves: by_halves widened
             fitting.joint.misfit: over_images stretched stretched_log_density
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
-            fitting.joint.model: cell_errors cost log_likelihood log_posterior predicted signal
-            fitting.joint.model: stored values_at weights by_image of_one_image
+            fitting.joint.model: cell_errors cost log_likelihood log_posterior predicted
+            fitting.joint.model: values_at weights by_image of_one_image
             fitting.joint.model: log_likelihood_by_image
             fitting.joint.prediction: predict score
             fitting.joint.start: first_noise first_reflectance parameters scatter_scales
@@ -769,10 +769,12 @@ ELSEWHERE = (
             fitting.reflectance.from_images.optimum: weighed weighed_and_fitted weighted
             fitting.reflectance.from_images.optimum_among_turns: among_turns with_wider_directions
             fitting.reflectance.from_images.geometry_cells: average group saturated_only
-            fitting.reflectance.from_images.model: decoded encoding_gamma encoding_slope
-            fitting.reflectance.from_images.model: linear_signal lobe log_likelihoods
+            fitting.reflectance.from_images.model: encoding_gamma linear_signal log_likelihoods
             fitting.reflectance.from_images.model: negative_log_likelihood parameter_space
             fitting.reflectance.from_images.model: predicted_dn residuals total_log_likelihood
+            fitting.reflectance.from_images.signal: decoded encoded encoding_slope
+            fitting.reflectance.from_images.signal: local_geometry signal stored
+            fitting.reflectance.from_images.signal: surface_parameters unit_lobe
             fitting.reflectance.from_images.derivatives: scores_and_slopes with_information
             fitting.reflectance.from_images.plan: added_information check_target plan
             fitting.reflectance.from_images.plan: plan_section
@@ -781,7 +783,7 @@ ELSEWHERE = (
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
             fitting.reflectance.from_images.shading_check: without_strangers
             fitting.reflectance.from_images.read: lightless_images
-            fitting.reflectance.from_images.samples: gather lobe_geometry make_samples
+            fitting.reflectance.from_images.samples: gather make_samples
             fitting.reflectance.from_images.samples: of_some_pixels select
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
             fitting.reflectance.from_images.spread: sensor_spread variance

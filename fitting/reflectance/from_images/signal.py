@@ -1,0 +1,179 @@
+"""The signal of a surface under a light, and the number that a file holds of it.
+
+    X   = E (k_d [n.l]+ + k_s lobe) + k_a                  linear signal, DN
+    v   = K X + (K sigma)^2                                its variance: shot and read noise
+    DN  = b + f(X),   f(X) = W (X / W)^(1 / gamma)         what the file holds; linear: f(X) = X
+    E[DN]   = b + f + f'' v / 2
+    Var[DN] = f'^2 v + f' f'' K^2 X + (f''^2 / 2 + f' f''') v^2 + 1 / 12
+
+the latter two to second order in the noise, which is enough for X of five deviations and more. E is
+the irradiance on a surface facing the light, in the rig's unit, so k_d and k_s are in DN per unit
+of E. `lobe` is the SHADING of one of `reflectance.models` with unit k_s: of Phong, Blinn and the
+Gaussian lobe as published, without a cosine, of all others f_r cos(theta_i). Oren-Nayar has
+k_d lobe in place of both terms. Parts that a `Form` does not name are neither parameters nor
+traced.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxvision import Vec, as_array, as_vec
+from jaxvision.geometry.hemisphere import local_frame, to_local
+from jaxvision.point_ops import gamma_decode, gamma_encode
+from jaxvision.sensor import QUANTISATION_VARIANCE
+
+from ...inference.parameters import Parameter, ParameterSpace
+from ..models import amplitude, has_lobe, shape_of, unit_shading
+from ..names import INDEX, Model
+from .read import VIEW
+
+COEFFICIENT_UNIT = "DN per unit light"
+DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a variance is needed
+GAMMA = Parameter("gamma", symbol="γ", unit="1", transform="log")
+
+Values = dict[str, Array]  # natural, by the parameter's name
+
+
+@dataclass(frozen=True)
+class Form:
+    """Which terms a fit has.
+
+    Attributes:
+        model: one of `reflectance.models`.
+        ambient: whether an ambient term is free.
+        free_gamma: whether the encoding exponent is, whatever the rig says of it.
+        index: of refraction, of clear facets.
+    """
+
+    model: Model
+    ambient: bool = False
+    free_gamma: bool = False
+    index: float = INDEX
+
+
+def surface_parameters(form: Form) -> ParameterSpace:
+    """diffuse; specular; the lobe's shape: as far as the model has them. All positive, hence in
+    logarithms."""
+    space = [amplitude("diffuse", "k_d", COEFFICIENT_UNIT)]
+    if has_lobe(form.model):
+        space.append(amplitude("specular", "k_s", COEFFICIENT_UNIT))
+    if form.model != "lambert":
+        space.append(shape_of(form.model))
+    return tuple(space)
+
+
+class Geometry(eqx.Module):
+    """How light falls on pixels, or on cells of them, in their local frames.
+
+    Attributes:
+        wi: components toward the light.
+        wo: components toward the viewer.
+        irradiance: E on a facing surface.
+        turned: derivatives of `wi` to two angles of the light, rad^-1; None where its direction is
+            exact.
+        about: (2, images) rad, angles by which the lights are turned from where the rig puts them;
+            None for none.
+    """
+
+    wi: Vec
+    wo: Vec
+    irradiance: Float[Array, "..."]
+    turned: tuple[Vec, Vec] | None = None
+    about: Float[Array, "2 images"] | None = None
+
+
+@eqx.filter_jit
+def local_geometry(
+    normals: Float[Array | np.ndarray, "*of 3"],
+    wi: Float[Array | np.ndarray, "*of 3"],
+    irradiance: Float[Array | np.ndarray, "*of"],
+    *,
+    turns: bool = False,
+) -> Geometry:
+    """Directions in the frames of normals.
+
+    With `turns`, for (images, cells) normals, also how `wi` changes as the light of an image turns.
+    """
+    normals, wi = jnp.asarray(normals), jnp.asarray(wi)
+    frame = local_frame(as_vec(normals))
+
+    def seen(directions: Array) -> Vec:
+        return as_vec(to_local(frame, as_vec(directions)))
+
+    turned = None
+    if turns:
+        middle = jnp.mean(wi, axis=1)
+        across = local_frame(as_vec(middle / jnp.linalg.norm(middle, axis=1, keepdims=True)))
+
+        def along(t: Array) -> Vec:
+            return seen(t[:, None] - jnp.sum(t[:, None] * wi, axis=2, keepdims=True) * wi)
+
+        turned = along(as_array(across.tangent)), along(as_array(across.bitangent))
+    view = jnp.broadcast_to(jnp.array(VIEW, normals.dtype), normals.shape)
+    return Geometry(seen(wi), seen(view), jnp.asarray(irradiance), turned)
+
+
+@eqx.filter_jit
+def unit_lobe(form: Form, shape: Float[Array, ""], geometry: Geometry) -> Array:
+    """The shading of unit amplitude, 0 in attached shadows; of any model but Lambert's."""
+    wi, wo = jax.tree.map(jnp.ravel, (geometry.wi, geometry.wo))
+    unit = unit_shading(form.model, shape, wi, wo, form.index).reshape(geometry.wi.z.shape)
+    return jnp.where(geometry.wi.z > 0, unit, 0)
+
+
+def signal(values: Values, form: Form, geometry: Geometry) -> Array:
+    """X, as a linear camera would give it, DN above black."""
+    reflected = 0.0
+    if form.model == "lambert" or has_lobe(form.model):
+        reflected = values["diffuse"] * jnp.maximum(geometry.wi.z, 0)
+    if form.model != "lambert":
+        factor = values["specular" if has_lobe(form.model) else "diffuse"]
+        reflected += factor * unit_lobe(form, values[shape_of(form.model).name], geometry)
+    x = geometry.irradiance * reflected
+    return x + values["ambient"] if form.ambient else x
+
+
+def decoded(dn: Array, black: Array, white: Array, gamma: Array | None) -> Array:
+    """X of stored digital numbers; below black 0 where a gamma is undone.
+
+    `white`: DN of full scale above black."""
+    if gamma is None:
+        return dn - black
+    return white * gamma_decode(jnp.maximum(dn - black, 0) / white, gamma)
+
+
+def encoded(x: Array, white: Array, gamma: Array | None) -> Array:
+    """f(X), DN above black."""
+    return x if gamma is None else white * gamma_encode(x / white, gamma)
+
+
+def encoding_slope(x: Array, white: Array, gamma: Array | None) -> Array:
+    """f'(X), no unit; X counts as 1 DN at least."""
+    if gamma is None:
+        return jnp.ones_like(x)
+    ratio = jnp.maximum(x, DARKEST) / white
+    return gamma_encode(ratio, gamma) / (gamma * ratio)
+
+
+def stored(values: Values, x: Array, white: Array) -> tuple[Array, Array, Array]:
+    """E[DN] in DN, Var[DN] in DN^2 and d DN / d X of a signal X of known noise.
+
+    `x`: DN, positive where there is a gamma. `white`: W, DN.
+    """
+    gain, black = values["system_gain"], values["black_level"]
+    v = gain * x + (gain * values["read_noise"]) ** 2
+    if "gamma" not in values:
+        return black + x, v + QUANTISATION_VARIANCE, jnp.ones_like(x)
+    power = 1 / values["gamma"]
+    f = white * (x / white) ** power
+    slope = power * f / x
+    second = (power - 1) * slope / x
+    third = (power - 2) * second / x
+    skew = slope * second * gain**2 * x
+    variance = slope**2 * v + skew + (second**2 / 2 + slope * third) * v**2
+    return black + f + second * v / 2, variance + QUANTISATION_VARIANCE, slope
