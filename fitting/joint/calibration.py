@@ -37,8 +37,9 @@ class JointCalibration(ShownInNotebooks):
         model: of the surface, as asked for.
         fits: of the channels.
         posteriors: by channel, where the data with the priors determine every parameter.
-        robust: by channel, the covariance over images where these do not agree within their noise.
-        halves: by channel, fits of the halves of the images where the model misses the surface.
+        robust: by channel, the covariance over images; not where the rig names errors of images,
+            and these show no more. Where images disagree, its design effect is above 1.
+        halves: by channel, fits of the halves of images that disagree.
     """
 
     observation: Photographs
@@ -98,11 +99,12 @@ def calibrate(
         fit = fit_turned(observation, channel, form)
         done(1)
         if is_determined(fit):
-            robust = over_images(fit)
-            apart = None if robust is None else by_halves(observation, channel, fit, robust)
-            if robust is not None and apart is not None:
-                halves[fit.channel], robust = apart, widened(robust, apart)
+            robust = over_images(observation, fit)
             if robust is not None:
+                if robust.design_effect > 1 and (
+                    apart := by_halves(observation, channel, fit, robust)
+                ):
+                    halves[fit.channel], robust = apart, widened(robust, apart)
                 robusts[fit.channel] = robust
             done(2)
             posteriors[fit.channel] = _posterior(fit, robust, sampling, seed)

@@ -59,18 +59,18 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
             "an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give, or a "
             "black level, gain or read noise that is not the images'."
         )
-    if "prnu" not in fit.values:
+    posterior = calibration.posteriors.get(fit.channel)
+    if "prnu" not in fit.values and posterior is not None:
         stated = calibration.observation.camera.prnu_sd is not None
         found += [] if misses_as_noise(calibration, fit) else _gain_findings(fit, stated=stated)
     if "gamma" not in fit.values:
         found += gains_disagree(fit, calibration.observation.camera.gain)
     found += fit.identifiability.sentences
-    posterior = calibration.posteriors.get(fit.channel)
     if posterior is None:
         found.append("The data and the rig leave a direction open, so there are no intervals.")
         return [f"{name}{sentence}" for sentence in found]
     robust = calibration.robust.get(fit.channel)
-    if robust is not None:
+    if robust is not None and robust.design_effect > 1:
         wider = robust.gaussian_covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
         found.append(
             "The images do not agree within their noise (their scores are "
@@ -176,7 +176,9 @@ def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
         fit: of one channel.
     """
     free = not {*NOISE} <= set(fit.data.known) and fit.data.levels is None
-    return free and fit.unexplained is None and fit.channel in calibration.robust
+    robust = calibration.robust.get(fit.channel)
+    disagree = robust is not None and robust.design_effect > 1
+    return free and fit.unexplained is None and disagree
 
 
 def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:

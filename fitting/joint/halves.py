@@ -18,7 +18,8 @@ from jaxvision.core.side_by_side import side_by_side
 from ..inference.clustering import Robustness
 from ..inference.parameters import names, to_natural
 from ..reflectance.from_images.read import Photographs
-from .fit import MISFIT, JointFit
+from .fit import JointFit
+from .start import of_surface
 from .turns import fit_turned
 
 FEWEST_IMAGES = 12  # of which the halves still tell a surface
@@ -33,8 +34,8 @@ class Halves:
         names: of the parameters.
         values: (2, P) in their units.
         difference: (P,) of the two, unconstrained.
-        deviations: (P,) the same in standard deviations of such a difference; 0 for the size of the
-            misfit, which may differ between them.
+        deviations: (P,) the same in standard deviations of such a difference; 0 for all but surface
+            and encoding, as noise and misfit may differ between them.
 
     Source:
         Wolter, Introduction to Variance Estimation, 2nd ed. 2007, chapter 2.
@@ -74,12 +75,11 @@ def by_halves(
         return None
     vectors = np.stack([half.vector for half in fits])
     difference = vectors[0] - vectors[1]
-    surface = np.array(names(fit.space)) != MISFIT.name
     return Halves(
         names(fit.space),
         np.asarray(to_natural(fit.space, jnp.asarray(vectors))),
         difference,
-        surface * difference / (2 * np.sqrt(robust.gaussian_covariance.diagonal())),
+        of_surface(fit.space) * difference / (2 * np.sqrt(robust.gaussian_covariance.diagonal())),
     )
 
 
@@ -95,7 +95,8 @@ def widened(robust: Robustness, halves: Halves) -> Robustness:
     """
     if halves.agree:
         return robust
-    shown = np.outer(halves.difference, halves.difference) / 4
+    told = halves.difference * (halves.deviations != 0)
+    shown = np.outer(told, told) / 4
     return replace(robust, covariance=robust.covariance + shown)
 
 

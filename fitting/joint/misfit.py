@@ -1,15 +1,17 @@
-"""The covariance of a fit whose model misses the surface: what it misses goes together within an
-image, so that cells do not count as independent, and images stand for independent data instead.
+"""The covariance of a fit over its images, and a posterior that has it.
 
-Each image has its own scores and information; their sandwich (`inference.clustering`) replaces the
-inverse information wherever it is larger: a misfit that is the same under all lights moves no image
-against another. What priors, flats and darks add to the information stays as it is.
-Where pixels share errors between images, scores are scaled to the information of their sum.
+What a model misses goes together within an image, so that cells do not count as independent, and
+images stand for independent data instead, or regions of lights where neighbours err alike. Each
+image has its own scores and information; their sandwich (`inference.clustering`) replaces the
+inverse information of surface and encoding. What priors, flats and darks add to the information
+stays as it is. Where pixels share errors between images, scores are scaled to the information of
+their sum.
 
 Chi-square does not tell whether the model misses: a free gain and read noise take what it misses
 for photons, and cells of single pixels leave nothing to tell these apart by. The scores of the
 images do, whose sum is zero at the best fit and whose size is that of the noise where cells err on
-their own.
+their own. No test of few images sees errors as large as the noise, so the sandwich always enters,
+as in `from_images.fit`, unless the rig names errors of images and these show no more.
 """
 
 from dataclasses import replace
@@ -22,9 +24,14 @@ from jaxtyping import Array, Float
 from scipy.special import chdtri
 
 from ..inference.clustering import Robustness, cluster_robust, curvature_stretch
+from ..inference.neighbours import regions
 from ..inference.newton import twice
+from ..inference.parameters import names
+from ..reflectance.from_images.read import Photographs
+from ..reflectance.from_images.stated import ROUNDING, no_more_than
 from .fit import MISFIT, JointFit
 from .model import (
+    BY_IMAGE,
     Images,
     JointData,
     by_image,
@@ -33,86 +40,93 @@ from .model import (
     log_posterior,
     of_one_image,
 )
-from .start import SCATTERS
+from .start import of_surface
 
 CHANCE = 1e-3  # of calling images that agree within their noise ones that do not
 
 
-def over_images(fit: JointFit) -> Robustness | None:
-    """The sandwich covariance of a fit whose images do not agree within their noise.
+def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
+    """The sandwich covariance of a fit, of images that err apart from each other.
 
-    Args:
-        fit: of one channel.
-
-    Returns:
-        Covariance and its degrees of freedom; its design effect is by how much the images disagree:
-        the mean square of their scores over that of independent cells. None where the model
-        explains the images.
-    """
+    Its design effect is by how much images disagree: the mean square of their scores over that of
+    independent cells, 1 within chance. None where the rig names errors of images, and these show no
+    more."""
     vector = jnp.asarray(fit.vector)
     scores, information = (np.asarray(x, np.float64) for x in _by_image(vector, fit.data))
-    effect, chance = _disagreement(fit, scores, information)
-    if fit.unexplained is None and effect <= chance:
-        return None
     prior = fit.information - np.asarray(_of_images(vector, fit.data), np.float64)
+    own = of_surface(fit.space)
     if fit.data.cells.products is None:
-        found = _sandwich(scores, information, fit.information, prior)
-        return replace(found, design_effect=max(effect, 1.0))
-    kept = _own(fit)
-    among = np.ix_(kept, kept)
-    own, total = fit.information[among], information[:, kept][:, :, kept]
-    scale = np.linalg.cholesky(own - prior[among]) @ np.linalg.inv(
-        np.linalg.cholesky(total.sum(axis=0))
+        own |= np.array([p.name == MISFIT.name for p in fit.space])
+    among = np.ix_(own, own)
+    total, seen, slopes = fit.information[among], scores[:, own], information[:, own][:, :, own]
+    if fit.data.cells.products is not None:
+        root = np.linalg.cholesky(total - prior[among])
+        scale = root @ np.linalg.inv(np.linalg.cholesky(slopes.sum(axis=0)))
+        seen, slopes = seen @ scale.T, scale @ slopes @ scale.T
+    effect, chance = _disagreement(total, seen, slopes)
+    places = observation.wi[fit.grid.lights].mean(axis=1)
+    alike = regions(seen.T, np.arange(len(seen)), places)
+    found = _sandwich(seen, slopes, total, prior[among], alike)
+    model = np.linalg.inv(total)
+    stated = not set(BY_IMAGE).isdisjoint(names(fit.space))
+    if fit.unexplained is not None:
+        found = replace(found, covariance=_at_least(found.covariance, total))
+    elif stated and effect <= chance and no_more_than(found, model):
+        return None
+    covariance, freedom = np.linalg.inv(fit.information), np.full(len(own), np.inf)
+    covariance[among] += found.covariance - model
+    freedom[own] = found.freedom
+    disagree = fit.unexplained is not None or effect > chance
+    return replace(
+        found,
+        covariance=covariance,
+        freedom=freedom,
+        design_effect=max(effect, 1 + ROUNDING) if disagree else 1.0,
     )
-    scaled = np.einsum("ab,ibc,dc->iad", scale, total, scale)
-    part = _sandwich(scores[:, kept] @ scale.T, scaled, own, prior[among])
-    covariance, freedom = np.linalg.inv(fit.information), np.full(len(kept), np.inf)
-    covariance[among] += part.covariance - np.linalg.inv(own)
-    freedom[kept] = part.freedom
-    return replace(part, covariance=covariance, freedom=freedom, design_effect=max(effect, 1.0))
+
+
+def _disagreement(
+    total: np.ndarray, scores: np.ndarray, information: np.ndarray
+) -> tuple[float, float]:
+    """Mean square of the images' scores, in units of what independent cells make it, and what
+    chance exceeds once in `CHANCE`."""
+    root = np.linalg.inv(np.linalg.cholesky(total))
+    shares = root @ information @ root.T
+    expected = float(np.trace(shares.sum(axis=0)))
+    freedom = expected**2 / float(np.sum(shares**2))
+    square = float(np.sum((scores @ root.T) ** 2))
+    return square / expected, float(chdtri(freedom, CHANCE) / freedom)
 
 
 def _sandwich(
-    scores: np.ndarray, information: np.ndarray, total: np.ndarray, prior: np.ndarray
+    scores: np.ndarray,
+    information: np.ndarray,
+    total: np.ndarray,
+    prior: np.ndarray,
+    alike: np.ndarray,
 ) -> Robustness:
-    """Over images, nowhere below the inverse of the total information."""
+    """Over regions of images, which `alike` numbers."""
     images, count = scores.shape
     values, axes = np.linalg.eigh(information)
     halves = axes * np.sqrt(np.maximum(values, 0))[:, None]  # columns: an image's slopes
     columns = np.zeros((count, images, count))
     columns[:, :, 0] = scores.T
-    found = cluster_robust(
+    return cluster_robust(
         columns.reshape(count, -1),
         total,
-        np.repeat(np.arange(images), count),
-        None,
+        np.repeat(alike, count),
         slopes=np.moveaxis(halves, 1, 0).reshape(count, -1),
         prior=prior,
     )
-    root = np.linalg.cholesky(total)
-    ratio, axes = np.linalg.eigh(root.T @ found.covariance @ root)
+
+
+def _at_least(covariance: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Nowhere below the inverse of the information: a misfit that is the same under all lights
+    moves no image against another."""
+    root = np.linalg.cholesky(information)
+    ratio, axes = np.linalg.eigh(root.T @ covariance @ root)
     half = np.linalg.solve(root.T, axes * np.sqrt(np.maximum(ratio, 1)))
-    return replace(found, covariance=half @ half.T)
-
-
-def _own(fit: JointFit) -> np.ndarray:
-    """(P,) which parameters are those of surface and sensor, no scales of shared errors."""
-    return np.array([p.name not in (*SCATTERS, MISFIT.name) for p in fit.space])
-
-
-def _disagreement(
-    fit: JointFit, scores: np.ndarray, information: np.ndarray
-) -> tuple[float, float]:
-    """Mean square of the images' scores of surface and sensor, in units of what independent cells
-    make it, and what chance exceeds once in `CHANCE`. The scales of shared errors, whose scores are
-    no Gaussian, do not count."""
-    kept = _own(fit)
-    root = np.linalg.inv(np.linalg.cholesky(fit.information[np.ix_(kept, kept)]))
-    shares = root @ information[:, kept][:, :, kept] @ root.T
-    expected = float(np.trace(shares.sum(axis=0)))
-    freedom = expected**2 / float(np.sum(shares**2))
-    square = float(np.sum((scores[:, kept] @ root.T) ** 2))
-    return square / expected, float(chdtri(freedom, CHANCE) / freedom)
+    return half @ half.T
 
 
 class Stretched(eqx.Module):

@@ -68,8 +68,12 @@ def _estimates(calibration: JointCalibration) -> tuple[Estimate, ...]:
             why = "pixels may be unequal (see the findings)"
             if misses_as_noise(calibration, fit):
                 hidden, why = True, "the model misses the surface (see the findings)"
+            endless = calibration.posteriors[fit.channel].endless
+            reasons: dict[str, str] = dict.fromkeys(NOISE, why) if hidden else {}
+            if endless:
+                reasons[endless] = "the data bound it on one side only (see the findings)"
             rows += [
-                not_determined(e, why, group=fit.channel) if hidden and e.name in NOISE else e
+                not_determined(e, reasons[e.name], group=fit.channel) if e.name in reasons else e
                 for e in found
             ]
         else:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..inference.parameters import Parameter, ParameterSpace, names, to_natural
 from ..inference.priors import LogNormal, Normal
@@ -32,6 +32,13 @@ SCATTERS = {
     "stray_scatter": Parameter("stray_scatter", symbol="s_s", unit="1", transform="log"),
     "prnu": Parameter("prnu", symbol="s_p", unit="1", transform="log"),
 }
+
+
+def of_surface(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
+    """Which parameters are those of surface and encoding. Only these are asked of images: gain and
+    read noise are told by pixels that scatter within cells."""
+    others = {GAIN.name, READ_NOISE.name, BLACK.name, *SCATTERS, "misfit"}
+    return np.array([p.name not in others for p in space])
 
 
 def scatter_scales(

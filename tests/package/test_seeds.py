@@ -158,7 +158,7 @@ def test_a_joint_calibration_hands_its_seed_to_every_channel(monkeypatch):
 
     monkeypatch.setattr(joint, "fit_turned", lambda _, i, *__, **___: SimpleNamespace(channel=i))
     monkeypatch.setattr(joint, "is_determined", lambda fit: True)
-    monkeypatch.setattr(joint, "over_images", lambda fit: None)
+    monkeypatch.setattr(joint, "over_images", lambda *_: None)
     monkeypatch.setattr(joint, "without_strangers", lambda observation: observation)
     monkeypatch.setattr(joint, "_posterior", posterior)
     monkeypatch.setattr(joint, "require_kind", lambda *_, **__: None)  # of the stand-in

@@ -37,6 +37,7 @@ from .samples import Selection
 from .signal import encoding_slope
 from .turns import beyond_turns, shifts_of_turns
 
+ROUNDING = 1e-9
 CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
 
 
@@ -200,6 +201,14 @@ def _shifts_of_lights(
     return found
 
 
+def no_more_than(robust: Robustness, model: Float[np.ndarray, "parameters parameters"]) -> bool:
+    """Whether images show no larger variances than a model's, as far as chance allows."""
+    least = np.maximum(robust.freedom, 1)
+    known = np.isfinite(robust.freedom)
+    likely = np.where(known, chdtri(least, CHANCE / len(least)) / least, 1 + ROUNDING)
+    return bool(np.all(np.diagonal(robust.covariance) <= likely * np.diagonal(model)))
+
+
 def with_stated_errors(
     robust: Robustness,
     stated: StatedErrors,
@@ -222,9 +231,7 @@ def with_stated_errors(
     if len(stated.of_lights) or stated.slopes is not None:
         moved = stated.of_lights[:, known] @ inverse
         model = inverse + moved.T @ moved
-        least = np.maximum(freedom, 1)
-        likely = np.where(np.isfinite(freedom), chdtri(least, CHANCE / len(known)) / least, 1.0)
-        if np.all(np.diagonal(covariance) <= likely * np.diagonal(model)):
+        if no_more_than(robust, model):
             covariance, freedom = model, np.full(len(known), np.inf)
     moved = stated.common[:, known] @ inverse
     total = covariance + moved.T @ moved

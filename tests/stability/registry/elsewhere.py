@@ -733,7 +733,8 @@ ELSEWHERE = (
             fitting.joint.model: values_at weights by_image of_one_image
             fitting.joint.model: log_likelihood_by_image
             fitting.joint.prediction: predict score
-            fitting.joint.start: first_noise first_reflectance parameters scatter_scales
+            fitting.joint.start: first_noise first_reflectance of_surface parameters
+            fitting.joint.start: scatter_scales
             fitting.joint.turns: fit_turned likeliest_turns
         """,
     ),
@@ -787,7 +788,8 @@ ELSEWHERE = (
             fitting.reflectance.from_images.samples: of_some_pixels select
             fitting.reflectance.from_images.spread: chi_square_per_dof fit_spread flat_spread
             fitting.reflectance.from_images.spread: sensor_spread variance
-            fitting.reflectance.from_images.stated: stated_errors with_stated_errors
+            fitting.reflectance.from_images.stated: no_more_than stated_errors
+            fitting.reflectance.from_images.stated: with_stated_errors
             fitting.reflectance.from_images.turns: beyond_turns likeliest_turns
             fitting.reflectance.from_images.turns: information_on_turns shifts_of_turns turned
         """,
