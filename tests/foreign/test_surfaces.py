@@ -255,7 +255,7 @@ STRANGERS = [
 
 @pytest.mark.parametrize(("spoil", "reasons"), STRANGERS)
 def test_images_that_do_not_belong_are_named_and_left_out(spoil, reasons):
-    exact = photographed(Lab(Sphere(), gamma=1.0), 3).observation
+    exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     dn = exact.dn.copy()
     spoil(dn)
     left = without_strangers(replace(exact, dn=dn))
@@ -270,7 +270,7 @@ def test_images_that_do_not_belong_are_named_and_left_out(spoil, reasons):
 
 
 def test_where_most_images_do_not_belong_none_is_left_out():
-    exact = photographed(Lab(Sphere(), gamma=1.0), 3).observation
+    exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     dn = exact.dn.copy()
     dn[:, :8] = 64
     assert without_strangers(replace(exact, dn=dn)).files == exact.files
@@ -278,7 +278,7 @@ def test_where_most_images_do_not_belong_none_is_left_out():
 
 @pytest.mark.slow
 def test_a_swapped_pair_does_not_move_a_surface():
-    exact = photographed(Lab(Sphere(), gamma=1.0), 3).observation
+    exact = photographed(Lab(Sphere(), gamma=1.0), 3)
     dn = exact.dn.copy()
     swapped(dn)
     found = reflectance.calibrate(replace(exact, dn=dn), model="phong")

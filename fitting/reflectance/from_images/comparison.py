@@ -327,8 +327,9 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
         sentence = (
             f"No model here describes the images: the best misses {_percentages(errors[best])} of "
             f"the signal, where more than {format_percent(SHOWS)} is no description: a surface "
-            "unlike all of them, or files, lights or a camera that are not as the rig says (gamma, "
-            "black level, near lamps, perspective, rows of two exposures). "
+            "unlike all of them or of uneven albedo (texture), or files, lights, a shape or a "
+            "camera that are not as the rig says (gamma, black level, near lamps, the sphere's "
+            "centre, perspective, rows of two exposures). "
         )
     sentence += (
         f"On {_lights(held_out, 'held-out ')} {LABELS[best]} predicts best: relative RMS "

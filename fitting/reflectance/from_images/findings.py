@@ -27,6 +27,7 @@ FEWEST_SHADOWED = 100
 FEW_FREEDOM = 5.0  # below: Student's 95 % intervals are a third wider than Gaussian ones
 CALM = 0.5  # chi-square per degree of freedom below which the stated noise is too large
 HOPELESS = 2.0  # relative misfit from which a fit describes nothing
+TEXTURED = 0.7  # of the misfit: what a mean over all lights leaves of that of a pixel's own
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
 
@@ -46,6 +47,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
         *_sampling_findings(calibration),
         *_colour_finding(calibration),
         *_part_findings(calibration),
+        *_texture_finding(calibration),
         *_shadow_finding(calibration),
     )
 
@@ -332,6 +334,19 @@ def _part_findings(calibration: ReflectanceCalibration) -> list[str]:
     ]
 
 
+def _texture_finding(calibration: ReflectanceCalibration) -> list[str]:
+    """That the misfit is the pixels' own: a mean over lights lessens whatever else is missed."""
+    misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
+    own = float(np.nanstd(mean_residual(calibration)))
+    if len(misfits) < len(calibration.reported) or own < TEXTURED * np.mean(misfits):
+        return []
+    return [
+        f"Most of what the model misses, {format_percent(own, decimals=1)} of the signal, is the "
+        "same in a pixel under all lights: a surface of uneven albedo (texture, stains), or "
+        "unequal pixels."
+    ]
+
+
 def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
     """What a fit assumes of files, lights and camera, and what would change it."""
     observation = calibration.observation
@@ -340,6 +355,7 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
         granted.append("linear files (give camera.gamma, or --fit-gamma, for sRGB pictures)")
     if (np.ptp(observation.falloff, axis=1) == 0).all():
         granted.append("lamps at infinity (give a near lamp's position in place of its direction)")
+    granted.append("the object where geometry has it (the sphere's centre and radius, the normals)")
     granted.append("an orthographic camera, far from the object")
     return listed(granted)
 

@@ -43,7 +43,15 @@ DARK_ERRORS = 4.0  # of an image's median, up to which it lies at the black leve
 DARK_SHARE = 0.05  # of the signal that the other images let one expect, below which one is dark
 OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
 NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
+FEWEST_AT_TOP = 20  # samples at the largest number that may be a pile of clipped ones
+PILE, BELOW_TOP = 5, 8  # times as many as at any of so many of the next smaller numbers
+BRIGHT = 0.9  # of the largest number, from which numbers are counted
 ASSUMED_BLACK = "The rig gives no camera.black_level, so a black level of 0 DN was assumed."
+
+PILED = (
+    "{count} samples stand at {top:g} DN and none above, far more than at any number below: they "
+    "count as clipped. Give the rig camera.saturation."
+)
 
 
 @dataclass(frozen=True)
@@ -166,11 +174,16 @@ def read_reflectance_observation(
     cosine, mirror_angle = angles(normals, wi)
     camera = one_black(rig.camera)
     black = camera.black_level or 0.0
+    dn = frames[:, :, rows, columns]
+    pile = _pile_at_top(dn) if camera.saturation is None else None
+    if pile is not None and pile[0] < camera.clip_level:
+        camera = camera.model_copy(update={"saturation": pile[0]})
+        told = [*told, PILED.format(count=pile[1], top=pile[0])]
     held_out, how = _held_out(rig)
     observation = Photographs(
         channels=("grey",) if len(frames) == 1 else ("red", "green", "blue"),
         files=tuple(light.file for light in rig.light),
-        dn=frames[:, :, rows, columns],
+        dn=dn,
         intensity=_intensities(rig, len(frames)),
         falloff=falloff,
         wi=wi,
@@ -198,6 +211,18 @@ def read_reflectance_observation(
     )
     _refuse_unusable(rig, observation)
     return observation
+
+
+def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float, int] | None:
+    """The largest number, DN, and how many samples have it, where they are far more than at any of
+    the next smaller ones, in several images: a camera clipped them."""
+    top = dn.max()
+    values, counts = np.unique(dn[dn >= BRIGHT * top], return_counts=True)
+    several = np.count_nonzero((dn == top).any(axis=(0, 2))) > 1
+    most = PILE * counts[-1 - BELOW_TOP : -1].max(initial=0)
+    if len(values) > BELOW_TOP and several and counts[-1] > max(FEWEST_AT_TOP, most):
+        return float(top), int(counts[-1])
+    return None
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
