@@ -57,16 +57,18 @@ def _run(steps, results, arguments, changed=None):
         out = out if eqn.primitive.multiple_results else [out]
         for k, x in enumerate(out):
             values["slot", (i, k)] = x
-    return [np.asarray(read(slot)) for slot in results], values
+    return [read(slot) for slot in results], values
 
 
 def moved(arguments, ulps):
-    """The arguments, each moved by some units in the last place, in every combination of them."""
-    for steps in product(ulps, repeat=len(arguments)):
-        yield [
-            jnp.asarray(x + np.float64(step) * np.spacing(np.asarray(x)), x.dtype)
-            for x, step in zip(arguments, steps, strict=True)
-        ]
+    """The arguments, each moved by some units in the last place, in every combination of them,
+    along their first axis."""
+    for x, steps in zip(
+        arguments, zip(*product(ulps, repeat=len(arguments)), strict=True), strict=True
+    ):
+        yield jnp.stack(
+            [jnp.asarray(x + np.float64(n) * np.spacing(np.asarray(x)), x.dtype) for n in steps]
+        )
 
 
 def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
@@ -79,15 +81,20 @@ def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
     steps = []
     results = _steps(closed, steps, [("argument", i) for i in range(len(arguments))])
     found, values = _run(steps, results, arguments)
-    low, high = list(found), list(found)
+    decided = [slot for slot, value in values.items() if value.dtype == bool]
+
+    def near(*neighbour):
+        own, others = _run(steps, results, neighbour)
+        return own, [others[slot] for slot in decided]
+
+    own, others = jax.vmap(near)(*moved(arguments, ulps))
+    low = [np.fmin(a, np.fmin.reduce(b)) for a, b in zip(found, own, strict=True)]
+    high = [np.fmax(a, np.fmax.reduce(b)) for a, b in zip(found, own, strict=True)]
     flags = {}
-    for near in moved(arguments, ulps):
-        own, others = _run(steps, results, near)
-        low = [np.fmin(a, b) for a, b in zip(low, own, strict=True)]
-        high = [np.fmax(a, b) for a, b in zip(high, own, strict=True)]
-        for slot, value in others.items():
-            if value.dtype == bool and (value != values[slot]).any():
-                flags[slot] = flags.get(slot, False) | (value != values[slot])
+    for slot, value in zip(decided, others, strict=True):
+        differs = (np.asarray(value) != np.asarray(values[slot])).any(axis=0)
+        if differs.any():
+            flags[slot] = differs
     wrong = []
     for i, (eqn, inputs) in enumerate(steps):
         gives_flags = all(v.aval.dtype == bool for v in eqn.outvars)
@@ -98,6 +105,7 @@ def disagreements(function, *arguments, ulps=(-2, -1, 0, 1, 2), within=1e-3):
                 continue
             other = jnp.asarray(values[slot]) ^ flags[slot]
             got, _ = _run(steps, results, arguments, {(i, place): other})
+            got = map(np.asarray, got)
             for a, b, c in zip(got, low, high, strict=True):
                 scale = within * np.maximum(np.abs(b), np.abs(c))
                 good = (a >= b - scale) & (a <= c + scale) | (np.isnan(a) & np.isnan(b))
