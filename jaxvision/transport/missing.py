@@ -48,6 +48,7 @@ from ..lights import (
     rules_of,
 )
 from ..lights.environment import environment_node
+from ..lights.incidence import Incident
 from ..optics import view_ray
 from ..rendering.scene_checks import reflects_ambient
 from ..rendering.shadows import DEFAULT_RULE
@@ -404,12 +405,14 @@ def _arriving(
 ) -> tuple[np.ndarray, np.ndarray]:
     """World directions of places of the unit square, and the mean over bands of what each sends, W
     m^-2."""
-    dtype = light.radiance.dtype
-    sent = jax.vmap(lambda u: environment_node(light, jnp.zeros(3, dtype), u))(
-        jnp.asarray(places, dtype)
-    )
+    sent = _nodes(light, jnp.asarray(places, light.radiance.dtype))
     amounts = np.asarray(sent.irradiance, float).mean(axis=-1) * weights
     return np.asarray(as_array(sent.direction), float), amounts
+
+
+@jax.jit
+def _nodes(light: EnvironmentMap, places: Float[Array, "n 2"]) -> Incident:
+    return jax.vmap(lambda u: environment_node(light, jnp.zeros(3, u.dtype), u))(places)
 
 
 def _rarely_found(

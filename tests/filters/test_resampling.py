@@ -36,13 +36,13 @@ def test_batches_bands_and_constants():
 @pytest.mark.parametrize("method", ["nearest", "linear", "cubic", "lanczos3", "lanczos5"])
 @pytest.mark.parametrize("size", [(7, 9), (50, 64), (23, 40)])
 def test_a_dead_pixel_stays_where_the_kernel_reaches(value, method, size):
-    """A unit column and row tell the weights; the sum leaves the others as they were."""
+    """A unit row and column tell the weights; the sum leaves the others as they were."""
     place = (11, 17)
-    weights = []
-    for side, count, at in zip(PICTURE.shape, size, place, strict=True):
-        own = np.asarray(resize(np.eye(side)[:, at, None], (count, 1), method=method))[:, 0]
-        weights.append(np.where(np.abs(own) > 1e-6, own, 0))
-    weight = np.outer(*weights).astype(np.float32)
+    row, column = np.zeros((2, *PICTURE.shape), np.float32)
+    row[place[0]], column[:, place[1]] = 1, 1
+    of_row = np.asarray(resize(row, size, method=method))[:, 0]
+    of_column = np.asarray(resize(column, size, method=method))[0]
+    weight = np.outer(*(np.where(np.abs(own) > 1e-6, own, 0) for own in (of_row, of_column)))
     dead = PICTURE.copy()
     dead[place] = 0
     truth = np.asarray(resize(dead, size, method=method))

@@ -39,12 +39,12 @@ def write_rig(folder: Path, images, times=TIMES, *, camera: str = "bits = 8") ->
     return folder
 
 
-def colour_images(response=srgb, seed=0):
+def colour_images(response=srgb, seed=0, bands=3):
     rng = np.random.default_rng(seed)
-    stacks = [exposure_stack(response, TIMES, rng, pixels=SIZE[0] * SIZE[1]) for _ in range(3)]
+    stacks = [exposure_stack(response, TIMES, rng, pixels=SIZE[0] * SIZE[1]) for _ in range(bands)]
     # Brighter along the rows: of a scene of noise, few pixels lie clear of clipped ones.
     planes = [codes[:, np.argsort(irradiance)] for irradiance, codes in stacks]
-    return np.stack(planes, axis=-1).reshape(len(TIMES), *SIZE, 3).astype(np.uint8)
+    return np.stack(planes, axis=-1).reshape(len(TIMES), *SIZE, bands).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_section_of_a_colour_stack(calibration):
     ids=["reversed", "negatives", "wrong times", "noise"],
 )
 def test_images_that_contradict_their_times_are_refused(tmp_path, times, change, expected):
-    images = [change(image[..., 0]) for image in colour_images()]
+    images = [change(image[..., 0]) for image in colour_images(bands=1)]
     with pytest.raises(InputError, match=expected):
         calibrate_response(read_exposure_stack(load_rig(write_rig(tmp_path, images, times))))
 
