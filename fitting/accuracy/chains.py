@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -12,7 +11,7 @@ from jaxvision.accuracy.records import Compute
 
 from ..inference.emcee_run import Emcee
 from ..inference.nuts import Nuts, nuts
-from ..inference.parameters import ParameterSpace, to_unconstrained
+from ..inference.parameters import ParameterSpace, unconstrained_numbers
 from ..inference.posterior import LogDensity, Posterior, laplace, sample
 
 ENDS = (0.025, 0.16, 0.5, 0.84, 0.975)  # of the 95 and 68 % intervals, and the middle
@@ -55,7 +54,7 @@ def interval_ends(posterior: Posterior, density: Density) -> Float[np.ndarray, "
         Of the 95 and 68 % intervals and the middle, in standard errors from the mode.
     """
     ends = np.quantile(posterior.samples, ENDS, axis=0)
-    vectors = np.asarray(to_unconstrained(density.space, jnp.asarray(ends)))
+    vectors = unconstrained_numbers(density.space, ends)
     return (vectors - np.asarray(density.mode)) / density.errors
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import t
@@ -13,7 +12,7 @@ from jaxvision.errors import InputError
 from jaxvision.files.images import replaced_on_success
 from jaxvision.tasks import PROGRAMS, in_order
 
-from ..inference.parameters import names, to_unconstrained
+from ..inference.parameters import names, unconstrained_numbers
 from ..inference.posterior import Posterior
 
 BLOCK = 20  # fits between two writings
@@ -121,7 +120,7 @@ def places_in(posterior: Posterior, truth: Mapping[str, float]) -> dict[str, flo
         draws = posterior.samples
         return {name: float(np.mean(draws[:, i] < truth[name])) for i, name in known}
     space = tuple(posterior.space[i] for i, _ in known)
-    wanted = np.asarray(to_unconstrained(space, jnp.asarray([truth[name] for _, name in known])))
+    wanted = unconstrained_numbers(space, np.array([truth[name] for _, name in known], float))
     at = [i for i, _ in known]
     miss = wanted - posterior.unconstrained_mode[at]
     freedom = np.inf if posterior.freedom is None else posterior.freedom[at]

@@ -16,7 +16,7 @@ from ..inference.estimates import QUANTILES
 from ..inference.given import plain_numbers, require_kind, require_seed, require_whole
 from ..inference.misfit import CHANCE
 from ..inference.on_host import require_here
-from ..inference.parameters import to_natural
+from ..inference.parameters import natural_numbers
 from ..inference.pixelwise import Ends, fit_side_by_side
 from ..inference.problem import Problem, prediction
 from ..inference.search import spread_starts, unstarted
@@ -225,7 +225,7 @@ def _judged(
     spread = np.sqrt(np.einsum("kii->ki", covariance))
     vector = np.asarray(ends.vector, np.float64)
     steps = ndtri(np.asarray(QUANTILES))[:, None, None] * spread
-    natural = np.asarray(to_natural(problem.space, jnp.asarray(vector + steps)), np.float64)
+    natural = natural_numbers(problem.space, vector + steps)
     low95, low68, middle, high68, high95 = np.where(good[:, None], natural, np.nan)
     sd = np.where(good[:, None], np.abs(ends.slope) * spread, np.nan)
     columns = dict(zip(OUTLINE, (middle, sd, low95, low68, high68, high95), strict=True))

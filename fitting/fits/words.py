@@ -9,9 +9,9 @@ from ..inference.parameters import (
     Parameter,
     ParameterSpace,
     ends,
+    natural_numbers,
     prior_values,
     scaled_ends,
-    to_natural,
 )
 from ..inference.posterior import NEARLY_PRIOR, Posterior, piled_at
 from ..inference.problem import Problem
@@ -96,7 +96,7 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
 
 def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
     """Another place that fits as well, where the searches found one."""
-    ends = np.asarray(to_natural(posterior.space, jnp.asarray(optimum.ends)), np.float64)
+    ends = natural_numbers(posterior.space, optimum.ends)
     spread = np.cov(posterior.samples.T).reshape(len(posterior.space), -1)
     size = np.sqrt(np.diagonal(spread))
     size = np.where(size > 0, size, 1)

@@ -24,7 +24,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri, ndtri
 
 from .emcee_run import Emcee, Unbounded
-from .parameters import ParameterSpace, from_scaled, names, scaled_ends, to_natural, to_scaled
+from .parameters import ParameterSpace, from_scaled, names, natural_numbers, scaled_ends, to_scaled
 from .posterior import LogDensity, Posterior, evaluate_density, laplace, sample
 
 FAR = 2.0  # standard deviations at which the Gaussian is tested
@@ -99,7 +99,7 @@ def laplace_where_it_holds(
     return replace(
         drawn,
         method="importance sampling",
-        draws=np.asarray(to_natural(space, jnp.asarray(vectors)))[None],
+        draws=natural_numbers(space, vectors)[None],
         covariance=np.cov(vectors.T).reshape(len(space), len(space)),
         freedom=None,
         missed=worst,

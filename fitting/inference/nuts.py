@@ -29,8 +29,8 @@ from .blocks import Block, Progress, begun, fingerprint, length, next_length, st
 from .convergence import effective_draws, split_r_hat
 from .given import require_progress, require_whole
 from .on_host import on_host
-from .parameters import ParameterSpace, to_natural
-from .posterior import LogDensity, Posterior, natural_draws
+from .parameters import ParameterSpace, natural_numbers
+from .posterior import LogDensity, Posterior
 
 WARM_UP = 300  # steps that adapt the step size; draws follow
 FIRST_STEP = 0.5  # in standard deviations
@@ -292,8 +292,8 @@ def _posterior(
     return Posterior(
         space=space,
         method="NUTS",
-        draws=natural_draws(space, vectors),
-        mode=np.asarray(to_natural(space, jnp.asarray(mode))),
+        draws=natural_numbers(space, vectors),
+        mode=natural_numbers(space, mode),
         unconstrained_mode=mode,
         covariance=np.cov(vectors.reshape(-1, len(space)).T).reshape(len(space), len(space)),
         seed=seed,

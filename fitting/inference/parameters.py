@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import expit
 
 from jaxvision.errors import InputError
 
@@ -205,30 +206,37 @@ def scaled_ends(parameter: Parameter) -> tuple[float, float]:
 
 def _natural(parameter: Parameter, v: Array) -> Array:
     """x(v)."""
-    return v if parameter.transform == "identity" else jnp.exp(v)
+    return v if parameter.transform == "identity" else _library(v).exp(v)
+
+
+def _library(values: Any) -> Any:
+    """NumPy for its own arrays, which compile no program for their shape."""
+    return np if isinstance(values, np.ndarray) else jnp
 
 
 def _into_bounds(u: Array, a: float, b: float) -> Array:
     """v(u)."""
+    xp, sigmoid = (np, expit) if isinstance(u, np.ndarray) else (jnp, jax.nn.sigmoid)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
-            return a + (b - a) * jax.nn.sigmoid(u)
+            return a + (b - a) * sigmoid(u)
         case True, False:
-            return a + jnp.exp(u)
+            return a + xp.exp(u)
         case False, True:
-            return b - jnp.exp(-u)
+            return b - xp.exp(-u)
     return u
 
 
 def _out_of_bounds(v: Array, a: float, b: float) -> Array:
     """u(v)."""
+    xp = _library(v)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
-            return jnp.log(v - a) - jnp.log(b - v)
+            return xp.log(v - a) - xp.log(b - v)
         case True, False:
-            return jnp.log(v - a)
+            return xp.log(v - a)
         case False, True:
-            return -jnp.log(b - v)
+            return -xp.log(b - v)
     return v
 
 
@@ -244,6 +252,21 @@ def _log_slope(u: Array, a: float, b: float) -> Array | None:
     return None
 
 
+def _to_natural(space: ParameterSpace, unconstrained: Any) -> Any:
+    def columns(parameter: Parameter, u: Any) -> Any:
+        return _natural(parameter, _into_bounds(u, *scaled_ends(parameter)))
+
+    return _by_kind(space, unconstrained, columns)
+
+
+def _to_unconstrained(space: ParameterSpace, natural: Any) -> Any:
+    def columns(parameter: Parameter, x: Any) -> Any:
+        v = x if parameter.transform == "identity" else _library(x).log(x)
+        return _out_of_bounds(v, *scaled_ends(parameter))
+
+    return _by_kind(space, natural, columns)
+
+
 @partial(jax.jit, static_argnums=0)
 def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
     """Unconstrained values to values in the parameters' own units.
@@ -254,22 +277,29 @@ def to_natural(space: ParameterSpace, unconstrained: Vector) -> Vector:
         >>> round(float(to_natural(space, jnp.array([0.0]))[0]), 3)
         1.0
     """
-
-    def columns(parameter: Parameter, u: Array) -> Array:
-        return _natural(parameter, _into_bounds(u, *scaled_ends(parameter)))
-
-    return _by_kind(space, unconstrained, columns)
+    return _to_natural(space, unconstrained)
 
 
 @partial(jax.jit, static_argnums=0)
 def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
     """Inverse of `to_natural`."""
+    return _to_unconstrained(space, natural)
 
-    def columns(parameter: Parameter, x: Array) -> Array:
-        v = x if parameter.transform == "identity" else jnp.log(x)
-        return _out_of_bounds(v, *scaled_ends(parameter))
 
-    return _by_kind(space, natural, columns)
+def natural_numbers(
+    space: ParameterSpace, unconstrained: Float[np.ndarray, "... parameters"]
+) -> Float[np.ndarray, "... parameters"]:
+    """As `to_natural`, which is compiled for every space and shape, in NumPy."""
+    with np.errstate(all="ignore"):
+        return _to_natural(space, unconstrained)
+
+
+def unconstrained_numbers(
+    space: ParameterSpace, natural: Float[np.ndarray, "... parameters"]
+) -> Float[np.ndarray, "... parameters"]:
+    """Inverse of `natural_numbers`."""
+    with np.errstate(all="ignore"):
+        return _to_unconstrained(space, natural)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -326,7 +356,7 @@ def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
     known = [prior_values(parameter) for parameter in space]
     nothing = np.full(len(FLAT_QUANTILES), np.nan)
     table = np.stack([nothing if x is None else x for x in known], axis=-1)
-    u = np.asarray(to_unconstrained(space, jnp.asarray(table)), np.float64)
+    u = unconstrained_numbers(space, table)
     limited = np.array([x is not None for x in known])
     return np.where(limited, u.mean(0), 0.0), np.where(limited, u.std(0), np.inf)
 
@@ -372,4 +402,4 @@ def _by_kind(
     kinds = _kinds(space)
     parts = [columns(parameter, values[..., np.array(index)]) for parameter, index in kinds]
     order = np.argsort(np.concatenate([index for _, index in kinds]))
-    return jnp.concatenate(parts, axis=-1)[..., order]
+    return _library(values).concatenate(parts, axis=-1)[..., order]

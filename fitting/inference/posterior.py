@@ -36,6 +36,7 @@ from .parameters import (
     ParameterSpace,
     ends,
     names,
+    natural_numbers,
     prior_values,
     scaled_ends,
     to_natural,
@@ -194,8 +195,8 @@ def laplace(
     return Posterior(
         space=space,
         method="Laplace",
-        draws=np.asarray(to_natural(space, jnp.asarray(vectors)))[None],
-        mode=np.asarray(to_natural(space, jnp.asarray(centre))),
+        draws=natural_numbers(space, vectors)[None],
+        mode=natural_numbers(space, centre),
         unconstrained_mode=centre,
         covariance=covariance,
         seed=seed,
@@ -247,8 +248,8 @@ def sample(
     return Posterior(
         space=space,
         method="emcee",
-        draws=natural_draws(space, np.swapaxes(chain.vectors, 0, 1)),
-        mode=np.asarray(to_natural(space, mode)),
+        draws=natural_numbers(space, np.swapaxes(chain.vectors, 0, 1)),
+        mode=natural_numbers(space, centre),
         unconstrained_mode=centre,
         covariance=np.cov(drawn.T).reshape(len(space), len(space)),
         seed=seed,
@@ -278,11 +279,11 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
             for parameter, draws in zip(posterior.space, posterior.samples.T, strict=True)
         )
     deviation = np.sqrt(np.diagonal(posterior.covariance))
-    centre = jnp.asarray(posterior.unconstrained_mode)
+    centre = posterior.unconstrained_mode
     freedom = np.inf if posterior.freedom is None else posterior.freedom
     steps = stdtrit(freedom, np.asarray(QUANTILES)[:, None]) * deviation
-    found = np.asarray(to_natural(posterior.space, centre[None] + jnp.asarray(steps)))
-    slope = np.asarray(_slope(posterior.space, centre))
+    found = natural_numbers(posterior.space, centre + steps)
+    slope = np.asarray(_slope(posterior.space, jnp.asarray(centre)))
     spread = np.abs(slope) * deviation
     return tuple(
         quantile_estimate(
@@ -364,20 +365,3 @@ def _evaluate(log_density: LogDensity, vectors: Array, args: Any) -> Array:
         lambda vector: log_density(vector, args), vectors, batch_size=at_a_time(BATCH)
     )
     return jnp.where(jnp.isnan(values), -jnp.inf, values)
-
-
-ROWS = 4096  # vectors that go across at a time
-
-
-def natural_draws(
-    space: ParameterSpace, vectors: Float[np.ndarray, "... parameters"]
-) -> Float[np.ndarray, "... parameters"]:
-    """As `to_natural`, which is compiled for every shape: an ensemble ends after any number of
-    steps, and a second fit compiles nothing."""
-    rows = vectors.reshape(-1, len(space))
-    filled = np.pad(rows, ((0, -len(rows) % ROWS), (0, 0)), mode="edge")
-    parts = [
-        np.asarray(to_natural(space, jnp.asarray(filled[i : i + ROWS])))
-        for i in range(0, len(filled), ROWS)
-    ]
-    return np.concatenate(parts)[: len(rows)].reshape(vectors.shape)

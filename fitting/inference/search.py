@@ -58,6 +58,7 @@ from .parameters import (
     prior_values,
     to_natural,
     to_unconstrained,
+    unconstrained_numbers,
 )
 from .problem import (
     Problem,
@@ -175,7 +176,7 @@ def unstarted(
         values = prior_values(parameter)
         unknown = np.full(count, 1.0 if i in closed else np.nan)
         columns.append(unknown if values is None else np.interp(share, FLAT_QUANTILES, values))
-    table = _unconstrained(problem.space, np.stack(columns, axis=-1))
+    table = unconstrained_numbers(problem.space, np.stack(columns, axis=-1))
     return table, ndtri(np.clip(shares, 0.01, 0.99))
 
 
@@ -225,11 +226,9 @@ def start_at(
     size = xp.where(natural == 0, 1.0, abs(natural))
     range_ = xp.where(np.isfinite(high - low), np.nan_to_num(high - low), size)
     inside = xp.clip(natural, low + EDGE * range_, high - EDGE * range_)
+    if isinstance(inside, np.ndarray):
+        return jnp.asarray(unconstrained_numbers(space, inside), jnp.result_type(float))
     return to_unconstrained(space, jnp.asarray(inside, jnp.result_type(float)))
-
-
-def _unconstrained(space: ParameterSpace, natural: np.ndarray) -> np.ndarray:
-    return np.asarray(to_unconstrained(space, jnp.asarray(natural)), np.float64)
 
 
 def _kronecker(count: int, dimensions: int, seed: int) -> np.ndarray:
@@ -418,7 +417,7 @@ def _lowest_of_grid(starts: Array, problem: Problem, mean: Array, weight: Array)
     if values is None:
         return starts
     shares = (np.arange(KNOTS) + 0.5) / KNOTS
-    knots = _unconstrained((parameter,), np.interp(shares, FLAT_QUANTILES, values)[:, None])
+    knots = unconstrained_numbers((parameter,), np.interp(shares, FLAT_QUANTILES, values)[:, None])
     every = jnp.concatenate([starts[:1], jnp.asarray(knots, starts.dtype)])
     costs = on_host(_costs_of_grid(every, problem, mean, weight))
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
