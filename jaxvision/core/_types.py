@@ -48,6 +48,9 @@ def print_by_name(aliases: dict[str, Any], *names: str) -> None:
 
 def members_of(hint: Any) -> tuple[Any, ...]:
     """Return the members of a union, also of named unions inside it; any other hint by itself."""
+    alias = getattr(get_origin(hint) or hint, "__value__", None)  # of a `type` statement
+    if alias is not None:
+        return members_of(alias[get_args(hint)] if get_args(hint) else alias)
     named = getattr(hint, "kinds", ()) if isinstance(hint, _OneOf) else ()
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else named
     return tuple(one for part in parts for one in members_of(part)) if parts else (hint,)

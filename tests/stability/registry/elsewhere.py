@@ -601,10 +601,11 @@ ELSEWHERE = (
             fitting.inference.misfit: judge
             fitting.inference.channels: by_channel
             fitting.inference.candidates: numbers_of price squared_ratios weakest whole_name
-            fitting.inference.posterior: natural_draws piled_at
+            fitting.inference.posterior: piled_at
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: from_scaled scaled_ends to_natural to_scaled
             fitting.inference.parameters: share_below to_unconstrained
+            fitting.inference.parameters: natural_numbers unconstrained_numbers
             fitting.inference.priors: support
             fitting.inference.problem: give least_squares_residuals likelihood_at log_density
             fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
