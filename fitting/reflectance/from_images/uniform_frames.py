@@ -45,7 +45,7 @@ def read_joint_measurement(
     return replace(
         observation,
         levels=_levels(rig, len(observation.channels), load, with_darks=not encoded),
-        findings=(*observation.findings, *findings),
+        findings=(*findings, *observation.findings),
     )
 
 
