@@ -32,7 +32,7 @@ OTHER = words("""
 *.aperture_corners.dtype *.light_nodes.dtype *.pruned_for.tolerance *.capture.tolerance *.moments.*
 *.shot_noise.count.shot_noise *.compositing.flatten.layers *.tasks.workers.count
 *.register_extended.nodes *.register.moments *.demosaic_menon.refine *.nonlocal_means_filter.cutoff
-*.missing_light.depth *.missing_light.samples *.convolution.summed.method
+*.missing_light.depth *.missing_light.samples *.convolution.summed.method *.new_axes.polar
 """)
 
 

@@ -46,7 +46,7 @@ OTHER = words("""
 *.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
 *.calibrate_lab.draws *.folders.*.draws *.minimise_in_box.* *.commands.run.repeats
 *.format_within.width *.plain_tables.width *.called_for.tolerance *.summed.terms *.bands.bands.draws
-*.bands.thinned_draws.* *.Window.nodes *.refuse_half.count
+*.bands.thinned_draws.* *.Window.nodes *.refuse_half.count *.prediction.*.draws
 """)
 
 
