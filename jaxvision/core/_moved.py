@@ -5,6 +5,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.abc import Loader
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
@@ -95,7 +96,7 @@ class _Finder:
         return ModuleSpec(fullname, _Moved(MOVED[top] + fullname.removeprefix(top)))
 
 
-class _Moved:
+class _Moved(Loader):
     """Loads what is already there, or will be, under another name."""
 
     def __init__(self, new: str) -> None:
