@@ -3,7 +3,6 @@
 
 import sys
 import warnings
-from collections.abc import Sequence
 from importlib import import_module
 from importlib.abc import Loader
 from importlib.machinery import ModuleSpec
@@ -83,7 +82,7 @@ def find_modules_by_old_names() -> None:
 
 class _Finder:
     def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+        self, fullname: str, path: object, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         del path, target
         if not fullname.startswith("jaxvision."):

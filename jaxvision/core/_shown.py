@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import fields
 from html import escape
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ class Shown(eqx.Module):
     that are None are not printed. `str` and `print` add the units that its docstring states. An
     unknown field raises `TypeError` with the nearest one."""
 
-    def __new__(cls, *args: Any, **given: Any) -> Self:
+    def __new__(cls, *args: Any, **given: Any):  # `Self`, which checkers of types infer
         for name in given:
             if name not in cls.__dataclass_fields__:
                 known = inspect.signature(cls).parameters

@@ -551,7 +551,7 @@ def _cross(share: Scalar) -> Kernel:
     return share * around + (1 - 4 * share) * middle
 
 
-def _inverse(kernel: Kernel) -> Kernel:
+def _inverse(kernel: Kernel) -> Float[Array, "height width"]:
     """The kernel that undoes another, cut beyond 8 pixels."""
     rows, columns = kernel.shape
     wide = jnp.zeros((_PERIOD, _PERIOD), kernel.dtype).at[:rows, :columns].set(kernel)

@@ -493,7 +493,9 @@ def _repelled(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covaria
     return flat_covariances(area, electrons)[..., : reach + 1, : reach + 1]
 
 
-def _mixed(kernel: Float[Array, "rows columns"], found: Covariances, reach: int) -> Covariances:
+def _mixed(
+    kernel: Float[Array, "rows columns"], found: Covariances, reach: int
+) -> Float[Array, "... kept kept"]:
     """Covariances after mixing, of those before it, which reach further."""
     shared = correlate2d(kernel, kernel, mode="full")  # sum w(k) w(k + lag)
     shared = (shared + shared[:, ::-1]) / 2

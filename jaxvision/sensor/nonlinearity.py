@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Int
 
 from ..core._arguments import takes_numbers
 from ..core._bounds import Ends
@@ -197,7 +198,9 @@ def _found(
 
     within = jnp.clip(seen, curve(held, low), curve(held, high))
 
-    def step(_: int, state: tuple[Scalars, Scalars, Scalars]) -> tuple[Scalars, Scalars, Scalars]:
+    def step(
+        _: Int[Array, ""], state: tuple[Scalars, Scalars, Scalars]
+    ) -> tuple[Scalars, Scalars, Scalars]:
         x, below, above = state
         value, slope = at(x)
         over = value > within
