@@ -9,6 +9,7 @@ import pytest
 from fitting import joint, reflectance
 from fitting.checks.reflectance import GAIN, RADIUS, SIZE, WHITE, Sphere, directions, photographs
 from fitting.inference.estimates import find
+from fitting.reflectance.from_images.read import UniformLevels
 from fitting.rig import Camera, SphereGeometry
 
 BALL = SphereGeometry(centre=((SIZE - 1) / 2, (SIZE - 1) / 2), radius=RADIUS)
@@ -37,6 +38,14 @@ def test_lights_that_err_as_much_as_pixels_do_widen_both_intervals_alike():
     for name in ("diffuse", "specular", "exponent"):
         one, other = (find(c.section.estimates, name) for c in (together, alone))
         np.testing.assert_allclose(one.interval_95, other.interval_95, rtol=2e-4)
+
+
+def test_the_reflectance_calibration_says_that_it_uses_no_flats():
+    taken = seen(Sphere(), 0)
+    flat = UniformLevels(*np.array([[900.0], [360.0], [500.0], [0.1]]), dark=np.array([False]))
+    for levels, told in ((None, 0), ((flat,), 1)):
+        found = reflectance.calibrate(replace(taken, levels=levels), model="lambert")
+        assert sum("Flats and darks do not count" in s for s in found.section.findings) == told
 
 
 @pytest.mark.slow

@@ -28,6 +28,9 @@ FEW_FREEDOM = 5.0  # below: Student's 95 % intervals are a third wider than Gaus
 CALM = 0.5  # chi-square per degree of freedom below which the stated noise is too large
 HOPELESS = 2.0  # relative misfit from which a fit describes nothing
 TEXTURED = 0.7  # of the misfit: what a mean over all lights leaves of that of a pixel's own
+UNUSED_LEVELS = (
+    "Flats and darks do not count here; joint.calibrate (jaxvision-fit joint) fits with them."
+)
 COLOURED = 3.0  # standard errors between channels from which a highlight is called coloured
 
 
@@ -39,6 +42,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
     return (
         *contradictions(calibration.observation, gamma=gamma),
         *calibration.observation.findings,
+        *([] if calibration.observation.levels is None else [UNUSED_LEVELS]),
         *(s for fit in calibration.reported for s in _channel_findings(calibration, fit)),
         *_lights_finding(calibration),
         *([facet_sentence(requested.index)] if calibration.model in CLEAR else []),
