@@ -2,8 +2,8 @@
 
     python notebooks/refresh.py [--shrink-only] [NOTEBOOK ...]
 
-Without names all notebooks are executed, one after the other. A stored picture of more than about
-120 kB, or more than its share of 250 kB, becomes a JPEG. It needs the `notebooks` extra.
+Without names all notebooks are executed, one after the other. A stored picture of more than its
+share of 210 kB, which are 280 kB as text, becomes a JPEG. It needs the `notebooks` extra.
 """
 
 import argparse
@@ -17,20 +17,23 @@ from pathlib import Path
 from PIL import Image
 
 HERE = Path(__file__).parent
-MOST = 120_000  # bytes of one stored picture, before base64
-TOGETHER = 250_000  # bytes of all of a notebook, unless they become too narrow
-NARROWEST = 800  # pixels
+TOGETHER = 210_000  # bytes of all pictures of a notebook, before base64
+QUALITIES = (85, 75, 65)  # of a JPEG, tried before it becomes narrower
+NARROWEST = 750  # pixels
 
 
 def as_jpeg(png: bytes, most: int) -> bytes:
-    """The picture as a JPEG, narrower in steps of a tenth until it has at most so many bytes."""
+    """The picture as a JPEG of at most so many bytes: coarser first, then narrower by tenths."""
     picture = Image.open(io.BytesIO(png)).convert("RGB")
     width, height = picture.size
     while True:
-        found = io.BytesIO()
         part = picture.resize((width, round(height * width / picture.width)), Image.LANCZOS)
-        part.save(found, "JPEG", quality=85, optimize=True)
-        if len(found.getvalue()) <= most or width < NARROWEST / 0.9:
+        for quality in QUALITIES:
+            found = io.BytesIO()
+            part.save(found, "JPEG", quality=quality, optimize=True)
+            if len(found.getvalue()) <= most:
+                return found.getvalue()
+        if 0.9 * width < NARROWEST:
             return found.getvalue()
         width = round(0.9 * width)
 
@@ -40,7 +43,7 @@ def shrink(notebook: Path) -> None:
     content = json.loads(notebook.read_text(encoding="utf-8"))
     outputs = [output for cell in content["cells"] for output in cell.get("outputs", [])]
     shown = [output["data"] for output in outputs if "data" in output]
-    most = min(MOST, TOGETHER // max(sum("image/png" in data for data in shown), 1))
+    most = TOGETHER // max(sum("image/png" in data for data in shown), 1)
     for data in shown:
         png = base64.b64decode("".join(data.get("image/png", "")))
         if len(png) > most:
