@@ -114,11 +114,7 @@ def calibrate(
 
 
 def is_determined(fit: JointFit) -> bool:
-    """Whether the information of a fit can be inverted.
-
-    Args:
-        fit: of one channel.
-    """
+    """Whether the information of a fit can be inverted."""
     return fit.converged and bool(np.linalg.eigvalsh(fit.information)[0] > 0)
 
 

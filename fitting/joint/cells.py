@@ -66,15 +66,8 @@ class Grid:
 
 
 def cell_width(form: Form, shape: float | None) -> float:
-    """The widest cells that resolve a lobe.
-
-    Args:
-        form: of the fit.
-        shape: of the lobe, natural; None for Lambert.
-
-    Returns:
-        rad.
-    """
+    """Width in rad of the finest cells, which resolve the lobe of a natural `shape` (None for
+    Lambert)."""
     if shape is None or not has_lobe(form.model):
         return WIDEST
     angle = np.linspace(0, 1.2, 1201)
@@ -96,19 +89,11 @@ def make_grid(
     turns: bool,
     shared: bool,
 ) -> Grid:
-    """Groups the pixels of an object by their normals, for the lights that are not held out.
+    """Group the pixels of an object by their normals, for the lights that are not held out.
 
-    Args:
-        observation: of the object.
-        channel: index.
-        reference: natural values by name, of a model near the best one.
-        form: of the fit.
-        width: of the finest cells, rad of the normal.
-        turns: whether to tell how cells change as lights turn.
-        shared: whether all images have the same cells, as what their pixels share needs.
-
-    Returns:
-        The grid.
+    The finest cells have the given `width` in rad, where the model of the `reference` values
+    varies. `turns` adds the derivatives of cells by light directions. `shared` gives all images the
+    same cells, as errors that pixels share need.
     """
     lights = np.flatnonzero(~observation.held_out)
     levels = _levels(observation.normals, width)
@@ -189,19 +174,11 @@ def reduce_images(
     products: bool,
     within: Float[np.ndarray, "images cells"] | None = None,
 ) -> Cells:
-    """The cells of one channel about a reference model.
+    """Return the cells of one channel about a model of natural `reference` values, which must
+    include gain and read noise.
 
-    Args:
-        observation: of the object.
-        channel: index.
-        grid: of the cells.
-        reference: natural values by name, gain and read noise among them.
-        form: of the fit.
-        products: whether to keep how the images of a cell scatter together.
-        within: count of the cells that may be used; None for all.
-
-    Returns:
-        The cells.
+    `products` adds products of two images' deviations. `within` is the (images, cells) count of
+    cells that may be used; None allows all.
     """
     count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
     left = np.zeros(grid.cell.shape)
@@ -236,19 +213,8 @@ def _usable_at(
 def pixels_at(
     observation: Photographs, channel: int, light: int, values: Values, form: Form
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """What a model says of the pixels of one image.
-
-    Args:
-        observation: of the object.
-        channel: index.
-        light: index.
-        values: natural, by name.
-        form: of the fit.
-
-    Returns:
-        (pixels,) expected DN, and which lie clear of both ends of the scale, by what is expected or
-        beyond doubt by what was measured.
-    """
+    """Return (pixels,) expected DN in one image, and which pixels are clear of both ends of the
+    scale, by their expected or beyond doubt by their measured numbers."""
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     wi = observation.wi[light]
     geometry = local_geometry(observation.normals[None], wi[None], irradiance[None])

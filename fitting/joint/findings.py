@@ -93,11 +93,8 @@ def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]
 
 
 def darker_than_darks(observation: Photographs) -> list[str]:
-    """A sentence where pixels that no light reaches are darker than the darks: light only adds.
-
-    Args:
-        observation: with darks, or without.
-    """
+    """Report pixels that no light reaches and that are darker than the darks, since light only
+    adds."""
     found = []
     unlit = observation.cosine < UNLIT
     for i, levels in enumerate(observation.levels or ()):
@@ -118,13 +115,8 @@ def darker_than_darks(observation: Photographs) -> list[str]:
 
 
 def gains_disagree(fit: JointFit, stated: float | None) -> list[str]:
-    """A sentence where the object's pixels scatter with another gain than flats and darks, or the
-    rig, say.
-
-    Args:
-        fit: of one channel, linear.
-        stated: gain of the rig, DN/e-; None where it says none.
-    """
+    """Report pixels of the object that scatter with another gain than flats and darks show or the
+    rig states (DN/e-)."""
     cells, levels = fit.data.cells, fit.data.levels
     freedom = np.asarray(cells.count, float) - 1
     some = freedom > 0
@@ -168,13 +160,8 @@ def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple
 
 
 def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
-    """Whether a free gain and read noise stand for what the model misses: its images do not agree,
-    and yet the cells scatter no more than that noise.
-
-    Args:
-        calibration: of the fit.
-        fit: of one channel.
-    """
+    """Whether a free gain and read noise stand for the misfit: images disagree, but their cells
+    scatter no more than that noise."""
     free = not {*NOISE} <= set(fit.data.known) and fit.data.levels is None
     robust = calibration.robust.get(fit.channel)
     disagree = robust is not None and robust.design_effect > 1
@@ -273,11 +260,7 @@ def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
 
 
 def no_description(scores: tuple[Score, ...]) -> list[str]:
-    """That the model misses most of the images, by channel.
-
-    Args:
-        scores: of its predictions.
-    """
+    """Report, for each channel, a model that misses most of the images."""
     errors = {
         s.channel: s.fitted_error if s.unseen_error is None else s.unseen_error for s in scores
     }

@@ -98,20 +98,10 @@ def fit_channel(
     *,
     about: Float[np.ndarray, "2 images"] | None = None,
 ) -> JointFit:
-    """Best fit of one channel, its lights' errors linear about some directions.
+    """Return the best fit of one channel, linear in the errors of light directions about `about`:
+    (2, images) rad by which this observation's lights are rotated from the rig's, None for none.
 
-    Args:
-        observation: images, flats and darks.
-        channel: index.
-        form: of the fit; it becomes Lambert's where no highlight is seen.
-        about: (2, images) rad, turns of the lights of this observation from where the rig puts
-            them; None for none.
-
-    Returns:
-        The fit.
-
-    Raises:
-        InputError: where too little is left to fit.
+    The form becomes Lambert's if no highlight is seen. Too few lit cells are an `InputError`.
     """
     grid, data, start = _prepared(observation, channel, form)
     if about is not None:
@@ -148,12 +138,8 @@ def fit_channel(
 
 
 def is_searched_shape(vector: Float[Array, " parameters"], data: JointData) -> bool:
-    """Whether the shape of the lobe lies where it is searched: beyond, no optimum is one.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        data: of the fit.
-    """
+    """Whether the shape of the lobe is within the searched range; an optimum outside it is
+    rejected."""
     model = data.form.model
     if model == "lambert":
         return True
@@ -196,12 +182,10 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
 
 
 def _with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
-    """The data and a model with a misfit, as large as the cells' residuals say.
+    """Return the data and start of a model with a misfit, whose size the cells' residuals give.
 
-    Args:
-        data: with cells about the start: about the best model without a misfit they lack what its
-            gain and read noise, which stand for the misfit as far as they can, take for noise.
-        vector: the start, unconstrained.
+    The cells must be about the start. About the best model without a misfit, its gain and read
+    noise have already taken up part of the misfit.
     """
     data = replace(data, space=(*data.space, MISFIT))
 
@@ -317,13 +301,6 @@ def image_errors(
 
 
 def predicted_cells(fit: JointFit) -> tuple[Prediction, Array, Array | None]:
-    """What a fit says of its own cells.
-
-    Args:
-        fit: of one channel.
-
-    Returns:
-        The prediction, the cells' weights in DN^-2, and what the gains of their pixels do in DN;
-        None where pixels are alike.
-    """
+    """Return the prediction of a fit's own cells, their weights in DN^-2, and their errors by pixel
+    gains in DN, or None if pixels are alike."""
     return _predicted(jnp.asarray(fit.vector), fit.data)

@@ -31,15 +31,8 @@ STEP = 0.1  # of ln s, over which the variances' slopes are taken
 def degrees_of_freedom(
     fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]
 ) -> Float[np.ndarray, " parameters"] | None:
-    """Degrees of freedom of each parameter's variance.
-
-    Args:
-        fit: of one channel.
-        covariance: (P, P) of its parameters on the unconstrained scale.
-
-    Returns:
-        (P,), infinite for the scales themselves; None where no scale is fitted.
-    """
+    """Return (P,) degrees of freedom of the variances in a (P, P) unconstrained covariance,
+    infinite for the scales themselves; None if no scale is fitted."""
     labels = names(fit.space)
     scales = [i for i, name in enumerate(labels) if name in SCATTERS]
     if not scales:
@@ -56,17 +49,11 @@ def degrees_of_freedom(
 def laplace_miss(
     fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]
 ) -> Float[np.ndarray, " parameters"]:
-    """How far each parameter's posterior is from Laplace's Gaussian at two standard deviations.
+    """Return (P,) by how much the log density differs from Laplace's Gaussian at two standard
+    deviations.
 
-    The density along a line is what `gaussian_miss` sees. The scale of an error that images share
-    has another density once the others are integrated out: their volume grows with it.
-
-    Args:
-        fit: of one channel.
-        covariance: (P, P) of its parameters on the unconstrained scale.
-
-    Returns:
-        (P,) of the fall of the log density.
+    `gaussian_miss` sees the density along a line. The scale of an error that images share has
+    another density once the other parameters are marginalised, because their volume grows with it.
     """
     mode = jnp.asarray(fit.vector)
     missed = gaussian_miss(log_posterior, mode, covariance, fit.data)

@@ -28,7 +28,7 @@ APART = 3.0  # standard deviations between halves from which they do not agree
 
 @dataclass(frozen=True)
 class Halves:
-    """The same fit by the even and by the odd images.
+    """The same fit to the even and to the odd images.
 
     Attributes:
         names: of the parameters.
@@ -54,17 +54,9 @@ class Halves:
 def by_halves(
     observation: Photographs, channel: int, fit: JointFit, robust: Robustness
 ) -> Halves | None:
-    """Fits the halves of the images of one channel.
-
-    Args:
-        observation: images, flats and darks.
-        channel: index.
-        fit: of all images, which needed a misfit.
-        robust: its covariance over images.
-
-    Returns:
-        What they find; None of fewer than `FEWEST_IMAGES` images, and where a half tells nothing.
-    """
+    """Fit the halves of one channel's images, where the fit of all images has the covariance
+    `robust`. Returns None for fewer than `FEWEST_IMAGES` images, and if a half does not determine
+    the model."""
     images = np.flatnonzero(~observation.held_out)
     if len(images) < FEWEST_IMAGES:
         return None
@@ -84,15 +76,7 @@ def by_halves(
 
 
 def widened(robust: Robustness, halves: Halves) -> Robustness:
-    """A covariance that holds the difference of halves that do not agree.
-
-    Args:
-        robust: covariance over images.
-        halves: of the images.
-
-    Returns:
-        The covariance, as it is where they agree.
-    """
+    """Widen a covariance over images to cover the difference of halves that disagree."""
     if halves.agree:
         return robust
     told = halves.difference * (halves.deviations != 0)

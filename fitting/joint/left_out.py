@@ -19,15 +19,7 @@ WIDEST = 3.0  # standard deviations of the prior of an error's size
 
 
 def widest(vector: Array, space: ParameterSpace) -> Array:
-    """A model with every error as large as its prior allows.
-
-    Args:
-        vector: (P,) unconstrained.
-        space: the parameters.
-
-    Returns:
-        (P,) unconstrained.
-    """
+    """Return an unconstrained vector with every error as large as its prior allows."""
     natural = to_natural(space, vector)
     for i, parameter in enumerate(space):
         if parameter.name in SCATTERS:
@@ -39,18 +31,9 @@ def widest(vector: Array, space: ParameterSpace) -> Array:
 def small(
     data: JointData, model: Prediction, weight: Table, of_cells: Table | None
 ) -> tuple[LeftOut, ...]:
-    """The errors that no fit can tell from none: all together within the tolerance, the smallest
-    first.
-
-    Args:
-        data: of one channel, with all errors.
-        model: the prediction at `widest`.
-        weight: (images, cells) DN^-2 of the noise alone.
-        of_cells: (images, cells) DN, of the gains of pixels; None where they are alike.
-
-    Returns:
-        What may be left out; bounds in standard deviations of the noise of all data.
-    """
+    """Return the errors that are negligible all together, the smallest first, in standard
+    deviations of the noise of all data. `model`, `weight` (DN^-2, noise alone) and `of_cells` (DN)
+    are at `widest`."""
     found = []
     at = 0
     for parameter in data.space:
@@ -70,16 +53,7 @@ def small(
 
 
 def without(data: JointData, vector: Array, gone: tuple[LeftOut, ...]) -> tuple[JointData, Array]:
-    """The data and a model without some errors, of which nothing is traced any more.
-
-    Args:
-        data: of one channel.
-        vector: (P,) unconstrained.
-        gone: the errors.
-
-    Returns:
-        Both, of fewer parameters.
-    """
+    """Return data and unconstrained vector without some errors, which are then not traced."""
     named = {own.name for own in gone}
     if not named:
         return data, vector

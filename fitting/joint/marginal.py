@@ -34,16 +34,10 @@ def log_density(
     image_errors: ImageErrors | None = None,
     cell_errors: Table | None = None,
 ) -> Float[Array, ""]:
-    """ln p(r), up to a constant.
+    """ln p(r) up to a constant.
 
-    Args:
-        residual: (images, cells) r, DN.
-        weight: (images, cells) w, DN^-2; 0 where a cell is not seen.
-        image_errors: (images, errors, cells) H, DN; None where images share nothing.
-        cell_errors: (images, cells) G, DN; None where cells do not.
-
-    Returns:
-        ().
+    The (images, cells) residuals r, H and G are in DN and the weights w in DN^-2, 0 for a cell that
+    is not seen. H or G is None where no such error is shared.
     """
     square, log_volume = _parts(residual, weight, image_errors, cell_errors)
     return -(square + log_volume) / 2
@@ -56,17 +50,8 @@ def chi_square(
     image_errors: ImageErrors | None = None,
     cell_errors: Table | None = None,
 ) -> Float[Array, ""]:
-    """r' C^-1 r with C the covariance of r: as many as there are cells seen, if the model holds.
-
-    Args:
-        residual: (images, cells) r, DN.
-        weight: (images, cells) w, DN^-2; 0 where a cell is not seen.
-        image_errors: (images, errors, cells) H, DN; None where images share nothing.
-        cell_errors: (images, cells) G, DN; None where cells do not.
-
-    Returns:
-        ().
-    """
+    """r' C^-1 r with C the covariance of r; its expectation is the number of cells seen. Arguments
+    as in `log_density`."""
     return _parts(residual, weight, image_errors, cell_errors)[0]
 
 
@@ -91,17 +76,8 @@ def _parts(
 def image_error_means(
     residual: Table, weight: Table, image_errors: ImageErrors, *, cell_errors: Table | None = None
 ) -> tuple[Float[Array, "images errors"], Float[Array, "images errors"]]:
-    """What the data say of u.
-
-    Args:
-        residual: (images, cells) r, DN.
-        weight: (images, cells) w, DN^-2.
-        image_errors: (images, errors, cells) H, DN.
-        cell_errors: (images, cells) G, DN; None where cells share nothing.
-
-    Returns:
-        Means and standard deviations of u given r, (images, errors), in units of its prior's.
-    """
+    """Posterior means and standard deviations of u given r, (images, errors), in units of the
+    prior's. Arguments as in `log_density`."""
     factor, pull = _of_images(residual, weight, image_errors, cell_errors)
     shape = image_errors.shape[:2]
     mean = jax.vmap(lambda L, b: cho_solve((L, True), b))(factor, pull)
@@ -146,22 +122,13 @@ def scatter_log_density(
     pixel_errors: Table | None = None,
     products: Float[Array, "cells images images"] | None = None,
 ) -> Float[Array, ""]:
-    """ln p of how the pixels of each cell scatter about their mean, up to a constant.
+    """ln p of the scatter of each cell's pixels about their mean, up to a constant.
 
-    n pixels have n - 1 degrees of freedom. With errors of the pixels, P_jc g for each pixel with
-    g ~ N(0, 1) and the same in all images, the scatter of a cell in all images is Wishart's with
-    the covariance diag(variance) + P P'.
-
-    Args:
-        scatter: (images, cells) sums of squared deviations, DN^2; 0 where a cell is not seen.
-        count: (images, cells) n; 0 where not seen.
-        variance: (images, cells) of one pixel, DN^2.
-        pixel_errors: (images, cells) P, DN; None where pixels are alike.
-        products: (cells, images, images) sums of products of deviations in two images, DN^2;
-            with `pixel_errors` only.
-
-    Returns:
-        ().
+    `scatter` sums n squared deviations in DN^2 and has n - 1 degrees of freedom. `variance` belongs
+    to one pixel. With an error P_jc g of each pixel, g ~ N(0, 1) being the same in all images
+    (`pixel_errors` P in DN), the scatter of a cell in all images has a Wishart distribution of
+    covariance diag(variance) + P P'. It then needs `products`, sums of products of deviations in
+    two images, DN^2.
     """
     freedom = jnp.maximum(count - 1, 0)
     total = -jnp.sum(freedom * jnp.log(variance) + scatter / variance) / 2

@@ -46,11 +46,12 @@ CHANCE = 1e-3  # of calling images that agree within their noise ones that do no
 
 
 def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
-    """The sandwich covariance of a fit, of images that err apart from each other.
+    """Return the sandwich covariance of a fit whose images err independently, or None if the rig
+    states errors of images and the images show no larger ones.
 
-    Its design effect is by how much images disagree: the mean square of their scores over that of
-    independent cells, 1 within chance. None where the rig names errors of images, and these show no
-    more."""
+    Its design effect measures the disagreement of images: the mean square of their scores over that
+    of independent cells, and 1 if that is within chance.
+    """
     vector = jnp.asarray(fit.vector)
     scores, information = (np.asarray(x, np.float64) for x in _by_image(vector, fit.data))
     prior = fit.information - np.asarray(_of_images(vector, fit.data), np.float64)
@@ -144,28 +145,13 @@ class Stretched(eqx.Module):
 
 
 def stretched(fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]) -> Stretched:
-    """A fit whose posterior is to have another covariance.
-
-    Args:
-        fit: of one channel.
-        covariance: (P, P) on the unconstrained scale.
-
-    Returns:
-        Data of `stretched_log_density`.
-    """
+    """A fit whose posterior is to have another covariance."""
     stretch = curvature_stretch(fit.information, covariance)
     return Stretched(fit.data, jnp.asarray(fit.vector), jnp.asarray(stretch))
 
 
 def stretched_log_density(vector: Float[Array, " parameters"], data: Stretched) -> Array:
     """Log posterior density, its argument stretched about the mode.
-
-    Args:
-        vector: (P,) unconstrained.
-        data: of the fit, with the stretch.
-
-    Returns:
-        (), up to a constant.
 
     Source:
         Ribatet, Cooley & Davison, Statistica Sinica 22, 2012.

@@ -108,21 +108,13 @@ Images = tuple[Cells, dict[str, Array], Array | None]
 
 
 def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
-    """Natural values of all numbers by name, the known ones among them.
-
-    Args:
-        vector: (P,) unconstrained.
-        data: of the fit.
-
-    Returns:
-        By name, in their own units.
-    """
+    """Natural values by name at an unconstrained vector, including the known ones."""
     natural = to_natural(data.space, vector)
     return data.known | {name: natural[i] for i, name in enumerate(names(data.space))}
 
 
 class Prediction(eqx.Module):
-    """What a model says of the cells.
+    """The prediction of cells by a model.
 
     Attributes:
         mean: (images, cells) DN.
@@ -142,16 +134,8 @@ class Prediction(eqx.Module):
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
-    """The model of the cells, or of pixels as cells of one.
-
-    Args:
-        values: natural, by name.
-        data: for its form, white level and the errors' relative sizes.
-        cells: to predict; one that is left out is predicted at a signal of W.
-
-    Returns:
-        The prediction.
-    """
+    """Predict cells, or pixels as cells of one, from natural values. A cell that is left out is
+    predicted at a signal of W."""
     geometry, form = cells.geometry, data.form
     seen = cells.count > 0
 
@@ -190,15 +174,8 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
 
 
 def weights(cells: Cells, model: Prediction) -> Table:
-    """Inverse variance of each cell's mean about what is shared.
-
-    Args:
-        cells: of the images.
-        model: their prediction.
-
-    Returns:
-        (images, cells) DN^-2, 0 where a cell is left out.
-    """
+    """Inverse variance of each cell's mean without shared errors, (images, cells) DN^-2; 0 for a
+    cell that is left out."""
     seen = cells.count > 0
     variance = model.variance / jnp.where(seen, cells.count, 1)
     if model.misfit is not None:
@@ -207,16 +184,8 @@ def weights(cells: Cells, model: Prediction) -> Table:
 
 
 def cell_errors(values: Values, cells: Cells, model: Prediction) -> Table | None:
-    """G, what the gains of a cell's pixels do to its mean, for gains of one standard deviation.
-
-    Args:
-        values: natural, by name.
-        cells: of the images.
-        model: their prediction.
-
-    Returns:
-        (images, cells) DN, 0 where a cell is left out; None where pixels are alike.
-    """
+    """G: error of a cell's mean by its pixels' gains, for gains of one standard deviation, (images,
+    cells) DN; None if pixels are alike."""
     if "prnu" not in values:
         return None
     seen = cells.count > 0
@@ -225,29 +194,16 @@ def cell_errors(values: Values, cells: Cells, model: Prediction) -> Table | None
 
 
 def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Array:
-    """ln p(images, flats and darks | parameters), the shared errors integrated out.
-
-    Args:
-        vector: (P,) unconstrained.
-        data: of one channel.
-
-    Returns:
-        (), up to a constant.
-    """
+    """ln p(images, flats and darks | unconstrained vector) up to a constant, with the shared errors
+    marginalised."""
     values = values_at(vector, data)
     total = _log_likelihood(values, predicted(values, data, data.cells), data)
     return total if data.levels is None else total + _of_levels(values, data)
 
 
 def by_image(data: JointData) -> Images:
-    """The cells and errors of a fit with a leading axis of images everywhere.
-
-    Args:
-        data: of the fit; what its pixels share between images is left out.
-
-    Returns:
-        Cells, sizes of errors, and the angles by which lights are turned.
-    """
+    """Return cells, error sizes and light rotations with a leading axis of images everywhere,
+    without products of images."""
     about = data.cells.geometry.about
     geometry = replace(data.cells.geometry, about=None)
     cells = replace(data.cells, geometry=geometry, products=None)
@@ -255,15 +211,7 @@ def by_image(data: JointData) -> Images:
 
 
 def of_one_image(data: JointData, image: Images) -> JointData:
-    """The data of one image alone, without uniform frames.
-
-    Args:
-        data: of the fit.
-        image: one of `by_image`.
-
-    Returns:
-        Its data.
-    """
+    """Return the data of one image of `by_image`, without uniform frames."""
     cells, relative, about = jax.tree.map(lambda x: x[None], image)
     if about is not None:
         cells = replace(cells, geometry=replace(cells.geometry, about=about.T))
@@ -273,16 +221,8 @@ def of_one_image(data: JointData, image: Images) -> JointData:
 def log_likelihood_by_image(
     vectors: Float[Array, "images parameters"], data: JointData
 ) -> Float[Array, ""]:
-    """The log likelihood of the images alone, in each of which parameters have their own values;
-    the scale of the pixels' gains has its mean.
-
-    Args:
-        vectors: (images, P) unconstrained.
-        data: of the fit.
-
-    Returns:
-        (), up to a constant.
-    """
+    """Log likelihood of the images alone if each had its own row of (images, P) vectors. The scale
+    of the pixels' gains takes the mean over images."""
 
     def of(vector: Array, image: Images) -> Prediction:
         own = of_one_image(data, image)
@@ -324,26 +264,10 @@ def _of_levels(values: Values, data: JointData) -> Array:
 
 
 def log_posterior(vector: Float[Array, " parameters"], data: JointData) -> Array:
-    """Log posterior density of the unconstrained vector, up to a constant.
-
-    Args:
-        vector: (P,) unconstrained.
-        data: of one channel.
-
-    Returns:
-        ().
-    """
+    """Log posterior density of an unconstrained vector, up to a constant."""
     return log_likelihood(vector, data) + log_prior(data.space, vector)
 
 
 def cost(vector: Float[Array, " parameters"], data: JointData) -> Array:
-    """What a fit minimises: the negative log posterior density.
-
-    Args:
-        vector: (P,) unconstrained.
-        data: of one channel.
-
-    Returns:
-        ().
-    """
+    """Negative log posterior density, which a fit minimises."""
     return -log_posterior(vector, data)

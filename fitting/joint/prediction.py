@@ -117,7 +117,7 @@ def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class Score:
-    """How well images are predicted.
+    """How well one channel's images are predicted.
 
     Attributes:
         channel: name.
@@ -141,16 +141,7 @@ def score(
     fit: JointFit,
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Score:
-    """Judges the predictions of one channel.
-
-    Args:
-        observation: of the fit.
-        fit: of one channel.
-        covariance: (P, P) of its parameters on the unconstrained scale.
-
-    Returns:
-        The score.
-    """
+    """Compare the predictions of one channel with its images."""
     channel = observation.channels.index(fit.channel)
     sums = np.zeros((2, 2))  # squared errors, squared signals
     distances: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])  # in deviations

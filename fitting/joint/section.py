@@ -16,14 +16,7 @@ from .unequal_pixels import NOISE, unequal_pixels
 
 
 def section(calibration: JointCalibration) -> Section:
-    """A joint calibration as its reader sees it.
-
-    Args:
-        calibration: of a known shape.
-
-    Returns:
-        Estimates, findings, tables and pictures.
-    """
+    """Report a joint calibration: estimates, findings, tables and pictures."""
     observation = calibration.observation
     scores = tuple(
         score(observation, fit, calibration.posteriors[fit.channel].covariance)

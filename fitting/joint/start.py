@@ -35,8 +35,8 @@ SCATTERS = {
 
 
 def of_surface(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
-    """Which parameters are those of surface and encoding. Only these are asked of images: gain and
-    read noise are told by pixels that scatter within cells."""
+    """Which parameters describe surface and encoding. Only these enter the comparison of images,
+    since gain and read noise follow from the scatter of pixels within cells."""
     others = {GAIN.name, READ_NOISE.name, BLACK.name, *SCATTERS, "misfit"}
     return np.array([p.name not in others for p in space])
 
@@ -44,15 +44,9 @@ def of_surface(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
 def scatter_scales(
     observation: Photographs,
 ) -> dict[str, tuple[float, Float[np.ndarray, " lights"]]]:
-    """The errors that the rig names.
-
-    Args:
-        observation: whose rig it is.
-
-    Returns:
-        By name the stated size, and of each light its own relative to that. Strength of a light
-        and exposure of its image change the same, so they count as one.
-    """
+    """Return, by name, the typical size of each error that the rig states and each light's size
+    relative to it. Strength of a light and exposure of its image have the same effect, so they
+    count as one."""
     known = observation.uncertain
     stated = {
         "light_scatter": np.hypot(known["intensity_sd"], known["exposure_sd"]),
@@ -75,17 +69,8 @@ def parameters(
     form: Form,
     start: dict[str, float],
 ) -> tuple[ParameterSpace, dict[str, float]]:
-    """What is to be found, and what the rig knows exactly.
-
-    Args:
-        observation: images, flats and darks.
-        channel: index.
-        form: of the fit.
-        start: where the search begins; gamma is missing in it for linear files.
-
-    Returns:
-        Parameters with their priors, and numbers by name.
-    """
+    """Return the parameters with their priors, and by name the numbers that the rig knows exactly.
+    `start` holds the values from which the search begins; it has no gamma for linear files."""
     camera, known = observation.camera, {}
     space = [*surface_parameters(form)]
 
@@ -126,16 +111,8 @@ def _black(observation: Photographs, channel: int) -> tuple[float, float | None]
 def first_reflectance(
     observation: Photographs, channel: int, form: Form
 ) -> tuple[Form, dict[str, float]]:
-    """The form that the images show, and the least-squares reflectance and gamma.
-
-    Args:
-        observation: images, flats and darks.
-        channel: index.
-        form: that is asked for; where no highlight is seen Lambert's is found.
-
-    Returns:
-        The form, and natural values by name.
-    """
+    """Return the form that the images show (Lambert's without a highlight), and natural
+    least-squares values of reflectance and gamma."""
     chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
     chosen = Selection(chosen.light[::every], chosen.pixel[::every])
@@ -155,16 +132,8 @@ def first_reflectance(
 
 
 def first_noise(observation: Photographs, channel: int, gamma: float | None) -> dict[str, float]:
-    """Gain, read noise, black level and scatters near enough to begin with.
-
-    Args:
-        observation: images, flats and darks.
-        channel: index.
-        gamma: encoding exponent; None for linear files.
-
-    Returns:
-        Natural values by name.
-    """
+    """Return natural start values of gain, read noise, black level and error sizes, for an encoding
+    exponent that is None for linear files."""
     camera = observation.camera
     found = {name: size for name, (size, _) in scatter_scales(observation).items()}
     found["black_level"] = _black(observation, channel)[0]

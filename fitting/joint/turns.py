@@ -22,20 +22,8 @@ Turns = Float[np.ndarray, "2 images"]
 
 
 def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
-    """Best fit of one channel, about the turns that it finds; about the rig's lights where these
-    would be off by far more than the rig says.
-
-    Args:
-        observation: images, flats and darks.
-        channel: index.
-        form: of the fit; it becomes Lambert's where no highlight is seen.
-
-    Returns:
-        The fit.
-
-    Raises:
-        InputError: where too little is left to fit.
-    """
+    """Fit one channel about the light directions that its images show, or about the rig's if these
+    would be off by far more than stated."""
     sizes = observation.uncertain["direction_sd"][~observation.held_out]
     if not sizes.any():
         return fit_channel(observation, channel, form)
@@ -56,15 +44,9 @@ def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
 
 
 def likeliest_turns(fit: JointFit) -> tuple[Turns, Float[np.ndarray, " images"]] | None:
-    """Where the images put the lights.
-
-    Args:
-        fit: of one channel.
-
-    Returns:
-        (2, images) rad from where the rig has them, and their standard deviations (images,)
-        beforehand; None where directions are exact, or the fit is no optimum.
-    """
+    """Return (2, images) rad by which the images rotate the lights from the rig's directions, and
+    the (images,) standard deviations that the rig states; None if directions are exact or the fit
+    is no optimum."""
     if "direction_scatter" not in fit.data.relative or not fit.converged:
         return None
     found = image_errors(fit)

@@ -31,7 +31,7 @@ ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is ro
 
 @dataclass(frozen=True)
 class UnequalPixels:
-    """What the scatter of pixels says of their gains.
+    """Gains of pixels, as far as the scatter of pixels shows them.
 
     Attributes:
         size: relative, rms; 0 where the scatter rises less than photons make it.
@@ -47,27 +47,17 @@ class UnequalPixels:
 
     @property
     def found(self) -> bool:
-        """Whether they are beyond chance, so that gain and read noise stand for them too."""
+        """Whether unequal pixels are significant, so that gain and read noise include them."""
         return self.deviations > BEYOND_CHANCE
 
     def hide_noise(self, stated: bool) -> bool:
-        """Whether they leave gain and read noise open.
-
-        Args:
-            stated: whether the rig says how unequal pixels are.
-        """
+        """Whether unequal pixels make gain and read noise unidentifiable. `stated`: whether the rig
+        gives their size."""
         return self.found or (not stated and self.moved > TOLERATED)
 
 
 def unequal_pixels(fit: JointFit) -> UnequalPixels:
-    """The gains of pixels that the likelihood leaves out, by their score.
-
-    Args:
-        fit: of one channel, whose pixels are alike.
-
-    Returns:
-        Their size.
-    """
+    """Estimate the pixel gains of a fit that has none, by their score."""
     cells = fit.data.cells
     count = np.asarray(cells.count, np.float64)
     freedom = count - 1

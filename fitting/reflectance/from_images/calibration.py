@@ -169,17 +169,11 @@ def calibrate(
 
 
 def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
-    """Parameters of the requested form that the data do not determine, and why.
+    """Return, by name, why the data do not determine a parameter of the requested form.
 
-    A lobe counts as seen when BIC prefers the fit to Lambert's: the best of many lobes always fits
-    a little better, whatever its own curvature claims (Davies, Biometrika 64, 1977).
-
-    Args:
-        fit: of one channel.
-        without_lobe: Lambert's fit of the same channel.
-
-    Returns:
-        Reasons by name.
+    A lobe counts as seen if BIC prefers the fit to Lambert's (`without_lobe`). The best of many
+    lobes always fits a little better, whatever its own curvature says (Davies, Biometrika 64,
+    1977).
     """
     wanted = [parameter.name for parameter in parameter_space(fit.requested)]
     present = [parameter.name for parameter in fit.space]
@@ -220,15 +214,8 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
 
 
 def mean_residual(calibration: ReflectanceCalibration) -> Float[np.ndarray, " pixels"]:
-    """(measured - predicted) / predicted, summed over the lights and channels in which a pixel is
-    lit and unsaturated.
-
-    Args:
-        calibration: of the object.
-
-    Returns:
-        (pixels,); NaN where there is none.
-    """
+    """Return (pixels,) (measured - predicted) / predicted, summed over the lights and channels in
+    which a pixel is lit and unsaturated; NaN if there is none."""
     observation = calibration.observation
     difference, total = np.zeros((2, observation.cosine.shape[1]))
     lit = observation.cosine > calibration.minimum_cosine

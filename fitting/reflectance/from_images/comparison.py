@@ -62,7 +62,7 @@ class ModelScore:
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much more one model errs than another on the lights that no fit has seen.
+    """By how much more one model errs than another on held-out lights.
 
     Attributes:
         value: of the relative RMS.
@@ -88,15 +88,10 @@ class Difference:
 
 
 def difference(one: ModelScore, other: ModelScore) -> Difference:
-    """Relative RMS of one model less that of another, paired by light.
+    """Return the relative RMS of one model less that of another, paired by light.
 
-    Args:
-        one: of a channel.
-        other: of the same channel.
-
-    Returns:
-        The difference; 0 without held-out lights, its error infinite; 0 with an error of 0 where
-        it is less than a millionth of the errors.
+    Its error is infinite without held-out lights. A difference below a millionth of the errors is 0
+    with an error of 0.
     """
     if one.by_light is None or other.by_light is None or len(one.by_light) < 2:
         value = (one.predicted_error or 0.0) - (other.predicted_error or 0.0)
@@ -121,17 +116,8 @@ def difference(one: ModelScore, other: ModelScore) -> Difference:
 def squares_by_light(
     observation: Photographs, fit: ChannelFit, selection: Selection
 ) -> Float[np.ndarray, "lights 2"] | None:
-    """Sums over a light's unsaturated samples of squared (predicted - measured), and of squared
-    signals above black.
-
-    Args:
-        observation: of the object.
-        fit: of one channel.
-        selection: of the samples.
-
-    Returns:
-        (lights, 2) of the lights that have any; None without samples.
-    """
+    """Return (lights, 2) sums over a light's unsaturated samples of squared (predicted - measured)
+    and of squared signals above black; None without samples."""
     if not len(selection.light):
         return None
     channel = observation.channels.index(fit.channel)
@@ -146,7 +132,7 @@ def squares_by_light(
 
 
 def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None:
-    """RMS error over RMS signal of `squares_by_light`; None without."""
+    """RMS error over RMS signal of `squares_by_light`, or None."""
     if by_light is None or not len(by_light):
         return None
     error, signal = by_light.sum(axis=0)
@@ -154,17 +140,8 @@ def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None
 
 
 def relative_error(observation: Photographs, fit: ChannelFit, selection: Selection) -> float | None:
-    """RMS of predicted - measured over the RMS of the measured signal above black, on unsaturated
-    samples.
-
-    Args:
-        observation: of the object.
-        fit: of one channel.
-        selection: of the samples.
-
-    Returns:
-        The ratio; None without samples.
-    """
+    """RMS of predicted - measured over the RMS of the signal above black, on unsaturated samples;
+    None without samples."""
     return relative_rms(squares_by_light(observation, fit, selection))
 
 
@@ -174,17 +151,7 @@ def compare(
     fitted: Selection,
     held_out: Selection,
 ) -> tuple[ModelScore, ...]:
-    """Scores of every model in every channel.
-
-    Args:
-        observation: of the object.
-        fits: of each model, by channel.
-        fitted: samples that the fits have seen.
-        held_out: samples that they have not.
-
-    Returns:
-        The scores.
-    """
+    """Score every model in every channel, on the fitted and on the held-out samples."""
     scores = []
     for of_models in zip(*fits.values(), strict=True):
         best = max(of_models, key=lambda fit: fit.log_evidence(1.0))
@@ -241,16 +208,9 @@ def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
 
 
 def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
-    """Models whose prediction of unseen lights differs from the best one's by no more than chance,
-    in every channel; the best first, of those that predict the same the first fitted. The one of
-    smallest BIC without such lights.
-
-    Args:
-        scores: of every model in every channel.
-
-    Returns:
-        The models.
-    """
+    """Return the models whose prediction of held-out lights differs from the best one's within
+    chance in every channel. The best comes first; of models with equal predictions the first
+    fitted. Without held-out lights, return the model of smallest BIC."""
     by_model = _by_model(scores)
     if any(score.predicted_error is None for score in scores):
         costs: dict[Model, float] = {m: _sum(s.bic for s in own) for m, own in by_model.items()}
@@ -270,16 +230,8 @@ def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
 
 
 def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str] | None:
-    """The model that the comparison finds better than another: by its prediction of unseen lights,
-    or, where those do not tell, by a decisive difference of BIC.
-
-    Args:
-        scores: of every model in every channel.
-        model: to compare with the best.
-
-    Returns:
-        The better one, and in words by how much `model` is worse; None where none is.
-    """
+    """Return the model that predicts held-out lights better, or if they do not decide, the one
+    whose BIC is decisively smaller, and in words by how much; None if there is no such model."""
     by_model, equal = _by_model(scores), equally_good(scores)
     tested = all(gap.freedom for gap in _differences(by_model[model], by_model[equal[0]]))
     if tested and model not in equal:
@@ -300,15 +252,7 @@ def _by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
 
 
 def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
-    """The winner and by how much, as one sentence or two.
-
-    Args:
-        scores: of every model in every channel.
-        held_out: how many lights no fit has seen.
-
-    Returns:
-        The sentences.
-    """
+    """Name the best model and its lead, in one or two sentences."""
     channels, by_model = tuple(dict.fromkeys(s.channel for s in scores)), _by_model(scores)
     costs: dict[Model, float] = {m: _sum(s.bic for s in own) for m, own in by_model.items()}
     cheapest = _least(costs)

@@ -13,15 +13,7 @@ from .model import Samples, log_likelihoods, residuals
 def with_information(
     vector: Float[Array, " parameters"], samples: Samples
 ) -> tuple[Float[Array, ""], Float[Array, " parameters"], Float[Array, "parameters parameters"]]:
-    """Negative log likelihood, its gradient and the observed information.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        samples: of one channel.
-
-    Returns:
-        (), (parameters,) and (parameters, parameters).
-    """
+    """Return the negative log likelihood, its gradient and the observed information."""
     return summed(lambda part, counts: twice(_cost, vector, (part, counts)), samples)
 
 
@@ -29,15 +21,8 @@ def with_information(
 def scores_and_slopes(
     vector: Float[Array, " parameters"], samples: Samples
 ) -> tuple[Float[Array, "parameters samples"], Float[Array, "parameters samples"]]:
-    """Gradient of each sample's log likelihood, and of its prediction in standard deviations.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        samples: of one channel.
-
-    Returns:
-        (parameters, samples) each; the slopes of saturated samples are 0.
-    """
+    """Return the gradient of each sample's log likelihood and of its prediction in standard
+    deviations, (parameters, samples) each; slopes of saturated samples are 0."""
 
     def of_block(part: Samples) -> tuple[Array, Array]:
         def both(v: Array) -> tuple[Array, Array]:

@@ -220,7 +220,7 @@ def _per_unit_light(
 
 
 def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:
-    """Angle at which the highlight has gone, and a bit more; a radian without a highlight."""
+    """Angle in rad a little beyond the end of the highlight, or 1 without a highlight."""
     inside = unit > OFF_HIGHLIGHT
     return float(min(1.3 * angle[inside].max(), np.pi)) if inside.any() else 1.0
 

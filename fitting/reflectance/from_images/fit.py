@@ -85,17 +85,12 @@ class ChannelFit:
         return 1.0 if self.robustness is None else self.robustness.design_effect
 
     def log_evidence(self, design_effect: float) -> float:
-        """Logarithm of the likelihood over all turns of the lights, e being the likeliest,
+        """Logarithm of the likelihood marginalised over the light directions, with e their most
+        likely rotations,
 
             ln L(e) - e^2 / 2 - ln det(1 + S^T S) / 2,
 
-        where so many samples count as one.
-
-        Args:
-            design_effect: by which ln L and S^T S are lessened.
-
-        Returns:
-            The logarithm.
+        with ln L and S^T S divided by a design effect.
         """
         evidence = self.log_likelihood / design_effect
         if self.told_of_turns is None:
@@ -106,17 +101,7 @@ class ChannelFit:
 
 
 def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping) -> ChannelFit:
-    """Best fit of one channel, with everything needed to judge it.
-
-    Args:
-        gathered: the samples that all fits share.
-        channel: index.
-        form: terms of the fit.
-        grouping: cells of the samples, on which all but the last digits are found.
-
-    Returns:
-        The fit.
-    """
+    """Return the best fit of one channel with its robustness, misfit and evidence."""
     observation, selection = gathered.observation, gathered.selection
     samples = gathered.samples(channel, form)
     sensor = None
@@ -181,20 +166,8 @@ def robust_covariance(
     stated: StatedErrors,
     alike: Int[np.ndarray, " lights"],
 ) -> Robustness:
-    """Covariance of some parameters, the others held at their best values.
-
-    Args:
-        vector: (parameters,) of the fit, unconstrained.
-        samples: of the fit.
-        selection: of the samples.
-        information: (parameters, parameters), as if all samples were independent.
-        known: (known,) indices of the parameters.
-        stated: what the rig calls uncertain, of the same fit.
-        alike: (lights,) regions of lights that err alike.
-
-    Returns:
-        What lights and pixels share, and what the rig states, allowed for.
-    """
+    """Return the covariance of the `known` parameters, with the others fixed, including shared
+    errors of lights and pixels and the errors that the rig states."""
     gradients, slopes = (np.asarray(x, np.float64) for x in scores_and_slopes(vector, samples))
     slopes = slopes if stated.slopes is None else stated.slopes
     among = stated.left_of(information)[np.ix_(known, known)]
@@ -210,21 +183,13 @@ def _lights_alike(
     samples: Samples,
     selection: Selection,
 ) -> Int[np.ndarray, " lights"]:
-    """Regions of lights whose images a fit misses alike."""
+    """Return (lights,) regions of lights whose images have similar residuals."""
     gradients = np.asarray(scores_and_slopes(vector, samples)[0], np.float64)
     return regions(gradients, selection.light, observation.wi.mean(axis=1))
 
 
 def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
-    """The observation with lights where a fit has them.
-
-    Args:
-        observation: whose lights stand as the rig says.
-        fit: of one channel.
-
-    Returns:
-        The observation; unchanged where no light is turned.
-    """
+    """Return the observation with the light directions of a fit."""
     if fit.turned is None or not fit.turned.followed:
         return observation
     return turned(observation, fit.turned.turns * observation.uncertain["direction_sd"][:, None])
@@ -233,17 +198,8 @@ def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
 def predicted_image(
     observation: Photographs, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, " pixels"]:
-    """Digital numbers that a fit predicts under one light, without noise and not above the clip
-    level.
-
-    Args:
-        observation: of the object, with `lights_as_fitted`.
-        fit: of one channel.
-        light: index.
-
-    Returns:
-        (pixels,) DN of all pixels of the object.
-    """
+    """Return (pixels,) DN predicted under one light without noise, limited to the clip level. The
+    observation must have `lights_as_fitted`."""
     pixels = np.arange(observation.cosine.shape[1])
     selection = Selection(np.full_like(pixels, light), pixels)
     channel = observation.channels.index(fit.channel)

@@ -44,17 +44,8 @@ def group(
     *,
     width: float = 1.0,
 ) -> Grouping:
-    """Cells of (light, n.l, mirror angle), finest where a highlight may be.
-
-    Args:
-        light: (samples,) indices.
-        cosine: (samples,) n.l.
-        mirror_angle: (samples,) rad.
-        width: of a cell, relative to the usual ones.
-
-    Returns:
-        The cells.
-    """
+    """Group samples by light, n.l and mirror angle (rad), most finely near the mirror direction;
+    `width` scales the cells."""
     row = np.floor(cosine / (width * COSINE_STEP)).astype(np.int64)
     angle = np.log1p(mirror_angle / FINE_ANGLE) / (width * np.log(ANGLE_RATIO))
     column = np.floor(angle).astype(np.int64)
@@ -67,19 +58,10 @@ def group(
 def average(
     samples: Samples, grouping: Grouping, *, exact_at: Float[Array, " parameters"] | None = None
 ) -> Samples:
-    """The cells of the unsaturated samples, each weighted by its inverse variance.
+    """Average the unsaturated samples of each cell, weighted by their inverse variances.
 
-    A cell without any gets an enormous deviation, so that the number of cells stays the same for
-    all channels.
-
-    Args:
-        samples: of one channel.
-        grouping: of the samples.
-        exact_at: (parameters,) where a cell is to predict what its pixels do on average; None for
-            no correction.
-
-    Returns:
-        One sample a cell.
+    With `exact_at`, the cells predict the mean of their pixels exactly at that vector. An empty
+    cell gets an enormous deviation, so that all channels have the same number of cells.
     """
     trusted = _trusted(samples)
     weight = np.where(trusted, 1 / np.asarray(samples.deviation, np.float64) ** 2, 0)
@@ -105,8 +87,8 @@ def average(
 
 
 def _mean_geometry(seen: Geometry, mean: Callable[[Array], Array]) -> Geometry:
-    """Directions of the mean cosines between light, normal and viewer, which like pixels share in
-    any frame: the viewer in the xz plane, the light on the side of +y."""
+    """Return directions with the mean cosines between light, normal and viewer, which hold in any
+    frame: the viewer in the xz plane, the light at positive y."""
     cos_i, cos_o = mean(seen.wi.z), mean(seen.wo.z)
     between = mean(seen.wi.x * seen.wo.x + seen.wi.y * seen.wo.y + seen.wi.z * seen.wo.z)
     sin_i, sin_o = (jnp.sqrt(jnp.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))

@@ -17,8 +17,8 @@ from .signal import GAMMA, Form, Geometry, encoded, signal, surface_parameters
 
 
 def parameter_space(form: Form) -> ParameterSpace:
-    """Those of the surface; ambient; gamma: as far as the form has them. All positive, hence in
-    logarithms."""
+    """Parameters of the surface, the ambient term and gamma, as far as the form has them. All are
+    positive and searched as logarithms."""
     ambient = (amplitude("ambient", "k_a", "DN"),) if form.ambient else ()
     return (*surface_parameters(form), *ambient, *((GAMMA,) if form.free_gamma else ()))
 
@@ -75,28 +75,13 @@ def predicted_dn(vector: Float[Array, " parameters"], samples: Samples) -> Array
 
 
 def residuals(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """(predicted - measured) / deviation, 0 for saturated pixels.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        samples: of one channel.
-
-    Returns:
-        (samples,).
-    """
+    """(predicted - measured) / deviation of each sample, 0 for saturated pixels."""
     z = (predicted_dn(vector, samples) - samples.dn) / samples.deviation
     return z if samples.saturated is None else jnp.where(samples.saturated, 0, z)
 
 
 def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """Log density of each measured value, log probability of each saturated one.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        samples: of one channel.
-
-    Returns:
-        (samples,).
+    """Log density of each measured value, or log probability of a saturated one.
 
     Source:
         Tobin, Econometrica 26, 1958.
@@ -111,15 +96,7 @@ def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Ar
 
 
 def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """What a fit with saturated pixels minimises.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        samples: of one channel.
-
-    Returns:
-        ().
-    """
+    """Objective of a fit with saturated pixels."""
     return -jnp.sum(log_likelihoods(vector, samples))
 
 
@@ -127,16 +104,7 @@ def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Sample
 def total_log_likelihood(
     vector: Float[Array, " parameters"], cells: Samples, saturated: Samples | None
 ) -> Array:
-    """Log likelihood of cells, and of the saturated samples that cells leave out.
-
-    Args:
-        vector: (P,) unconstrained.
-        cells: of the unsaturated samples.
-        saturated: the others; None if there are none.
-
-    Returns:
-        ().
-    """
+    """Log likelihood of cells and of the saturated samples, which are in no cell."""
     total = jnp.sum(log_likelihoods(vector, cells))
     if saturated is not None:
         total = total + jnp.sum(log_likelihoods(vector, saturated))

@@ -66,16 +66,8 @@ class Optimum:
 
 
 def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum:
-    """The likeliest parameters, from no start.
-
-    Args:
-        samples: of one channel.
-        grouping: cells of the samples, on which all but the last digits are found.
-        sensor: what the sensor's noise makes; None if unknown.
-
-    Returns:
-        The optimum, whose form lacks the terms of amplitude zero.
-    """
+    """Return the most likely parameters, found without a start. The form then lacks the terms of
+    amplitude zero."""
     cells, first = project(average(samples, grouping))
     own = replace(samples, form=cells.form)
     if samples.form.free_gamma:  # the encodings that were tried lie apart
@@ -86,16 +78,8 @@ def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum
 def weighed(
     first: Array, samples: Samples, sensor: Spread | None
 ) -> tuple[Samples, Spread, Spread]:
-    """Weights of a vector's residuals.
-
-    Args:
-        first: (parameters,) unconstrained.
-        samples: of one channel.
-        sensor: what the sensor's noise makes; None if unknown.
-
-    Returns:
-        The samples with their deviations, the spread of the residuals, and that of the weights.
-    """
+    """Return the samples with their deviations, the spread of a vector's residuals, and the spread
+    of the weights."""
     seen = residual_signal_slope(first, samples)
     weights = spread = fit_spread(*seen, sensor=sensor)
     if spread.relative is not None:
@@ -106,33 +90,16 @@ def weighed(
 def weighed_and_fitted(
     first: Array, samples: Samples, grouping: Grouping, sensor: Spread | None
 ) -> Optimum:
-    """The optimum near a first one, whose residuals give the weights.
-
-    Args:
-        first: (parameters,) unconstrained.
-        samples: of one channel.
-        grouping: cells of the samples.
-        sensor: what the sensor's noise makes; None if unknown.
-
-    Returns:
-        The optimum.
-    """
+    """Return the optimum near a first vector, whose residuals give the weights."""
     samples, spread, weights = weighed(first, samples, sensor)
     near = _nearer(first, samples, grouping)
     return Optimum(samples, spread, weights, *optimum(near, samples))
 
 
 def project(samples: Samples) -> tuple[Samples, Float[Array, " parameters"]]:
-    """The global optimum of the weighted squares of the unsaturated samples, for linearised
-    deviations.
-
-    Args:
-        samples: of one channel; saturated ones are left out.
-
-    Returns:
-        The samples, with a form that has lost every term of amplitude zero, and the vector of that
-        form, (parameters,).
-    """
+    """Return the global optimum of the weighted squares of the unsaturated samples, with linearised
+    deviations, and the samples in the form of that vector, which lacks every term of amplitude
+    zero."""
     if not samples.form.free_gamma:
         return _present_terms(samples, _projected(samples, samples.gamma), None)
     tried = [(gamma, _projected(samples, jnp.asarray(gamma, float))) for gamma in GAMMAS]
@@ -141,7 +108,7 @@ def project(samples: Samples) -> tuple[Samples, Float[Array, " parameters"]]:
 
 
 def _projected(samples: Samples, gamma: Array | None) -> SeparableFit:
-    """Amplitudes of [diffuse, ambient, lobe] and the log shape at a given encoding."""
+    """Amplitudes of [diffuse, ambient, lobe] and the log shape for a given encoding."""
     model = samples.form.model
     fixed, linear, weights = _linearised(samples, gamma)
     if model == "lambert":
@@ -201,15 +168,8 @@ def _present_terms(
 def residual_signal_slope(
     vector: Array, samples: Samples
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a spread is fitted to.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        samples: of one channel.
-
-    Returns:
-        Measured - predicted (DN), linear signal and d DN / d X of the unsaturated samples.
-    """
+    """Return measured - predicted (DN), linear signal (DN) and d DN / d X of the unsaturated
+    samples, to which a spread is fitted."""
     trusted = slice(None) if samples.saturated is None else ~np.asarray(samples.saturated)
     signal, slope, predicted = _predicted(vector, samples)
     left = samples.dn - predicted
@@ -226,24 +186,15 @@ def _predicted(vector: Array, samples: Samples) -> tuple[Array, Array, Array]:
 
 
 def weighted(vector: Array, samples: Samples, spread: Spread) -> Samples:
-    """The samples with the deviations of a spread.
-
-    Args:
-        vector: (parameters,) unconstrained, at whose signal.
-        samples: of one channel.
-        spread: of residuals.
-
-    Returns:
-        The samples.
-    """
+    """Return the samples with the deviations of a spread at a vector's signal."""
     signal, slope, _ = _predicted(vector, samples)
     deviation = np.sqrt(variance(spread, np.asarray(signal), slope=np.asarray(slope)))
     return replace(samples, deviation=jnp.asarray(deviation, samples.dn.dtype))
 
 
 def _nearer(vector: Array, samples: Samples, grouping: Grouping) -> Array:
-    """Of many samples, the optimum of cells that predict what their pixels do, and of saturated
-    samples: all but the last two steps of the search, in a fraction of its time."""
+    """For many samples, return the optimum of cells and saturated samples, which saves all but the
+    last two steps of the search."""
     if samples.dn.size < LONG:
         return vector
     cells = average(samples, grouping, exact_at=vector)
@@ -255,17 +206,9 @@ def _cost_of_cells(vector: Array, data: tuple[Samples, Samples | None]) -> Array
 
 
 def optimum(vector: Float[Array, " parameters"], samples: Samples) -> tuple[Array, Array, bool]:
-    """The optimum on all samples, by Newton's method from next to it; where saturated pixels lie in
-    between, by a bounded search first.
-
-    Args:
-        vector: (parameters,) to begin with, unconstrained.
-        samples: of one channel.
-
-    Returns:
-        The vector there, (parameters,), the information, (parameters, parameters), and whether
-        an optimum was reached, its shape within the range that is searched.
-    """
+    """Return the optimum on all samples, its information, and whether the search converged within
+    the searched shapes. Newton's method starts next to it; if saturated pixels are in between, a
+    bounded search comes first."""
     objective = negative_log_likelihood
     search = partial(minimise, derivatives=with_information, long=samples.dn.size >= LONG)
     found = search(objective, vector, samples)

@@ -38,26 +38,18 @@ class TurnedLights:
 
     @property
     def followed(self) -> bool:
-        """Whether the fit is about these lights; else about those of the rig, as turns are so
-        large that the model misses."""
+        """Whether the fit uses these directions. If they are too far from the rig's, the model
+        misses something else and the fit keeps the rig's."""
         return self.size <= WIDEST
 
 
 def among_turns(
     nominal: Optimum, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
 ) -> tuple[Optimum, TurnedLights]:
-    """Parameters and turns of the lights, one at the other's best, until no light moves. Lights
-    that are off by more than the rig says, and chance allows, are as uncertain as they show.
+    """Alternate between parameters and light rotations until no light moves. If lights are off by
+    more than stated and chance allows, their uncertainty is taken from the images.
 
-    Args:
-        nominal: the optimum where lights stand as the rig says.
-        gathered: the samples that all fits share.
-        channel: index.
-        grouping: cells of the samples.
-        sensor: what the sensor's noise makes; None if unknown.
-
-    Returns:
-        The optimum, `nominal` where the turns are not followed, and the turns.
+    Returns `nominal`, the optimum at the rig's directions, if the rotations are not followed.
     """
     observation = gathered.observation
     known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
@@ -74,15 +66,7 @@ def among_turns(
 
 
 def with_wider_directions(observation: Photographs, factor: float) -> Photographs:
-    """The observation with a larger `direction_sd`.
-
-    Args:
-        observation: with `direction_sd`.
-        factor: by which.
-
-    Returns:
-        The observation.
-    """
+    """Return the observation with a larger `direction_sd`."""
     sizes = observation.uncertain | {"direction_sd": factor * observation.uncertain["direction_sd"]}
     return replace(observation, uncertain=sizes)
 
@@ -95,8 +79,8 @@ def _settled(
     grouping: Grouping,
     sensor: Spread | None,
 ) -> tuple[Optimum, np.ndarray]:
-    """The optimum and the turns about each other: of many samples a part until no light moves, and
-    all of them twice. They end where lights go astray."""
+    """Return the optimum and the rotations that agree with each other. Of many samples, a part is
+    used until no light moves, then all of them twice. It ends if lights go astray."""
     whole = gathered.observation, gathered.selection
     found, turns = nominal, np.zeros((len(known), 2))
     step = max(1, len(whole[1].light) // ENOUGH)

@@ -40,18 +40,9 @@ SHOWN = 12  # candidates in the table
 
 
 def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
-    """Ranks lights by how far each would narrow a parameter of the reported model.
-
-    Args:
-        calibration: of what has been photographed.
-        target: name of a parameter of the model.
-
-    Returns:
-        The plan of each channel whose parameters are all determined, by its name.
-
-    Raises:
-        InputError: for a target that the model has not, and where no channel is determined.
-    """
+    """Rank lights by how far each would narrow a parameter of the reported model, in each channel
+    whose parameters are all determined. Raises `InputError` if the model has no such parameter, and
+    if no channel is determined."""
     rigs = calibration.observation
     new, described = _all_around(rigs)
     lights = [(f"{file} again", rigs, i) for i, file in enumerate(rigs.files)]
@@ -79,12 +70,7 @@ def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
 
 
 def check_target(target: str, model: Model) -> None:
-    """`InputError` for a target that a model has not.
-
-    Args:
-        target: name of a parameter.
-        model: of the surface.
-    """
+    """Raise `InputError` for a parameter that a model does not have."""
     known = names(parameter_space(Form(model)))
     if target not in known:
         raise InputError(f"target = {target!r} is no parameter; {nearest(target, known)}.")
@@ -93,16 +79,7 @@ def check_target(target: str, model: Model) -> None:
 def added_information(
     observation: Photographs, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Fisher's information of one more image, its pixels independent.
-
-    Args:
-        observation: of the object under the light.
-        fit: of one channel, taken for the truth.
-        light: index.
-
-    Returns:
-        (P, P) on the unconstrained scale.
-    """
+    """Fisher information (P, P) of one more image of independent pixels, if the fit is true."""
     lit = observation.cosine[light] > 0
     pixel = np.arange(len(lit))  # all of them: one shape, one compilation
     selection = Selection(np.full_like(pixel, light), pixel)
@@ -152,18 +129,7 @@ def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
 
 
 def plan_section(calibration: ReflectanceCalibration, target: str) -> Section:
-    """Plans as their reader sees them.
-
-    Args:
-        calibration: of what has been photographed.
-        target: name of a parameter of the model.
-
-    Returns:
-        The best light in words, and a table for each channel.
-
-    Raises:
-        InputError: as `plan` does.
-    """
+    """Report the best light in words, and a table for each channel."""
     plans = plan(calibration, target)
     findings, tables = [], []
     for channel, found in plans.items():

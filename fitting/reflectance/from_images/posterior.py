@@ -47,13 +47,6 @@ class Composite(eqx.Module):
 def composite_log_density(vector: Float[Array, " parameters"], data: Composite) -> Array:
     """Log density of all pixels with its curvature adjusted, up to a constant.
 
-    Args:
-        vector: (P,) unconstrained.
-        data: cells, saturated samples, stretch and slope.
-
-    Returns:
-        ().
-
     Source:
         Ribatet, Cooley & Davison, Statistica Sinica 22, 2012.
     """
@@ -66,15 +59,7 @@ _slope = eqx.filter_jit(jax.grad(total_log_likelihood))
 
 
 def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
-    """The calibrated likelihood of a fit with a known covariance.
-
-    Args:
-        fit: of one channel.
-        grouping: of its samples.
-
-    Returns:
-        Data of `composite_log_density`.
-    """
+    """Return the adjusted likelihood of a fit whose covariance is known."""
     assert fit.robustness is not None
     mode = jnp.asarray(fit.vector, fit.samples.dn.dtype)
     cells = average(fit.samples, grouping, exact_at=mode)
@@ -93,18 +78,9 @@ def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
 def channel_posterior(
     fit: ChannelFit, grouping: Grouping, *, sampling: Emcee | None, seed: int
 ) -> Posterior:
-    """Draws of one channel: Laplace with the robust covariance and Student's t. Where the
-    likelihood is not Gaussian, draws from one whose 95 % intervals are as wide as those of t.
-
-    Args:
-        fit: with a known covariance.
-        grouping: of its samples.
-        sampling: how to run emcee; None for Laplace.
-        seed: of every draw.
-
-    Returns:
-        The posterior.
-    """
+    """Return the posterior of one channel by Laplace's approximation with the robust covariance and
+    Student's t. If the likelihood is not Gaussian, return draws whose 95 % intervals are as wide as
+    those of t."""
     assert fit.robustness is not None
     robust, data = fit.robustness, composite(fit, grouping)
     density, wider = composite_log_density, robust.gaussian_covariance

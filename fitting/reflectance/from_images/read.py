@@ -362,15 +362,7 @@ def _angles_of_one_light(normals: jax.Array, wi: jax.Array) -> tuple[jax.Array, 
 def angles(
     normals: Float[np.ndarray, "pixels 3"], wi: Float[np.ndarray, "lights pixels 3"]
 ) -> tuple[np.ndarray, ...]:
-    """What a light makes of a pixel.
-
-    Args:
-        normals: (pixels, 3) unit.
-        wi: (lights, pixels, 3) unit, toward the light.
-
-    Returns:
-        n.l and the mirror angle in rad, each (lights, pixels).
-    """
+    """Return n.l and the mirror angle in rad, (lights, pixels) each."""
     per_light = [_angles_of_one_light(jnp.asarray(normals), jnp.asarray(w)) for w in wi]
     return tuple(np.stack([np.asarray(x) for x in kind]) for kind in zip(*per_light, strict=True))
 
@@ -435,14 +427,7 @@ def _refuse_unusable(rig: Rig, observation: Photographs) -> None:
 
 
 def lightless_images(observation: Photographs) -> dict[int, str]:
-    """Images that show nothing of the object.
-
-    Args:
-        observation: of the object.
-
-    Returns:
-        By index in what state all of its lit pixels are: dark or saturated.
-    """
+    """Return, by index, the images in which all lit pixels are dark or saturated, and which."""
     found = {}
     dark = _dark(observation)
     for i, lit in enumerate(observation.cosine > 0):

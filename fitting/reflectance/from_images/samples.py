@@ -28,19 +28,10 @@ class Selection:
 def select(
     observation: Photographs, *, held_out: bool, form: Form, minimum_cosine: float = 0.0
 ) -> Selection:
-    """Samples of the lights kept for testing, or of the others.
+    """Select the samples of the held-out lights, or of the others, with n.l above a minimum.
 
-    Attached shadows (n.l <= 0) are predicted to be black and say nothing about the surface, so they
-    are left out, unless an ambient term is to be read off them.
-
-    Args:
-        observation: of the object.
-        held_out: whether to take the lights kept for testing.
-        form: whose ambient term counts.
-        minimum_cosine: n.l must be above it.
-
-    Returns:
-        Their indices.
+    Attached shadows (n.l <= 0) are predicted to be black and contain no information about the
+    surface, so they are used only for an ambient term.
     """
     seen = observation.cosine > minimum_cosine
     if form.ambient:
@@ -68,15 +59,7 @@ class Gathered:
     saturated: dict[int, Array | None]
 
     def samples(self, channel: int, form: Form) -> Samples:
-        """The samples of one channel, their deviation still 1 DN.
-
-        Args:
-            channel: index.
-            form: of the fit.
-
-        Returns:
-            The samples.
-        """
+        """The samples of one channel, with a deviation of 1 DN."""
         observation = self.observation
         gamma = None if form.free_gamma else observation.gamma
         return Samples(
@@ -93,16 +76,7 @@ class Gathered:
 
 
 def gather(observation: Photographs, selection: Selection, *, channels: Iterable[int]) -> Gathered:
-    """Gathers what fits of a selection need.
-
-    Args:
-        observation: of the object.
-        selection: indices of light and pixel.
-        channels: indices.
-
-    Returns:
-        The values.
-    """
+    """Gather the values of a selection that all fits share."""
     light, pixel = selection.light, selection.pixel
     clips = bool(observation.saturated[:, light, pixel].any())
     dn = {channel: observation.dn[channel, light, pixel] for channel in channels}
@@ -130,17 +104,7 @@ def gather(observation: Photographs, selection: Selection, *, channels: Iterable
 def make_samples(
     observation: Photographs, channel: int, form: Form, selection: Selection
 ) -> Samples:
-    """The selected samples of one channel, their deviation still 1 DN.
-
-    Args:
-        observation: of the object.
-        channel: index.
-        form: of the fit.
-        selection: indices of light and pixel.
-
-    Returns:
-        The samples.
-    """
+    """The selected samples of one channel, with a deviation of 1 DN."""
     found = gather(observation, selection, channels=(channel,))
     return found.samples(channel, form)
 
@@ -148,16 +112,7 @@ def make_samples(
 def of_some_pixels(
     observation: Photographs, selection: Selection, step: int
 ) -> tuple[Photographs, Selection]:
-    """Every so many pixels of an observation, and those of a selection.
-
-    Args:
-        observation: of the object.
-        selection: indices of light and pixel.
-        step: between pixels.
-
-    Returns:
-        An observation of these pixels alone, and its selection.
-    """
+    """Return an observation of every `step`-th pixel, and its part of a selection."""
     some = slice(None, None, step)
     fewer = replace(
         observation,

@@ -25,14 +25,7 @@ from .model import parameter_space
 
 
 def section(calibration: ReflectanceCalibration) -> Section:
-    """A calibrated reflectance as its reader sees it.
-
-    Args:
-        calibration: of a known shape.
-
-    Returns:
-        Estimates, findings, tables and pictures.
-    """
+    """Report a calibrated reflectance: estimates, findings, tables and pictures."""
     observation = calibration.observation
     held_out = int(observation.held_out.sum())
     return Section(
@@ -86,7 +79,8 @@ def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:
 
 
 def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimate]:
-    """What is determined, given the best values of what is not; and the reasons for the rest."""
+    """Estimate the determined parameters, given the best values of the others, and state the
+    reasons for the others."""
     known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
     errors, freedom = np.zeros(len(fit.space)), np.full(len(fit.space), np.inf)
     if known:

@@ -37,15 +37,8 @@ CHANGES = {
 def directions_by_shading(
     observation: Photographs,
 ) -> tuple[Float[np.ndarray, "lights 3"], Bool[np.ndarray, " lights"]]:
-    """Direction of each light as its own image shows it.
-
-    Args:
-        observation: of the object.
-
-    Returns:
-        (lights, 3) unit directions, and (lights,) whether the light is distant and the
-        image matt enough to tell.
-    """
+    """Return the (lights, 3) unit direction that each image shows by itself, and (lights,) whether
+    its light is distant and the image matt enough to show it."""
     signal = np.mean(observation.dn - observation.black, axis=0)
     if observation.gamma is not None:
         signal = np.maximum(signal, 0) ** observation.gamma
@@ -60,7 +53,7 @@ def directions_by_shading(
 def _direction(
     values: Float[np.ndarray, " pixels"], normals: Float[np.ndarray, "pixels 3"]
 ) -> tuple[Float[np.ndarray, "3"], bool]:
-    """One light's, by least squares over what is neither in shadow nor a highlight."""
+    """Least-squares direction of one light, without shadows and highlights."""
     if len(values) < FEWEST_PIXELS:
         return CAMERA, False
     kept = lit = values > LIT * np.quantile(values, 0.98)
@@ -81,31 +74,17 @@ def _direction(
 
 
 def contradictions(observation: Photographs, *, gamma: float | None = None) -> list[str]:
-    """What in the images speaks against the rig: copies, directions and outline, in sentences.
-
-    Args:
-        observation: of the object.
-        gamma: encoding exponent that a fit has found; None for the rig's.
-
-    Returns:
-        At most one sentence on copies, one on directions and one on the outline.
-    """
+    """Report copies, light directions and an outline that contradict the rig. `gamma` is the
+    encoding exponent that a fit has found; None for the rig's."""
     if gamma is not None:
         observation = replace(observation, gamma=gamma)
     return [*_of_copies(observation), *_of_directions(observation), *_of_outline(observation)]
 
 
 def without_strangers(observation: Photographs) -> Photographs:
-    """The images that belong together: not those that are dark or saturated wherever the object is
-    lit, copies of another, and those whose shading shows the light far from where the rig has it
-    while most agree. Where that would leave out more than half, or hardly any to fit, all stay.
-
-    Args:
-        observation: of the object.
-
-    Returns:
-        The observation of the others, with a sentence on each that was left out.
-    """
+    """Leave out images that are dark or saturated throughout, copies, and images whose shading
+    shows the light far from its stated direction while most agree, with a finding on each. All
+    images stay if more than half, or all but a few, would be left out."""
     reasons = {
         i: f"every pixel that its light reaches is {state}"
         for i, state in lightless_images(observation).items()

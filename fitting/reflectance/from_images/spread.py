@@ -48,16 +48,8 @@ def variance(
     *,
     slope: Float[np.ndarray, " samples"] | float = 1.0,
 ) -> Float[np.ndarray, " samples"]:
-    """Variance of the stored digital number, rounding included.
-
-    Args:
-        spread: of the linear signal.
-        signal: (samples,) X, DN.
-        slope: d DN / d X.
-
-    Returns:
-        (samples,) DN^2.
-    """
+    """Variance of the stored number in DN^2, including rounding, at a signal X in DN and a slope d
+    DN / d X."""
     linear = spread.floor + spread.shot * np.maximum(signal, 0)
     if spread.relative is not None:
         linear = linear + (spread.relative * signal) ** 2
@@ -65,33 +57,14 @@ def variance(
 
 
 def sensor_spread(gain: float, read_noise: float) -> Spread:
-    """The spread of a known sensor.
-
-    Args:
-        gain: DN per electron.
-        read_noise: e- rms.
-
-    Returns:
-        The spread, without a relative term.
-    """
+    """Spread of a sensor with a gain in DN/e- and a read noise in e-."""
     return Spread((gain * read_noise) ** 2, gain, None)
 
 
 def chi_square_per_dof(
     residual: np.ndarray, signal: np.ndarray, slope: np.ndarray | float, spread: Spread, dof: int
 ) -> float:
-    """Mean squared residual in units of its variance.
-
-    Args:
-        residual: (samples,) DN.
-        signal: (samples,) X, DN.
-        slope: d DN / d X.
-        spread: of the linear signal.
-        dof: what is counted.
-
-    Returns:
-        No unit.
-    """
+    """Sum of squared residuals (DN) in units of their variance, per degree of freedom."""
     return float(np.sum(residual**2 / variance(spread, signal, slope=slope)) / dof)
 
 
@@ -102,19 +75,12 @@ def fit_spread(
     *,
     sensor: Spread | None,
 ) -> Spread:
-    """The spread that makes residuals likeliest, from their mean squares in bins of signal.
+    """Return the most likely spread of residuals (DN), from their mean squares in bins of signal
+    (DN).
 
-    With a known sensor only the relative term is fitted, and only where chi-square exceeds what the
-    sensor explains by three standard deviations; without one, a constant and a relative term are.
-
-    Args:
-        residual: (samples,) DN.
-        signal: (samples,) X, DN.
-        slope: (samples,) d DN / d X.
-        sensor: its spread; None where unknown.
-
-    Returns:
-        The spread.
+    With a known sensor, only the relative term is fitted, and only if chi-square exceeds its
+    expectation by three standard deviations. Without one, a constant and a relative term are
+    fitted.
     """
     counts, squares, x, d = _binned(residual, signal, slope)
     total = counts.sum()
@@ -148,17 +114,8 @@ def flat_spread(
     *,
     sensor: Spread | None,
 ) -> Spread:
-    """The spread that weighs a fit: the sensor's, and a constant that makes residuals likeliest.
-
-    Args:
-        residual: (samples,) DN.
-        signal: (samples,) X, DN.
-        slope: (samples,) d DN / d X.
-        sensor: its spread; None where unknown.
-
-    Returns:
-        The spread, its misfit in the floor.
-    """
+    """Return the spread that weights a fit: the sensor's plus the constant that makes residuals
+    most likely."""
     counts, squares, x, d = _binned(residual, signal, slope)
     own = Spread(0.0, 0.0, None) if sensor is None else sensor
     typical = 2 * np.log(np.sqrt(np.average(squares / d**2, weights=counts)))

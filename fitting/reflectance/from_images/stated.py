@@ -61,15 +61,10 @@ class StatedErrors:
     def left_of(
         self, information: Float[np.ndarray, "parameters parameters"]
     ) -> Float[np.ndarray, "parameters parameters"]:
-        """What turns of the lights leave of an information. That is Gauss and Newton's: where a
-        model misses, the curvature of the likelihood is no sum of squares, and less what turns take
-        need not even be positive.
+        """Return the (P, P) information left after marginalising over light directions.
 
-        Args:
-            information: (P, P), as if lights stood where they are put.
-
-        Returns:
-            (P, P); the same where no turns are found.
+        It is Gauss and Newton's. If the model misses, the curvature of the likelihood is no sum of
+        squares, and less the part of the light directions it need not be positive.
         """
         return information if self.slopes is None else self.slopes @ self.slopes.T
 
@@ -82,20 +77,8 @@ def stated_errors(
     selection: Selection,
     turns: Float[np.ndarray, "lights 2"] | None,
 ) -> StatedErrors:
-    """The pulls of all that a rig calls uncertain.
-
-    Args:
-        observation: with its standard deviations.
-        channel: index.
-        vector: (P,) of the fit, unconstrained.
-        samples: of the fit.
-        selection: of the samples.
-        turns: (lights, 2) of the samples' lights, in units of `direction_sd`, found with the
-            parameters; None where the rig has them.
-
-    Returns:
-        The pulls; without rows where all is exact, or so nearly that no fit can tell.
-    """
+    """Return the pulls of all errors that the rig states and a fit can notice. `turns` are the
+    (lights, 2) rotations of the samples' lights in units of `direction_sd`, if they were fitted."""
     sizes, light, count = observation.uncertain, selection.light, len(vector)
     lights = len(next(iter(sizes.values()), ()))
     own = _shifts_of_lights(observation, channel, vector, samples, selection, turns)
@@ -215,17 +198,8 @@ def with_stated_errors(
     information: Float[np.ndarray, "parameters parameters"],
     known: Int[np.ndarray, " known"],
 ) -> Robustness:
-    """A covariance that allows for what the rig states.
-
-    Args:
-        robust: of the residuals, (known, known).
-        stated: of the same fit.
-        information: (known, known), as if all samples were independent, less what turns take.
-        known: (known,) indices of the parameters among all.
-
-    Returns:
-        Covariance and degrees of freedom; unchanged where the rig states nothing.
-    """
+    """Widen a covariance of the `known` parameters by the errors that the rig states, and adjust
+    its degrees of freedom."""
     inverse = np.linalg.inv(information)
     covariance, freedom = robust.covariance, robust.freedom
     if len(stated.of_lights) or stated.slopes is not None:

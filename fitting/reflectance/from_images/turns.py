@@ -33,15 +33,7 @@ TOLD = 1e-12  # least information of an image on a turn, in units of the prior's
 
 
 def turned(observation: Photographs, angles_across: Float[np.ndarray, "lights 2"]) -> Photographs:
-    """The lights elsewhere, by angles along two axes across them.
-
-    Args:
-        observation: whose lights stand as the rig says.
-        angles_across: (lights, 2) rad.
-
-    Returns:
-        The observation.
-    """
+    """Rotate the lights by (lights, 2) rad along two axes across them."""
     middle = observation.wi.mean(axis=1)
     frame = local_frame(as_vec(middle / np.linalg.norm(middle, axis=1, keepdims=True)))
     axes = np.stack([np.asarray(as_array(v)) for v in (frame.tangent, frame.bitangent)], axis=1)
@@ -59,19 +51,8 @@ def shifts_of_turns(
     samples: Samples,
     selection: Selection,
 ) -> Float[np.ndarray, "2 samples"]:
-    """What a turn of its light moves each prediction by.
-
-    Args:
-        observation: whose lights stand as the rig says.
-        turns: (lights, 2) about which.
-        channel: index.
-        vector: (parameters,) unconstrained.
-        samples: of the fit.
-        selection: of the samples.
-
-    Returns:
-        (2, samples) DN by one standard deviation along each axis.
-    """
+    """Return (2, samples) DN by which a rotation of its light by one standard deviation along each
+    axis moves a prediction, about `turns`."""
 
     def predicted(axis: int, step: float) -> np.ndarray:
         aside = turns + step * np.eye(2)[axis]
@@ -91,18 +72,8 @@ def likeliest_turns(
     samples: Samples,
     selection: Selection,
 ) -> Float[np.ndarray, "lights 2"]:
-    """The turns that residuals and the rig make most probable, at given parameters.
-
-    Args:
-        shifts: (2, samples) DN, about the turns.
-        turns: (lights, 2) of the samples.
-        vector: (parameters,) unconstrained.
-        samples: with their deviations.
-        selection: of the samples.
-
-    Returns:
-        (lights, 2) in units of `direction_sd`.
-    """
+    """Return the (lights, 2) most likely rotations at given parameters, in units of `direction_sd`,
+    linearised about `turns`."""
     moves, precision = _standard(shifts, samples, selection, len(turns))
     left = -np.asarray(residuals(vector, samples), np.float64)
     left += np.einsum("as,sa->s", moves, turns[selection.light])
@@ -113,17 +84,8 @@ def likeliest_turns(
 def information_on_turns(
     shifts: Float[np.ndarray, "2 samples"], samples: Samples, selection: Selection, lights: int
 ) -> Float[np.ndarray, "lights 2 2"]:
-    """S^T S: what the images tell of the turns, without the rig.
-
-    Args:
-        shifts: (2, samples) DN, about the turns of the samples.
-        samples: with their deviations.
-        selection: of the samples.
-        lights: of the observation.
-
-    Returns:
-        (lights, 2, 2) in units of `direction_sd`.
-    """
+    """S^T S, the information of the images on the rotations without the rig's, (lights, 2, 2) in
+    units of `direction_sd`."""
     return _standard(shifts, samples, selection, lights)[1] - np.eye(2)
 
 
@@ -134,18 +96,8 @@ def beyond_turns(
     selection: Selection,
     lights: int,
 ) -> Float[np.ndarray, "rows samples"]:
-    """What unknown turns leave of slopes and errors x, (1 + S S^T)^(-1/2) x: products of these are
-    those of x less what the turns take, x^T (1 - S K^-1 S^T) y.
-
-    Args:
-        values: (rows, samples) in standard deviations.
-        shifts: (2, samples) DN, about the turns of the samples.
-        samples: with their deviations.
-        selection: of the samples.
-        lights: of the observation.
-
-    Returns:
-        (rows, samples).
+    """Return (1 + S S^T)^(-1/2) x for slopes and errors x, (rows, samples) in standard deviations.
+    Products of these equal x^T (1 - S K^-1 S^T) y, after marginalising over the light directions.
     """
     moves, precision = _standard(shifts, samples, selection, lights)
     squares, axes = np.linalg.eigh(precision - np.eye(2))  # of S^T S
