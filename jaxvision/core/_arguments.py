@@ -4,10 +4,7 @@ point refuses several points, and directions must be unit.
 Values are checked if they are concrete, outside `jax.jit` and similar transforms. NaN passes.
 """
 
-import sys
-import warnings
 from collections.abc import Callable, Collection, Iterable
-from contextvars import ContextVar
 from functools import cache, wraps
 from inspect import Parameter, signature
 from sys import maxsize
@@ -25,21 +22,23 @@ from ._types import (
     Key,
     Range,
     axes_of,
+    check_given,
     check_key,
     check_range,
     check_shape,
     in_short,
     is_any_axes,
     is_known,
+    members_of,
     require_metres,
 )
-from .plain_arrays import plain_array, within_integers
+from ._warnings import one_call, warn_caller
+from .plain_arrays import plain_array, warn_of_range, within_integers
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 UNIT_WITHIN = 1e-3  # of a length of 1: components written with three digits
-_WITHIN = ("jaxvision", "jax", "equinox", "contextlib", "functools")  # frames below the caller's
 PLAIN = (bool, int, float, list, tuple, str)
 
 
@@ -91,34 +90,18 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
                 _check(function, name, value, want)
             elif not (_has_numbers(value) or (value is None and want.may_be_absent)):
                 raise _no_numbers(function, name, value)
-        for name in _keys(function):
+        for name, absent in _keys(function).items():
             if name in values:
-                check_key(_place(function, name), values[name])
-        outer = _of_call.get()
-        call = _of_call.set([] if outer is None else outer)
-        try:
+                check_key(_place(function, name), values[name], several=False, absent=absent)
+        for name, (kinds, absent) in _records(function).items():
+            if name in values and not (values[name] is None and absent):
+                check_given(_place(function, name), values[name], *kinds)
+        with one_call():
+            for name in arrays:
+                warn_of_range(_place(function, name), given[name])
             return function(*args, **kwargs)
-        finally:
-            _of_call.reset(call)
 
     return of_numbers
-
-
-# The warnings of the caller's call that is under way; None between calls.
-_of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
-
-
-def warn_caller(text: str) -> None:
-    """Warns at the line outside the library, once in a call from there."""
-    given = _of_call.get()
-    if given:
-        return
-    if given is not None:
-        given.append(text)
-    frame, level = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _WITHIN:
-        frame, level = frame.f_back, level + 1
-    warnings.warn(text, stacklevel=level)
 
 
 def warn_of_idle_fill(fill: Any, border: str) -> None:
@@ -173,10 +156,23 @@ def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
 
 
 @cache
-def _keys(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Which parameters are random keys."""
+def _keys(function: Callable[..., Any]) -> dict[str, bool]:
+    """Which parameters are random keys, and whether None is meant too."""
     hints = get_type_hints(function)
-    return tuple(n for n in signature(function).parameters if Key in _parts(hints.get(n)))
+    parts = {name: _parts(hints.get(name)) for name in signature(function).parameters}
+    return {name: type(None) in part for name, part in parts.items() if Key in part}
+
+
+@cache
+def _records(function: Callable[..., Any]) -> dict[str, tuple[tuple[type, ...], bool]]:
+    """Which parameters are records of known kinds, which kinds, and whether None is meant too."""
+    hints, found = get_type_hints(function), {}
+    for name in signature(function).parameters:
+        parts = members_of(hints.get(name))
+        kinds = tuple(part for part in parts if part is not type(None))
+        if kinds and all(map(_is_record, kinds)):
+            found[name] = kinds, type(None) in parts
+    return found
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:

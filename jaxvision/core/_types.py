@@ -21,7 +21,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from ..errors import InputError
-from .plain_arrays import plain_array, within_integers
+from .plain_arrays import plain_array, warn_of_range, within_integers
 
 
 class _OneOf(type):
@@ -66,7 +66,6 @@ Colour = Float[Array, " bands"]
 Spectrum = Float[Array, "... bands"]
 Image = Float[Array, "*batch h w bands"]
 Key = PRNGKeyArray | Shaped[Array, "2"]
-_KEY_WORDS = ((2,), (4,))  # of keys without a type of their own
 # What NumPy makes an array of: NumPy's own alias, which misses these kinds where `isinstance` asks.
 ArrayLike = npt.ArrayLike | tuple[Any, ...] | float | int
 print_by_name(globals(), "Scalar", "Scalars", "Colour", "Spectrum", "Image", "Key", "ArrayLike")
@@ -113,6 +112,8 @@ def _as_numbers(x: Any) -> Array:
         place = _field().removesuffix(": ") or _ANY
         raise InputError(str(error).replace(_ANY, place, 1)) from None
     x = within_integers(x)
+    if isinstance(x, np.ndarray) or type(x) in (list, tuple):
+        warn_of_range(_field().removesuffix(": ") or "an argument", x)
     try:
         return jnp.asarray(x)
     except (TypeError, ValueError) as error:
@@ -276,18 +277,39 @@ def _with_article(noun: str) -> str:
     return f"{'an' if noun[0] in 'AEIOaeio' else 'a'} {noun}"
 
 
-def check_key(name: str, value: Any) -> None:
-    """Raises `ValueError` unless `value` may be a random key, or several. None passes."""
-    if value is None:
+def check_key(name: str, value: Any, *, several: bool = True, absent: bool = True) -> None:
+    """Raises `ValueError` unless `value` may be a random key, with `several` an array of keys, with
+    `absent` None."""
+    if value is None and absent:
         return
-    if hasattr(value, "dtype"):
+    got = in_short(value)
+    if hasattr(value, "dtype") and hasattr(value, "shape"):
         typed = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
-        if typed or jnp.shape(value)[-1:] in _KEY_WORDS:
-            return
+        many = tuple(value.shape) if typed else tuple(value.shape[:-1])
+        if typed or _is_raw_key(value):
+            if several or not many:
+                return
+            raise ValueError(
+                f"{name} must be one random key, got an array {many} of keys; take one of them, or "
+                "jax.vmap of the function."
+            )
+        got = f"{value.dtype} numbers of shape {tuple(value.shape)}" if np.ndim(value) else got
     seed = int(value) if isinstance(value, int | np.integer) else 0
-    raise ValueError(
-        f"{name} must be a random key, got {in_short(value)}; write jax.random.key({seed})."
-    )
+    raise ValueError(f"{name} must be a random key, got {got}; write jax.random.key({seed}).")
+
+
+def _is_raw_key(value: Any) -> bool:
+    """Whether it may be a key, or several, without a type: words of JAX's default generator."""
+    if isinstance(value, np.ndarray) and value.dtype == np.uint64:
+        value = value.astype(jax.dtypes.canonicalize_dtype(np.uint64))
+    words = _key_shape(str(jax.config.jax_default_prng_impl))
+    return value.dtype == np.uint32 and tuple(value.shape[-1:]) == words
+
+
+@cache
+def _key_shape(generator: str) -> tuple[int, ...]:
+    """The shape of a key of that generator of random numbers."""
+    return jax.eval_shape(lambda: jax.random.key_data(jax.random.key(0, impl=generator))).shape
 
 
 def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None:

@@ -100,6 +100,7 @@ def removed_if_interrupted(file: Path) -> Iterator[None]:
 def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
     """Does the work of a command of that name, imports included; an interrupt meanwhile ends the
     process. Afterwards there is nothing left to interrupt: Python ends as it would."""
+    _open_closed_streams()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
@@ -120,6 +121,14 @@ def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
     if _ending.behind.is_set():
         _end(status if isinstance(status, int) else int(status is not None))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _open_closed_streams() -> None:
+    """Gives each standard stream that a shell closed (`>&-`) to the null device; otherwise the next
+    file that is opened would have its number, and what a library prints would be written there."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115
 
 
 def _raise_where_wanted(number: int, frame: FrameType | None) -> None:

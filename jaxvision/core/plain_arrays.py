@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ._warnings import warn_caller
 
 # What the arrays of a package carry, and what gives their numbers.
 _CARRIED = {
@@ -32,12 +33,14 @@ _CARRIED = {
 
 # By the kind of a dtype.
 _NO_NUMBERS = {"V": "fields by name", "M": "dates", "S": "text", "U": "text"}
+_WIDEST = {"f": np.float64, "c": np.complex128}  # that JAX knows, by the kind of a dtype
 
 
 def plain_array(name: str, value: Any) -> Any:
     """The argument as numbers alone, if nothing is lost by that: a masked array with NaN where a
     floating number is masked, an array of the other byte order (as of FITS files) in this
-    machine's; lists are looked through.
+    machine's, numbers of more than 64 bits (NumPy's longdouble) in 64 bits, and subclasses such as
+    memory maps as plain arrays; lists are looked through.
 
     `InputError`, which names the argument, for masked whole numbers, which cannot be NaN, for
     arrays with units, coordinates or an index, for spans of time, which have a unit too, and for
@@ -56,6 +59,8 @@ def plain_array(name: str, value: Any) -> Any:
     if isinstance(value, int | float | str) or value is None:
         return value
     _refuse_spans(name, value)
+    if type(value) is np.longdouble or type(value) is np.clongdouble:
+        return np.asarray(value).astype(_WIDEST[value.dtype.kind])[()]
     if type(value) is np.ndarray:
         if value.dtype == object:
             for part in value.flat:
@@ -64,7 +69,11 @@ def plain_array(name: str, value: Any) -> Any:
                     raise InputError(f"{name} holds {part!r:.40}, which is no number; take it out.")
             return value.astype(complex if np.iscomplexobj(value.tolist()) else float)
         if held := _NO_NUMBERS.get(value.dtype.kind):
-            raise InputError(f"{name} holds {held} ({value.dtype}), not numbers; give numbers.")
+            raise InputError(
+                f"{name} holds {held} ({value.dtype!s:.99}), not numbers; give numbers."
+            )
+        if value.dtype.char in "gG":
+            return value.astype(_WIDEST[value.dtype.kind])
         return value if value.dtype.isnative else value.astype(value.dtype.newbyteorder("="))
     for base in type(value).__mro__:
         package = base.__module__.partition(".")[0]
@@ -78,7 +87,10 @@ def plain_array(name: str, value: Any) -> Any:
             )
     if hasattr(value, "unmasked"):  # of astropy
         value = np.ma.array(value.unmasked, mask=value.mask)
-    return _without_mask(name, value) if isinstance(value, np.ma.MaskedArray) else value
+    if isinstance(value, np.ma.MaskedArray):
+        return plain_array(name, _without_mask(name, value))
+    # of a subclass: records, matrices, memory maps
+    return plain_array(name, value.view(np.ndarray)) if isinstance(value, np.ndarray) else value
 
 
 def within_integers(x: Any) -> Any:
@@ -97,6 +109,31 @@ def within_integers(x: Any) -> Any:
         if x.size and not (held.min <= x.min() and x.max() <= held.max):
             return x.astype(np.float64)
     return x
+
+
+def warn_of_range(name: str, x: Any) -> None:
+    """Warns of numbers of 64 bits that 32 bits, where JAX converts to these, turn into zeros, all
+    of them, or into infinities. Single numbers are not looked at."""
+    if type(x) in (list, tuple) and x and all(type(part) is float for part in x):
+        x = np.asarray(x)
+    if not (isinstance(x, np.ndarray) and x.dtype == np.float64 and x.size > 1):
+        return
+    import jax
+
+    kept = np.finfo(jax.dtypes.canonicalize_dtype(x.dtype))
+    if kept.dtype == x.dtype:
+        return
+    largest = max(np.fmax.reduce(x, axis=None), -np.fmin.reduce(x, axis=None))
+    if 0 < largest < kept.tiny:
+        becomes = "which becomes 0 or loses its digits"
+    elif kept.max < largest < np.inf:
+        becomes = "which becomes infinite"
+    else:
+        return
+    warn_caller(
+        f"{name} holds numbers up to {largest:.4g}, {becomes} in {kept.dtype}; multiply them by a "
+        "constant, or set jax_enable_x64."
+    )
 
 
 def _held(dtype: Any) -> np.iinfo:
@@ -118,7 +155,7 @@ def _refuse_spans(name: str, value: Any) -> None:
 
 
 def _without_mask(name: str, value: np.ma.MaskedArray) -> np.ndarray:
-    count = int(np.ma.count_masked(value))
+    count = 0 if value.dtype.names else int(np.ma.count_masked(value))
     if count == 0:
         return np.asarray(value)
     if value.dtype.kind in "fc":

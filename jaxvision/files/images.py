@@ -693,7 +693,8 @@ def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
     if not lost.any() and numbers.dtype.kind == "f":
         size = np.abs(np.where(np.isfinite(numbers), numbers, 0))
         limit = np.finfo(np.float32)
-        lost, why = (size > 0) & (size.max() < limit.tiny / limit.eps), "begins at 1.2e-38"
+        lost = (size > 0) & (size.max() < limit.tiny / limit.eps)
+        why = "has its 7 digits from 1e-31 on"
     if count := int(lost.sum()):
         raise InputError(
             f"{path}: float32, which the file holds, {why}: {count} of {numbers.size} numbers do "

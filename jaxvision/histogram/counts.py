@@ -123,6 +123,7 @@ def soft_histogram(
     return Histogram(per_plane(counts, image), _edges(stack, chosen), per_plane(departure, image))
 
 
+@takes_numbers
 def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges"]:
     """The fraction of counted values below each edge (at the last edge: up to and including it).
 
@@ -177,6 +178,7 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
     return jnp.where(cdf[..., -1] > 0, value, jnp.nan)
 
 
+@takes_numbers
 def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     """The inner edge t with the largest variance between the values < t and those >= t.
 

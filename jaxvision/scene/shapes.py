@@ -14,6 +14,7 @@ from ..core._types import (
     as_optional_float,
     check_direction,
     check_fields,
+    plain_array,
     print_by_name,
     within_integers,
 )
@@ -136,7 +137,7 @@ class Box(Shown):
 
 def _as_indices(x: Any) -> Array:
     """An int32 array; `ValueError` unless the numbers are integers that it holds."""
-    array = jnp.asarray(within_integers(x))
+    array = jnp.asarray(within_integers(plain_array("TriangleMesh.faces", x)))
     if not jnp.issubdtype(array.dtype, jnp.integer):
         raise ValueError(f"TriangleMesh.faces must be whole numbers, got {array.dtype}.")
     return array.astype(jnp.int32)

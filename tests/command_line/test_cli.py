@@ -388,3 +388,13 @@ def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
     process.stdin = process.stdout = None
     said = process.communicate(timeout=60)[1]
     assert (process.returncode, said) == (141, b"")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_command_with_closed_streams_works(tmp_path, closed):
+    """Numbers of files that a shell closed are not those of the next files."""
+    np.save(tmp_path / "a.npy", np.ones((4, 4, 3)))
+    for words in ("-m jaxvision inspect a.npy", "-m fitting --version"):
+        line = f"{shlex.quote(sys.executable)} {words} {closed}"
+        ran = subprocess.run(["sh", "-c", line], cwd=tmp_path, capture_output=True, text=True)
+        assert (ran.returncode, ran.stderr) == (0, "")

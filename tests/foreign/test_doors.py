@@ -1,7 +1,9 @@
 """Numbers as other programs hand them to a fit: byte order, text, complex numbers, gaps."""
 
 import datetime
+import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -121,3 +123,66 @@ def test_a_gap_in_the_inputs_is_named_by_its_row_of_all_chunks():
     )
     with pytest.raises(InputError, match=r"inputs\['t'\]\[6\] is NaN"):
         fit(problem)
+
+
+def test_numbers_of_80_bits_and_records_are_read_or_refused_by_name():
+    picture = np.linspace(0.1, 1, 64).reshape(8, 8)
+    wide = jv.filters.gaussian(picture.astype(np.longdouble), np.longdouble(1))
+    np.testing.assert_array_equal(wide, jv.filters.gaussian(picture, 1.0))
+    assert jv.PointLight(np.ones(3, np.longdouble), [1.0]).position.tolist() == [1, 1, 1]
+    fields = np.rec.fromarrays([picture, picture], names="red,green")
+    for held in (fields, np.ma.array(fields)):
+        with pytest.raises(ValueError, match=r"picture holds fields by name .* give numbers\.$"):
+            jv.filters.gaussian(held, 1.0)
+    whole = np.zeros(1, [("a", "i4"), ("b", "i4"), ("c", "i4")])
+    with pytest.raises(ValueError, match=r"TriangleMesh\.faces holds fields by name"):
+        jv.TriangleMesh(np.eye(3), whole)
+    swapped = np.array([[0, 1, 2]], ">i4")
+    np.testing.assert_array_equal(jv.TriangleMesh(np.eye(3), swapped).faces, swapped)
+
+
+def test_what_is_no_random_key_is_refused_where_it_is_given():
+    grey = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.1]), [0.5], two_sided=True)
+    scene, ray = jv.Scene(grey, []), jv.Ray([0, 0, 0], [0, 0, 1])
+
+    def traced(key):
+        return jv.path_radiance(key, scene, ray, method=jv.Paths(2, 2)).radiance
+
+    for key in (jax.random.key(5), np.asarray(jax.random.PRNGKey(5))):
+        np.testing.assert_array_equal(traced(key), traced(jax.random.PRNGKey(5)))
+    of_others = jax.random.PRNGKey(0, impl="rbg")  # four words
+    for wrong in (of_others, np.array([0, 1]), np.array([0.0, 1.0]), 5, None):
+        with pytest.raises(ValueError, match=r"path_radiance: key must be a random key, got .*\)"):
+            traced(wrong)
+    for several in (jax.random.split(jax.random.key(0), 3), np.zeros((3, 2), np.uint32)):
+        with pytest.raises(ValueError, match=r"one random key, got an array \(3,\) of keys"):
+            traced(several)
+        assert jv.MonteCarlo(several, 4).key.shape[0] == 3
+
+
+def test_a_picture_for_a_histogram_is_refused_by_name():
+    for function in (jv.histogram.otsu_threshold, jv.histogram.cumulative_distribution):
+        with pytest.raises(ValueError, match=": histogram must be a record, Histogram, got an arr"):
+            function(np.ones((4, 4)))
+    with pytest.raises(ValueError, match="quantile: histogram must be a record, Histogram, got an"):
+        jv.histogram.quantile(np.ones((4, 4)), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("size", "words"), [(1e-42, "becomes 0 or loses its digits"), (1e39, "becomes infinite")]
+)
+def test_numbers_beyond_32_bits_are_named(size, words):
+    picture, intensity = np.full((8, 8), size), [size, 0.0]
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "overflow encountered", RuntimeWarning)
+        with pytest.warns(UserWarning, match=f"gaussian: picture .* {words} in float32; mul") as w:
+            jv.filters.gaussian(picture, 1.0)
+        assert [one.filename for one in w if one.category is UserWarning] == [__file__]
+        with pytest.warns(UserWarning, match=f"PointLight.intensity .* {words}"):
+            jv.PointLight([0.0, 0, 1], intensity)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert jv.filters.gaussian(picture, 1.0).max() == pytest.approx(size)
+        with jax.enable_x64(False):
+            tails = np.exp(-(np.arange(20.0) ** 2))  # of which single numbers are below
+            jv.filters.correlate(np.ones((32, 32)), np.outer(tails, tails)[:9, :9])

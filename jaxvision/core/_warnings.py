@@ -1,0 +1,36 @@
+"""Warnings at the line of the caller."""
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_WITHIN = ("jaxvision", "jax", "equinox", "contextlib", "functools")  # frames below the caller's
+
+# The warnings of the caller's call that is under way; None between calls.
+_of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
+
+
+@contextmanager
+def one_call() -> Iterator[None]:
+    """Context of a call from outside the library, or of one within it."""
+    outer = _of_call.get()
+    call = _of_call.set([] if outer is None else outer)
+    try:
+        yield
+    finally:
+        _of_call.reset(call)
+
+
+def warn_caller(text: str) -> None:
+    """Warns at the line outside the library, once in a call from there."""
+    given = _of_call.get()
+    if given:
+        return
+    if given is not None:
+        given.append(text)
+    frame, level = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in _WITHIN:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, stacklevel=level)
