@@ -8,6 +8,7 @@ where an approximation suffices: at the beginning of a search, and in figures.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any, cast
 
 import equinox as eqx
@@ -53,6 +54,7 @@ class Stream:
         by_row: of each leaf of these, whether it belongs to the rows; the others hold for all.
         size: rows of a chunk.
         count: rows in all, known after the first pass.
+        mark: of all numbers that a function yields, whatever their order; None for an array.
     """
 
     data: Any = field(repr=False)
@@ -62,6 +64,7 @@ class Stream:
     by_row: tuple[bool, ...]
     size: int
     count: int = 0
+    mark: int | None = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Stream)
@@ -93,13 +96,21 @@ def opened(
         data = plain_numbers("data", data)
     for name, values in (("data", data), ("inputs", inputs), ("likelihood", likelihood)):
         require_here(name, values)
-    stream = Stream(data, inputs, likelihood, *_beside(data, inputs, likelihood), size)
+    source: Iterator[Any] | None = None
+    first = data
+    if callable(data):  # a function that counts its calls is called once for one reading
+        pieces: Iterator[Any] = iter(cast(Iterable[Any], data()))
+        first = next(pieces, None)
+        source = iter(()) if first is None else chain([first], pieces)
+    beside, by_row = _beside(first, inputs, likelihood, yielded=source is not None)
+    stream = Stream(data, inputs, likelihood, beside, by_row, size)
     rng = np.random.default_rng(SEED)
-    count, kept, keys = 0, None, np.empty(0)
-    for piece in _pieces(stream):
+    count, mark, kept, keys = 0, None if source is None else 0, None, np.empty(0)
+    for piece in _pieces(stream, source):
         _check(piece, kept)
         check_data(likelihood, piece.data)
         count += len(piece.data)
+        mark = None if mark is None else _marked(mark, piece)
         own = rng.random(len(piece.data))
         chosen = own < (keys.max() if len(keys) == size else 1)
         some = _taken(piece, np.flatnonzero(chosen))
@@ -112,7 +123,7 @@ def opened(
     filled, there = _filled(kept, size)
     blank = there.reshape(-1, *[1] * (filled.data.ndim - 1))
     sample = np.where(blank, filled.data, np.nan)
-    return replace(stream, count=count), sample, *_placed(stream, stream.beside, filled)
+    return replace(stream, count=count, mark=mark), sample, *_placed(stream, stream.beside, filled)
 
 
 def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
@@ -121,8 +132,10 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
     if stream is None:
         yield problem
         return
-    done, whole = 0, -(-stream.count // stream.size)
+    done, whole, mark = 0, -(-stream.count // stream.size), 0
     for rows, there in _chunks(stream):
+        if stream.mark is not None:
+            mark = _marked(mark, rows if there.all() else _taken(rows, there))
         known = there.reshape(-1, *[1] * (rows.data.ndim - 1)) & ~np.isnan(rows.data)
         beside = _floating(_placed(stream, (problem.inputs, problem.likelihood), rows))
         yield eqx.tree_at(
@@ -139,24 +152,31 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
             f"data: {done} rows were read, and {stream.count} at first: the function must yield "
             "the same data each time."
         )
+    if stream.mark is not None and mark != stream.mark:
+        raise InputError(
+            f"data: {done} rows were read as at first, but with other numbers: the function must "
+            "yield the same data each time."
+        )
 
 
-def _beside(data: Any, inputs: Any, likelihood: Any) -> tuple[tuple[Any, Any], tuple[bool, ...]]:
-    """Inputs and likelihood, and which of their leaves belong to the rows."""
-    if not callable(data):
-        beside, known = (inputs, likelihood), len(data)
+def _beside(
+    first: Any, inputs: Any, likelihood: Any, *, yielded: bool
+) -> tuple[tuple[Any, Any], tuple[bool, ...]]:
+    """Inputs and likelihood, and which of their leaves belong to the rows: of all data, or of the
+    first that a function yields."""
+    if not yielded:
+        beside, known = (inputs, likelihood), len(first)
         return beside, tuple(_by_row(leaf, known) for leaf in jax.tree.leaves(beside))
-    first = next(iter(cast(Iterable[Any], data())), None)
     if not isinstance(first, tuple):
         return (inputs, likelihood), (False,) * len(jax.tree.leaves((inputs, likelihood)))
-    rows, yielded = first
+    rows, its_inputs = first
     count = np.shape(rows)[0] if np.ndim(rows) else 0
-    own = [_by_row(leaf, count) for leaf in jax.tree.leaves(yielded)]
-    return (yielded, likelihood), (*own, *[False] * len(jax.tree.leaves(likelihood)))
+    own = [_by_row(leaf, count) for leaf in jax.tree.leaves(its_inputs)]
+    return (its_inputs, likelihood), (*own, *[False] * len(jax.tree.leaves(likelihood)))
 
 
-def _pieces(stream: Stream) -> Iterator[Rows]:
-    """As they come, the data floating."""
+def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Rows]:
+    """As they come, the data floating; from a reading that was begun, or a new one."""
     data, dtype = stream.data, jnp.result_type(float)
     if not callable(data):
         own = _chosen(stream, stream.beside)
@@ -165,13 +185,21 @@ def _pieces(stream: Stream) -> Iterator[Rows]:
             beside = tuple(plain_array("inputs", np.asarray(leaf[part])) for leaf in own)
             yield Rows(np.asarray(data[part], dtype), beside)
         return
-    for piece in cast(Iterable[Any], data()):
+    for piece in cast(Iterable[Any], data()) if source is None else source:
         rows, inputs = piece if isinstance(piece, tuple) else (piece, stream.beside[0])
         rows = np.asarray(plain_numbers("data", rows), dtype)
         beside = inputs, stream.likelihood
         _check_beside(stream, beside, len(rows) if rows.ndim else 0)
         own = (plain_array("inputs", np.asarray(leaf)) for leaf in _chosen(stream, beside))
         yield Rows(rows, tuple(own))
+
+
+def _marked(mark: int, rows: Rows) -> int:
+    """A mark with that of some rows: the bits of all numbers, added up modulo 2^64."""
+    for leaf in (rows.data, *rows.own):
+        bits = np.ascontiguousarray(leaf).view(f"u{min(leaf.itemsize, 8)}")
+        mark += int(bits.sum(dtype=np.uint64))
+    return mark % 2**64
 
 
 def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:

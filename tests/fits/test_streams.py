@@ -201,6 +201,33 @@ def test_data_that_change_and_chains_are_refused():
         fit(problem(chunk=CHUNK), posterior=Emcee())
 
 
+@pytest.mark.parametrize(
+    ("again", "expected"),
+    [
+        (lambda rows: rows[:80], "80 rows were read, and 100 at first"),
+        (lambda rows: rows + 1e-9, "100 rows were read as at first, but with other numbers"),
+        (lambda rows: rows[::-1], None),  # the order may change
+    ],
+)
+def test_a_source_is_compared_with_its_first_reading(again, expected):
+    """The first call is the first reading: none is spent on a look at the data."""
+    rows, calls = np.arange(100.0), []
+
+    def source():
+        calls.append(0)
+        own = rows if len(calls) == 1 else again(rows)
+        yield from ((part, part) for part in np.array_split(own, 2 + len(calls)))
+
+    stated = problem(source, inputs=None, chunk=64)
+    assert stated.stream is not None
+    assert stated.stream.count == 100
+    if expected is None:
+        assert len(list(chunks(stated))) == 2
+        return
+    with pytest.raises(InputError, match=expected):
+        list(chunks(stated))
+
+
 @pytest.mark.slow
 def test_ends_that_only_all_data_tell_apart_are_one():
     """Searches of a sample stop within its precision, which is coarser than that of all data."""
