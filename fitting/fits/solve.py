@@ -38,6 +38,7 @@ from ..inference.search import (
     start_at,
 )
 from ..inference.streams import Advance
+from .data_checks import data_check
 from .prior_check import blamed, conflicts
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
@@ -168,10 +169,13 @@ def fit(
     why = () if wide.explained else blamed(against, checks)
     if why:
         failures = [*(one for one in failures if one not in checks.faults), *why]
+    own = data_check(problem, optimum.vector, checks, explained=wide.explained, seed=seed)
+    failures = [*own.failures, *failures]
     drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
     failures += about_search(optimum, drawn) + about_chains(drawn)
     contradicted = () if why else tuple(one.words for one in against)
-    remarks = (*wide.words, *checks.remarks, *contradicted)
+    remarks = (*own.findings, *wide.words, *(() if own.overrated else checks.remarks))
+    remarks += contradicted
     findings = (*remarks, *about_posterior(problem, optimum, drawn))
     findings = (*map(str, choices), *findings)
     settings = {

@@ -66,6 +66,9 @@ def numerics(*known: Any) -> tuple[Any, Any]:
 class Gaussian(eqx.Module):
     """data = prediction + sd * Normal(0, 1).
 
+    The root of each datum is no standard deviation of counts: a datum that is low by chance would
+    count for more, and the fit would come out too low. Counts have `SensorCounts`.
+
     Attributes:
         sd: standard deviation in the unit of the data: a number, an array of the data's shape, or
             the name of a parameter.

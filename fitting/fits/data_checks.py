@@ -1,0 +1,176 @@
+"""What the data themselves say against their likelihood: they are clipped, they are rounded, or
+their standard deviations follow their noise.
+
+A fit that fails tells that the model misses something, and these are causes that are not the
+model's.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..codes import converter_of
+from ..inference.likelihoods import Clustered
+from ..inference.misfit import Misfit
+from ..inference.on_host import on_host
+from ..inference.problem import Problem
+from .widening import predicted_at
+
+FEWEST = 10  # data
+PILED, STEEP = 5, 3.0  # data at an end, and times as many as at any value beside it
+BESIDE = 8  # values beside an end
+BEYOND = 3  # data that the fit predicts beyond an end at which others pile up
+COARSE = 1.0  # standard deviations of the noise, from which a step of the data is not negligible
+CROSSED = 0.1  # share of neighbours in the order of predictions whose standard deviations fall
+FELT, WRONG = 0.5, 2.0  # errors of a total, by which a fit misses it: said, and failed
+
+
+@dataclass(frozen=True)
+class DataCheck:
+    """Sentences about data, each with whether it tells why a fit is not good."""
+
+    failures: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()
+    overrated: bool = False  # whether the standard deviations are no measure of the noise
+
+
+def data_check(
+    problem: Problem, vector: np.ndarray, checks: Misfit, *, explained: bool, seed: int
+) -> DataCheck:
+    """Look at the data beside the best fit.
+
+    Args:
+        problem: that was fitted.
+        vector: (P,) the best fit, unconstrained.
+        checks: what its residuals show.
+        explained: whether a misfit is allowed for.
+        seed: of the data that are drawn.
+    """
+    data = on_host(problem.data, dtype=np.float64)
+    there = np.ones(data.shape, bool) if problem.present is None else on_host(problem.present)
+    known = data[there]
+    if known.size < FEWEST:
+        return DataCheck()
+    seen = _Seen(problem, vector, there)
+    biased = None if checks.faults else _errors_of_data(seen, known)
+    if biased is not None:
+        return biased
+    values, counts = np.unique(known, return_counts=True)
+    if len(values) == len(known):  # no two are equal
+        return DataCheck()
+    found = _clipped(seen, values, counts, checks, seed)
+    if checks.faults:
+        found += _rounded(seen, known, seed)
+    if checks.faults and not explained:
+        return DataCheck(failures=tuple(found))
+    return DataCheck(findings=tuple(found))
+
+
+class _Seen:
+    """The best fit of the data that are there, computed when it is asked for."""
+
+    def __init__(self, problem: Problem, vector: np.ndarray, there: np.ndarray) -> None:
+        self.likelihood: Any = problem.likelihood
+        if isinstance(self.likelihood, Clustered):
+            self.likelihood = self.likelihood.likelihood
+        self._at = problem, jnp.asarray(vector, problem.data.dtype)
+        self._there = there
+        self._drawn: np.ndarray | None = None
+
+    def predicted(self) -> np.ndarray:
+        """(data there) predictions."""
+        problem, vector = self._at
+        return on_host(predicted_at(vector, problem)[0], dtype=np.float64)[self._there]
+
+    def drawn(self, seed: int) -> np.ndarray:
+        """(data there) as they might have been."""
+        if self._drawn is None:
+            problem, vector = self._at
+            predicted, likelihood = predicted_at(vector, problem)
+            drawn = likelihood.draw(jax.random.key(seed), predicted)
+            self._drawn = on_host(drawn, dtype=np.float64)[self._there]
+        return self._drawn
+
+    def widths(self) -> np.ndarray | None:
+        """(data there) standard deviations, where each datum was given its own."""
+        width = getattr(self.likelihood, "sd", getattr(self.likelihood, "scale", None))
+        if width is None or isinstance(width, str) or np.shape(width) != self._there.shape:
+            return None
+        return on_host(width, dtype=np.float64)[self._there]
+
+
+def _errors_of_data(seen: _Seen, data: np.ndarray) -> DataCheck | None:
+    """Standard deviations that rise with the data without exception, but not with the prediction,
+    and what this does to the sum of all predictions."""
+    widths = seen.widths()
+    if widths is None or len(np.unique(widths)) < 3:
+        return None
+    order = np.lexsort((widths, data))
+    same = np.diff(data[order]) == 0
+    steps = np.diff(widths[order])
+    if (steps < 0).any() or (steps[same] > 0).any():
+        return None
+    predicted = seen.predicted()
+    if np.mean(np.diff(widths[np.argsort(predicted, kind="stable")]) < 0) < CROSSED:
+        return None
+    missed, error = data.sum() - predicted.sum(), float(np.sqrt(np.sum(widths**2)))
+    if abs(missed) < FELT * error:
+        return None
+    side, other = ("low", "less") if missed > 0 else ("high", "more")
+    words = (
+        "The standard deviations of the data follow the data themselves: a datum that is low by "
+        f"chance gets a small one and counts for more, so that the fit comes out too {side}. Its "
+        f"predictions add up to {predicted.sum():.4g}, {other} than the {data.sum():.4g} ± "
+        f"{error:.2g} of the data. Counts follow Poisson's law: give SensorCounts, or SensorNoise "
+        "of a sensor with shot noise, or standard deviations from a first fit."
+    )
+    if abs(missed) > WRONG * error:
+        return DataCheck(failures=(words,), overrated=True)
+    return DataCheck(findings=(words,), overrated=True)
+
+
+def _clipped(
+    seen: _Seen, values: np.ndarray, counts: np.ndarray, checks: Misfit, seed: int
+) -> list[str]:
+    """Ends at which data pile up, and beyond which the fit predicts many."""
+    found, total = [], int(counts.sum())
+    for name, side in (("largest", 1), ("smallest", -1)):
+        own, many = values[::-side], counts[::-side]
+        if many[0] < max(PILED, STEEP * float(many[1 : 1 + BESIDE].max(initial=0))):
+            continue
+        step = converter_of([values]).step
+        if step and checks.remarks:  # rounded, under noise that is overrated
+            continue
+        if side < 0 and step == 1 and own[0] == 0:  # counts
+            continue
+        beyond = int(np.sum(side * (seen.drawn(seed) - own[0]) > step))
+        if beyond < BEYOND:
+            continue
+        end = "high" if side > 0 else "low"
+        found.append(
+            f"{many[0]} of {total} data are equal to the {name}, {own[0]:.6g}, and the fit "
+            f"predicts {beyond} beyond it: the data are clipped there. Give the likelihood that "
+            f"end, as in Censored(sd, {end}={own[0]:.6g}), or mark these data as missing (NaN)."
+        )
+    return found
+
+
+def _rounded(seen: _Seen, data: np.ndarray, seed: int) -> list[str]:
+    """A step of the data that is coarser than their noise, and not the likelihood's own."""
+    step = converter_of([data]).step
+    if not step:
+        return []
+    drawn = seen.drawn(seed)
+    if converter_of([drawn]).step == step:
+        return []
+    noise = float(np.sqrt(np.mean((drawn - seen.predicted()) ** 2)))
+    if step < COARSE * noise:
+        return []
+    return [
+        f"All data lie {step:.4g} apart or a multiple of it, which is {step / noise:.2g} times the "
+        f"noise of the likelihood, {noise:.2g}: they were rounded, by {step / np.sqrt(12):.2g} "
+        "rms, and neighbours are rounded alike. Give the data as they were before."
+    ]

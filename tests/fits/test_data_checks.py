@@ -1,0 +1,92 @@
+"""Data that are clipped or rounded, or whose standard deviations follow their noise, are told."""
+
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from fitting import Censored, Gaussian, Parameter, Problem, SensorCounts, fit
+
+TIME = np.linspace(0.0, 4.0, 200)
+TRUE = 1.5 * np.exp(-TIME / 0.8) + 0.2
+FREE = {
+    "amplitude": Parameter(lower=0, upper=50),
+    "decay": Parameter(lower=0.1, upper=10, transform="log"),
+    "background": Parameter(lower=-5, upper=50),
+}
+SD = 0.02
+
+
+def decay(inputs, amplitude, decay, background):
+    return amplitude * jnp.exp(-inputs / decay) + background
+
+
+def fitted(data, likelihood, **options):
+    return fit(Problem(FREE, decay, likelihood, data, inputs=TIME), starts=4, **options)
+
+
+def noisy(seed=0):
+    return TRUE + SD * np.random.default_rng(seed).standard_normal(200)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (np.minimum(noisy(), 1.2), r"of 200 data are equal to the largest, 1\.2, .* Censored"),
+        (np.maximum(noisy(), 0.3), r"of 200 data are equal to the smallest, 0\.3, .* low=0\.3"),
+        (0.25 * np.round(noisy() / 0.25), r"All data lie 0\.25 apart .* 1[1-4] times the noise"),
+    ],
+)
+def test_data_that_are_clipped_or_rounded_are_told(data, expected):
+    found = fitted(data, Gaussian(sd=SD))
+    assert not found.converged
+    assert re.search(expected, found.failures[0]), found.failures[0]
+    allowed = fitted(data, Gaussian(sd=SD), misfit="inflate")
+    assert allowed.findings[0].split(" data ")[0] == found.failures[0].split(" data ")[0]
+
+
+def test_data_that_are_clipped_as_stated_or_rounded_finely_are_not():
+    for data, likelihood in (
+        (noisy(), Gaussian(sd=SD)),
+        (np.minimum(noisy(), 1.2), Censored(sd=SD, high=1.2)),
+        (0.01 * np.round(noisy() / 0.01), Gaussian(sd=SD)),
+    ):
+        found = fitted(data, likelihood)
+        assert found.converged
+        assert not any("apart" in text or "equal to the" in text for text in found.findings)
+
+
+def test_standard_deviations_that_follow_the_data_are_told():
+    """Sum of the data less that of the predictions: about chi-square, by the equations of Neyman's
+    least squares for a factor on the prediction."""
+    counts = np.random.default_rng(1).poisson(9 * TRUE).astype(float)
+    found = fitted(counts, Gaussian(sd=np.sqrt(np.maximum(counts, 1))))
+    assert "follow the data themselves" in found.failures[0]
+    told = found.failures[0].split("add up to ")[1].split(",")[0]
+    missed = counts.sum() - float(told)
+    assert abs(missed - found.misfit.chi_square) < 0.3 * missed
+    assert not any("overrated" in text for text in found.findings)
+    stated = fitted(counts, Gaussian(sd=np.sqrt(9 * TRUE)))
+    assert not any("follow the data" in text for text in (*stated.failures, *stated.findings))
+
+
+@pytest.mark.slow
+def test_poissons_law_fits_few_counts():
+    """What the sentence advises."""
+    counts = np.random.default_rng(1).poisson(3 * TRUE).astype(float)
+    sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), read_noise=0.05, gain=1.0)
+    problem = Problem(
+        FREE,
+        lambda inputs, amplitude, decay, background: (
+            amplitude * jnp.exp(-inputs / decay) + background
+        )[:, None],
+        SensorCounts(sensor, reach=8),
+        counts[:, None],
+        inputs=TIME,
+    )
+    found = fit(problem, starts=4)
+    assert found.converged
+    predicted = decay(TIME, **{name: found.values[name] for name in FREE})
+    assert abs(float(predicted.sum()) - counts.sum()) < 0.01 * counts.sum()
