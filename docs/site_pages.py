@@ -101,6 +101,38 @@ def escape_docstring(app, what, name, thing, options, lines):
             lines[i] = escaped(line)
 
 
+def errors_of(code):
+    """The label of a row of the table of errors, from the name in its first cell."""
+    return "errors-of-" + re.match(r"[\w.]+", code)[0].replace(".", "-").replace("_", "-")
+
+
+def rows_of_errors(entry_of):
+    """{name of an entry: the label of its row in the table of errors}."""
+    table = (HERE / "errors.md").read_text()
+    names = re.findall(r"^\| `([\w.]+)", table, flags=re.MULTILINE)
+    entries = {entry_of(f"jaxvision.{name}") or entry_of(name): errors_of(name) for name in names}
+    return {entry: label for entry, label in entries.items() if entry}  # a method has none
+
+
+def link_errors(app, what, name, thing, options, lines):
+    """The way from a function to its row in the table of errors."""
+    if label := app.rows_of_errors.get(name):
+        lines += ["", f"Rounding error: :ref:`the table's row <{label}>`.", ""]
+
+
+def label_errors(app, doctree):
+    """A label for the first row of each function in the table of errors."""
+    if app.env.docname != "errors":
+        return
+    labels = app.env.get_domain("std").anonlabels
+    for row in doctree.findall(nodes.row):
+        codes = [*row[0].findall(nodes.literal)]
+        label = errors_of(codes[0].astext()) if codes else None
+        if label and label not in labels:
+            row[0]["ids"].append(label)
+            labels[label] = ("errors", label)
+
+
 def short_types(app, domain, kind, content):
     """Types as code writes them, in what autodoc says of arguments and results."""
     for name, types in app.env.current_document.autodoc_annotations.items():
@@ -181,9 +213,12 @@ def setup(app):
     app.entry = lambda value: places.get(id(value))
     app.add_role("api", Entry())
     app.connect("autodoc-process-docstring", escape_docstring, priority=100)
+    app.rows_of_errors = rows_of_errors(entry_of)
     app.connect("autodoc-process-docstring", write_types, priority=900)
+    app.connect("autodoc-process-docstring", link_errors, priority=950)
     app.connect("autodoc-skip-member", skip_member)
     app.connect("object-description-transform", short_types, priority=100)
+    app.connect("doctree-read", label_errors, priority=400)
     app.connect("doctree-read", read_doctree)
     app.connect("missing-reference", find_entry)
     return {"parallel_read_safe": True}
