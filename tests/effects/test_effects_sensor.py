@@ -353,6 +353,7 @@ def test_the_pixel_is_made_without_what_is_gone():
 
 
 @pytest.mark.parametrize(("rms", "most"), [(1.0, 1.03), (0.5, 1.3), (0.2, 2.0)])
+@pytest.mark.sweep
 def test_counts_beside_noise_are_as_far_apart_as_their_moments_or_little_farther(rms, most):
     """Wasserstein's distance of Poisson counts beside Gaussian noise, by their quantiles."""
     tail = np.geomspace(1e-12, 1e-3, 500)

@@ -95,6 +95,7 @@ def test_a_frequency_needs_neither_start_nor_amplitudes():
 
 
 @pytest.mark.parametrize("signed", [(True,) * 3, (True, False, True), (False,) * 3, (True,) * 12])
+@pytest.mark.sweep
 def test_amplitudes_are_those_of_scipy(signed):
     rng = np.random.default_rng(len(signed) + sum(signed))
     lower = np.where(signed, 0, -np.inf)

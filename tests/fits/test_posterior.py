@@ -244,6 +244,7 @@ def test_walkers_and_moves_suit_the_dimension(parameters):
     assert 0.1 < chain.acceptance < 0.8
 
 
+@pytest.mark.slow
 def test_many_walkers_take_time_in_proportion(monkeypatch):
     """The density that proposes their moves is estimated from some of them, not from all; what
     they find is the same."""

@@ -110,6 +110,7 @@ def test_a_flat_that_does_not_belong_is_named_and_its_level_goes(image, words):
         (FLATS[6][0], "equal to flats[6][0]"),
     ],
 )
+@pytest.mark.sweep
 def test_of_five_frames_the_others_of_the_level_stay(image, words):
     five = [
         [*level, *(frame(x, 900 + 3 * i + k) for k in range(3))]

@@ -334,6 +334,7 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
 
 
 @pytest.mark.parametrize("bits", [12, 16])
+@pytest.mark.sweep("16")
 def test_dead_columns_rows_and_pixels_are_left_out(bits):
     """At 0, and stuck at the top code, in every frame."""
     rng = np.random.default_rng(12)
@@ -401,6 +402,7 @@ def levels_of(count, *, flicker=0.0, vignette=0.0, dead=0.0, frames=2, electrons
 
 
 @pytest.mark.parametrize(("frames", "flicker"), [(2, 0.03), (2, 0.1), (4, 0.03)])
+@pytest.mark.sweep
 def test_a_lamp_that_flickers_over_uneven_light_moves_no_variance(frames, flicker):
     """Light that falls by 60 % to the corners; taken as whole frames, 3 % of flicker add a fifth to
     the variance."""
@@ -425,6 +427,7 @@ def jpeg(frame, quality):
 
 
 @pytest.mark.parametrize("quality", [100, 98, 95, 85, None])
+@pytest.mark.sweep
 def test_frames_that_were_jpeg_of_high_quality_are_named(quality):
     """8 bits; K comes out 2, 13 and 20 % too large at 100, 98 and 95, and half at 85."""
     rng = np.random.default_rng(15)

@@ -149,6 +149,7 @@ SCIPY = {
 
 @pytest.mark.parametrize("border", jv.filters.padding.BORDERS)
 @pytest.mark.parametrize("method", ["auto", pytest.param("fft", marks=pytest.mark.slow)])
+@pytest.mark.sweep
 def test_an_even_kernel_of_several_pictures_size(border, method):
     """SciPy's sums; those that it lacks entry by entry: a straight line goes on, and weights
     outside do not count."""

@@ -146,6 +146,7 @@ def test_a_sun_between_the_directions_of_a_quadrature_is_named(rows, own):
     assert missing_light(scene, integrator="path") == []
 
 
+@pytest.mark.slow
 def test_skies_that_a_quadrature_finds_are_not_named():
     height = np.cos(np.pi * (np.arange(64) + 0.5) / 64)[:, None, None]
     cloudy = np.where(height > 0, (1 + 2 * height) / 3, 0.1) * np.ones((1, 128, 1))

@@ -199,6 +199,7 @@ def test_darks_brighter_than_what_no_light_reaches_are_named():
     assert not darker_than_darks(with_darks(50.0))  # stray light can be there
 
 
+@pytest.mark.slow
 def test_what_darks_tell_is_not_called_assumed_or_stated():
     said = " ".join(findings(joint.calibrate(with_darks(60.0), model="lambert")))
     assert "was assumed" not in said

@@ -32,6 +32,7 @@ def both(sphere, seed):
     return joint.calibrate(taken), reflectance.calibrate(taken, model="phong")
 
 
+@pytest.mark.slow
 def test_lights_that_err_as_much_as_pixels_do_widen_both_intervals_alike():
     """Of .1 %, which no test of 12 images sees: by pixels alone k_d had 60 % of its error."""
     together, alone = both(Sphere(light_sd=0.001), 0)

@@ -131,6 +131,7 @@ def test_the_fit_is_that_of_scipy():
     np.testing.assert_allclose(1 / BOLTZMANN_EV, 11604.518, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_claim_is_judged_by_what_giving_it_up_saves():
     """The score test gives the fall of chi-square between two fits by scipy, to first order."""
     told = told_by_settings(2)
@@ -297,6 +298,7 @@ def test_gains_that_were_exchanged_are_off_by_their_ratio():
         assert abs(one.value - truth) < 4 * one.error < 0.1
 
 
+@pytest.mark.slow
 def test_a_law_of_read_noise_that_fails_accuses_no_other():
     """p is 0 to all digits for several claims; the one that saves the most is given up."""
     read = np.where(ISO < 400, 6.0, 0.5)

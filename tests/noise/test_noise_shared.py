@@ -328,6 +328,7 @@ def test_few_frames_of_few_rows_raise_no_alarm():
     assert (alarms <= 1).all(), alarms
 
 
+@pytest.mark.slow
 def test_flicker_that_grows_with_light_is_told_where_it_is_plainest():
     """.3 % of flats from 20 to 20,000 photons: hidden in faint ones, whose variance is best known,
     7.5 DN at the brightest."""
@@ -374,6 +375,7 @@ def test_levels_whose_frames_are_alike_tell_nothing():
 
 
 @pytest.mark.parametrize(("size", "dead"), [((12, 30), 0.0), ((8, 8), 0.0), ((12, 30), 0.2)])
+@pytest.mark.sweep
 def test_parts_of_the_variance_add_up_in_the_mean(size, dead):
     """Of what rows, columns, pixels and frames add, each estimate scatters about its truth, also
     without a column and a fifth of the pixels."""

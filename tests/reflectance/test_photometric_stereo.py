@@ -164,6 +164,7 @@ def ball(size):
     ],
 )
 @pytest.mark.parametrize("clip", [np.inf, 850.0])
+@pytest.mark.sweep
 def test_the_cone_of_few_lights_covers_the_normals_of_a_ball(
     surface, shape, least, most, count, clip
 ):
@@ -215,6 +216,7 @@ def test_noise_does_not_choose_the_readings_in_the_shadow(robust):
     ],
 )
 @pytest.mark.parametrize("exponent", [1.0, 1.1])
+@pytest.mark.sweep
 def test_an_image_that_does_not_belong_is_named_and_left_out(spoil, named, exponent):
     lights, normals = hemisphere(64), normals_within(60, 400)
     readings = 1000 * power(lights, normals, exponent)

@@ -136,6 +136,7 @@ def test_the_legend_gives_gamma_its_error_where_it_has_one(calibration, pure):
         assert text == f"{channel.plane.channel}, {error if pure else f'best γ {gamma.value:.3g}'}"
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn(calibration, tmp_path):
     for picture in response_section(calibration).pictures:
         picture.draw().savefig(tmp_path / f"{picture.name}.png", dpi=40)

@@ -311,6 +311,7 @@ FULL = jv.Sensor(
 
 
 @pytest.mark.parametrize("curve", CURVES.values(), ids=list(CURVES))
+@pytest.mark.sweep
 def test_a_sensor_file_holds_them_and_their_draws(tmp_path, curve):
     sensor = replace(FULL, nonlinearity=curve)
     shifts = 1e-4 * jnp.arange(5.0)

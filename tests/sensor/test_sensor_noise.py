@@ -138,6 +138,7 @@ def test_fast_counts_of_one_photon_in_ten_million_frames():
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("kind", [s.PoissonShotNoise(), s.FastPoissonShotNoise()])
+@pytest.mark.sweep
 def test_counts_have_poissons_moments_at_every_light_level(kind, dtype):
     """From a hundredth of an electron to 2^31, within 5 standard errors of 300,000 draws."""
     draw = jax.jit(lambda mean: count(KEY, mean, kind))
