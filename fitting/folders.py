@@ -104,7 +104,7 @@ def noise(
 
 
 def _flats_and_darks(path: Path, bits: int | None, channel: str) -> "Rig | None":
-    """The rig of a photon transfer; None of a table."""
+    """The rig of a photon transfer, or None for a table."""
     if path.suffix.lower() != ".csv":
         if bits is not None:
             raise InputError(f"{path}: camera.bits of the rig counts; leave out the bits, {bits}.")
@@ -175,7 +175,7 @@ def predict(
 
 
 def _camera_file(camera: str, site: str) -> Path:
-    """The file of the camera of a site; of a folder that of the site by its name."""
+    """The camera file of a site. In a folder it is the file with the name of the site."""
     folder = Path(camera)
     if not folder.is_dir():
         return folder

@@ -183,7 +183,7 @@ class _Fit:
     inverse: Float[np.ndarray, "pixels 3 3"]
 
     def reduced(self, some: Int[np.ndarray, " some"]) -> _Reduced:
-        """Residuals of some pixels along the eigenvectors of what the process leaves in them."""
+        """Residuals of some pixels along the eigenvectors of their covariance after the process."""
         residuals, weights, inverse = (
             self.residuals[:, some],
             self.weights[:, some],

@@ -156,8 +156,7 @@ def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
 
 
 def _finest(session: Session, *, calls: int) -> Any:
-    """Return the finest setting whose calls fit the time, of the measured ones and those of the
-    reference; else the cheapest."""
+    """The finest measured or reference setting whose calls fit the time, else the cheapest."""
     chosen = next(iter(session.points))
     for setting in (*session.points, *session.knob.reference):
         if session.expected(setting, calls=calls) <= SHARE * session.left:

@@ -37,8 +37,7 @@ def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) 
 
 
 def monotone_slopes(inputs: Points, outputs: Points) -> Points:
-    """The weighted harmonic mean of the chords on both sides, 0 at an extremum; in the unit of the
-    outputs over that of the inputs."""
+    """The weighted harmonic mean of the slopes of the chords on both sides, 0 at an extremum."""
     width = jnp.diff(inputs)
     chord = jnp.diff(outputs) / width
     if inputs.shape[0] == 2:

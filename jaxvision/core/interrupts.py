@@ -124,8 +124,8 @@ def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
 
 
 def _open_closed_streams() -> None:
-    """Gives each standard stream that a shell closed (`>&-`) to the null device; otherwise the next
-    file that is opened would have its number, and what a library prints would be written there."""
+    """Open each standard stream that a shell closed (`>&-`) on the null device. Otherwise the next
+    opened file would have its number, and a library would print into that file."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115

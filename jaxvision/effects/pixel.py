@@ -325,7 +325,7 @@ class Pixel:
 
     @cached_property
     def spilt(self) -> Excess:
-        """Excess of the brightest charge above the full well; 0 without a full well."""
+        """The brightest charge less the full well. It is 0 without a full well."""
         well = self.sensor.low["full_well"]
         return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
 

@@ -70,7 +70,7 @@ def brighter_fatter(pixel: Pixel) -> Bound:
 
 
 def full_well(pixel: Pixel) -> Bound:
-    """The root mean square of what the brightest charge exceeds the well by (`overflow`)."""
+    """The root mean square excess of the brightest charge above the well (`overflow`)."""
     well = float(pixel.sensor.low["full_well"])
     why = f"at most {pixel.bright:.4g} e- expected in a well of {well:.4g}"
     return Bound(pixel.behind_charge * pixel.spilt.rms, why, rank=pixel.rank_of_counts)
@@ -85,10 +85,10 @@ def blooming(pixel: Pixel) -> Bound:
 
 
 def charge_transfer(pixel: Pixel) -> Bound:
-    """The larger of what a bright pixel loses and what a dark one gains.
+    """The larger of the loss of a bright pixel and the gain of a dark one.
 
-    Its pattern of sensitivities changes by no more than p times the length of what moves, and its
-    counted variance by the mean.
+    The pattern of sensitivities changes by at most p times the length that charge moves, and the
+    counted variance changes by at most the mean.
     """
     transfer = pixel.sensor.high["charge_transfer"]
     lost, gained = transfer_shares(transfer, pixel.shape)
@@ -136,8 +136,8 @@ def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray
     """For each place the share of its own packet that is read there, and the sum of all shares.
 
     The packet of place i is transferred i + 1 times and left behind k times with the binomial
-    probability C(i + k, k) (1 - e)^(i + 1) e^k; what is left `trail` times or more is read `trail`
-    places behind.
+    probability C(i + k, k) (1 - e)^(i + 1) e^k. Charge that is left behind `trail` times or more is
+    read `trail` places behind.
 
     Args:
         inefficiency: e, no unit.

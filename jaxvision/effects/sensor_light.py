@@ -30,7 +30,7 @@ def exposure_time(pixel: Pixel) -> Bound:
 
 
 def light_offset(pixel: Pixel) -> Bound:
-    """The light that comes beside what is given, or goes."""
+    """Light that is added to the given light, or taken from it."""
     beside = pixel.beside * pixel.smearing * pixel.pushing
     return Bound(pixel.moved(beside, patterned=True), f"{pixel.beside:.3g} e- beside the light")
 
@@ -117,7 +117,7 @@ def hot_pixels(pixel: Pixel) -> Bound:
 
 
 def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:
-    """What a factor of at most 1 on each band takes away; pixels without it are brighter."""
+    """The light that a factor of at most 1 on each band takes away. Other pixels are brighter."""
     ends = (dict(end, **{name: None}) for end in pixel.sensor)
     without = replace(pixel, sensor=Ends(*ends))
     with np.errstate(invalid="ignore"):  # of inf nothing is known, though the factor be 1

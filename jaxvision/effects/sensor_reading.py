@@ -132,8 +132,8 @@ def _gaussian(pixel: Pixel) -> float:
 
 
 def _widest(pixel: Pixel) -> float:
-    """Variance of a Gaussian with a moment-generating function above that of all noise that is
-    added behind the conversion: the longer part of a mixture, and a^2 for what lies within +-a."""
+    """Variance of a Gaussian whose moment-generating function exceeds the one of all noise behind
+    the conversion: the wider part of a mixture, and a^2 for noise within +-a."""
     variances = dict(pixel.variances.high)
     read = pixel.sensor.high["read_noise"]
     if isinstance(read, HeavyTailedReadNoise):
@@ -143,7 +143,7 @@ def _widest(pixel: Pixel) -> float:
 
 
 def _clipped(pixel: Pixel) -> float:
-    """Root mean square of what lies below 0 or above the largest number, DN.
+    """Root mean square of the excess below 0 or above the largest number, DN.
 
     Gains of columns and pixels are random: within 9 standard deviations they are replaced by their
     largest values, and what lies beyond is bounded by its own second moment.
@@ -203,8 +203,8 @@ def _above(pixel: Pixel, level: float, noise: float) -> float:
 
 
 def _below(pixel: Pixel, offset: float) -> float:
-    """Root mean square of what lies below 0 DN where a count is Gaussian, of variance M like its
-    mean M. With v the variance of the read-out and o the offset in electrons,
+    """Root mean square of the excess below 0 DN where a count is Gaussian, with variance M equal to
+    its mean M. With v the variance of the read-out and o the offset in electrons,
 
         E (-(N + G) - o)+^2  <=  u / 2 exp(-(M + o)^2 / (2 u)),   u = v + a M,
 
