@@ -302,7 +302,7 @@ def _is_raw_key(value: Any) -> bool:
     """Whether it may be a key, or several, without a type: words of JAX's default generator."""
     if isinstance(value, np.ndarray) and value.dtype == np.uint64:
         value = value.astype(jax.dtypes.canonicalize_dtype(np.uint64))
-    words = _key_shape(str(jax.config.jax_default_prng_impl))
+    words = _key_shape(getattr(jax.config, "jax_default_prng_impl", "threefry2x32"))
     return value.dtype == np.uint32 and tuple(value.shape[-1:]) == words
 
 

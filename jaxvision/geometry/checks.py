@@ -1,8 +1,11 @@
 """Sentences about invalid shapes, for files and command lines, before anything is traced. NumPy;
 lengths in metres."""
 
+import jax
 import numpy as np
 
+from ..core._types import is_known
+from ..core._warnings import warn_caller
 from ..scene import Box, Disc, Plane, Quad, Shape, Sphere, TriangleMesh
 
 _NAMED = 3  # of many bad vertices or faces, so many are named
@@ -82,7 +85,8 @@ def coarse(shape: Shape) -> list[str]:
             return []
     step = float(np.spacing(np.abs(place).max()))
     share, most, what = step / size, 1e-3, "its size"
-    if isinstance(shape, TriangleMesh) and share <= most:
+    # Heights are below a 25th of a millionth of a mesh's size only in meshes of 1e9 triangles.
+    if isinstance(shape, TriangleMesh) and 1e-6 < share <= most:
         corners = place[np.asarray(shape.faces)].astype(float)
         edges = corners - np.roll(corners, 1, axis=1)
         area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)  # twice
@@ -96,6 +100,14 @@ def coarse(shape: Shape) -> list[str]:
         f"numbers of {place.dtype} are {step:.2g} m apart, {share:.2g} of {what}; move it nearer, "
         "with lamps and camera, or take float64."
     ]
+
+
+def warn_if_coarse(*shapes: Shape) -> None:
+    """Warns of the first shape that rounding deforms where it lies, if its numbers are known."""
+    for shape in shapes:
+        if all(map(is_known, jax.tree.leaves(shape))) and (found := coarse(shape)):
+            warn_caller(found[0])
+            return
 
 
 def _not_positive(name: str, value: object) -> list[str]:

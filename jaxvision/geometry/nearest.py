@@ -27,6 +27,7 @@ from ._mesh import intersect_mesh, mesh_blocks, mesh_nearest
 from ._size import largest_component, offset_length, size_of
 from ._triangle import triangle_hit
 from .box import box_distance, box_hit, intersect_box
+from .checks import warn_if_coarse
 from .flat import (
     FlatQuad,
     disc_hit,
@@ -105,6 +106,8 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
     Raises:
         ValueError: for what is no ray, and no shape.
 
+    Warns of a shape so far from the origin that the numbers of its dtype deform it.
+
     Example:
         >>> ray, ball = jv.Ray([0.6, 0, 5], [0, 0, -1]), jv.Sphere([0, 0, 0], 1)
         >>> hit = jv.intersect(ray, ball)
@@ -113,6 +116,7 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
     """
     check_kind("intersect: ray", ray, Ray)
     check_kind("intersect: shape", shape, Shape)
+    warn_if_coarse(shape)
     match shape:
         case Sphere():
             return intersect_sphere(ray, shape)

@@ -16,7 +16,9 @@ from ..core._numerics import dot
 from ..core._random import Stream
 from ..core._types import Colour, Image, check_given
 from ..core._vector import Vec, where
+from ..core._warnings import one_call
 from ..geometry import Hit, Ray, Sorted, hit_shape, nearest_shape, sorted_shapes
+from ..geometry.checks import warn_if_coarse
 from ..lights import Rule, can_be_seen, nearest_seen, rules_of
 from ..scene import Scene, Surface, TriangleMesh, View
 from .pixel_loop import Along, PixelSamples, each, numbers_of, photograph
@@ -145,6 +147,7 @@ def direct_along(scene: Scene, rule: Rule) -> Along:
     return each(along)
 
 
+@one_call()
 def render(
     scene: Scene,
     view: View,
@@ -179,6 +182,9 @@ def render(
     Returns:
         (h, w, bands) W m^-2 sr^-1.
 
+    Warns of a shape so far from the origin that the numbers of its dtype deform it; so do the other
+    integrators. Those in which light bounces warn of a surface that reflects more than it receives.
+
     Raises:
         ValueError: for a thin lens without samples, unless its f_number is inf or traced.
 
@@ -192,4 +198,5 @@ def render(
     """
     check_given("render: scene", scene, Scene)
     check_given("render: view", view, View)
+    warn_if_coarse(*(surface.shape for surface in scene.surfaces))
     return photograph(direct_along(scene, rule), view, samples, keep=(TRACED,)).radiance

@@ -46,6 +46,7 @@ from ._emitters import (
     toward_emitter,
     transmitted,
 )
+from ._scene_warnings import warn_of_scene
 from ._vertices import (
     SEARCHED,
     Met,
@@ -308,6 +309,7 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
         >>> float(jv.path_radiance(key, jv.Scene(wall, []), ray, method=method).radiance[0])
         0.75
     """
+    warn_of_scene(scene)
     return _path_radiance(key, scene, ray, method)
 
 
@@ -373,6 +375,7 @@ def path_traced_pixels(
     """
     check_given("path_traced_pixels: scene", scene, Scene)
     check_given("path_traced_pixels: view", view, View)
+    warn_of_scene(scene)
     pixels = jnp.asarray(rows), jnp.asarray(columns)
     return _traced_pixels(key, scene, view, pixels, method, first_sample)
 
@@ -416,6 +419,7 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     """
     check_given("path_traced: scene", scene, Scene)
     check_given("path_traced: view", view, View)
+    warn_of_scene(scene)
     return _path_traced(key, scene, view, method)
 
 

@@ -22,7 +22,9 @@ from ..core._loops.fusion import TILE, at_a_time, one_program
 from ..core._numerics import dot
 from ..core._types import Colour, Image, check_count, check_given
 from ..core._vector import Vec, as_array
+from ..core._warnings import one_call
 from ..geometry import Ray
+from ..geometry.checks import warn_if_coarse
 from ..lights import Quadrature, rules_of
 from ..rendering import Along, PixelSamples, photograph
 from ..rendering.pixel_loop import check_lens, in_blocks
@@ -268,6 +270,7 @@ def ray_tree_along(scene: Scene, *, rays: int, rule: Quadrature = DEFAULT_RULE) 
     return lambda along, stream: ray_tree_radiances(scene, along, rays=rays, rule=rule)
 
 
+@one_call()
 def ray_traced(
     scene: Scene,
     view: View,
@@ -308,6 +311,7 @@ def ray_traced(
     """
     check_given("ray_traced: scene", scene, Scene)
     check_given("ray_traced: view", view, View)
+    warn_if_coarse(*(surface.shape for surface in scene.surfaces))
     if samples is None:
         check_lens(view)
     return _ray_traced(scene, view, rays, rule, samples)

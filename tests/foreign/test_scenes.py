@@ -1,7 +1,9 @@
 """Scenes, lenses and cameras as others write them: what cannot be meant is refused, and what a
 picture lacks is said."""
 
+import warnings
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -446,3 +448,72 @@ irradiance = 1.0
         return
     with pytest.warns(UserWarning, match=r'"ball": Sphere lies .* 0.0078 m apart'):
         read(tmp_path / "s.toml")
+
+
+DOWN_ON_FLOOR = jv.Orthographic([0.1, 0.1, 1.0], DOWN, 0.1, resolution=(1, 1))
+
+
+@pytest.mark.parametrize(
+    ("material", "reflected"),
+    [
+        (jv.Lambert([1.5 / np.pi]), 1.5),
+        (jv.Mirror([1.25]), 1.25),
+        # pi k_d + 2 pi k_s / (n + 2)
+        (jv.PhongBRDF([0.5 / np.pi], [22 / np.pi], 20.0), 2.5),
+        (jv.NormalisedPhong([0.5 / np.pi], [1.0], 20.0), 1.5),
+        (jv.NormalisedPhong([0.4 / np.pi], [0.5], 20.0), 0.9),
+        (jv.Lambert([1 / np.pi]), 1.0),
+        (jv.OrenNayar([1 / np.pi], 0.5), 1.0),
+        (jv.TorranceSparrow([0.2 / np.pi], [1.0], 1.0), 0.8),
+        (jv.TorranceSparrow([0.95 / np.pi], [1.0], 0.2, interface=jv.Dielectric([1.5])), 0.99),
+        (jv.Glass(1.5), 0.04),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_a_surface_that_reflects_more_than_it_receives_is_named(material, reflected):
+    scene = jv.Scene([replace(FLOOR, material=material)], [LAMP])
+    method = Paths(1, 2)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        path_traced(jax.random.key(0), scene, DOWN_ON_FLOOR, method=method)
+        jax.jit(lambda s: jv.render(s, DOWN_ON_FLOOR))(scene)
+    assert [one.filename for one in said] == [__file__] * (reflected > 1)
+    for one in said:
+        given = str(one.message).split("reflects ")[1].split()[0]
+        assert float(given) == pytest.approx(reflected, rel=1e-3)
+
+
+def test_no_radiosity_is_solved_for_albedos_above_1():
+    table, sent = jnp.array([[0.0, 1], [1, 0]]), jnp.ones((2, 1))
+    for solve in (
+        jv.transport.radiosity.solve_radiosity,
+        jv.transport.radiosity.shoot,
+        partial(jv.transport.radiosity.bounce, count=3),
+    ):
+        solve(table, jnp.full((2, 1), 0.5), sent)
+        with pytest.raises(ValueError, match=r"albedo must be finite, at least 0 and at most 1"):
+            solve(table, jnp.full((2, 1), 1.5), sent)
+    plan = jv.transport.radiosity.plan_patches(jv.Scene([FLOOR], [LAMP]), size=4.0)
+    bright = jv.Scene([replace(FLOOR, material=jv.Lambert([1.0]))], [LAMP])
+    with pytest.warns(UserWarning, match=r"surfaces\[0\] reflects 3.142 times the light"):
+        jv.transport.radiosity.radiosity(bright, plan)
+
+
+def test_shapes_far_from_the_origin_are_named_by_python_too():
+    east = np.array([1e5, 1e5, 0])
+    view = replace(BELOW, position=jnp.asarray(BELOW.position + east, jnp.float32))
+    ball = jv.as_dtype(jv.Sphere(east, 1.0), "float32")
+    scene = jv.as_dtype(jv.Scene([jv.Surface(ball, GREY)], [LAMP]), "float32")
+    view = jv.as_dtype(view, "float32")
+    ray = jv.as_dtype(jv.Ray(east + np.array([0, 0, 5]), [0.0, 0, -1]), "float32")
+    words = r"Sphere lies up to 1e\+05 m from the origin, .* float32 are 0.0078 m apart"
+    for call in (
+        lambda: jv.intersect(ray, ball),
+        lambda: jv.render(scene, view),
+        lambda: ray_traced(scene, view),
+        lambda: path_traced(jax.random.key(0), scene, view, method=Paths(1, 2)),
+        lambda: light_traced(jax.random.key(0), scene, view, paths=4, depth=2),
+    ):
+        with pytest.warns(UserWarning, match=words) as said:
+            call()
+        assert [one.filename for one in said] == [__file__]

@@ -15,6 +15,7 @@ from ...core._vector import Vec
 from ...geometry import Sorted
 from ...lights import Quadrature, Rule, rules_of
 from ...scene import Quad, Scene
+from .._scene_warnings import warn_of_scene
 from ._grid import Plan, parents_of
 from ._receivers import mean_of_parts, receivers_of
 from ._sources import (
@@ -83,6 +84,7 @@ def radiosity(
             where there is a function.
     """
     # a function of the caller's may give something else at each call: no program is kept of it
+    warn_of_scene(scene)
     solve = _solved if callable(table) else _solved_by_table
     return solve(scene, plan, table, rule, method, rays)
 

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ...core._arguments import takes_numbers
+from ...core._arguments import in_range, takes_numbers
 from ...core._loops.fusion import one_program
 from ...core._numerics import divide, or_one
-from ...core._types import Scalar, as_float, check_choice, check_shape, print_by_name
+from ...core._types import Range, Scalar, as_float, check_choice, check_shape, print_by_name
 
 if TYPE_CHECKING:
     import lineax
@@ -27,11 +27,13 @@ PatchSpectra = Float[Array, "patches bands"]
 Table = Float[Array, "patches patches"]
 Product = Callable[[PatchSpectra], PatchSpectra]
 print_by_name(globals(), "PatchSpectra", "Table")
+_ALBEDO = Range(0, 1 + 1e-4, nan=True)  # pi k_d, rounded; above 1 there is no solution
 # radiosity, unshot, shots, and whether to go on
 State = tuple[PatchSpectra, PatchSpectra, Int[Array, ""], Bool[Array, ""]]
 
 
 @takes_numbers
+@in_range(albedo=_ALBEDO)
 def solve_radiosity(
     table: Table | Product,
     albedo: PatchSpectra,
@@ -68,7 +70,7 @@ def solve_radiosity(
 
     Raises:
         ValueError: for an unknown method, or one that needs the table itself; for a table that is
-            not square.
+            not square; for an albedo above 1, in this and the functions below.
 
     Example:
         Two patches that see only each other, albedo 1/2, one emitting 3: B = (4, 2).
@@ -138,6 +140,7 @@ def _without_table(
 
 
 @takes_numbers
+@in_range(albedo=_ALBEDO)
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
     """B after a number of reflections: the first terms of the Neumann series, as a path tracer of
     that depth sees them.
@@ -160,6 +163,8 @@ def _bounced(table: Table, albedo: PatchSpectra, sent: PatchSpectra, count: int)
     return jax.lax.fori_loop(0, count, once, sent)
 
 
+@takes_numbers
+@in_range(albedo=_ALBEDO)
 def shoot(
     table: Table,
     albedo: PatchSpectra,
@@ -239,6 +244,7 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
 
 
 @takes_numbers
+@in_range(albedo=_ALBEDO)
 def ambient_estimate(
     albedo: PatchSpectra, unshot: PatchSpectra, area: Float[Array, " patches"]
 ) -> PatchSpectra:

@@ -1,0 +1,62 @@
+"""Scenes that no picture of bounced light can be right of: materials that reflect more than they
+receive, and shapes that rounding deforms.
+
+A `diffuse` above 1 / pi is accepted where light is reflected once, as a fit may use any unit of
+light; where it is reflected again, no unit makes that right.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..brdf import albedo, suprema
+from ..core._bounds import Angles, Ends
+from ..core._loops.fusion import one_program
+from ..core._types import Colour, common_dtype, is_known
+from ..core._warnings import warn_caller
+from ..geometry.checks import warn_if_coarse
+from ..scene import Material, Scene
+
+_ROUNDING = 1e-4  # of an albedo of 1, and of its quadrature
+
+
+def warn_of_scene(scene: Scene) -> None:
+    """Warns of a shape that rounding deforms where it lies, or of the first surface that reflects
+    more light than it receives along its normal. Only known numbers are looked at."""
+    warn_if_coarse(*(surface.shape for surface in scene.surfaces))
+    for i, surface in enumerate(scene.surfaces):
+        if not all(map(is_known, jax.tree.leaves(surface.material))):
+            continue
+        if (reflected := _reflected(surface.material)) > 1 + _ROUNDING:
+            warn_caller(
+                f"Scene.surfaces[{i}] reflects {reflected:.4g} times the light that it receives "
+                "along its normal, and light that bounces grows; give an albedo of at most 1 "
+                "(k_d is albedo / pi)."
+            )
+            return
+
+
+def _reflected(material: Material) -> float:
+    """The largest albedo of any band along the normal: a bound where that is at most 1."""
+    found = suprema(Ends(material, material))
+    most = np.pi * found.body
+    if found.lobe is not None:
+        theta = np.pi / 2 * np.linspace(0, 1, 513) ** 4  # dense about the mirror's direction
+        one = np.ones_like(theta)[None]
+        half = np.cos(theta / 2)[None]
+        lobe = found.lobe.most(Angles(theta[None], half, half, np.cos(theta)[None], one, one))
+        most = most + found.lobe.spectrum * np.trapezoid(2 * np.pi * np.sin(theta) * lobe[0], theta)
+    if found.mirror is not None:
+        most = most + found.mirror
+    if not np.max(most) > 1 + _ROUNDING:
+        return float(np.max(most))
+    if found.mirror is not None:
+        return float(np.max(found.mirror))
+    return float(np.max(_along_normal(material)))
+
+
+@one_program
+def _along_normal(material: Any) -> Colour:
+    return albedo(material, jnp.asarray([0, 0, 1], common_dtype(material)))
