@@ -101,7 +101,7 @@ def _processing(calibration: NoiseCalibration) -> list[str]:
         return []
     return [
         *told,
-        "No sensor file is written: it would pass what these files went through for the camera.",
+        "No sensor file is written: it would describe how these files were processed.",
     ]
 
 
@@ -123,10 +123,10 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
         return []
     return [
         f"The quantum efficiency comes out at {100 * (calibration.efficiency or 0):.3g} %, which "
-        "no sensor has: either photons are stated too low (give photons per pixel and exposure, "
-        "not per area or second), or the images were averaged, denoised, compressed, smoothed or "
-        "interpolated, which lowers the variance and the gain read off it; give raw frames. No "
-        "sensor is made from it."
+        "no sensor has. Either photons are stated too low (give photons per pixel and exposure, "
+        "not per area or second). Or the images were averaged, denoised, compressed, smoothed or "
+        "interpolated, which lowers their variance and so the gain: give raw frames. No sensor is "
+        "made from it."
     ]
 
 
@@ -138,9 +138,9 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
     if converter.coarse_from is not None:
         used = float(measurement.bright.mean[calibration.usable[-1]])
         told.append(
-            "The likelihood uses the levels below; the standard's figures are of both."
+            "The likelihood uses the levels below. The standard's figures use both."
             if used < converter.coarse_from
-            else "Too few levels lie below, so that all figures are of both."
+            else "Too few levels lie below, so all figures use both."
         )
     read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
     if converter.imbalance and read is not None and read.value and read.standard_error:
@@ -150,8 +150,8 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
         if moved > read.standard_error / 2:
             told.append(
                 f"Even and odd codes differ by {100 * converter.imbalance:.2g} % in how often they "
-                "occur, as where the converter's steps are unequal; rounding counts as theirs, "
-                f"which lowers read noise by {moved:.2g} e⁻."
+                "occur, as where the converter's steps are unequal. The rounding error is that of "
+                f"these steps, which lowers the read noise by {moved:.2g} e⁻."
             )
     return told
 
@@ -161,7 +161,7 @@ def _of_likelihood(calibration: NoiseCalibration) -> list[str]:
         why = calibration.no_likelihood.rstrip(".")
         return [
             f"Maximum likelihood gives no figures: {why[:1].lower()}{why[1:]}. The standard's "
-            "regressions need no maximum; their figures stand, with errors by their scatter."
+            "regressions need no maximum. Their figures stand, with errors from their scatter."
         ]
     return [*_linearity(calibration), *_random_effects(calibration)]
 
@@ -170,8 +170,8 @@ def _linear_model(calibration: NoiseCalibration) -> str:
     if calibration.linear.data.shared is None:
         return "A linear camera with pixel noise only"
     return (
-        "A linear camera with pixel noise, and noise that rows, columns or frames of the darks "
-        "share,"
+        "A linear camera with pixel noise, and with noise shared by rows, columns or frames of the "
+        "darks,"
     )
 
 
@@ -185,7 +185,7 @@ def _misfit(calibration: NoiseCalibration) -> list[str]:
     return [
         f"{_linear_model(calibration)} does not explain the measurement (chi-square is "
         f"{linear.chi_square:.3g} with {linear.degrees} degrees of freedom). Its gain{moved} and "
-        "the small error that it would claim are not used."
+        "its small error are not used."
     ]
 
 
@@ -218,26 +218,25 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
         share, error = _shown(calibration, "brighter_fatter")
         own, own_error = own_area_change(chosen)
         told.append(
-            "The variance flattens with light more than the mean does: at the brightest level used "
-            f"charges that repel each other (the brighter-fatter effect) take "
-            f"{format_with_error(100 * share, 100 * error)} % of it, "
+            "The variance flattens with light more than the mean does. Charges that repel each "
+            "other (the brighter-fatter effect) take "
+            f"{format_with_error(100 * share, 100 * error)} % of it at the brightest level used: "
             f"a₀₀ = ({format_with_error(own * 1e6, own_error * 1e6)}) · 10⁻⁶ per electron."
         )
         told.append(
-            "The covariances of its neighbours, which a compression does not raise, were fitted "
-            "with it: variance and covariances add up to the noise of independent electrons."
+            "The covariances of neighbours, which a compression does not raise, were fitted with "
+            "it. Variance and covariances add up to the noise of independent electrons."
             if are_known(chosen.data.neighbours)
-            else "Only the shape of the variance tells it from a wrong gain: covariances of "
-            "neighbouring pixels are not known from a table, in a mosaic, or under noise that rows "
-            "or columns share; give the frames of a monochrome camera in a rig."
+            else "Only the shape of the variance distinguishes it from a wrong gain. Covariances "
+            "of neighbouring pixels would too, but a table, a mosaic, or noise shared by rows or "
+            "columns does not show them. Give the frames of a monochrome camera in a rig."
         )
     if "pixel_mixing" in chosen.values:
         share, error = _shown(calibration, "pixel_mixing")
         told.append(
             f"Neighbouring pixels share {format_with_error(100 * share, 100 * error)} % of the "
-            "signal's variance in proportion to light, as capacitance between pixels or "
-            "interpolation does behind the counting: the variance alone would give a gain too "
-            "small by that share."
+            "signal's variance in proportion to light, as by capacitance between pixels or by "
+            "interpolation. The variance alone would give a gain too small by that share."
         )
     return told
 
@@ -255,11 +254,11 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
     return [
         f"The camera is not linear: the gain {way} by {100 * abs(drop):.2g} % from zero signal to "
         f"the brightest level used{significance}.",
-        "So the two gains answer different questions: "
-        f"K = {format_with_error(gain, error)} DN/e⁻ holds at zero signal, the "
+        "So the two gains answer different questions. "
+        f"K = {format_with_error(gain, error)} DN/e⁻ holds at zero signal. The "
         f"standard's {float(standard.values['system_gain']):.5f} is a mean slope up to 70 % of "
-        "saturation, weighted towards its upper end; put through the standard's own "
-        f"regression, the fitted curves give {calibration.likelihood.standard_of_chosen:.5f}.",
+        "saturation, weighted towards its upper end. The standard's regression of the fitted "
+        f"curves gives {calibration.likelihood.standard_of_chosen:.5f}.",
     ]
 
 
@@ -309,8 +308,8 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     if "light_scatter" in values:
         scatter, error = _shown(calibration, "light_scatter")
         told.append(
-            "From level to level the light is off by "
-            f"{format_with_error(100 * scatter, 100 * error)} % rms from what is recorded."
+            "From level to level the light differs from the recorded one by "
+            f"{format_with_error(100 * scatter, 100 * error)} % rms."
         )
         told += printed_times_in_words(calibration.measurement, calibration.usable)
     if "black_scatter" in values:
@@ -319,13 +318,13 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
         noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
         told.append(
             f"The black level wanders by {format_with_error(wander, error)} DN rms from level to "
-            f"level, {wander / noise:.0f} times what pixel noise does to its mean."
+            f"level, {wander / noise:.0f} times as much as pixel noise moves its mean."
         )
     if "variance_scatter" in values:
         scatter, error = _shown(calibration, "variance_scatter")
         expected = float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1)))))
         known = calibration.linear.data.shared is not None
-        shared = ", as noise does that rows, columns or whole frames share" if known else ""
+        shared = ", as by noise shared by rows, columns or whole frames" if known else ""
         told.append(
             f"Variances scatter by {format_with_error(100 * scatter, 100 * error)} % rms beyond "
             f"the {100 * expected:.2g} % of independent pixels{shared}."
@@ -333,13 +332,13 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     chosen = calibration.chosen
     if chosen.inflation > 1:
         told.append(
-            "What is left is still beyond chance: chi-square per degree of freedom "
+            "The rest is still beyond chance: chi-square per degree of freedom is "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
             f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
         )
     elif chosen is not calibration.linear:
         told.append(
-            "With that, nothing is left to explain: chi-square per degree of freedom "
+            "Nothing else is left to explain: chi-square per degree of freedom is "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."
         )
     return told
@@ -352,8 +351,8 @@ def _standard_scatter(calibration: NoiseCalibration) -> list[str]:
     if not larger:
         return []
     return [
-        "The standard's regressions scatter more than pixel noise can; the errors of its figures "
-        f"allow for it by these factors: {', '.join(larger)}."
+        "The standard's regressions scatter more than pixel noise explains. The errors of its "
+        f"figures are multiplied by: {', '.join(larger)}."
     ]
 
 
@@ -363,9 +362,9 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
     if window is not None:
         count = len(np.unique(window.levels))
         told.append(
-            "Black is clipped or read noise is too small to smooth the rounding: at "
+            "Black is clipped, or read noise is too small to smooth the rounding. At "
             f"{count} level{'s' * (count > 1)} the likelihood uses the exact moments of the "
-            "clipped, rounded signal; the standard's figures are biased there."
+            "clipped, rounded signal. The standard's figures are biased there."
         )
     least = least_dark_variance(calibration.measurement)
     dark = calibration.measurement.dark
@@ -374,13 +373,13 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
     if float(np.min(np.asarray(dark.variance))) > least:
         told.append(
             f"The line through the variances of the darks over their exposure begins below "
-            f"{least:.3g} DN², though none of them is: they lie on no line, and of dark noise the "
-            "standard gives an upper bound."
+            f"{least:.3g} DN², though none of them is below it. They lie on no line, so the "
+            "standard gives an upper bound on dark noise."
         )
     else:
         told.append(
-            f"Dark variance is below {least:.3g} DN², where rounding rules: of dark noise the "
-            "standard gives an upper bound."
+            f"Dark variance is below {least:.3g} DN², where rounding dominates. The standard gives "
+            "an upper bound on dark noise."
         )
     return told
 
@@ -390,15 +389,15 @@ def _saturation(calibration: NoiseCalibration) -> list[str]:
     if within.saturation is None or within.saturation_width is None:
         which = "No level that is left" if calibration.measurement.bright.left_out else "No level"
         return [
-            f"{which} saturates the camera, so nothing that needs its capacity is determined, and "
-            "the ranges of the standard end at the brightest level; add brighter flats."
+            f"{which} saturates the camera, so no figure that needs its capacity is determined. "
+            "The ranges of the standard end at the brightest level. Add brighter flats."
         ]
     unit = "photons" if calibration.measurement.photons_known else "s"
     level, width = float(within.saturation), float(within.saturation_width)
     return [
-        f"Saturation is the level of largest variance, {format_within(level, width)} {unit}; the "
-        f"true point lies between its neighbours, {format_within(width, width)} {unit} apart, "
-        "which is most of the error of every capacity."
+        f"Saturation is the level of largest variance, {format_within(level, width)} {unit}. The "
+        f"true point lies between its neighbours, {format_within(width, width)} {unit} apart. "
+        "That is most of the error of every capacity."
     ]
 
 
@@ -423,9 +422,9 @@ def _glow(calibration: NoiseCalibration) -> list[str]:
     return [
         f"Without light the frames are smoothly uneven, by {uneven[long]:.3g} DN rms at "
         f"{exposure[long]:.3g} s and {uneven[short]:.2g} DN at {exposure[short]:.3g} s, where "
-        f"their mean is {rise:.3g} DN lower: light leaks in, the read-out glows, or the sensor is "
-        "warmer at one side. It counts as dark current and DSNU, which are then not the pixels' "
-        "own; cover the camera, or calibrate a region (camera.region) that is even."
+        f"their mean is {rise:.3g} DN lower. Light leaks in, the read-out glows, or the sensor is "
+        "warmer at one side. It counts as dark current and DSNU, which are then not those of the "
+        "pixels. Cover the camera, or calibrate a region (camera.region) that is even."
     ]
 
 
@@ -439,14 +438,14 @@ def _dark_current(calibration: NoiseCalibration) -> list[str]:
         return []
     if float(np.asarray(calibration.standard.misfit.factors)[1]) > 1:
         return [
-            f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
-            "whose levels scatter about a line over exposure more than noise does: that figure is "
-            "no dark current."
+            f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance. The "
+            "variances scatter about a line over exposure more than noise explains, so the second "
+            "figure is no dark current."
         ]
     return [
         f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
-        f"{abs(mean - variance) / error:.1f} standard errors apart: a black level that is "
-        "compensated for dark current shows it in the variance only."
+        f"{abs(mean - variance) / error:.1f} standard errors apart. A camera that subtracts dark "
+        "current from its black level shows it in the variance only."
     ]
 
 
@@ -456,8 +455,8 @@ def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
     if any(abs(float(values[name])) > FAR * float(errors[name]) for name in names):
         return []
     return [
-        "The standard's linearity errors are extremes of noisy deviations and lie within their own "
-        "noise: they bound the camera's non-linearity and do not measure it."
+        "The standard's linearity errors are extremes of noisy deviations, and lie within their "
+        "own noise. They bound the camera's non-linearity and do not measure it."
     ]
 
 
@@ -478,8 +477,8 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
             told.append(
                 f"The {name} of a dark frame share noise of "
                 f"{format_with_error(found.deviation / scale, error / scale)} {unit} rms, new in "
-                f"every frame: it is part of the temporal noise ({read / scale:.3g} {unit}), of "
-                f"which the pixels' own is {rest / scale:.3g} {unit}."
+                f"every frame. It is part of the temporal noise ({read / scale:.3g} {unit}). The "
+                f"noise of single pixels is {rest / scale:.3g} {unit}."
             )
     for stays, name in zip(unequal_offsets(dark), ("rows", "columns"), strict=False):
         if stays.believed:
@@ -501,8 +500,8 @@ def _drift(calibration: NoiseCalibration) -> list[str]:
     if not wander.believed or fades:
         return []
     return [
-        f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms; it is "
-        "left out of the temporal noise, and the errors of the levels' means know of it."
+        f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms. The "
+        "temporal noise does not contain it. The errors of the levels' means do."
     ]
 
 
@@ -520,8 +519,8 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
     measurement, level = calibration.measurement, standard.level
     told = [
         f"PRNU by the standard is from {float(measurement.bright.frames[level]):.0f} frames at "
-        f"{float(measurement.bright.mean[level]):.0f} DN; by the fit from all levels; uneven light "
-        "counts as PRNU in both."
+        f"{float(measurement.bright.mean[level]):.0f} DN. By the fit it is from all levels. Uneven "
+        "light counts as PRNU in both."
     ]
     for axis, name in enumerate(("rows", "columns") if measurement.bright.shared else ()):
         found = unequal_gains(measurement, calibration.usable, axis)
@@ -534,8 +533,8 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
     if fitted.p_value is not None and fitted.p_value < MISFIT:
         told.append(
             "The pattern does not grow with signal as offsets and gains of pixels do: chi-square "
-            f"per degree of freedom {fitted.chi_square_per_dof:.3g} ({format_p(fitted.p_value)}); "
-            "the errors of the fit allow for it."
+            f"per degree of freedom is {fitted.chi_square_per_dof:.3g} "
+            f"({format_p(fitted.p_value)}). The errors of the fit allow for it."
         )
     return told
 
@@ -550,5 +549,5 @@ def _solver(calibration: NoiseCalibration) -> list[str]:
     )
     told = list(judged.sentences)
     if not bool(chosen.solution.converged):
-        told.insert(0, "The likelihood fit did not converge; its figures are not to be used.")
+        told.insert(0, "The likelihood fit did not converge. Do not use its figures.")
     return [*told, convergence_in_words(calibration.posterior)]

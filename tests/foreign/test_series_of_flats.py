@@ -57,7 +57,7 @@ def test_light_that_leaks_is_named_by_darks_that_become_uneven():
     # Of t s the leak has a standard deviation of K t std(leak).
     uneven = float(told.split("by ")[1].split()[0])
     assert abs(uneven / (K * leak.std()) - 1) < 0.02
-    assert "light leaks in" in told
+    assert "Light leaks in" in told
 
 
 def test_dark_current_of_hot_and_unequal_pixels_is_no_light_that_leaks():

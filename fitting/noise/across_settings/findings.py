@@ -288,7 +288,7 @@ FINDINGS = (
     Finding(
         "not converged",
         lambda c: not c.fit.fit.optimum.stationary,
-        "The fit did not converge; its figures are not to be used.",
+        "The fit did not converge. Do not use its figures.",
     ),
     Finding("posterior", lambda c: {"told": convergence_in_words(c.posterior)}, "{told}"),
 )
