@@ -303,3 +303,46 @@ def test_warnings_name_the_file(tmp_path):
     mitsuba_pictures.write_scenes(tmp_path)
     with pytest.warns(UserWarning, match=r"metals\.xml: .*facets hide each other"):
         read_scene(tmp_path / "metals.xml")
+
+
+def test_clipping_planes_that_are_not_used_are_named(tmp_path):
+    box = '<film type="hdrfilm"><rfilter type="box"/></film><float name="fov" value="40"/>'
+    direct = '<integrator type="direct"/>'
+    for clips, count in (
+        ('<float name="near_clip" value="2"/><float name="far_clip" value="5"/>', 1),
+        ('<float name="near_clip" value="0.01"/><float name="far_clip" value="10000"/>', 0),
+        ("", 0),
+    ):
+        sensor = f'<sensor type="perspective">{box}{clips}</sensor>'
+        away = '<shape type="sphere"><point name="center" x="0" y="0" z="5"/></shape>'
+        text = f'<scene version="3.0.0">{sensor}{direct}{away}<emitter type="constant"/></scene>'
+        (tmp_path / "a.xml").write_text(text)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            read_scene(tmp_path / "a.xml")
+        assert ["near_clip and far_clip are not used" in str(w.message) for w in said] == count * [
+            True
+        ]
+
+
+def test_a_black_body_shines_by_plancks_law(tmp_path):
+    """h, c and k of the SI; per nm, as a table of wavelengths in nm gives it."""
+    nm = np.arange(360.0, 831.0)
+    planck = 2 * 6.62607015e-34 * 299792458.0**2 / (nm * 1e-9) ** 5
+    planck /= np.expm1(6.62607015e-34 * 299792458.0 / (nm * 1e-9 * 1.380649e-23 * 5000))
+    table = ",".join(f"{a:g}:{1e-9 * b:.9g}" for a, b in zip(nm, planck, strict=True))
+    lights = [
+        '<emitter type="constant"><spectrum type="blackbody" name="radiance">'
+        '<float name="temperature" value="5000"/></spectrum></emitter>',
+        f'<emitter type="constant"><spectrum name="radiance" value="{table}"/></emitter>',
+    ]
+    away = '<shape type="sphere"><point name="center" x="0" y="0" z="50"/></shape>'
+    body, by_table = (
+        read(tmp_path, SENSOR, away, light).scene.lights[0].radiance.ravel() for light in lights
+    )
+    np.testing.assert_allclose(body, by_table, rtol=1e-4)
+    assert 5e3 < body[0] < 2e4
+    with pytest.raises(InputError, match=r"radiance is a spectrum \(type 'd65'\), which is not"):
+        read(tmp_path, SENSOR, away, lights[0].replace("blackbody", "d65"))
+    with pytest.raises(InputError, match="needs a temperature above 0 K"):
+        read(tmp_path, SENSOR, away, lights[0].replace("5000", "0"))

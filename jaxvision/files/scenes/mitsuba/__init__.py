@@ -7,8 +7,9 @@
     integrators path, volpath and direct (as paths), ptracer
 
 Values: float, integer, boolean, string, vector, point, rgb and spectrum, transforms, `<default>`,
-`<ref>`, `<alias>` and `<include>`. Colours are those of Mitsuba's RGB variants. Unsupported parts
-are refused by name and never dropped. A warning names small differences.
+`<ref>`, `<alias>` and `<include>`; lights take blackbody. Colours are those of Mitsuba's RGB
+variants. Unsupported parts are refused by name and never dropped. A warning names small
+differences.
 """
 
 import warnings

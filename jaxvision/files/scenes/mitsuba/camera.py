@@ -11,7 +11,8 @@ from .transforms import Affine, keeps_shape, lengths_of_axes, mirrors
 
 SENSORS = ("perspective", "thinlens", "orthographic")
 _DIAGONAL = float(np.hypot(36, 24))  # mm, of the film to which `focal_length` refers
-_UNUSED = ("near_clip", "far_clip", "shutter_open", "shutter_close")
+_CLIPS = {"near_clip": 1e-2, "far_clip": 1e4}  # m, where Mitsuba has them if nothing is given
+_UNUSED = (*_CLIPS, "shutter_open", "shutter_close")
 
 
 def camera_of(node: Node) -> tuple[dict[str, Any], int]:
@@ -41,6 +42,12 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
     for name in ("principal_point_offset_x", "principal_point_offset_y"):
         if kind != "orthographic" and node.take(name, float, 0.0):
             raise InputError(f"{node.label}: {name} is not read, only 0; centre the picture.")
+    if any(name in node.values and node.values[name] != usual for name, usual in _CLIPS.items()):
+        warnings.warn(
+            f"{node.label}: near_clip and far_clip are not used; what lies nearer or farther is "
+            "seen too.",
+            stacklevel=2,
+        )
     node.must_be_read(tags=("film", "sampler"), without=_UNUSED)
     return made, count
 

@@ -38,6 +38,13 @@ class Table:
     pairs: tuple[tuple[float, float], ...]
 
 
+@dataclass(frozen=True)
+class Blackbody:
+    """Planck's spectrum, W m^-2 sr^-1 per nm, of a temperature in K."""
+
+    kelvin: float
+
+
 @dataclass
 class Node:
     """An object of the file. An element that is never taken is unknown here, and an error.
@@ -180,7 +187,9 @@ class _Reader:
                     steps = [(step.tag, self._attributes(step)) for step in child]
                     with_name = f"{label}: {given.get('name', 'transform')}"
                     made.values[given.get("name", "")] = transform_of(steps, with_name)
-                case tag if tag in _PLAIN:
+                case "spectrum" if given.get("type") == "blackbody":
+                    made.values[given.get("name", "")] = self._blackbody(child, label, given)
+                case tag if tag in _PLAIN and "type" not in given:
                     name = given.get("name", "")
                     made.values[name] = self._value(tag, given, f"{label}: {name}")
                 case tag:
@@ -263,6 +272,14 @@ class _Reader:
                 return np.asarray(
                     [_numbers(given.get(axis, "0"), place, (1,))[0] for axis in "xyz"]
                 )
+
+    def _blackbody(self, element: xml.Element, label: str, given: Mapping[str, str]) -> Blackbody:
+        body = self.node(element, f"{label}: {given.get('name', '')}")
+        kelvin = body.take("temperature", float)
+        if kelvin is None or kelvin <= 0:
+            raise InputError(f"{body.label}: needs a temperature above 0 K.")
+        body.must_be_read()
+        return Blackbody(kelvin)
 
     def _spectrum(self, given: Mapping[str, str], place: str) -> Flat | Table:
         if "filename" in given:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from ....errors import InputError
-from .document import Colour, Flat, Node, Table
+from .document import Blackbody, Colour, Flat, Node, Table
 
 SPECTRUM = (Colour, Flat, Table, float)
 
@@ -19,8 +19,11 @@ def reflectance_of(node: Node, name: str, otherwise: float) -> Any:
 
 def light_of(node: Node, name: str, otherwise: float) -> Any:
     """Return a radiance, an intensity or an irradiance by its name. A flat spectrum has equal
-    energy, which is not the white of sRGB. If nothing is given, Mitsuba uses the white of sRGB."""
-    match node.take(name, SPECTRUM, otherwise):
+    energy, which is not the white of sRGB. If nothing is given, Mitsuba uses the white of sRGB. Its
+    RGB variants refuse black bodies; here they are those of its spectral variants, per nm."""
+    match node.take(name, (*SPECTRUM, Blackbody), otherwise):
+        case Blackbody(kelvin):
+            return {"blackbody": kelvin, "scale": 1e-9}
         case Table(pairs):
             return {"pairs": [list(pair) for pair in pairs]}
         case Flat(value):
