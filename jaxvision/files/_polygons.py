@@ -82,9 +82,9 @@ def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 def obj_in_triangles(text: str) -> str | None:
     """An OBJ whose polygons are cut into triangles; None where all of them are convex."""
-    if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", text, re.MULTILINE):
-        return None
     joined = text.replace("\\\r\n", " ").replace("\\\n", " ")
+    if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", joined, re.MULTILINE):
+        return None
     lines = joined.splitlines()
     vertices, places, polygons = [], [], []
     for place, line in enumerate(lines):

@@ -136,3 +136,12 @@ def test_what_stands_beside_the_corners_of_a_text_ply_is_passed_over(tmp_path, p
     rows = ["0 0 0", "2 0 0", "2 2 0", "0 2 0", row.format("3 0 1 2"), row.format("3 0 2 3")]
     (tmp_path / "a.ply").write_text(head + "\n".join(rows) + "\n")
     np.testing.assert_allclose(areas(read_mesh(tmp_path / "a.ply")), 4)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_face_over_two_lines_is_covered_once(tmp_path, end):
+    """A square of 2 m less a triangle of 1.5 m^2; no line alone holds four corners."""
+    file = tmp_path / "a.obj"
+    lines = ["v 0 0 0", "v 2 0 0", "v 2 2 0", "v 1 .5 0", "v 0 2 0", "f 1 2 \\", " 3 4 5", ""]
+    file.write_bytes(end.join(lines).encode())
+    np.testing.assert_allclose(areas(read_mesh(file)), 2.5)
