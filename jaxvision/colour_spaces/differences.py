@@ -30,7 +30,8 @@ def delta_e_76(lab: Colours, other: Colours) -> Scalars:
 def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     """The CIEDE2000 colour difference; the gradient is 0 between equal colours.
 
-    Discontinuous, as published, between colours of opposite hue.
+    Discontinuous, as published, between colours of opposite hue. Hues of exactly opposite (a, b)
+    count as 180 degrees apart, which rounding of the hues does not decide.
 
     Args:
         lab: (..., 3) Lab, no unit.
@@ -57,6 +58,7 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     # c2 - c1 and 2 sqrt(c1 c2) sin((h2 - h1) / 2) come from the differences of a and b: those of
     # chroma and hue would hold the rounding of the colours themselves
     d_l, d_a, d_b = l2 - l1, (1 + g) * (a2 - a1), b2 - b1
+    opposite = (a1 * b2 == a2 * b1) & (a1 * a2 + b1 * b2 < 0)
     a1, a2 = (1 + g) * a1, (1 + g) * a2
     c1, c2 = chroma_of(a1, b1), chroma_of(a2, b2)
     h1, h2 = hue_angle(a1, b1), hue_angle(a2, b2)
@@ -64,12 +66,12 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     d_c = divide(d_a * (a1 + a2) + d_b * (b1 + b2), c1 + c2, ~grey, c2 - c1)
     roots = or_one(c1, hued) ** 0.5, or_one(c2, hued) ** 0.5
     turn = h2 - h1
-    turn = turn - jnp.where(jnp.abs(turn) > jnp.pi, 2 * jnp.pi * jnp.sign(turn), 0)
+    apart = (jnp.abs(turn) > jnp.pi) & ~opposite
+    turn = turn - jnp.where(apart, 2 * jnp.pi * jnp.sign(turn), 0)
     towards = as_vec(normalize(Vec(a1, b1, jnp.zeros_like(b1))))
     d_h = jnp.where(hued, _hue_difference(roots, towards, (d_a, d_b), turn), 0)
 
     mean_l, mean_c, mean_h = (l1 + l2) / 2, (c1 + c2) / 2, (h1 + h2) / 2
-    apart = jnp.abs(h1 - h2) > jnp.pi
     mean_h = mean_h + jnp.where(apart, jnp.where(mean_h < jnp.pi, jnp.pi, -jnp.pi), 0)
     mean_h = jnp.where(hued, mean_h, h1 + h2)
     t = (

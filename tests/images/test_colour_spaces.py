@@ -149,6 +149,14 @@ SHARMA = np.array(
         [50, 2.6772, -79.7751, 50, 0, -82.7485, 2.0425],
         [50, 3.1571, -77.2803, 50, 0, -82.7485, 2.8615],
         [50, 2.8361, -74.0200, 50, 0, -82.7485, 3.4412],
+        [50, -1, 2, 50, 0, 0, 2.3669],
+        [50, 2.49, -0.001, 50, -2.49, 0.0009, 7.1792],
+        [50, 2.49, -0.001, 50, -2.49, 0.001, 7.1792],
+        [50, 2.49, -0.001, 50, -2.49, 0.0011, 7.2195],
+        [50, 2.49, -0.001, 50, -2.49, 0.0012, 7.2195],
+        [50, -0.001, 2.49, 50, 0.0009, -2.49, 4.8045],
+        [50, -0.001, 2.49, 50, 0.001, -2.49, 4.8045],
+        [50, -0.001, 2.49, 50, 0.0011, -2.49, 4.7461],
         [50, 2.5, 0, 50, 0, -2.5, 4.3065],
         [50, 2.5, 0, 73, 25, -18, 27.1492],
         [50, 2.5, 0, 58, 24, 15, 19.4535],
@@ -161,6 +169,29 @@ SHARMA = np.array(
 def test_delta_e_2000_as_published():
     ours = run(cs.delta_e_2000, SHARMA[:, :3], SHARMA[:, 3:6])
     np.testing.assert_allclose(ours, SHARMA[:, 6], atol=5e-5)
+
+
+def test_delta_e_2000_of_exactly_opposite_hues_averages_them():
+    """Of any hue, as the published formula has it for a difference of 180 degrees."""
+    first = np.column_stack([np.full(200, 50.0), RNG.uniform(-60, 60, (200, 2))])
+    second = first * [1, -0.5, -0.5]  # halves are exact
+    same(run(cs.delta_e_2000, first, second), [opposite_by_degrees(*one) for one in first])
+
+
+def opposite_by_degrees(lightness, a, b):
+    """CIEDE2000 of (L, a, b) and (L, -a / 2, -b / 2), L = 50, from the paper's equations."""
+    chroma = 0.75 * np.hypot(a, b)
+    g = 0.5 * (1 - np.sqrt(chroma**7 / (chroma**7 + 25.0**7)))
+    whole = np.hypot((1 + g) * a, b)
+    hue = np.degrees(np.arctan2(b, (1 + g) * a)) % 360
+    mean_hue, mean_chroma = hue + (90 if hue < 180 else -90), 0.75 * whole
+    cos = {n: np.cos(np.radians(n * mean_hue + off)) for n, off in ((2, 0), (3, 6), (4, -63))}
+    t = 1 - 0.17 * np.cos(np.radians(mean_hue - 30)) + 0.24 * cos[2] + 0.32 * cos[3] - 0.2 * cos[4]
+    s_c, s_h = 1 + 0.045 * mean_chroma, 1 + 0.015 * mean_chroma * t
+    turned = 2 * 30 * np.exp(-(((mean_hue - 275) / 25) ** 2))
+    r_t = -2 * np.sqrt(mean_chroma**7 / (mean_chroma**7 + 25.0**7)) * np.sin(np.radians(turned))
+    c, h = -0.5 * whole / s_c, 2 * np.sqrt(0.5) * whole * (1 if hue < 180 else -1) / s_h
+    return np.sqrt(c * c + h * h + r_t * c * h)
 
 
 def test_delta_e_as_colour_science():
