@@ -81,8 +81,8 @@ def interpolate_spectrum(
         (..., wanted) in the unit of `values`.
 
     Raises:
-        ValueError: an unknown option, too few bands, or known wavelengths that do not ascend or
-            are no lengths in m.
+        ValueError: an unknown option, too few bands, values of another number of bands, known
+            wavelengths that do not ascend, or wavelengths in another unit than m.
     """
     bands = known.shape[0]
     least = {"linear": 2, "sprague": 6}
@@ -92,8 +92,14 @@ def interpolate_spectrum(
         raise ValueError(
             f"{method} interpolation needs at least {least[method]} bands, got {bands}."
         )
-    if is_known(known):
-        require_metres("interpolate_spectrum: known", np.asarray(known))
+    if values.shape[-1:] != (bands,):
+        raise ValueError(
+            f"values must have one number for each of the {bands} known wavelengths along its last "
+            f"axis, got shape {values.shape}."
+        )
+    for name, given in (("known", known), ("wanted", wanted)):
+        if is_known(given):
+            require_metres(f"interpolate_spectrum: {name}", np.asarray(given))
     _check_ascending("interpolate_spectrum: known", known)
     interval = jnp.clip(jnp.searchsorted(known, wanted, side="right") - 1, 0, bands - 2)
     start, end = known[interval], known[interval + 1]

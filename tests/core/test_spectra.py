@@ -151,6 +151,10 @@ def test_bad_interpolation_is_named():
         spectra.interpolate_spectrum(values, grid, grid, method="cubic")
     with pytest.raises(ValueError, match="sprague interpolation needs at least 6 bands, got 5"):
         spectra.interpolate_spectrum(values, grid, grid, method="sprague")
+    with pytest.raises(ValueError, match=r"each of the 5 known wavelengths .* shape \(3,\)"):
+        spectra.interpolate_spectrum(values[:3], grid, grid)
+    with pytest.raises(ValueError, match="wanted is in metres, got 600; 550 nm are 550e-9"):
+        spectra.interpolate_spectrum(values, grid, jnp.array([500.0, 600.0]))
 
 
 # ------------------------------------------------ laws of light
