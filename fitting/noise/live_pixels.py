@@ -18,6 +18,7 @@ LIT = 20.0  # times a pixel's noise, that light must add before that can be told
 FAR = 6.0  # standard deviations from the others in the dark, of every frame of an exposure
 DECILE = 1.2816  # standard deviations of a normal distribution from its middle to a decile
 MOST = 0.1  # share of the pixels; of more, something else is the cause
+MOST_COVERED = 0.5  # share of the pixels in rows and columns at a border that light never reaches
 SHOWN = 6  # rows, columns or pixels that are listed
 
 
@@ -125,8 +126,9 @@ class DeadPixels:
         parts += [f"{int(one.mask.sum())} {one.clause}" for one in self.stuck]
         gone = self.all
         return (
-            f"{int(gone.sum())} of {gone.size} pixels were left out: {' and '.join(parts)}. Every "
-            f"figure is of the {gone.size - int(gone.sum())} others."
+            f"{int(gone.sum())} of {gone.size} pixels were left out: "
+            f"{' and '.join(parts).removesuffix(',')}. Every figure is of the "
+            f"{gone.size - int(gone.sum())} others."
         )
 
 
@@ -140,7 +142,8 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
 
     Returns:
         The pixels; None where there are none. Dead and hot ones that are more than a tenth of all
-        are left.
+        are left, except in whole rows and columns at a border of the frame (optically black ones
+        and overscan).
 
     Example:
         >>> from fitting.noise.live_pixels import dead_pixels
@@ -164,9 +167,25 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
             still = gained < FOLLOWS * usual
             hot &= ~still
     stuck = tuple(stuck_bits([*alike, *(one for one in darks if one.shape == shape)]))
-    if not 0 < (still | hot).mean() <= MOST:
-        still = hot = np.zeros(shape, bool)
+    covered = _covered_border(still)
+    if covered.mean() > MOST_COVERED:
+        covered = np.zeros(shape, bool)
+    if not ((still | hot) & ~covered).mean() <= MOST:
+        still, hot = covered, np.zeros(shape, bool)
+    still |= covered
     return DeadPixels(still, hot, stuck) if still.any() or hot.any() or stuck else None
+
+
+def _covered_border(still: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Rows and columns, from a border of the frame inward, where light changes next to nothing."""
+    covered = np.zeros_like(still)
+    for axis in (0, 1):
+        line = still.mean(axis=1 - axis) >= 1 - MOST
+        for dark in (line, line[::-1]):
+            depth = int(np.logical_and.accumulate(dark).sum())
+            place = np.s_[:depth] if dark is line else np.s_[len(line) - depth :]
+            np.moveaxis(covered, axis, 0)[place] = True
+    return covered
 
 
 def _far(values: np.ndarray, sign: int) -> np.ndarray:

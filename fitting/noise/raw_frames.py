@@ -90,10 +90,15 @@ def combs(
     blocks = own.swapaxes(1, 2).reshape(-1, BLOCK, BLOCK)
     blocks = blocks[:: -(-len(blocks) // MOST_BLOCKS)]
     coefficients = np.asarray(dctn(blocks, axes=(1, 2), norm="ortho"))
-    deviation = coefficients.std(axis=0)
+    coefficients[:, 0, 0] = 0.0
+    of_block = np.sqrt(np.sum(coefficients**2, axis=(1, 2)) / (BLOCK**2 - 1))
     for own, step in zip(found, STEPS, strict=True):
-        mean = np.cos(2 * np.pi * coefficients / step).mean(axis=0)
-        own[:] = np.where(deviation > SMOOTH * step, mean * np.sqrt(2 * len(blocks)), np.nan)
+        lively = coefficients[of_block > SMOOTH * step]  # others, as in the dark, cluster about 0
+        if len(lively) < 4:
+            continue
+        mean = np.cos(2 * np.pi * lively / step).mean(axis=0)
+        told = lively.std(axis=0) > SMOOTH * step
+        own[:] = np.where(told, mean * np.sqrt(2 * len(lively)), np.nan)
     found[:, 0, 0] = np.nan
     return found
 

@@ -456,6 +456,35 @@ def test_raw_numbers_are_no_jpeg():
             assert np.sum(np.nan_to_num(combs(raw)).max(axis=0) > 5) < 10
 
 
+@pytest.mark.parametrize("size", [64, 128])
+def test_dark_blocks_beside_lit_ones_are_no_jpeg(size):
+    """An eighth of the blocks scatters by 1.3 DN, the others by 20, as in a frame with covered
+    columns."""
+    rng = np.random.default_rng(18)
+    found = np.zeros((16, 8, 8))
+    for _ in range(10):
+        frame = 20 * rng.standard_normal((size, size))
+        frame[:, : size // 8] *= 1.3 / 20
+        found += np.nan_to_num(combs(np.round(1000 + frame))) / np.sqrt(10)
+    assert np.sum(found.max(axis=0) > 5) == 0
+
+
+def test_covered_columns_are_left_out_however_many_they_are():
+    """A quarter of the columns under metal; two bad pixels in it follow the light."""
+    rng = np.random.default_rng(19)
+    flats, darks, *others = read_out(rng)
+    for frame in (frame for level in flats for frame in level):
+        frame[:, :16] = np.round(64 + rng.standard_normal((64, 16)))
+        frame[[3, 60], [2, 9]] = frame[[3, 60], [30, 31]]
+    measured = noise.from_frames(flats, darks, *others, camera=noise.Camera(bits=16))
+    (remark,) = (told for told in measured.remarks if "dead" in told)
+    assert "1024 of 4096 pixels were left out" in remark
+    assert remark.count(",.") == 0
+    assert float(measured.bright.pixels) == 3072
+    calibration = noise.calibrate(measured)
+    assert_true(estimates(calibration), system_gain=K, quantum_efficiency=100 * QE)
+
+
 def test_black_that_is_clipped_and_saturation_are_no_dead_pixels():
     flats, darks, *others = read_out(np.random.default_rng(13), offset=0.0)
     flats[-1] = [np.full(SHAPE, 65535.0)] * 2
