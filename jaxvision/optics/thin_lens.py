@@ -130,14 +130,15 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
         (...) relative (no unit).
 
     Raises:
-        ValueError: for an f-number or a distance below 0.
+        ValueError: for an f-number or a distance below 0, and for a focus inside the focal length,
+            whose image is virtual and meets no sensor.
 
     Example:
         >>> f = jnp.array(0.05)
         >>> round(float(jv.optics.working_f_number(jnp.array(8.0), 2 * f, f)), 6)  # 1 : 1
         16.0
     """
-    _check_metres("working_f_number", focus_distance, focal_length)
+    _check_focus("working_f_number", focus_distance, focal_length)
     z, f = focus_distance, focal_length
     close, far = _parts(z, f)
     magnified = jnp.where(_is_near(z, f), close * _reciprocal(close - f), 1 / (1 - f / far))
@@ -227,7 +228,8 @@ def circle_of_confusion(
         (...) m on the sensor; 0, with gradient 0, in focus.
 
     Raises:
-        ValueError: for a plane in focus behind the lens, or an f-number below 0.
+        ValueError: for a plane in focus behind the lens or inside its focal length, or an f-number
+            below 0.
 
     Example:
         >>> z_f, f, N = jnp.array(1.0), jnp.array(0.05), jnp.array(2.0)
@@ -235,7 +237,7 @@ def circle_of_confusion(
         >>> round(float(c) * 1e3, 4)  # f^2 / (N (z_f - f)), in mm
         1.3158
     """
-    _check_metres("circle_of_confusion", focus_distance, focal_length)
+    _check_focus("circle_of_confusion", focus_distance, focal_length)
     image = image_distance(focus_distance, focal_length)
     blur = image * vergence_difference(object_distance, focus_distance)
     return focal_length / f_number * (jnp.sign(blur) * blur)
@@ -260,8 +262,8 @@ def depth_of_field(
         (near, far), each (...) m; `far` is inf, with gradient 0, from the hyperfocal distance on.
 
     Raises:
-        ValueError: for an argument below 0, or a focal length of more than a million times the
-            blur, one of them in mm.
+        ValueError: for an argument below 0, a focus inside the focal length, or a focal length of
+            more than a million times the blur, one of them in mm.
 
     Example:
         >>> z_f, f, N, c = (jnp.array(x) for x in (3.0, 0.05, 8.0, 30e-6))
@@ -270,7 +272,7 @@ def depth_of_field(
         0.666667
     """
     _check_blur("depth_of_field", focal_length, allowed_blur)
-    _check_metres("depth_of_field", focus_distance, focal_length)
+    _check_focus("depth_of_field", focus_distance, focal_length)
     focused = _reciprocal(focus_distance)
     image = image_vergence(focus_distance, focal_length)
     tolerance = jnp.abs(allowed_blur * f_number * image / focal_length)
@@ -315,6 +317,20 @@ def _check_metres(name: str, distance: Scalars, focal_length: Scalars) -> None:
         raise ValueError(
             f"{name}: focal_length must be in m (50 mm are 0.05), got {lengths[odd][0]:g} with an "
             f"object at {distances[odd][0]:g} m, inside it."
+        )
+
+
+def _check_focus(name: str, distance: Scalars, focal_length: Scalars) -> None:
+    """`ValueError` for a plane in focus whose image is virtual, where both are known."""
+    _check_metres(name, distance, focal_length)
+    if not (is_known(distance) and is_known(focal_length)):
+        return
+    distances, lengths = np.broadcast_arrays(np.asarray(distance), np.asarray(focal_length))
+    odd = (distances < lengths) | (lengths < 0)
+    if odd.any():
+        raise ValueError(
+            f"{name}: a plane at {distances[odd][0]:g} m has a virtual image behind a focal length "
+            f"of {lengths[odd][0]:g} m, and no sensor receives it; focus beyond the focal length."
         )
 
 

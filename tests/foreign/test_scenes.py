@@ -517,3 +517,18 @@ def test_shapes_far_from_the_origin_are_named_by_python_too():
         with pytest.warns(UserWarning, match=words) as said:
             call()
         assert [one.filename for one in said] == [__file__]
+
+
+def test_no_sensor_is_in_focus_at_a_virtual_image():
+    for call in (
+        lambda z, f: jv.depth_of_field(z, f, 8.0, 30e-6),
+        lambda z, f: jv.circle_of_confusion(3.0, z, f, 8.0),
+        lambda z, f: jv.optics.working_f_number(8.0, z, f),
+    ):
+        for z, f in ((0.03, 0.05), (0.0, 0.05), ([1.0, 0.03], 0.05)):
+            with pytest.raises(ValueError, match=r"virtual image behind a focal length of 0\.05 m"):
+                call(z, f)
+        call(0.051, 0.05), call(np.inf, 0.05), jax.jit(call)(0.03, 0.05)
+    with pytest.raises(ValueError, match=r"virtual image behind a focal length of -0\.05 m"):
+        jv.circle_of_confusion(3.0, 1.0, -0.05, 8.0)
+    assert float(jv.image_distance(0.03, 0.05)) == pytest.approx(-0.075)
