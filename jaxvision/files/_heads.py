@@ -15,7 +15,16 @@ from pathlib import Path
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PALETTE = 3  # colour type
-_KEPT = (b"IHDR", b"sBIT", b"acTL")  # of a few bytes each
+_KEPT = (
+    b"IHDR",
+    b"sBIT",
+    b"acTL",
+    b"pCAL",
+    b"sCAL",
+    b"gAMA",
+    b"cICP",
+    b"sRGB",
+)  # of a few bytes each
 
 
 @dataclass(frozen=True)
@@ -28,6 +37,7 @@ class PngChunks:
     # bits of each channel that the source had (sBIT); empty where it does not say
     significant: tuple[int, ...] = ()
     frames: int = 1  # pictures of an animation; 1 for a plain picture
+    scales: tuple[str, ...] = ()  # what it says of the meaning of its numbers and pixels, in words
 
     @property
     def bits(self) -> int:
@@ -69,7 +79,32 @@ def _said(kept: dict[bytes, bytes]) -> PngChunks:
         return PngChunks("it does not begin with its size")
     frames = struct.unpack(">I", animation[:4])[0] if len(animation) == 8 else 1
     significant = tuple(kept.get(b"sBIT", b""))
-    return PngChunks(None, header[8], header[9], significant, max(frames, 1))
+    return PngChunks(None, header[8], header[9], significant, max(frames, 1), tuple(_scales(kept)))
+
+
+def _scales(kept: dict[bytes, bytes]) -> Iterator[str]:
+    """Chunks that give the numbers or the pixels of a PNG a meaning beyond that of sRGB."""
+    name, _, rest = kept.get(b"pCAL", b"").partition(b"\0")
+    if len(rest) > 10:
+        low, high, law = struct.unpack(">iiB", rest[:9])
+        unit, *numbers = (word.decode("latin-1") for word in rest[10:].split(b"\0"))
+        in_unit = f" in {unit}" if unit else ""
+        yield (
+            f"its calibration {name.decode('latin-1')!r}{in_unit} (pCAL: codes {low} to {high}, "
+            f"law {law} of {' '.join(numbers)}): codes are as stored"
+        )
+    size = kept.get(b"sCAL", b"")
+    if size[:1] in (b"\1", b"\2"):
+        unit = "m" if size[:1] == b"\1" else "rad"
+        sides = " x ".join(size[1:].decode("latin-1").split("\0"))
+        yield f"the size of its pixels, {sides} {unit} (sCAL)"
+    gamma = int.from_bytes(kept.get(b"gAMA", b""), "big") / 1e5
+    if gamma and b"sRGB" not in kept and not 0.44 < gamma < 0.47:
+        yield f"its exponent of {gamma:g} (gAMA): codes are as stored"
+    code = kept.get(b"cICP", b"")
+    if len(code) == 4 and code[1] not in (1, 6, 13, 14, 15):
+        curve = {8: "linear", 16: "PQ", 18: "HLG"}.get(code[1], f"number {code[1]}")
+        yield f"its transfer curve (cICP: {curve}): codes are as stored"
 
 
 _SMALLER_COPIES = (0x010001, 0x010002)  # kinds of a Multi-Picture Format entry

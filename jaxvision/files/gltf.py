@@ -78,7 +78,26 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
     version = asset.get("version") if isinstance(asset, dict) else None
     if not str(version).startswith("2."):
         raise InputError(f"{file}: not of glTF 2 (version {version}); export it as 2.0.")
+    _check_places(file, content)
     return Gltf(file, content, binary)
+
+
+def _check_places(file: Path, content: Mapping[str, Any]) -> None:
+    """`InputError` for a node that stands at two places, or whose rotation has no axis."""
+    nodes = content.get("nodes")
+    for i, node in enumerate(nodes if isinstance(nodes, list) else ()):
+        if not isinstance(node, dict):
+            continue
+        beside = [name for name in ("translation", "rotation", "scale") if name in node]
+        if "matrix" in node and beside:
+            raise InputError(
+                f"{file}: nodes[{i}] has a {beside[0]} beside its matrix; leave one of them."
+            )
+        turn = node.get("rotation")
+        if isinstance(turn, list) and turn and all(x == 0 for x in turn):
+            raise InputError(
+                f"{file}: nodes[{i}] has a rotation of length 0; write [0, 0, 0, 1] for none."
+            )
 
 
 def _chunks(file: Path, raw: bytes) -> tuple[bytes, bytes | None]:

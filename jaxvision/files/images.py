@@ -494,6 +494,8 @@ def _name_unused(
         said.append(f"its primaries ({', '.join(f'{x:.4g}' for x in primaries)})")
     if chunks and chunks.frames > 1:
         said.append(f"its animation of {chunks.frames} frames: the still picture is read")
+    if chunks:
+        said += chunks.scales
     if kind == "jpeg":
         said += jpeg_extras(file)
     if page and page.first(ALPHA) == MULTIPLIED:

@@ -22,7 +22,7 @@ from ..errors import InputError, install
 from ..geometry.checks import faces_without_area
 from ..scene import TriangleMesh
 from ._polygons import are_fans, cut, fan, obj_in_triangles, ply_of_corners, polygons_of
-from .gltf import Gltf, primitive_of, read_gltf
+from .gltf import SUFFIXES, Gltf, primitive_of, read_gltf
 
 Vector = Sequence[float | int] | np.ndarray
 Axes = Sequence[Vector] | np.ndarray
@@ -203,6 +203,8 @@ def _load(file: Path):
             f"{file}: {file.suffix!r} is not a mesh format that trimesh reads; convert the file to "
             "OBJ, PLY or GLB."
         )
+    if file.suffix.lower() in SUFFIXES:
+        read_gltf(file)  # which refuses what trimesh reads in a way of its own
     try:
         scene = trimesh.load_scene(**_source(file), process=False)
         mesh = scene.to_mesh()

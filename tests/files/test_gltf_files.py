@@ -244,6 +244,14 @@ def changed(*path, to):
         (changed("buffers", 0, to={"uri": "none.bin"}), "none.bin: no such file"),
         (changed("nodes", 0, "children", to=[0]), "make no tree"),
         (changed("nodes", 1, "scale", to=[1, -1, 1]), "mirrors or flattens"),
+        (
+            changed("nodes", 0, to={"mesh": 0, "matrix": [*np.eye(4).ravel()], "scale": [2, 2, 2]}),
+            r"nodes\[0\] has a scale beside its matrix",
+        ),
+        (
+            changed("nodes", 0, "rotation", to=[0, 0, 0, 0]),
+            "has a rotation of length 0",
+        ),
         (changed("scenes", 0, "nodes", to=[0, 2]), "has no camera"),
         (changed("scenes", 0, "nodes", to=[1]), "has no mesh"),
         (changed("asset", to={"version": "1.0"}), "not of glTF 2"),

@@ -1,7 +1,9 @@
 """Heads that other programs write: lengths, scales and black levels are used, named or refused."""
 
+import re
 import struct
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -148,3 +150,40 @@ def test_colours_that_are_multiplied_by_alpha_are_named(alpha, named, tmp_path):
     tags = [(338, 3, 1, alpha), (262, 3, 1, 1), (277, 3, 1, 2)]
     told = _warnings(_tiff(tmp_path, words, tags, count=2), [[[1, 2], [3, 4]]])
     assert any("multiplied by alpha" in one for one in told) == named
+
+
+def _png(*chunks):
+    """A grey PNG of 2 x 3 codes, with chunks before its pixels."""
+    head = struct.pack(">IIBBBBB", 3, 2, 8, 0, 0, 0, 0)
+    rows = zlib.compress(b"".join(b"\0" + bytes([10 * i, 20, 30]) for i in range(2)))
+    parts = [(b"IHDR", head), *chunks, (b"IDAT", rows), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in parts
+    )
+
+
+@pytest.mark.parametrize(
+    ("chunk", "words"),
+    [
+        (
+            (b"pCAL", b"heat\0" + struct.pack(">iiBB", 0, 255, 0, 2) + b"K\0" + b"273\0" + b"51"),
+            r"its calibration 'heat' in K \(pCAL: codes 0 to 255, law 0 of 273 51\)",
+        ),
+        ((b"sCAL", b"\1" + b"0.1\0" + b"0.2"), r"the size of its pixels, 0\.1 x 0\.2 m \(sCAL\)"),
+        ((b"gAMA", struct.pack(">I", 100000)), r"its exponent of 1 \(gAMA\)"),
+        ((b"cICP", bytes([9, 16, 0, 1])), r"its transfer curve \(cICP: PQ\)"),
+        ((b"gAMA", struct.pack(">I", 45455)), None),
+        ((b"cICP", bytes([1, 13, 0, 1])), None),
+        ((b"pCAL", b"short"), None),
+        ((b"sCAL", b""), None),
+    ],
+)
+def test_what_a_png_says_of_its_numbers_is_named(chunk, words, tmp_path):
+    file = tmp_path / "a.png"
+    file.write_bytes(_png(chunk))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(read_image(file), [[0, 20, 30], [10, 20, 30]])
+    assert len(said) == (words is not None)
+    assert re.search(words or "", " ".join(str(one.message) for one in said))

@@ -33,7 +33,7 @@ def _local(node: Node) -> np.ndarray:
     """(4, 4): scaled, then turned, then moved."""
     if node.matrix is not None:
         return np.reshape(node.matrix, (4, 4)).T
-    x, y, z, w = np.array(node.rotation) / (np.linalg.norm(node.rotation) or 1)
+    x, y, z, w = np.array(node.rotation) / np.linalg.norm(node.rotation)
     turn = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
