@@ -14,14 +14,16 @@ The step q between neighbouring codes determines the rounding variance, q^2 / 12
 another step is read with q = 1, the read noise is wrong.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 MOST_VALUES = 2**18  # different numbers; frames of more lie on no grid
 RARE = 1e-9  # chance that the codes from some number on share a step
+FEWEST_WHOLE = 5  # different numbers, all whole, that multiples of a fraction are not by chance
 TOP = 1e-3  # share of the pixels that must have these codes
 CHANCE = 1e-3  # that numbers of step 1 are all multiples of a larger one
 SMOOTH = 1.0  # noise between neighbouring pixels, in codes, from which histograms are smooth
@@ -114,11 +116,8 @@ class Codes:
             octave = int(np.floor(np.log2(_noise(frame))))
             self._by_noise[octave] = _sum(self._by_noise.get(octave, counts[:0]), counts)
             return
-        both = [self._broken, np.unique(values, return_counts=True)]
-        different, place = np.unique(np.concatenate([x[0] for x in both]), return_inverse=True)
-        counts = np.bincount(place, np.concatenate([x[1] for x in both]))
-        self._broken = np.stack([different, counts])
-        self._continuous = different.size > MOST_VALUES
+        self._broken = _counted([self._broken, np.unique(values, return_counts=True)])
+        self._continuous = self._broken.shape[1] > MOST_VALUES
 
     def converter(self) -> Converter:
         """The grid of all frames so far."""
@@ -149,6 +148,24 @@ class Codes:
         if missing:
             return Converter(even=False, missing=missing, clips_at=clips_at)
         return Converter(imbalance=_imbalance(smooth), clips_at=clips_at)
+
+    @property
+    def whole(self) -> bool | None:
+        """Whether all numbers are whole; None where so few different ones do not tell."""
+        if self._continuous or self._broken.size:
+            return False
+        return True if np.count_nonzero(self._whole) >= FEWEST_WHOLE else None
+
+    def __add__(self, other: "Codes") -> "Codes":
+        """The counts of both."""
+        octaves = self._by_noise.keys() | other._by_noise.keys()
+        none = np.zeros(0, np.int64)
+        return Codes(
+            _sum(self._whole, other._whole),
+            {n: _sum(self._by_noise.get(n, none), other._by_noise.get(n, none)) for n in octaves},
+            _counted([self._broken, other._broken]),
+            self._continuous or other._continuous,
+        )
 
     def _smooth(self, step: float) -> np.ndarray:
         """Counts of the frames whose histograms are smooth on a grid of this step."""
@@ -234,6 +251,13 @@ def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Of two counts that begin at 0."""
     size = max(one.size, other.size)
     return np.pad(one, (0, size - one.size)) + np.pad(other, (0, size - other.size))
+
+
+def _counted(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:
+    """Different values in order, and how often each occurs in all parts, given likewise."""
+    different, place = np.unique(np.concatenate([x[0] for x in parts]), return_inverse=True)
+    counts = np.bincount(place, np.concatenate([x[1] for x in parts]), different.size)
+    return np.stack([different, counts])
 
 
 def _noise(frame: np.ndarray) -> float:

@@ -1,6 +1,7 @@
 """Series of flats and darks that one camera in one state did not make, by their levels.
 
 multiplied  skewed flats of an EMCCD, whose variance over signal is no gain (`multiplied`)
+averaged    fractions in the darks alone, or in the flats alone, whose noise is then too small
 afterglow   darks that fade in the order in which they were taken, in proportion to the flats of
             their level: what a flat left behind, no dark current
 two gains   variance over signal that is one number up to a level, and another from there on
@@ -65,6 +66,7 @@ def doubts(
         Doubts.
     """
     found = [_fading(measurement, darks), multiplied(measurement, flats, darks)]
+    found.append(_averaged(measurement))
     found.append(_two_gains(measurement, flats))
     if found[-1] is None:
         found.append(_two_modes(measurement, darks))
@@ -110,6 +112,27 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Do
         "(persistence) of a flat does, or a sensor that cools. That is no dark current, and none "
         f"is given; signals of the flats are too small by {100 * excess:.2g} % or more. Take the "
         "darks before the flats, or wait.",
+    )
+
+
+def _averaged(measurement: PhotonTransfer) -> Doubt | None:
+    """Flats or darks, not both, whose numbers are no whole ones."""
+    bright, dark = (levels.converter.step for levels in (measurement.bright, measurement.dark))
+    if bright == dark:
+        return None
+    finer, names, whole, of, lost = (
+        (dark, "darks", "flats", OF_DARK_NOISE, "dark noise")
+        if dark < bright
+        else (bright, "flats", "darks", ON_GAIN, "gain")
+    )
+    parts = f"multiples of 1/{1 / finer:.6g}" if finer else "on no grid"
+    averages = f" (averages of {1 / finer:.6g} frames, say)" if finer else ""
+    return Doubt(
+        of,
+        f"the {names} were averaged or corrected, as the findings say",
+        f"The numbers of the {names} are {parts}, those of the {whole} are whole: the {names} were "
+        f"averaged, divided or corrected{averages}, and their noise is not that of a frame. No "
+        f"{lost}, nor what rests on it, is given. Give single {names}.",
     )
 
 

@@ -134,7 +134,8 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
     """What the numbers say of the converter; unequal steps only where they move the read noise."""
     measurement = calibration.measurement
     converter = measurement.converter
-    told = converter_in_words(converter, measurement.full_scale)
+    alike = measurement.bright.converter.step == measurement.dark.converter.step
+    told = converter_in_words(converter, measurement.full_scale) if alike else []
     if converter.coarse_from is not None:
         used = float(measurement.bright.mean[calibration.usable[-1]])
         told.append(

@@ -132,7 +132,12 @@ class PhotonTransfer(eqx.Module):
     @property
     def converter(self) -> Converter:
         """The grid on which the numbers of flats and darks lie."""
-        return self.bright.converter
+        return finer(self.bright, self.dark)
+
+
+def finer(bright: Levels, dark: Levels) -> Converter:
+    """The grid on which the numbers of both lie."""
+    return min(bright.converter, dark.converter, key=lambda one: one.step)
 
 
 def saturation_index(levels: Levels) -> int | None:

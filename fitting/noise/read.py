@@ -27,7 +27,7 @@ from ..rig import Camera, Dark, Flat, Rig, load_rig, require
 from .doubts import doubts
 from .hits import BULK
 from .level_sums import LevelStatistics, LevelSums, Unlit
-from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, rounding_step
+from .levels import FEWEST_PIXELS, REACH, Levels, PhotonTransfer, finer, rounding_step
 from .levels_table import read_table
 from .live_pixels import DeadPixels, LivePixels, dead_pixels
 from .settings import require_one_setting
@@ -107,10 +107,15 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         remarks.append(_dead_in_words(rig, dead, channel))
     source = _Source(rig, channel, load, None if dead is None else ~dead.all, Codes())
     dark, of_darks = _reduced(source, darks, odd=odd["dark"])
+    lit = replace(source, codes=Codes())
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
-    bright, of_flats = _reduced(source, flats, odd=odd["flat"], light=amounts, dark=dark)
-    converter = source.codes.converter()
-    bright, dark = (replace(levels, converter=converter) for levels in (bright, dark))
+    bright, of_flats = _reduced(lit, flats, odd=odd["flat"], light=amounts, dark=dark)
+    of_all = (lit.codes + source.codes).converter()
+    of_each = [of_all, of_all]
+    if {lit.codes.whole, source.codes.whole} == {True, False}:  # some were averaged or divided
+        of_each = [lit.codes.converter(), source.codes.converter()]
+    bright, dark = (replace(x, converter=y) for x, y in zip((bright, dark), of_each, strict=True))
+    converter = finer(bright, dark)
     if float(bright.pixels) != float(dark.pixels):
         raise InputError(f"{rig.folder}: flats and darks differ in size; crop them alike.")
     if rig.camera.pattern is not None:

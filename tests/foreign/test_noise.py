@@ -123,6 +123,48 @@ def test_the_step_of_the_converter_is_the_files_own(convert, bits, step, said):
     assert any(said in sentence for sentence in section(calibration).findings)
 
 
+def averages(flats, darks):
+    """Single frames, means of 16 or medians of 15, which are then scaled as masters are."""
+    rng = np.random.default_rng(24)
+
+    def frame(photons, kind):
+        many = rng.poisson(QE * photons, (16, *SHAPE)) + 4 * rng.standard_normal((16, *SHAPE))
+        many = np.round(K * many + 64)
+        medians = 1.0173 * np.median(many[:15], axis=0)
+        return {"single": many[0], "means": many.mean(axis=0), "medians": medians}[kind]
+
+    frames = [[frame(p, flats), frame(p, flats)] for p in PHOTONS]
+    unlit = [[frame(0.0, darks), frame(0.0, darks)] for _ in PHOTONS]
+    times = [0.01] * len(PHOTONS)
+    return noise.from_frames(frames, unlit, times, list(PHOTONS), camera=noise.Camera(bits=12))
+
+
+@pytest.mark.parametrize(
+    ("flats", "darks", "lost", "said"),
+    [
+        ("single", "means", "read_noise", "the darks are multiples of 1/16, those of the flats"),
+        ("single", "medians", "read_noise", "the darks are on no grid, those of the flats"),
+        ("means", "single", "system_gain", "the flats are multiples of 1/16, those of the darks"),
+        ("single", "single", None, None),
+        ("means", "means", None, None),
+    ],
+)
+def test_averages_in_the_darks_or_in_the_flats_alone_are_told_apart(flats, darks, lost, said):
+    doubts = averages(flats, darks).doubts
+    assert len(doubts) == (lost is not None)
+    assert all(lost in one.of and said in one.sentence for one in doubts)
+
+
+@pytest.mark.slow
+def test_averages_in_the_darks_spoil_dark_noise_alone():
+    """Means of 16 have a quarter of the noise; the gain comes from the flats."""
+    calibration = noise.calibrate(averages("single", "means"))
+    found, told = estimates(calibration), " ".join(section(calibration).findings)
+    assert found["read_noise"].value is None
+    assert abs(found["system_gain"].value - K) < 4 * found["system_gain"].standard_error
+    assert "too small and its quantum efficiency" not in told
+
+
 @pytest.mark.slow
 def test_left_aligned_numbers_of_a_quiet_sensor_get_the_warnings_of_its_codes():
     calibration = camera(np.random.default_rng(2), read=0.8, convert=left_aligned, bits=16)
