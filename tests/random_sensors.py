@@ -97,6 +97,8 @@ def _further(rng, light, fields, f):
         for name in ("read_noise", "prnu"):
             if name in fields and rng.random() < 0.5:
                 chosen[name] = rng.uniform(0.5, 2, count)
+        if rng.random() < 0.5:
+            chosen["quantum_efficiency"] = rng.uniform(0.3, 1.2, count)
         found["taps"] = s.Taps(pattern, **chosen, stretched=stretched)
         rows, columns = (np.arange(n) for n in SHAPE)
         height, width = len(pattern), 2

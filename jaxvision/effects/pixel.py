@@ -444,12 +444,14 @@ def _of_one_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[
     """The numbers of the sensor with the least or the largest factors of its taps."""
     taps = kept["taps"]
     found: dict[str, Any] = {"untapped": kept}
-    for name in ("gain", "read_noise", "prnu"):
+    for name in ("gain", "read_noise", "prnu", "quantum_efficiency"):
         factors, own = getattr(taps, name, None), kept[name]
-        if factors is None or (own is None and name != "gain"):
+        if factors is None or (own is None and name in ("read_noise", "prnu")):
             continue
         factor = float(extreme(factors))
-        if isinstance(own, HeavyTailedReadNoise):
+        if name == "quantum_efficiency":
+            found[name] = factor * (1.0 if own is None else np.asarray(own, float))
+        elif isinstance(own, HeavyTailedReadNoise):
             found[name] = replace(own, rms=own.rms * factor, tail_rms=own.tail_rms * factor)
         else:
             found[name] = (1.0 if own is None else float(own)) * factor

@@ -171,7 +171,7 @@ def _without(sensor: Sensor, name: str) -> Sensor:
     """The sensor without a field, and without the factors that taps have on it."""
     left: dict[str, Any] = {name: None}
     taps = sensor.taps
-    if taps is not None and name in ("read_noise", "prnu"):
+    if taps is not None and name in ("read_noise", "prnu", "quantum_efficiency"):
         left["taps"] = replace(taps, **{name: None})
     return replace(sensor, **left)
 

@@ -42,8 +42,10 @@ def infrared_cut(pixel: Pixel) -> Bound:
 
 
 def quantum_efficiency(pixel: Pixel) -> Bound:
-    """The photons that free no electron: (1 - efficiency) of each band."""
-    least = np.asarray(pixel.sensor.low["quantum_efficiency"], float)
+    """The photons that free no electron: (1 - efficiency) of each band, and of each tap, which may
+    be above 1."""
+    ends = (np.asarray(end["quantum_efficiency"], float) for end in pixel.sensor)
+    least = 1 - np.maximum(*(np.abs(1 - efficiency) for efficiency in ends))
     return _attenuator(pixel, "quantum_efficiency", least, "photons that free no electron")
 
 

@@ -81,10 +81,10 @@ def offset(pixel: Pixel) -> Bound:
 
 
 def taps(pixel: Pixel) -> Bound:
-    """Offsets move the mean of a tap, factors its gain, its read noise and its pattern: each by
-    what it differs from 1."""
-    named = ("offset", "gain", "read_noise", "prnu")
-    offset, gain, read, pattern = (pixel.tap_change(name) for name in named)
+    """Offsets move the mean of a tap, factors its gain, its read noise, its pattern and its light:
+    each by what it differs from 1."""
+    named = ("offset", "gain", "read_noise", "prnu", "quantum_efficiency")
+    offset, gain, read, pattern, light = (pixel.tap_change(name) for name in named)
     plain = pixel.sensor.high["untapped"]
     share = (1.0 if plain["gain"] is None else float(plain["gain"])) / pixel.gain
     added = sum(pixel.variances.high.values()) + _trap(pixel)
@@ -94,7 +94,12 @@ def taps(pixel: Pixel) -> Bound:
     moved = gain * size + pixel.behind_column * read * noise
     moved += pixel.behind_charge * pattern * rms * pixel.light
     why = f"{offset:.3g} DN; gain, read noise, pattern by {gain:.3g}, {read:.3g}, {pattern:.3g}"
-    return Bound(offset + share * moved, why)
+    of_light = 0.0
+    if light:
+        brightest = max(float(np.max(end["taps"].quantum_efficiency)) for end in pixel.sensor)
+        of_light = pixel.moved(light * pixel.light / min(brightest, 1.0), patterned=True)
+        why += f", light by {light:.3g}"
+    return Bound(offset + share * moved + of_light, why)
 
 
 def bits(pixel: Pixel) -> Bound:

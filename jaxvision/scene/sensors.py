@@ -240,6 +240,8 @@ class Taps(Shown):
         gain: (taps,) factors on `Sensor.gain`, > 0, no unit, or None.
         read_noise: (taps,) factors on `Sensor.read_noise`, >= 0, no unit, or None.
         prnu: (taps,) factors on `Sensor.prnu`, >= 0, no unit, or None.
+        quantum_efficiency: (taps,) factors on `Sensor.quantum_efficiency`, >= 0, no unit, or None:
+            of the sites of a mosaic in the light that the camera was measured in.
         stretched: whether the pattern is laid over the frame once instead of repeated: ((0, 1), (2,
             3)) are then its quadrants. Static.
 
@@ -262,12 +264,16 @@ class Taps(Shown):
     prnu: Float[Array, " taps"] | None = eqx.field(
         converter=as_optional_float, default=None, kw_only=True
     )
+    quantum_efficiency: Float[Array, " taps"] | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
     stretched: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self) -> None:
-        check_fields(self, offset=FINITE, gain=POSITIVE, read_noise=NOT_NEGATIVE, prnu=NOT_NEGATIVE)
-        numbers = {name: getattr(self, name) for name in ("offset", "gain", "read_noise", "prnu")}
-        for name, values in numbers.items():
+        factors = dict.fromkeys(("read_noise", "prnu", "quantum_efficiency"), NOT_NEGATIVE)
+        check_fields(self, offset=FINITE, gain=POSITIVE, **factors)
+        for name in ("offset", "gain", *factors):
+            values = getattr(self, name)
             if values is not None:
                 holder = f"Taps.{name}"
                 check_tile("Taps.pattern", self.pattern, bands=values.shape[0], holder=holder)

@@ -25,6 +25,7 @@ from ..core._types import (
 )
 from ..scene import ColourFilter, Sensor, ShutterOffset
 from ._draws import check_image
+from ._taps import factored
 from .colour_filters import check_pattern, mosaic
 from .dark import dark_rate
 from .sampling import light_share
@@ -94,7 +95,7 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
 
     Args:
         sensor: the sensor; its fields from `photon_conversion` to `exposure_time` are used, the
-            light offset among them.
+            light offset among them, and the efficiency of `taps`.
         irradiance: (..., bands) W m^-2, or photons s^-1 per pixel without a `photon_conversion`;
             (..., h, w, bands) under a colour filter. Integers become floating numbers of the same
             value. Traced NaN stays NaN up to the raw data.
@@ -141,7 +142,8 @@ def _freed(sensor: Sensor, photons: Spectrum) -> Counts:
         electrons = filtered(sensor.colour_filter, electrons)
     if sensor.pixel_aperture is not None:
         electrons = electrons * light_share(sensor.pixel_aperture)
-    return electrons
+    of = {"shape": electrons.shape, "dtype": electrons.dtype}
+    return factored(electrons, sensor.taps, "quantum_efficiency", **of)
 
 
 @takes_numbers

@@ -136,7 +136,7 @@ def law(f, light, *, trapped=False, hot=False, dead=False):
     beside (electrons), mixing (kernel), nonlinearity (first, second, electrons) and taps (maps);
     light: (h, w) expected photoelectrons.
     """
-    light = light + f.get("beside", 0.0)
+    light = (light + f.get("beside", 0.0)) * tap(f, "quantum_efficiency")
     light = drift(f, light) * (0.0 if dead else 1.0)
     mean, variance = acted(f, *charge(f, light, hot))
     c, q, k = f.get("conversion_prnu", 0.0), f.get("column_prnu", 0.0), f.get("gain", 1.0)
