@@ -22,7 +22,15 @@ from jaxtyping import Array, Bool, Float
 
 from ..core._arguments import takes_numbers
 from ..core._shown import Shown
-from ..core._types import NOT_NEGATIVE, Scalar, Scalars, as_float, check_choice, check_fields
+from ..core._types import (
+    POSITIVE,
+    Scalar,
+    Scalars,
+    as_float,
+    check_choice,
+    check_fields,
+    check_shape,
+)
 from ..filters.convolution import convolve
 from ..scene import Camera, Sensor, ShutterOffset
 from ._taps import factored, of_taps, total_gain
@@ -66,7 +74,7 @@ class Master(Shown):
     frames: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        check_fields(self, frames=NOT_NEGATIVE)
+        check_fields(self, frames=POSITIVE)
 
 
 class Masters(Shown):
@@ -268,7 +276,8 @@ def correct(
 
     Raises:
         ValueError: for an unknown unit, one that several bands or a colour filter make ambiguous,
-            and effects of one's own or a curve without an inverse.
+            effects of one's own or a curve without an inverse, and masters of another shape than
+            the frames.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)
@@ -279,22 +288,32 @@ def correct(
     check_choice("unit", unit, UNITS)
     sensor = camera.sensor if isinstance(camera, Camera) else camera
     masters = Masters() if masters is None else masters
+    check_shape("correct: raw", raw, ("...", "h", "w", "bands"))
+    advice = ", as the frames have; give masters of the same frames"
+    for name in ("dark", "flat"):
+        master = getattr(masters, name)
+        shown = None if master is None else master.mean
+        check_shape(f"correct: masters.{name}.mean", shown, raw.shape[-3:], advice=advice)
+    check_shape("correct: masters.defects", masters.defects, raw.shape[-3:-1], advice=advice)
     measured = raw
     if masters.defects is not None:  # neighbours are unmixed from the mean of those around
         raw, masters = _filled(raw, masters.defects), _without_defects(masters, masters.defects)
     if sensor.own is not None:
         names = ", ".join(type(effect).__name__ for effect in sensor.own)
         raise ValueError(f"correct knows no inverse of {names}.")
-    scale = _scale(sensor, unit, raw)
-    image = _image(sensor, raw, masters) * scale
-    of_light = scale * _shutter(sensor, raw)
+
+    def image_by(one: Sensor) -> Counts:
+        image = _image(one, raw, masters, _flat(one, masters, raw))
+        return _times(image, _scale(one, unit, raw, masters))
+
+    image = image_by(sensor)
+    of_light = _both_of(_scale(sensor, unit, raw, masters), _shutter(sensor))
     parts = [
-        replace(part, amplitude=part.amplitude * of_light)
+        replace(part, amplitude=_times(part.amplitude, of_light))
         for part in _parts(sensor, raw, masters, expected)
     ]
     if draws is not None:
-        of = draws.sensor if isinstance(draws, Camera) else draws
-        parts += _drawn(sensor, of, lambda one: _image(one, raw, masters) * _scale(one, unit, raw))
+        parts += _drawn(sensor, draws.sensor if isinstance(draws, Camera) else draws, image_by)
     return Calibrated(jnp.where(_unusable(sensor, measured, masters), jnp.nan, image), tuple(parts))
 
 
@@ -310,32 +329,46 @@ def _unusable(sensor: Sensor, raw: Counts, masters: Masters) -> Bool[Array, "...
     return bad
 
 
-def _image(sensor: Sensor, raw: Counts, masters: Masters) -> Counts:
+def _times(x: Counts, factor: Scalars | None) -> Counts:
+    """A product whose absent factor is 1."""
+    return x if factor is None else x * factor
+
+
+def _both_of(one: Scalars | None, other: Scalars | None) -> Scalars | None:
+    return other if one is None else one if other is None else one * other
+
+
+def _image(sensor: Sensor, raw: Counts, masters: Masters, flat: Counts | None) -> Counts:
     """Electrons of light that a pixel of mean sensitivity frees."""
-    light = _charge(sensor, raw, masters.dark) - mean_dark(sensor, raw)
-    light = light / _response(sensor, masters, raw)
+    light = _without_dark(sensor, _charge(sensor, raw, masters.dark))
+    light = light if flat is None else light / _response(flat)
     if sensor.crosstalk is not None:
         light = convolve(light, _inverse(_cross(sensor.crosstalk)))
     if sensor.smear is not None:
         column = light.sum(axis=-3, keepdims=True)
         whole = column / (1 + sensor.smear * (light.shape[-3] - 1))
         light = (light - sensor.smear * whole) / (1 - sensor.smear)
-    return (light - _unasked(sensor, light)) * _shutter(sensor, light)
+    beside = _unasked(sensor, light)
+    return _times(light if beside is None else light - beside, _shutter(sensor))
 
 
-def _unasked(sensor: Sensor, like: Counts) -> Scalars:
-    """Electrons of a light offset in photons."""
+def _without_dark(sensor: Sensor, charge: Counts) -> Counts:
+    return charge if sensor.dark_current is None else charge - mean_dark(sensor, charge)
+
+
+def _unasked(sensor: Sensor, like: Counts) -> Scalars | None:
+    """Electrons of a light offset in photons; None without."""
     if sensor.light_offset is None or isinstance(sensor.light_offset, ShutterOffset):
-        return jnp.zeros((), like.dtype)
+        return None
     colours = sensor.colour_filter
     bands = like.shape[-1:] if colours is None else colours.transmission.shape[1:]
     return mean_photoelectrons(sensor, jnp.zeros((*like.shape[:-1], *bands), like.dtype))
 
 
-def _shutter(sensor: Sensor, like: Counts) -> Scalar:
-    """The exposure time that is stated over that of the light."""
+def _shutter(sensor: Sensor) -> Scalar | None:
+    """The exposure time that is stated over that of the light; None where they are one."""
     if not isinstance(sensor.light_offset, ShutterOffset):
-        return jnp.ones((), like.dtype)
+        return None
     assert sensor.exposure_time is not None
     return sensor.exposure_time / (sensor.exposure_time + sensor.light_offset.time)
 
@@ -363,6 +396,8 @@ def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
     if dark is not None:
         above = raw - _beside(dark.mean.astype(raw.dtype), raw)
         above = above if gain is None else above / gain
+        if sensor.dark_current is None:
+            return above
         held = mean_dark(sensor, raw)
         curve = sensor.nonlinearity
         return above + (held if curve is None else signal_of_charge(curve, held))
@@ -372,20 +407,17 @@ def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
     return above if gain is None else above / gain
 
 
-def _response(sensor: Sensor, masters: Masters, raw: Counts) -> Scalars:
-    """Sensitivity of each pixel over that of the mean pixel, by the flat."""
+def _response(flat: Counts) -> Counts:
+    """Sensitivity of each pixel over that of the mean pixel, by the light in the flat."""
+    return flat / jnp.mean(flat, (-3, -2), keepdims=True)
+
+
+def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
+    """Electrons of light in the flat; None without one."""
     if masters.flat is None:
-        return jnp.ones((), raw.dtype)
-    return _flat(sensor, masters, raw) / jnp.mean(
-        _flat(sensor, masters, raw), (-3, -2), keepdims=True
-    )
-
-
-def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts:
-    """Electrons of light in the flat."""
-    assert masters.flat is not None
+        return None
     flat = _beside(masters.flat.mean.astype(raw.dtype), raw)
-    return _charge(sensor, flat, masters.dark) - mean_dark(sensor, flat)
+    return _without_dark(sensor, _charge(sensor, flat, masters.dark))
 
 
 def _without_defects(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
@@ -410,27 +442,31 @@ def _filled(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
 def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | None) -> list[Part]:
     """All parts but those of the camera's own numbers, electrons."""
     of = {"shape": raw.shape, "dtype": raw.dtype}
-    whole = jnp.ones_like(raw)
-    dark, response = mean_dark(sensor, raw), _response(sensor, masters, raw)
+    flat = _flat(sensor, masters, raw)
+    response = None if flat is None else _response(flat)
     if expected is None:
         charge = jnp.maximum(_charge(sensor, raw, masters.dark), 0)
     else:
-        light = jnp.broadcast_to(expected, raw.shape).astype(raw.dtype) / _shutter(sensor, raw)
-        light = light + _unasked(sensor, raw)
+        light = jnp.broadcast_to(expected, raw.shape).astype(raw.dtype)
+        stated, beside = _shutter(sensor), _unasked(sensor, raw)
+        light = light if stated is None else light / stated
+        light = light if beside is None else light + beside
         light = light if sensor.smear is None else smeared(light, sensor.smear)
         light = light if sensor.crosstalk is None else drifted(light, sensor.crosstalk)
-        charge = light * response + dark
-    light = (charge - dark) / response
+        charge = _times(light, response)
+        charge = charge if sensor.dark_current is None else charge + mean_dark(sensor, raw)
+    light = _without_dark(sensor, charge)  # of the pixel, not of the mean one
     apart = None if sensor.crosstalk is None else _inverse(_cross(sensor.crosstalk))
     unmixed = None if sensor.mixing is None else _inverse(sensor.mixing.kernel.astype(raw.dtype))
     behind = _both(unmixed, apart)  # of what is added behind the mixing
-    slope = whole if sensor.nonlinearity is None else whole / _slope(sensor, charge)
+    slope = None if sensor.nonlinearity is None else 1 / _slope(sensor, charge)
     gain = total_gain(sensor, **of)
-    gain = whole if gain is None else whole * gain
     parts: list[Part] = []
 
     def add(name: str, size: Scalars, kernel: Kernel | None, **how: Any) -> None:
-        parts.append(Part(name, size * whole / response, kernel, **how))
+        size = size if response is None else size / response
+        size = jnp.broadcast_to(size, raw.shape).astype(raw.dtype)
+        parts.append(Part(name, size, kernel, **how))
 
     if sensor.shot_noise is not None:
         add("shot noise", jnp.sqrt(charge), apart)
@@ -442,29 +478,29 @@ def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | Non
     alone = replace(sensor, row_noise=None, column_noise=None, frame_noise=None, banding=None)
     read = read_out_variance(alone, **of)
     if sensor.bits is not None:
-        read = read + QUANTISATION_VARIANCE / gain**2
-    add("read noise", jnp.sqrt(read) * slope, behind)
+        read = read + QUANTISATION_VARIANCE / (1.0 if gain is None else gain**2)
+    add("read noise", _times(jnp.sqrt(read), slope), behind)
     for name, (variance, along) in lines.items():
         if not isinstance(variance, float):
-            add(name, jnp.sqrt(variance) * slope, behind, along=along)
+            add(name, _times(jnp.sqrt(variance), slope), behind, along=along)
     if masters.dark is not None:
-        own = (
-            signal_variance(replace(sensor, light_offset=None), jnp.zeros_like(raw))
-            if (sensor.colour_filter is None)
-            else (dark + read) * gain**2
-        )
-        add("dark", jnp.sqrt(own / masters.dark.frames) / gain * slope, behind, lasts=True)
+        if sensor.colour_filter is None:
+            own = signal_variance(replace(sensor, light_offset=None), jnp.zeros_like(raw))
+            own = own if gain is None else own / gain**2
+        else:
+            own = read if sensor.dark_current is None else read + mean_dark(sensor, raw)
+        add("dark", _times(jnp.sqrt(own / masters.dark.frames), slope), behind, lasts=True)
     else:
         for name, along in (("dsnu", "pixels"), ("column_dsnu", "columns"), ("row_dsnu", "rows")):
             if getattr(sensor, name) is not None:
-                size = getattr(sensor, name) * slope
+                size = _times(getattr(sensor, name), slope)
                 add(name, size, behind, along=along, lasts=True)
-    if masters.flat is not None:
-        flat = _flat(sensor, masters, raw)
-        noise = jnp.maximum(flat, 0) + dark if sensor.shot_noise is not None else 0.0
-        rise = whole if sensor.nonlinearity is None else whole / _slope(sensor, flat + dark)
-        relative = jnp.sqrt((noise + read * rise**2) / masters.flat.frames) / flat
-        add("flat", light * response * relative, apart, lasts=True)
+    if masters.flat is not None and flat is not None:
+        held = flat if sensor.dark_current is None else flat + mean_dark(sensor, flat)
+        noise = read if sensor.nonlinearity is None else read / _slope(sensor, held) ** 2
+        if sensor.shot_noise is not None:
+            noise = noise + held - jnp.minimum(flat, 0)
+        add("flat", light * jnp.sqrt(noise / masters.flat.frames) / flat, apart, lasts=True)
         return parts
     if sensor.prnu is not None:
         add("prnu", factored(sensor.prnu, sensor.taps, "prnu", **of) * light, apart, lasts=True)
@@ -520,10 +556,10 @@ def _drawn(sensor: Sensor, draws: Sensor, image: Callable[[Sensor], Counts]) -> 
     return parts
 
 
-def _scale(sensor: Sensor, unit: str, raw: Counts) -> Scalars:
-    """The unit per electron of light."""
+def _scale(sensor: Sensor, unit: str, raw: Counts, masters: Masters) -> Scalars | None:
+    """The unit per electron of light; None where it is 1."""
     if unit == "electrons":
-        return jnp.ones((), raw.dtype)
+        return None
     several = sensor.quantum_efficiency is not None and sensor.quantum_efficiency.ndim > 0
     conversion = sensor.photon_conversion
     if sensor.colour_filter is not None or sensor.infrared_cut is not None or several:
@@ -531,6 +567,10 @@ def _scale(sensor: Sensor, unit: str, raw: Counts) -> Scalars:
     per_photon = jnp.ones((), raw.dtype)
     if sensor.quantum_efficiency is not None:
         per_photon = per_photon * sensor.quantum_efficiency
+    of = {"shape": raw.shape, "dtype": raw.dtype}
+    per_photon = factored(per_photon, sensor.taps, "quantum_efficiency", **of)
+    if masters.flat is not None:  # which made all taps alike
+        per_photon = jnp.mean(per_photon)
     if sensor.pixel_aperture is not None:
         per_photon = per_photon * light_share(sensor.pixel_aperture)
     if unit == "photons":

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from traced import primitives
 
 import jaxvision as jv
 from jaxvision import sensor as js
@@ -39,6 +40,15 @@ DIE = jax.random.key(3)
 SIMPLE = replace(
     SENSOR, brighter_fatter=None, crosstalk=None, nonlinearity=jv.Compression(0.05, electrons=1e4)
 )
+
+
+TAPS = {
+    "columns": jv.Taps(
+        ((0, 1),), offset=[-2.0, 2.0], gain=[0.985, 1.015], read_noise=[0.7, 1.2], prnu=[0.8, 1.2]
+    ),
+    "mosaic": jv.Taps("RGGB", offset=[0.0, 3.0, -3.0], quantum_efficiency=[0.6, 1.0, 0.4]),
+    "quadrants": jv.Taps(((0, 1), (2, 3)), gain=[1.0, 1.03, 0.98, 1.01], stretched=True),
+}
 
 
 def exposed(light):
@@ -112,6 +122,17 @@ def test_what_it_refuses():
         js.correct(raw, jv.Sensor(), unit="irradiance")
     with pytest.raises(ValueError, match="photons of several bands"):
         js.correct(raw, jv.Sensor(quantum_efficiency=[0.5]), unit="photons")
+    with pytest.raises(
+        ValueError, match=r"raw must have shape \(\.\.\., h, w, bands\), got \(2, 2\)"
+    ):
+        js.correct(raw[..., 0], jv.Sensor())
+    wide = jv.Masters(dark=jv.Master(jnp.ones((2, 3, 1)), 10))
+    with pytest.raises(ValueError, match=r"masters\.dark\.mean must have shape \(2, 2, 1\), got"):
+        js.correct(raw, jv.Sensor(), masters=wide)
+    with pytest.raises(ValueError, match=r"masters\.defects must have shape \(2, 2\), got"):
+        js.correct(raw, jv.Sensor(), masters=jv.Masters(defects=jnp.ones(3, bool)[:, None]))
+    with pytest.raises(ValueError, match=r"Master\.frames must be .*above 0, got 0"):
+        jv.Master(raw, 0)
     with pytest.raises(ValueError, match="draws must be of the same kind"):
         js.correct(raw, jv.Sensor(gain=1.0), draws=jv.Sensor(offset=1.0))
 
@@ -146,7 +167,7 @@ def test_what_pixels_share_is_how_far_draws_move_them():
     np.testing.assert_allclose(np.sum(found.shared**2, 0), np.var(each, 0), rtol=0.03)
 
 
-def simulated(count, masters_of, frames=16):
+def simulated(count, masters_of, frames=16, taps=None):
     """z of pixels, patches, and their differences in pairs of frames that share dark and flat; each
     pair with a die of its own."""
 
@@ -155,28 +176,33 @@ def simulated(count, masters_of, frames=16):
         mean = jax.vmap(lambda k: jv.raw_image(k, sensor, light, die_key=die))(shots).mean(0)
         return jv.Master(mean, frames)
 
+    sensor, wanted = replace(SENSOR, taps=taps), np.asarray(LIGHT)
+    if taps is not None and taps.quantum_efficiency is not None and not masters_of:
+        plain = replace(sensor, light_offset=None, exposure_time=None)
+        wanted = np.asarray(jv.mean_photoelectrons(plain, LIGHT))
+
     @jax.jit
     def pair(key):
         die, one, other, dark, flat = jax.random.split(key, 5)
         lit = jnp.full(LIGHT.shape, 5000 / 0.02)
         masters = jv.Masters(
-            dark=master(replace(SENSOR, light_offset=None), dark, die, 0 * lit),
-            flat=master(SENSOR, flat, die, lit),
+            dark=master(replace(sensor, light_offset=None), dark, die, 0 * lit),
+            flat=master(sensor, flat, die, lit),
         )
         a, b = (
             js.correct(
-                jv.raw_image(k, SENSOR, exposed(LIGHT), die_key=die),
-                SENSOR,
+                jv.raw_image(k, sensor, exposed(LIGHT), die_key=die),
+                sensor,
                 masters=masters if masters_of else None,
-                expected=jnp.asarray(LIGHT),
+                expected=jnp.asarray(wanted),
             )
             for k in (one, other)
         )
         difference, patches = a - b, (a.mean(PATCH), (a - b).mean(PATCH))
         return (
-            (a.image - LIGHT) / jnp.sqrt(a.total_variance),
+            (a.image - wanted) / jnp.sqrt(a.total_variance),
             difference.image / jnp.sqrt(difference.total_variance),
-            (patches[0].mean - LIGHT[PATCH].mean()) / jnp.sqrt(patches[0].variance),
+            (patches[0].mean - wanted[PATCH].mean()) / jnp.sqrt(patches[0].variance),
             patches[1].mean / jnp.sqrt(patches[1].variance),
         )
 
@@ -217,6 +243,48 @@ def test_stated_errors_are_those_of_a_few_simulated_frames():
 def test_stated_errors_are_those_of_two_hundred_simulated_frames(with_masters):
     """Without masters the pattern of each die counts as an error."""
     check(200, simulated(200, with_masters))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("masters", [True, False])
+@pytest.mark.parametrize("kind", TAPS)
+def test_stated_errors_are_those_of_frames_of_several_taps(kind, masters):
+    """A flat makes the sites of a mosaic alike only where its light is that of the scene."""
+    if kind == "mosaic" and masters:
+        pytest.skip("electrons of a mosaic behind a flat are those of a mean pixel")
+    check(100, simulated(100, masters, taps=TAPS[kind]))
+
+
+@pytest.mark.parametrize("kind", TAPS)
+def test_frames_of_several_taps_are_undone(kind):
+    """Without noise exactly, in photons of one scale; with it, the moments of z of 100 frames."""
+    plain = jv.Sensor(quantum_efficiency=0.5, gain=0.5, offset=100.0, read_noise=6.0)
+    plain = replace(plain, prnu=1e-6, taps=TAPS[kind])
+    raw = jv.raw_image(
+        None,
+        replace(
+            plain, read_noise=None, prnu=None, taps=replace(TAPS[kind], read_noise=None, prnu=None)
+        ),
+        LIGHT,
+    )
+    np.testing.assert_allclose(js.correct(raw, plain, unit="photons").image, LIGHT, rtol=1e-5)
+    noisy = replace(plain, shot_noise=jv.PoissonShotNoise(), bits=14)
+    keys = jax.random.split(jax.random.key(6), 100)
+    raw = jax.jit(jax.vmap(lambda key: jv.raw_image(key, noisy, LIGHT, die_key=DIE)))(keys)
+    true = np.asarray(jv.mean_photoelectrons(plain, LIGHT))
+    found = js.correct(raw, noisy, expected=true[None])
+    z = (np.asarray(found.image) - true) / np.sqrt(found.variance)
+    assert abs(z.mean()) < 4 / np.sqrt(z.size)
+    assert abs(z.var() - 1) < 4 * np.sqrt(2 / z.size)
+    mean = np.mean(js.correct(raw, noisy, unit="photons").image, axis=0)
+    assert abs(float((mean / LIGHT).mean()) - 1) < 1e-3
+
+
+def test_what_a_camera_lacks_is_not_traced():
+    raw = jnp.ones((4, 4, 1))
+    found = primitives(lambda x: js.correct(x, jv.Sensor(offset=8.0)).image, raw)
+    assert not {"mul", "div", "add"} & {*found}
+    assert found["sub"] == 2  # of the image, and of what its errors are of
 
 
 @pytest.mark.slow
