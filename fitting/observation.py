@@ -23,6 +23,7 @@ from .rig import BY_SITE, COLOURS, Camera, Rig, SiteCamera
 Load = Callable[[Path], np.ndarray]  # an image by its path
 
 TELL_DEPTH = (*INTEGER_FORMATS, *READ_ONLY_FORMATS)  # formats whose head has the bits of a sample
+ALIKE = 1e-9  # relative difference of numbers that are one
 MEMORY = Path("arrays")  # where messages say that images in memory lie
 
 
@@ -315,61 +316,72 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
         >>> print({name: int(plane[0, 0]) for name, plane in sites.items()})
         {'red': 0, 'green 1': 1, 'green 2': 4, 'blue': 5}
     """
-    (rows, columns), (top, left) = camera.cell, (camera.region or (0, 0))[:2]
     names, planes = camera.channels(colour=frame.ndim == 3), {}
-    for site in range(rows * columns):
-        row, column = divmod(site, columns)
-        own = frame[(row - top) % rows :: rows, (column - left) % columns :: columns]
+    for site, place in enumerate(camera.places(*frame.shape[:2])):
+        own = frame[place]
         each = [own] if frame.ndim == 2 else np.moveaxis(own, -1, 0)
         planes.update(zip(names[site * len(each) : (site + 1) * len(each)], each, strict=True))
     return planes
 
 
-def one_black(camera: Camera) -> SiteCamera:
-    """The camera of images that `to_one_black` has levelled.
+def one_site(camera: Camera) -> SiteCamera:
+    """The camera of images that `to_one_site` has levelled.
 
     Args:
-        camera: whose sites may differ in black level and saturation.
+        camera: whose sites may differ in black level, saturation, gain and read noise.
 
     Returns:
-        With the mean black level, and the saturation of the site that has least room above it.
+        With the mean black level and gain, the root mean square read noise, and the saturation of
+        the site that has least room above its black level.
 
     Raises:
-        InputError: for gains or read noises by site.
+        InputError: for gains or read noises by colour, and gains by site of gamma encoded files.
     """
+    if isinstance(camera.gain, tuple) and camera.encoding is not None:
+        raise InputError(
+            "camera.gain lists several numbers, but the files are gamma encoded; give linear files."
+        )
     sites = [camera.at(name) for name in _channels_of_lists(camera)]
-    for name in ("gain", "read_noise"):
-        if len({getattr(site, name) for site in sites}) > 1:
-            raise InputError(
-                f"camera.{name} lists several numbers, but all pixels are fitted with one; give "
-                "their mean."
-            )
     known = sites[0].model_dump()
-    if any(isinstance(getattr(camera, name), tuple) for name in ("black_level", "saturation")):
+    for name in ("gain", "read_noise"):
+        values = np.array([getattr(site, name) for site in sites], float)
+        per_colour = np.sqrt(np.mean(values.reshape(len(camera.sites), -1) ** 2, axis=0))
+        if np.ptp(per_colour) > ALIKE * per_colour.max():
+            raise InputError(
+                f"camera.{name} lists several numbers by colour, but all colours are fitted with "
+                "one; give their mean."
+            )
+        if isinstance(getattr(camera, name), tuple):
+            known[name] = float(per_colour[0] if name == "read_noise" else values.mean())
+    if any(isinstance(getattr(camera, name), tuple) for name in BY_SITE):
         blacks = [site.black_level or 0.0 for site in sites]
-        room = min(site.clip_level - black for site, black in zip(sites, blacks, strict=True))
+        scales = [1.0 if site.gain is None else known["gain"] / site.gain for site in sites]
+        rooms = [site.clip_level - black for site, black in zip(sites, blacks, strict=True)]
         level = float(np.mean(blacks))
+        room = min(room * scale for room, scale in zip(rooms, scales, strict=True))
         known |= {"saturation": room + level}
         known |= {} if camera.black_level is None else {"black_level": level}
     return SiteCamera(**known)
 
 
-def to_one_black(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """An image whose sites all have the mean of their black levels.
+def to_one_site(image: np.ndarray, camera: Camera) -> np.ndarray:
+    """An image whose sites all have the mean of their black levels and of their gains.
 
     Args:
         image: (h, w) or (h, w, 3) DN, of the camera's region.
-        camera: with one black level or several.
+        camera: with numbers by site, or one of each.
 
     Returns:
-        DN; the image itself where there is one black level.
+        DN; the image itself where black level and gain are one number each.
     """
-    if not isinstance(camera.black_level, tuple):
+    if not isinstance(camera.black_level, tuple) and not isinstance(camera.gain, tuple):
         return image
-    own = np.empty(image.shape)
-    for name, plane in split_channels(own, camera).items():
-        plane[...] = camera.at(name).black_level
-    return image - own + np.mean(camera.black_level)
+    black, gain = np.zeros(image.shape), np.ones(image.shape)
+    blacks, gains = split_channels(black, camera), split_channels(gain, camera)
+    for name in blacks:
+        at = camera.at(name)
+        blacks[name][...], gains[name][...] = at.black_level or 0.0, at.gain or 1.0
+    return (image - black) * (np.mean(camera.gain or 1.0) / gain) + np.mean(camera.black_level or 0)
 
 
 def _channels_of_lists(camera: Camera) -> tuple[str, ...]:

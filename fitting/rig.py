@@ -113,6 +113,26 @@ NonNegativeBySite = Annotated[
 ]
 
 BY_SITE = ("black_level", "saturation", "gain", "read_noise")
+PARTS = {  # of a frame, each read by an amplifier: rows and columns of them
+    "left and right": (1, 2),
+    "top and bottom": (2, 1),
+    "quadrants": (2, 2),
+}
+
+
+def _part_or_period(taps: Any) -> Any:
+    if isinstance(taps, list | tuple) or taps in PARTS:
+        return taps
+    parts = ", ".join(f'"{part}"' for part in PARTS)
+    raise ValueError(
+        f"{taps!r} are no taps; give rows and columns, as in [1, 2], or one of {parts}"
+    )
+
+
+Taps = Annotated[
+    tuple[Count, Count] | Literal["left and right", "top and bottom", "quadrants"],
+    BeforeValidator(_part_or_period),
+]
 COLOURS = ("red", "green", "blue")  # channels of an RGB image
 MOSAIC_NAMES = {"R": ("red",), "G": ("green 1", "green 2"), "B": ("blue",)}
 
@@ -205,7 +225,8 @@ class Camera(_Known):
         read_noise: electrons rms.
         pattern: phase of a Bayer mosaic.
         taps: rows and columns after which the amplifiers repeat; [1, 2] where even and odd columns
-            have one each.
+            have one each. Or the parts of the frame that have one each: "left and right", "top and
+            bottom" or "quadrants".
         region: top, left, height and width, in pixels, of the part of each frame that is used; one
             half of a chip with an amplifier on either side.
     """
@@ -215,7 +236,7 @@ class Camera(_Known):
     gain: PositiveBySite | None = None
     read_noise: NonNegativeBySite | None = None
     pattern: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
-    taps: tuple[Count, Count] | None = None
+    taps: Taps | None = None
     region: tuple[Index, Index, Count, Count] | None = None
 
     @model_validator(mode="after")
@@ -223,14 +244,21 @@ class Camera(_Known):
         sites = len(self.sites)
         if self.taps == (1, 1):
             raise ValueError("taps = [1, 1] repeat at every pixel and separate nothing; remove it")
+        if self.in_parts and (self.pattern or self.region):
+            other = "region" if self.region else "pattern"
+            raise ValueError(
+                f'taps = "{self.taps}" are parts of a whole frame and go with no {other}; give one '
+                "part at a time as the region, without taps"
+            )
         for name in BY_SITE:
             values = getattr(self, name)
             if not isinstance(values, tuple) or len(values) in self._lengths:
                 continue
             lengths = " or ".join(map(str, self._lengths))
+            cell = f"the cell of {self.cell[0]} x {self.cell[1]} pixels that pattern and taps make"
+            where = f'taps = "{self.taps}"' if self.in_parts else cell
             raise ValueError(
-                f"{name} lists {len(values)} numbers, but the cell of {self.cell[0]} x "
-                f"{self.cell[1]} pixels that pattern and taps make has {sites} "
+                f"{name} lists {len(values)} numbers, but {where} has {sites} "
                 f"site{'s' * (sites > 1)}; give one number, or {lengths} in reading order"
             )
         return self
@@ -242,16 +270,51 @@ class Camera(_Known):
         return tuple(length for length in (sites, *colours) if length > 1)
 
     @property
+    def in_parts(self) -> bool:
+        """Whether each amplifier reads a part of the frame."""
+        return isinstance(self.taps, str)
+
+    @property
+    def layout(self) -> tuple[int, int]:
+        """Rows and columns of sites: of the cell, or of the parts of the frame."""
+        return PARTS[self.taps] if isinstance(self.taps, str) else self.cell
+
+    def places(self, height: int, width: int) -> list[tuple[slice, slice]]:
+        """Rows and columns of each site, in the order of `sites`, within the region or frame."""
+        (down, across), (top, left) = self.layout, (self.region or (0, 0))[:2]
+        each = [(row, column) for row in range(down) for column in range(across)]
+        if not self.in_parts:
+            return [
+                (
+                    slice((row - top) % down, None, down),
+                    slice((column - left) % across, None, across),
+                )
+                for row, column in each
+            ]
+        rows, columns = (
+            [-(-size * i // count) for i in range(count + 1)]
+            for size, count in ((height, down), (width, across))
+        )
+        return [(slice(*rows[i : i + 2]), slice(*columns[j : j + 2])) for i, j in each]
+
+    @property
     def cell(self) -> tuple[int, int]:
-        """Rows and columns after which sites repeat."""
-        down, across = self.taps or (1, 1)
+        """Rows and columns after which sites repeat; (1, 1) where none do."""
+        down, across = (1, 1) if self.taps is None or isinstance(self.taps, str) else self.taps
         return (math.lcm(down, 2), math.lcm(across, 2)) if self.pattern else (down, across)
 
     @property
     def sites(self) -> tuple[str, ...]:
-        """Names of the sites of the cell, in reading order: `grey`; `tap 0,1` (row and column) for
-        several taps; `red`, `green 1`, `green 2` and `blue` for a mosaic; and `red tap 0,2` if
-        several taps read a colour."""
+        """Names of the sites, in reading order: `grey`; `tap 0,1` (row and column in the cell) for
+        several taps; `tap top left` and the like for parts of a frame; `red`, `green 1`, `green 2`
+        and `blue` for a mosaic; and `red tap 0,2` if several taps read a colour."""
+        if isinstance(self.taps, str):
+            down, across = self.layout
+            rows, columns = (("top", "bottom")[:down], ("left", "right")[:across])
+            words = [
+                [row] * (down > 1) + [column] * (across > 1) for row in rows for column in columns
+            ]
+            return tuple(" ".join(["tap", *own]) for own in words)
         down, across = self.taps or (1, 1)
         places = [(row, column) for row in range(self.cell[0]) for column in range(self.cell[1])]
         taps = [f"tap {row % down},{column % across}" for row, column in places]

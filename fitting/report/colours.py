@@ -24,5 +24,8 @@ def colour_of(channel: str) -> str:
     colour, _, place = channel.partition("tap ")
     if colour:
         return OF_CHANNEL[colour.strip()]
-    row, column = map(int, place.split(","))
+    if "," not in place:
+        row, column = "bottom" in place, "right" in place
+    else:
+        row, column = map(int, place.split(","))
     return OF_TAPS[(2 * row + column) % len(OF_TAPS)]

@@ -288,6 +288,9 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
     reference = min(taps, key=lambda tap: tap.plane.start)
     for tap in taps:
         row, column = tap.plane.start
+        if tap.plane.step == (1, 1):  # a part of the frame
+            _put_beside(whole, tap)
+            continue
         ahead = (
             (row - reference.plane.start[0]) / down,
             (column - reference.plane.start[1]) / across,
@@ -297,6 +300,31 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
         ratio = np.exp(np.median((one - other)[known])) if known.any() else np.nan
         whole[row::down, column::across] = tap.radiance.radiance * np.float32(ratio)
     return whole * _of_mid_scale(first.curve)
+
+
+def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
+    """Puts the map of a part of the frame into that of all, at the scale at which nothing steps
+    over their border."""
+    own = part.radiance.radiance
+    (row, column), (height, width) = part.plane.start, own.shape
+    rows, columns = np.s_[row : row + height], np.s_[column : column + width]
+    apart = []
+    for start, inside, before in (
+        (row, own, whole[:row, columns][::-1]),
+        (column, own.T, whole[rows, :column].T[::-1]),
+    ):
+        if start:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                apart.append(_at_border(np.log(before)) - _at_border(np.log(inside)))
+    first = np.isnan(whole).all()
+    known = np.zeros(1) if first else np.concatenate(apart)
+    known = known[np.isfinite(known)]
+    whole[rows, columns] = own * np.float32(np.exp(np.median(known)) if known.size else np.nan)
+
+
+def _at_border(lines: np.ndarray) -> np.ndarray:
+    """Values half a line before the first, by the first two."""
+    return lines[0] if len(lines) < 2 else 1.5 * lines[0] - 0.5 * lines[1]
 
 
 def _of_mid_scale(curve: ResponseCurve) -> np.float32:

@@ -241,7 +241,7 @@ def _planes(
     )
     masks = split_channels(grid, rig.camera)
     planes = []
-    (step, _), starts = _grid_of(converter), _starts(rig.camera)
+    (step, _), starts = _grid_of(converter), _starts(rig.camera, frames[0].shape)
     coarser = 2 if rig.camera.pattern else 1  # colours of a mosaic have half of its pixels
     apart = (rig.camera.cell[0] // coarser, rig.camera.cell[1] // coarser)
     for i, name in enumerate(channels[0]):
@@ -278,14 +278,12 @@ def _planes(
     return planes
 
 
-def _starts(camera: Camera) -> list[tuple[int, int]]:
+def _starts(camera: Camera, shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Row and column of the first pixel of each site, among those of its colour."""
-    (rows, columns), (top, left) = camera.cell, (camera.region or (0, 0))[:2]
     coarser = 2 if camera.pattern else 1
     return [
-        ((row - top) % rows // coarser, (column - left) % columns // coarser)
-        for row in range(rows)
-        for column in range(columns)
+        (rows.start // coarser, columns.start // coarser)
+        for rows, columns in camera.places(*shape[:2])
     ]
 
 

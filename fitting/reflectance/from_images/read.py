@@ -21,7 +21,7 @@ from jaxvision.geometry import angle_between, mirror_direction
 from ...frame_checks.frame import refuse_half
 from ...frame_checks.heads import Stated, odd_heads
 from ...inference.formatting import format_percent
-from ...observation import Load, in_region, one_black, read_mask, read_stack, to_one_black
+from ...observation import Load, in_region, one_site, read_mask, read_stack, to_one_site
 from ...rig import (
     Camera,
     Geometry,
@@ -172,7 +172,7 @@ def read_reflectance_observation(
     rows, columns, normals = _surface(rig, rig.geometry, shape, load)
     wi, falloff = _light_field(rig, normals)
     cosine, mirror_angle = angles(normals, wi)
-    camera = one_black(rig.camera)
+    camera = one_site(rig.camera)
     black = camera.black_level or 0.0
     dn = frames[:, :, rows, columns]
     pile = _pile_at_top(dn) if camera.saturation is None else None
@@ -239,7 +239,7 @@ def _read_frames(rig: Rig, load: Load) -> Float[np.ndarray, "channels lights h w
     named = None if rig.geometry is None else rig.geometry.mask
     mask = None if named is None else read_mask(rig.path(named), rig.camera, load=load)
     stored = read_stack(rig, [light.file for light in rig.light], load=load, mask=mask)
-    stack = np.stack([to_one_black(image, rig.camera) for image in stored])
+    stack = np.stack([to_one_site(image, rig.camera) for image in stored])
     if stack.ndim == 3:
         return stack[None]
     return np.moveaxis(stack, 3, 0)

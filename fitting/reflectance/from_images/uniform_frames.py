@@ -13,7 +13,7 @@ from jaxvision.files.images import read_image
 from ...frame_checks.frame import Shown, refuse_half, shown
 from ...frame_checks.levels import odd_frames
 from ...noise.settings import require_one_setting
-from ...observation import Load, one_black, read_stack, to_one_black
+from ...observation import Load, one_site, read_stack, to_one_site
 from ...rig import Dark, Flat, Rig, as_rig
 from .read import Photographs, UniformLevels, read_reflectance_observation
 
@@ -61,7 +61,7 @@ def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
         levels = [_shown(rig, entry, load) for entry in entries]
         light = [getattr(entry, "photons", None) or entry.exposure for entry in entries]
         is_flat = kind == "flat"
-        floor = np.median(black) if black.size else one_black(rig.camera).black_level or 0.0
+        floor = np.median(black) if black.size else one_site(rig.camera).black_level or 0.0
         odd = odd_frames(
             levels, light=light, black=np.full(len(levels), floor) if is_flat else None
         )
@@ -79,7 +79,7 @@ def _shown(rig: Rig, entry: Flat | Dark, load: Load) -> list[Shown]:
     """What is kept of the frames of a level, of colours their mean."""
     stack = read_stack(rig, entry.files, load=load)
     grey = stack.mean(axis=3) if stack.ndim == 4 else stack
-    top = one_black(rig.camera).clip_level
+    top = one_site(rig.camera).clip_level
     return [shown(name, frame, top=top) for name, frame in zip(entry.files, grey, strict=True)]
 
 
@@ -105,14 +105,14 @@ def _levels(
 
 def _level(rig: Rig, files: tuple[str, ...], channels: int, load: Load) -> np.ndarray:
     """(channels, 4): mean, temporal variance, its degrees of freedom, error of the mean."""
-    stack = np.stack([to_one_black(f, rig.camera) for f in read_stack(rig, files, load=load)])
+    stack = np.stack([to_one_site(f, rig.camera) for f in read_stack(rig, files, load=load)])
     stack = stack[..., None] if stack.ndim == 3 else stack
     if stack.shape[3] != channels:
         raise InputError(
             f"{rig.path(files[0])}: has {stack.shape[3]} channels, the object's images have "
             f"{channels}; give flats and darks of the same kind."
         )
-    if (stack >= one_black(rig.camera).clip_level).any():
+    if (stack >= one_site(rig.camera).clip_level).any():
         raise InputError(
             f"{rig.path(files[0])}: has saturated pixels; leave this level out of the rig."
         )

@@ -1,0 +1,60 @@
+"""Photographs through several amplifiers: `brdf` and `joint` with the numbers of each."""
+
+import numpy as np
+import pytest
+
+from fitting import joint
+from fitting.inference.posterior import estimates
+from fitting.reflectance import Camera, SphereGeometry, from_photographs
+from fitting.reflectance.from_images.calibration import calibrate
+from fitting.reflectance.from_images.section import section
+
+SIDE, READ = 48, 5.0
+GAIN, BLACK = np.array([0.5, 0.6]), np.array([50.0, 58.0])
+TRUTH = {"diffuse": 0.3, "specular": 0.4, "exponent": 25.0}
+TILTS, TURNS = np.radians([15, 30, 45, 60, 75, 40, 50, 20]), np.radians(np.arange(8) * 137)
+LIGHTS = np.stack(
+    [np.sin(TILTS) * np.cos(TURNS), np.sin(TILTS) * np.sin(TURNS), np.cos(TILTS)], axis=-1
+)
+CAMERAS = {
+    "columns": ((1, 2), np.arange(SIDE)[None] % 2 + np.zeros((SIDE, 1), int)),
+    "halves": ("top and bottom", (np.arange(SIDE)[:, None] >= 24) + np.zeros((1, SIDE), int)),
+}
+
+
+def photographs(tap):
+    """A Phong ball by NumPy; even and odd columns, or halves, of another gain and black level."""
+    rng = np.random.default_rng(1)
+    at = (np.arange(SIDE) - (SIDE - 1) / 2) / (SIDE / 2 - 1)
+    x, y = np.meshgrid(at, -at)
+    on = x**2 + y**2 < 1
+    normal = np.stack([x, y, np.sqrt(np.where(on, 1 - x**2 - y**2, 0))], axis=-1)
+    images = []
+    for light in LIGHTS:
+        cosine = normal @ light
+        lobe = np.maximum(2 * cosine * normal[..., 2] - light[2], 0) ** 25
+        electrons = 4000 * on * np.where(cosine > 0, 0.3 * cosine + 0.4 * lobe, 0)
+        noisy = rng.poisson(electrons) + READ * rng.standard_normal(on.shape)
+        images.append(np.clip(np.round(GAIN[tap] * noisy + BLACK[tap]), 0, 4095).astype(np.uint16))
+    return images
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", CAMERAS)
+def test_a_ball_through_two_amplifiers_has_its_reflectance(kind):
+    taps, tap = CAMERAS[kind]
+    known = {"gain": GAIN.tolist(), "black_level": BLACK.tolist(), "read_noise": READ}
+    given = {
+        "camera": Camera(bits=12, taps=taps, **known),
+        "sphere": SphereGeometry(centre=((SIDE - 1) / 2,) * 2, radius=SIDE / 2 - 1),
+        "intensities": np.full(8, 4000 * GAIN.mean()),
+        "held_out": (5, 6),
+    }
+    images = photographs(tap)
+    of_brdf = section(calibrate(from_photographs(images, LIGHTS, **given), model="phong"))
+    together = joint.calibrate(joint.from_photographs(images, LIGHTS, **given), model="phong")
+    for found in (of_brdf.estimates, estimates(together.posteriors["grey"])):
+        by_name = {one.name: one for one in found}
+        for name, true in TRUTH.items():
+            assert abs(by_name[name].value - true) < 3.5 * by_name[name].standard_error
+    assert "misfit" not in {one.name for one in estimates(together.posteriors["grey"])}
