@@ -17,6 +17,7 @@ from .report.progress import Progress
 if TYPE_CHECKING:
     import numpy as np
 
+    from .noise.across_settings.calibration import CameraCalibration
     from .report.section import Section
     from .rig import Purpose, Rig
 
@@ -71,8 +72,7 @@ def noise(
         step: shows what is done.
         draws: how it samples.
         bits: of a CSV's camera.
-        channel: site of a mosaic, or tap; "" for all of them, one after the other (of several gains
-            or temperatures the first green, or the first tap).
+        channel: site of a mosaic, or tap; "" for all of them, one after the other.
 
     Returns:
         One section, or one a site, or that of the camera and one a setting; no pictures.
@@ -82,10 +82,12 @@ def noise(
     """
     rig = _flats_and_darks(path, bits, channel)
     from .noise.calibration import calibrate
+    from .noise.findings import periodic_findings, unstated_taps
     from .noise.read import read_photon_transfer
     from .noise.section import KIND, TITLE, section
     from .noise.settings import by_setting
     from .report.inputs import with_inputs
+    from .report.section import Section
 
     if rig is not None and len(by_setting(rig)) > 1:
         return _noise_of_settings(rig, step, draws, channel), {}
@@ -93,13 +95,25 @@ def noise(
         return _noise_of_sites(rig, step, draws), {}
     with step("reading frames"):
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
+    unstated: list[tuple[Rig, tuple[str, ...]]] = []
+
+    def fitted() -> "Section":
+        calibration = calibrate(measurement, **draws("noise", progress))
+        if rig is not None and (taps := unstated_taps(calibration)) is not None:
+            camera = rig.camera.model_copy(update={"taps": taps})
+            if not (camera.in_parts and camera.region):
+                told = periodic_findings(calibration, apart=True)
+                unstated.append((rig.model_copy(update={"camera": camera}), tuple(told)))
+                return Section(KIND, TITLE, (), ())  # all pixels together are no camera
+        return section(calibration)
+
     with step("fitting photon transfer") as progress:
-        found = _attempted(
-            KIND,
-            TITLE,
-            lambda: section(calibrate(measurement, **draws("noise", progress))),
-            known=(*measurement.bright.left_out, *measurement.dark.left_out),
-        )
+        known = (*measurement.bright.left_out, *measurement.dark.left_out)
+        found = _attempted(KIND, TITLE, fitted, known=known)
+    if unstated:
+        apart, told = unstated[0]
+        first, *others = _noise_of_sites(apart, step, draws)
+        return [replace(first, findings=(*told, *first.findings)), *others], {}
     return [found if rig is None else with_inputs(found, rig, "photon transfer")], {}
 
 
@@ -144,12 +158,11 @@ def predict(
     rig = _flats_and_darks(path, bits, channel)
     sites = ("",) if rig is None else (channel,) if channel else rig.camera.sites
     several = len(sites) > 1
-    named = ("" if site == "grey" else site for site in sites)
-    files = {site: _camera_file(camera, site) for site in named}
-    if several and len({*files.values()}) == 1:
+    file = _camera_file(camera)
+    if several and not _has_taps(file):
         raise InputError(
-            f"{camera}: is the camera of one channel, but {path} has {len(sites)}; give the folder "
-            "that jaxvision-fit noise --out wrote, or one of them by --channel."
+            f"{camera}: is the camera of one channel, but {path} has {len(sites)}; give the camera "
+            "that jaxvision-fit noise wrote of all, or one of them by --channel."
         )
     from .noise.prediction.predict import predict as predicted
     from .noise.prediction.section import section
@@ -160,7 +173,7 @@ def predict(
     if rig is not None:
         require_one_setting(rig, "give the frames of one, and the camera at it")
     sections = []
-    for site, file in files.items():
+    for site in ("" if site == "grey" else site for site in sites):
         with step(f"reading frames{f' of {site}' if several else ''}"):
             measurement = read_photon_transfer(path, bits=bits, channel=site)
         with step(f"predicting them{f' of {site}' if several else ''}"):
@@ -168,18 +181,18 @@ def predict(
         if rig is not None and not sections:
             found = with_inputs(found, rig, "photon transfer")
         if several:
-            word = in_file_names(site)
+            word = site.replace(" ", "_").replace(",", "_")
             found = replace(found, kind=f"{found.kind}_{word}", title=f"{found.title}: {site}")
         sections.append(found)
     return sections, {}
 
 
-def _camera_file(camera: str, site: str) -> Path:
-    """The camera file of a site. In a folder it is the file with the name of the site."""
+def _camera_file(camera: str) -> Path:
+    """The file of a camera; of a folder the one that a calibration wrote to it."""
     folder = Path(camera)
     if not folder.is_dir():
         return folder
-    own = folder / (f"sensor_{in_file_names(site)}.toml" if site else "sensor.toml")
+    own = folder / "sensor.toml"
     if own.is_file():
         return own
     there = sorted(file.name for file in folder.glob("sensor*.toml"))
@@ -187,9 +200,11 @@ def _camera_file(camera: str, site: str) -> Path:
     raise InputError(f"{folder}: holds no {own.name} ({has}); name the file, or another folder.")
 
 
-def in_file_names(site: str) -> str:
-    """The name of a site as files have it."""
-    return site.replace(" ", "_").replace(",", "_")
+def _has_taps(file: Path) -> bool:
+    """Whether the camera of a file tells its taps apart."""
+    from jaxvision.files.toml import read_toml
+
+    return file.is_file() and "taps" in read_toml(file, "sensor").get("sensor", {})
 
 
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
@@ -214,36 +229,60 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
             progress(i + 1, len(sites))
     if not calibrations:
         raise failed[0][1]
-    first, *others = sections_of_sites(calibrations)
+    first, *others = sections_of_sites(calibrations, rig.camera)
     told = tuple(f"{site} could not be calibrated: {error}" for site, error in failed)
     first = replace(first, findings=(*told, *first.findings))
     return [with_inputs(first, rig, "photon transfer"), *others]
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
+    """The camera over its settings, and each setting; of several sites one after the other."""
+    from .noise.across_settings.section import of_site, records_of_sites
+    from .report.inputs import with_inputs
+
+    sites = (channel,) if channel else rig.camera.sites
+    if len(sites) == 1:
+        whole, *others = _settings_of_site(rig, step, draws, channel)[0]
+        return [with_inputs(whole, rig, "photon transfer"), *others]
+    found, calibrations = [], {}
+    for i, site in enumerate(sites):
+        of_one, calibration = _settings_of_site(rig, step, draws, site, word=f"{i}_" if i else "")
+        found += [of_site(one, site) for one in of_one]
+        if calibration is not None:
+            calibrations[site] = calibration
+    records = records_of_sites(calibrations, rig.camera)
+    first = replace(found[0], kind="noise", records=records)
+    return [with_inputs(first, rig, "photon transfer"), *found[1:]]
+
+
+def _settings_of_site(
+    rig: "Rig", step: Step, draws: Draws, channel: str, *, word: str = ""
+) -> "tuple[list[Section], CameraCalibration | None]":
     from .noise.across_settings.calibration import calibrate_one, calibrate_settings
     from .noise.across_settings.read import reduce_by_setting
     from .noise.across_settings.section import sections, unread, without_whole
     from .noise.settings import Setting
-    from .report.inputs import with_inputs
 
     failed: dict[Setting, InputError] = {}
-    with step("reading frames"):
+    of = f" of {channel}" if channel else ""
+    with step(f"reading frames{of}"):
         frames = reduce_by_setting(rig, channel=channel, failed=failed)
     own = []
-    with step("fitting photon transfer of each setting") as progress:
+    with step(f"fitting photon transfer of each setting{of}") as progress:
         for i, one in enumerate(frames):
-            own.append(calibrate_one(one, **draws(f"noise_{i}", lambda done, total: None)))
+            own.append(calibrate_one(one, **draws(f"noise_{word}{i}", lambda done, total: None)))
             progress(i + 1, len(frames))
-    with step("fitting all settings together"):
+    calibration = None
+    with step(f"fitting all settings together{of}"):
         seed = draws("noise", lambda done, total: None)["seed"]
         try:
-            whole, *others = sections(calibrate_settings(frames, calibrations=own, seed=seed))
+            calibration = calibrate_settings(frames, calibrations=own, seed=seed)
+            whole, *others = sections(calibration)
         except InputError as error:
             whole, *others = without_whole(frames, own, str(error))
     told = tuple(f"{setting.label} was left out: {why}" for setting, why in failed.items())
     whole = replace(whole, findings=(*told, *whole.findings)) if told else whole
-    return [with_inputs(whole, rig, "photon transfer"), *others, *unread(failed)]
+    return [whole, *others, *unread(failed)], calibration
 
 
 def response(

@@ -14,3 +14,4 @@ from .levels import Levels as Levels, PhotonTransfer as PhotonTransfer
 from .prediction.predict import Prediction as Prediction, predict as predict
 from .read import read_photon_transfer as read_photon_transfer
 from .settings import Setting as Setting
+from .sites import sensor_of_sites as sensor_of_sites

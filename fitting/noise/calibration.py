@@ -24,14 +24,14 @@ from ..inference.given import require_kind
 from ..inference.importance import laplace_where_it_holds
 from ..inference.left_out import LeftOut
 from ..inference.newton import minimise
-from ..inference.parameters import names, to_unconstrained
+from ..inference.parameters import Parameter, names, to_unconstrained
 from ..inference.posterior import Posterior, estimates, sample
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
 from .drifting import drifting
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
-from .fit import LikelihoodFit, likelihood_sheet, noise_data
+from .fit import LikelihoodFit, fitted, likelihood_sheet, noise_data
 from .flicker import extra_in_flats, without_flicker
 from .levels import PhotonTransfer, linear_levels
 from .model import log_density, negative_log_density, predicted_moments
@@ -178,7 +178,9 @@ def calibrate(
     usable = linear_levels(measurement)
     dark = measurement.dark
     shared = shared_noise(dark.shared, dark.variance, dark.frames)
-    standard = _evaluated(measurement, within, shared=shared)
+    # Taps that differ in remarks alone share one program.
+    bare = replace(measurement, remarks=(), lossy=(), doubts=(), site=None)
+    standard = _evaluated(bare, within, shared=shared)
     window, gone = needed_window(measurement, usable)
     offsets = None if window is None else offset_data(measurement, usable)
     data = noise_data(measurement, usable, window=window, offsets=offsets)
@@ -219,6 +221,17 @@ def calibrate(
         flicker=flicker,
         periodic=periodic,
     )
+
+
+def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> NoiseCalibration:
+    """A calibration whose chosen model has these terms, too, by Laplace where it had not."""
+    chosen, likelihood = calibration.chosen, calibration.likelihood
+    lacking = tuple(term for term in terms if term not in chosen.space)
+    if not lacking or likelihood is None:
+        return calibration
+    fit = fitted(chosen.space + lacking, chosen.data, calibration.standard.values)
+    posterior = _posterior(fit, None, calibration.posterior.seed)
+    return replace(calibration, likelihood=replace(likelihood, chosen=fit, posterior=posterior))
 
 
 def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:

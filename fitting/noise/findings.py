@@ -19,7 +19,7 @@ from .misfit import MISFIT
 from .neighbours import are_known
 from .parts import Part, deviation_quantiles
 from .pattern import pattern_variance, unequal_gains, unequal_offsets
-from .periodic import periodic_in_words
+from .periodic import Periodic, periodic_in_words, taps_of
 from .printed_times import printed_times_in_words
 from .raw_frames import BLOCK, is_compressed, processing_in_words
 from .shared import Found, drift, temporal_lines
@@ -45,7 +45,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *drifting_in_words(drifting(measurement, calibration.usable)),
         *_processing(calibration),
         *_efficiency(calibration),
-        *_periodic(calibration),
+        *periodic_findings(calibration),
         *_converter(calibration),
         *_of_likelihood(calibration),
         *_standard_scatter(calibration),
@@ -105,11 +105,26 @@ def _processing(calibration: NoiseCalibration) -> list[str]:
     ]
 
 
-def _periodic(calibration: NoiseCalibration) -> list[str]:
+def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
     """What was found, without the blocks of a compression and what resizing repeats."""
     blocks = is_compressed(calibration.measurement, calibration.usable)
-    found = [one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)]
-    return periodic_in_words(tuple(found), calibration.gain)
+    return tuple(
+        one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)
+    )
+
+
+def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
+    """Sentences on rows, columns, cells and parts of the frame that differ; `apart`: which were
+    then calibrated each by itself."""
+    return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart)
+
+
+def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None:
+    """`camera.taps` by which the pixels of a calibration are to be calibrated apart; None where
+    they are alike, or where frames are not raw."""
+    if calibration.measurement.site is not None or is_no_sensor(calibration):
+        return None
+    return taps_of(_periodic(calibration))
 
 
 def _efficiency(calibration: NoiseCalibration) -> list[str]:

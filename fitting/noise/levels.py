@@ -50,7 +50,7 @@ class Levels(eqx.Module):
             to each other.
         residues: (levels, 2, 5, residues) means of the frames' average and of their variance, by
             row, by column and by place in a cell (`periodic`); None where pixels are not known.
-        quarters: (levels, 2, 6) the same of the quarters of a frame, and of its pixels near the
+        quarters: (levels, 2, 8) the same of the quarters of a frame, and of its pixels near the
             centre and the others.
         local_pattern: (levels,) what stays from frame to frame, by differences of neighbours, DN^2;
             None where pixels are not known.
@@ -73,7 +73,7 @@ class Levels(eqx.Module):
     shared: SharedVariance | None = None
     covariances: Float[Array, "levels lags lags"] | None = None
     residues: Float[Array, "levels 2 5 residues"] | None = None
-    quarters: Float[Array, "levels 2 6"] | None = None
+    quarters: Float[Array, "levels 2 8"] | None = None
     local_pattern: Float[Array, " levels"] | None = None
     blocks: Float[Array, "levels 2 8"] | None = None
     combs: Float[Array, "levels steps 8 8"] | None = None
@@ -117,6 +117,7 @@ class PhotonTransfer(eqx.Module):
         remarks: what the reader of the measurement did with it, in sentences.
         lossy: names of frames whose files are JPEG.
         doubts: figures that the frames do not tell, and why.
+        site: index of the tap or site of a mosaic whose pixels these are; None of all pixels.
     """
 
     bright: Levels
@@ -128,6 +129,7 @@ class PhotonTransfer(eqx.Module):
     remarks: tuple[str, ...] = eqx.field(static=True, default=())
     lossy: tuple[str, ...] = eqx.field(static=True, default=())
     doubts: tuple[Doubt, ...] = eqx.field(static=True, default=())
+    site: int | None = eqx.field(static=True, default=None)
 
     @property
     def converter(self) -> Converter:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import fdtrc, ndtr
+from scipy.special import fdtrc, ndtr, stdtr
 
 from ..inference.formatting import format_number
 from .levels import PhotonTransfer
@@ -24,7 +24,21 @@ LONGER = 30  # modulo which 3, 5 and 6 are seen
 CELL = 4
 PERIODS = (2, 4, 8)
 LINES = ("rows", "columns")
-CENTRE = "centre and border"
+CENTRE, QUARTERS = "centre and border", "quadrants"
+HALVES = ("left and right", "top and bottom")
+PARTS_OF = {  # quarters of a frame in each
+    HALVES[0]: ([0, 2], [1, 3]),
+    HALVES[1]: ([0, 1], [2, 3]),
+    QUARTERS: ([0], [1], [2], [3]),
+}
+CONTRASTS = (
+    (HALVES[0], [0, 2], [1, 3]),
+    (HALVES[1], [0, 1], [2, 3]),
+    (QUARTERS, [0, 3], [1, 2]),
+    (CENTRE, [4], [5]),
+)
+BLOCKS = 24  # of lines along a side, between which steps are looked for
+FEWEST_STEPS = 6  # that tell how blocks of lines differ by chance
 CHANCE = 1e-4  # that a camera without structure shows as much
 SMALL = 0.1  # of a pixel's temporal noise; structure below it changes nothing that noise does not
 BENT = 0.2  # of a difference in signal: what a curved characteristic may make of it in gain
@@ -81,9 +95,10 @@ def _mean(values: np.ndarray, count: np.ndarray) -> float:
 
 def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
-) -> Float[np.ndarray, "2 6"]:
+) -> Float[np.ndarray, "2 8"]:
     """Means over the quarters of a frame, top left, top right, bottom left, bottom right, and over
-    the half of its pixels near its centre and the other half.
+    the half of its pixels near its centre and the other half; then steps of the average from left
+    to right and from top to bottom at the middle, and how rare each is by chance.
 
     Args:
         average: (h, w) of the frames of a level, DN.
@@ -91,9 +106,9 @@ def quarters(
         live: the pixels that count.
 
     Returns:
-        Of both; NaN of frames of one row or column.
+        Of both; NaN of frames of one row or column, and of steps in small frames.
     """
-    (h, w), found = average.shape, np.full((2, 6), np.nan)
+    (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:
         row, column = np.ogrid[:h, :w]
         distance = (row - (h - 1) / 2) ** 2 + (column - (w - 1) / 2) ** 2
@@ -105,8 +120,29 @@ def quarters(
                 for j in (np.s_[: w // 2], np.s_[w // 2 :])
             ]
             own[:4] = [_mean(plane[place], live.mask[place]) for place in places]
-            own[4:] = [_mean(plane, live.mask & zone) for zone in (inner, ~inner)]
+            own[4:6] = [_mean(plane, live.mask & zone) for zone in (inner, ~inner)]
+        for i, axis in enumerate((1, 0)):
+            found[:, 6 + i] = _step(live.line_means(average, axis))
     return found
+
+
+def _step(lines: np.ndarray) -> tuple[float, float]:
+    """By how much lines rise at their middle beyond what they do elsewhere, and the two-sided
+    chance of it: of differences of neighbouring blocks, of which those elsewhere are replicates."""
+    size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for what repeats after two lines
+    before = -(-len(lines) // 2) - size
+    start = before % (2 * size)
+    count = (len(lines) - start) // (2 * size)
+    pairs = lines[start : start + count * 2 * size].reshape(count, 2, size).mean(axis=2)
+    rises = pairs[:, 1] - pairs[:, 0]
+    middle = (before - start) // (2 * size)
+    others = np.delete(rises, middle)
+    others = others[np.isfinite(others)]
+    if len(others) < FEWEST_STEPS or not others.std():
+        return np.nan, np.nan
+    step = float(rises[middle] - others.mean())
+    error = float(others.std(ddof=1)) * np.sqrt(1 + 1 / len(others))
+    return step, 2 * float(stdtr(len(others) - 1, -abs(step) / error))
 
 
 @dataclass(frozen=True)
@@ -114,9 +150,9 @@ class Periodic:
     """What repeats.
 
     Attributes:
-        where: "rows", "columns", "mosaic", "left and right halves", "top and bottom halves" or
+        where: "rows", "columns", "mosaic", "left and right", "top and bottom", "quadrants" or
             "centre and border".
-        period: of rows or columns, or 2 of a mosaic; 0 of halves.
+        period: of rows or columns, or 2 of a mosaic; 0 of parts of the frame.
         gains: DN/e-, of each class; empty where they do not differ.
         offsets: DN, of each class in the dark; likewise.
         signals: relative to their mean, of each class; likewise.
@@ -166,7 +202,7 @@ def periodic_structure(
     least = {"gains": known, "offsets": SMALL * of_dark, "signals": SMALL * of_top}
     values = {"gains": gains, "offsets": black, "signals": share}
     if not np.isfinite(gains[:3, :RESIDUES]).all():
-        return tuple(_unequal_halves(measurement, usable, matched))
+        return tuple(_unequal_parts(measurement, usable, matched))
 
     def that_matter(classes: dict[str, tuple[float, ...]], signals: tuple[float, ...]) -> dict:
         """Of the quantities that differ, those whose differences are not small."""
@@ -191,7 +227,7 @@ def periodic_structure(
         }
         if lines := that_matter(lines, _classes(share, kind, period)):
             found.append(Periodic(where, period, **lines))
-    return (*found, *_unequal_halves(measurement, usable, matched))
+    return (*found, *_unequal_parts(measurement, usable, matched))
 
 
 def _spread(name: str, values: tuple[float, ...]) -> float:
@@ -212,7 +248,9 @@ def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
         return found
     if found == 2:
         return max(found, _shortest(longer, (2, 6)))
-    return max(_shortest(longer, (3, 6)), _shortest(longer, (5,)))
+    # A period of 6 explains one of 2 or 3, too: it is there where both leave something to it.
+    sixths = [_shortest(longer, (two_or_three, 6)) for two_or_three in (2, 3)]
+    return max(min(filter(None, sixths), default=0), _shortest(longer, (5,)))
 
 
 def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) -> int:
@@ -240,30 +278,59 @@ def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
     return tuple(sites.ravel().tolist()) if fdtrc(1, 12, ratio) < CHANCE else ()
 
 
-def _unequal_halves(
+def _unequal_parts(
     measurement: PhotonTransfer, usable: np.ndarray, matched: np.ndarray
 ) -> list[Periodic]:
-    """Halves whose gains differ, which uneven light does not do."""
+    """Halves or quarters whose gains differ, which uneven light does not do, or whose blacks have a
+    step between them; and a centre of another gain."""
     bright, dark = measurement.bright, measurement.dark
     if bright.quarters is None or dark.quarters is None:
         return []
-    # Noise of whole rows or columns makes variances of halves less well known.
-    if bright.flicker is not None or believed_lines(dark.shared, dark.variance, dark.frames):
-        return []
     lit, unlit = np.asarray(bright.quarters)[usable], np.asarray(dark.quarters)
-    signal, shot = np.moveaxis(lit - unlit[matched], 1, 0)  # (levels, places) each
+    black, rare = np.median(unlit[:, 0, :4], axis=0), np.median(unlit[:, 1, 6:], axis=0)
+    step = np.abs(np.median(unlit[:, 0, 6:], axis=0))
+    of_dark = float(np.sqrt(np.median(np.asarray(dark.variance))))
+    stepped = [
+        part
+        for part, p, size in zip(HALVES, rare, step, strict=True)
+        if p < CHANCE and size > SMALL * of_dark
+    ]
+    gains, unequal = _gains_of_parts(measurement, usable, lit[..., :6], unlit[:, :, :6][matched])
+    found = [Periodic(CENTRE, 0, gains=tuple(gains[4:]))] if CENTRE in unequal else []
+    parts = {*unequal, *stepped} - {CENTRE}
+    if not parts:
+        return found
+    where = parts.pop() if parts < {*HALVES} else QUARTERS
+    own = PARTS_OF[where]
+    of_gains = where in unequal or (where == QUARTERS and unequal)
+    return [
+        Periodic(
+            where,
+            0,
+            gains=tuple(float(gains[one].mean()) for one in own) if of_gains else (),
+            offsets=tuple(float(black[one].mean()) for one in own) if stepped else (),
+        ),
+        *found,
+    ]
+
+
+def _gains_of_parts(
+    measurement: PhotonTransfer, usable: np.ndarray, lit: np.ndarray, unlit: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    """K of the quarters, the centre and the border, and which of `CONTRASTS` differ."""
+    bright, dark = measurement.bright, measurement.dark
+    signal, shot = np.moveaxis(lit - unlit, 1, 0)  # (levels, places) each
     variance, frames = np.asarray(bright.variance)[usable], np.asarray(bright.frames)[usable]
     weight = ((frames - 1) / variance**2)[:, None]
     squares = np.sum(weight * signal**2, axis=0)
     gains = np.sum(weight * signal * shot, axis=0) / squares
+    # Noise of whole rows or columns makes variances of halves less well known.
+    if bright.flicker is not None or believed_lines(dark.shared, dark.variance, dark.frames):
+        return gains, []
     pixels = float(bright.pixels) / np.array([4, 4, 4, 4, 2, 2])
     errors = np.sqrt(2 / (squares * pixels))
     found = []
-    for where, one, other in (
-        ("left and right halves", [0, 2], [1, 3]),
-        ("top and bottom halves", [0, 1], [2, 3]),
-        (CENTRE, [4], [5]),
-    ):
+    for where, one, other in CONTRASTS:
         pair = gains[one].mean(), gains[other].mean()
         error = np.sqrt(sum(np.mean(errors[half] ** 2) / len(half) for half in (one, other)))
         lights = signal[:, one].sum(), signal[:, other].sum()
@@ -272,8 +339,23 @@ def _unequal_halves(
         if not np.isfinite(error) or apart / (pair[0] + pair[1]) < bent:
             continue
         if 2 * ndtr(-apart / error) < CHANCE:
-            found.append(Periodic(where, 0, gains=(float(pair[0]), float(pair[1]))))
-    return found
+            found.append(where)
+    return gains, found
+
+
+def taps_of(found: tuple[Periodic, ...]) -> tuple[int, int] | str | None:
+    """What `camera.taps` should have been for pixels that differ, None where nothing differs that
+    taps describe.
+
+    Args:
+        found: as `periodic_structure` has it.
+    """
+    periods = {one.where: one.period for one in found if one.period}
+    if "mosaic" in periods:
+        return (2, 2)
+    if periods:
+        return periods.get("rows", 1), periods.get("columns", 1)
+    return next((one.where for one in found if one.where != CENTRE), None)
 
 
 def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
@@ -285,12 +367,15 @@ def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
     return float(np.sqrt(sum(one.unequal**2 for one in found)))
 
 
-def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
+def periodic_in_words(
+    found: tuple[Periodic, ...], gain: float, *, apart: bool = False
+) -> list[str]:
     """A sentence or two for each.
 
     Args:
         found: as `periodic_structure` has it.
         gain: K of all pixels, DN/e-.
+        apart: whether what differs was calibrated apart.
 
     Returns:
         The sentences.
@@ -298,15 +383,15 @@ def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
     told = []
     for one in found:
         if one.where == "mosaic":
-            who, remedy = "The four sites of a cell of 2 x 2 pixels", "camera.taps = [2, 2]"
+            who = "The four sites of a cell of 2 x 2 pixels"
         elif one.period:
             who = WORDS[one.period].format(one.where)
-            taps = [one.period, 1] if one.where == "rows" else [1, one.period]
-            remedy = f"camera.taps = {taps}"
         elif one.where == CENTRE:
-            who, remedy = "The centre and the border of the frame", "frames without it"
+            who = "The centre and the border of the frame"
+        elif one.where == QUARTERS:
+            who = "The quarters of the frame"
         else:
-            who, remedy = f"The {one.where}", "camera.region, one half at a time,"
+            who = f"The {one.where} halves"
         parts = []
         if one.gains:
             span = 100 * (max(one.gains) / min(one.gains) - 1)
@@ -318,15 +403,20 @@ def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
         if one.signals and not one.gains:
             span = 100 * (max(one.signals) / min(one.signals) - 1)
             parts.append(f"in signal by {span:.3g} %")
-        cause = "several amplifiers"
+        cause, remedy = "several amplifiers", f"give camera.taps = {_stated(taps_of((one,)))}"
         if one.where == CENTRE:
-            cause = "a correction of lens shading in the camera"
-        if not one.gains and one.signals:
-            cause = "a colour mosaic" if one.where != "rows" else "interlaced rows, or a mosaic"
-            remedy = f"camera.pattern of a mosaic, or {remedy}"
+            cause, remedy = "a correction of lens shading in the camera", "give frames without it"
+        elif one.signals and not one.gains and not one.offsets:
+            cause = {"rows": "interlaced rows, or a mosaic", "mosaic": "a colour mosaic"}.get(
+                one.where, "several amplifiers, or a mosaic"
+            )
+            remedy = f"give camera.pattern of a mosaic, or {remedy.removeprefix('give ')}"
+        differ = f"{who} differ {' and '.join(parts)}, as of {cause}"
+        if apart and one.where != CENTRE:
+            told.append(f"{differ}, and were calibrated apart; {remedy} to state it.")
+            continue
         told.append(
-            f"{who} differ {' and '.join(parts)}, as of {cause}; give {remedy}"
-            f"{'' if one.where == CENTRE else ' to calibrate them apart'}."
+            f"{differ}; {remedy}{'' if one.where == CENTRE else ' to calibrate them apart'}."
         )
         if one.gains:
             told.append(
@@ -334,3 +424,7 @@ def periodic_in_words(found: tuple[Periodic, ...], gain: float) -> list[str]:
                 f"follows from it, are widened by their deviation, {100 * one.unequal:.2g} %."
             )
     return told
+
+
+def _stated(taps: tuple[int, int] | str | None) -> str:
+    return f'"{taps}"' if isinstance(taps, str) else str(list(taps or ()))

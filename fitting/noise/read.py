@@ -143,6 +143,7 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         full_scale=_full_scale(stated, converter),
         remarks=tuple(remarks),
         lossy=tuple(name for one in (*flats, *darks) for name in one.files if _is_jpeg(name)),
+        site=rig.camera.sites.index(channel) if len(rig.camera.sites) > 1 else None,
     )
     return replace(found, doubts=doubts(found, of_flats, of_darks))
 

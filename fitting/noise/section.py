@@ -11,6 +11,7 @@ from ..inference.formatting import format_value
 from ..inference.parameters import names
 from ..report.left_out import left_out_tables
 from ..report.section import Section, Table
+from ..rig import Camera
 from .brighter_fatter import fitted_area_changes
 from .calibration import LIKELIHOOD, STANDARD, NoiseCalibration, sheet_estimate, widened
 from .emva1288 import is_floored, least_dark_variance
@@ -23,6 +24,7 @@ from .prediction import section as prediction
 from .prediction.predict import of_calibration
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
+from .sites import sensor_of_sites, write_sensor_of_sites
 
 # What dark noise enters, and whether its upper bound is one of theirs.
 FROM_DARK_NOISE = {
@@ -88,14 +90,18 @@ def section(calibration: NoiseCalibration) -> Section:
     )
 
 
-def sections_of_sites(calibrations: Mapping[str, NoiseCalibration]) -> list[Section]:
+def sections_of_sites(
+    calibrations: Mapping[str, NoiseCalibration], camera: Camera
+) -> list[Section]:
     """The sites of a mosaic, or the taps of several amplifiers, one section each.
 
     Args:
         calibrations: by the name of the site.
+        camera: whose sites they are.
 
     Returns:
-        The sections; the first compares them all.
+        The sections; the first compares them all, and writes the one sensor of all where each has
+        one.
     """
     found = []
     for site, calibration in calibrations.items():
@@ -106,7 +112,7 @@ def sections_of_sites(calibrations: Mapping[str, NoiseCalibration]) -> list[Sect
                 kind=KIND if not found else f"{KIND}_{word}",
                 title=f"{own.title}: {site}",
                 estimates=tuple(replace(one, group=site) for one in own.estimates),
-                records={f"{name}_{word}": write for name, write in own.records.items()},
+                records={},
                 pictures=own.pictures if not found else own.pictures[:1],
             )
         )
@@ -123,7 +129,14 @@ def sections_of_sites(calibrations: Mapping[str, NoiseCalibration]) -> list[Sect
         tuple(row for row in rows if len(row) == len(heads) + 1),
         "Each site is calibrated by itself; value and standard error.",
     )
-    return [replace(found[0], tables=(table, *found[0].tables)), *found[1:]]
+    told, records = (), {}
+    whole = all(site in calibrations for site in camera.sites)
+    if whole and not any(is_no_sensor(one) for one in calibrations.values()):
+        told = sensor_of_sites(calibrations, camera).findings
+        records = {"sensor": partial(write_sensor_of_sites, calibrations, camera)}
+    first, *others = found
+    tables, findings = (table, *first.tables), (*told, *first.findings)
+    return [replace(first, tables=tables, findings=findings, records=records), *others]
 
 
 def _operating_point(calibration: NoiseCalibration) -> str:

@@ -47,6 +47,45 @@ def fitted_sensor(
     Returns:
         The best fit; and the same with a leading axis of draws at every number.
     """
+    return best_and_draws(sensors_of(drawn_numbers(calibration, left_out=left_out)))
+
+
+def best_and_draws(every: Sensor) -> tuple[Sensor, Sensor]:
+    """The first of sensors along the leading axis of every number, and the others."""
+    best = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), every)
+    return best, jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[1:]), every)
+
+
+class Numbers(eqx.Module):
+    """The numbers of a calibrated camera: the best estimate, then draws.
+
+    Attributes:
+        about: what all draws share.
+        natural: (draws, parameters) of the likelihood.
+        beside: (draws,) of each effect that the likelihood does not have, by its field.
+    """
+
+    about: "About"
+    natural: Float[np.ndarray, "draws parameters"]
+    beside: dict[str, Float[np.ndarray, " draws"]]
+
+    @property
+    def top(self) -> np.ndarray:
+        """X, DN."""
+        return self.about.top
+
+    def of(self, name: str) -> Float[np.ndarray, " draws"]:
+        """Those of one parameter."""
+        return self.natural[:, self.about.labels.index(name)]
+
+
+def drawn_numbers(
+    calibration: NoiseCalibration,
+    *,
+    left_out: Bool[np.ndarray, " levels"] | None = None,
+    asked: frozenset[str] = frozenset(),
+) -> Numbers:
+    """The numbers of `fitted_sensor`; `asked` names effects that are there even if unseen."""
     posterior, usable = calibration.posterior, calibration.usable
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
     if left_out is None:
@@ -57,7 +96,7 @@ def fitted_sensor(
     labels, measurement = names(posterior.space), calibration.measurement
     kernel = fitted_kernel(measurement, usable) if "brighter_fatter" in labels else None
     shares = mixed_shares(measurement, usable) if "pixel_mixing" in labels else None
-    about = _About(
+    about = About(
         labels=labels,
         converter=measurement.converter,
         full_scale=measurement.full_scale if measurement.converter.step else None,
@@ -68,10 +107,13 @@ def fitted_sensor(
         kernel=kernel,
         shares=shares,
     )
-    every = np.concatenate([mode[None], natural])
-    drawn = _sensors(about, every, _beside_the_likelihood(calibration, len(rows)))
-    best = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), drawn)
-    return best, jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[1:]), drawn)
+    beside = _beside_the_likelihood(calibration, len(rows), asked)
+    return Numbers(about, np.concatenate([mode[None], natural]), beside)
+
+
+def sensors_of(numbers: Numbers) -> Sensor:
+    """Sensors with a leading axis at every number: the best estimate, then draws."""
+    return _sensors(numbers.about, numbers.natural, numbers.beside)
 
 
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
@@ -104,7 +146,7 @@ def _fitted_without(
 
 
 def _beside_the_likelihood(
-    calibration: NoiseCalibration, count: int
+    calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
     """What a sensor has besides the parameters of the likelihood, by the name of its field: the
     best estimate, then draws. In DN^2, so that the gain of a draw counts; PRNU^2 relative, and the
@@ -129,6 +171,9 @@ def _beside_the_likelihood(
         for name, one in passing.items():
             if one.believed:
                 add(name, one.variance, 2 * (one.variance / one.error) ** 2)
+            elif name in asked:
+                drawn = one.variance + one.error * rng.standard_normal(count)
+                found[name] = np.maximum(np.concatenate([[one.variance], drawn]), 0.0)
     labels = names(calibration.posterior.space)
     if "frame_noise" not in found and "black_scatter" in labels:
         # Levels of so many frames wander by that much.
@@ -138,16 +183,16 @@ def _beside_the_likelihood(
     if calibration.patterns is not None:
         offsets, gains = calibration.patterns[1].dark, calibration.patterns[1].response
         own, *lines = offsets.parts
-        if own.variance > SEEN * offsets.noise:
+        if own.variance > SEEN * offsets.noise or "dsnu" in asked:
             add("dsnu", own.variance, own.degrees, offsets.noise)
         for name, part in zip(("row_dsnu", "column_dsnu"), lines, strict=False):
-            if part.variance > 0:
+            if part.variance > 0 or name in asked:
                 add(name, part.variance, part.degrees)
         own, *lines = gains.parts
         pixels = own.variance + (lines[0].variance if lines else 0.0)
-        if pixels > SEEN * gains.noise:
+        if pixels > SEEN * gains.noise or "prnu" in asked:
             add("prnu", pixels, own.degrees, gains.noise)
-        if lines[1:] and lines[1].variance > 0:
+        if lines[1:] and (lines[1].variance > 0 or "column_prnu" in asked):
             add("column_prnu", lines[1].variance, lines[1].degrees)
     well = full_well(calibration)
     if well is not None:
@@ -156,7 +201,7 @@ def _beside_the_likelihood(
     return found
 
 
-class _About(eqx.Module):
+class About(eqx.Module):
     """What all draws of a sensor share: names of the likelihood's parameters, the converter and
     what is known of light, the median exposure, X, and the shapes of the kernels."""
 
@@ -172,12 +217,12 @@ class _About(eqx.Module):
 
 
 @compiled_briefly
-def _sensors(about: _About, natural: np.ndarray, known: dict[str, np.ndarray]) -> Sensor:
+def _sensors(about: About, natural: np.ndarray, known: dict[str, np.ndarray]) -> Sensor:
     """A sensor for each draw."""
     return eqx.filter_vmap(lambda values, beside: _sensor(about, values, beside))(natural, known)
 
 
-def _sensor(about: _About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
+def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
     """One draw: of the parameters of the likelihood, and of what is known beside them."""
     values = dict(zip(about.labels, natural, strict=True))
     gain, converter, scale = values["system_gain"], about.converter, about.full_scale

@@ -283,8 +283,8 @@ def test_bad_input_is_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_taps_of_a_folder_are_predicted_each_by_its_own_camera(tmp_path):
-    """Even and odd columns; the camera of one amplifier names gain and black of the other."""
+def test_one_camera_file_predicts_the_taps_of_a_folder(tmp_path):
+    """Even and odd columns; a camera of one amplifier names gain and black of the other."""
     rng, odd = np.random.default_rng(0), np.arange(96) % 2
     text = "camera = {bits = 12, taps = [1, 2]}\n"
     levels = [("flat", f"photons = {light}", light) for light in np.linspace(500, 20_000, 10)]
@@ -301,7 +301,10 @@ def test_the_taps_of_a_folder_are_predicted_each_by_its_own_camera(tmp_path):
     status, told, _ = called(app, "predict", out, tmp_path)
     assert status == 0
     assert "missed" not in told
-    one = out / "sensor_tap_0_0.toml"
+    assert [file.name for file in out.glob("sensor*.toml")] == ["sensor.toml"]
+    plain = tmp_path / "plain"
+    assert called(app, "noise", tmp_path, "--channel", "tap 0,0", "--out", plain)[0] == 0
+    one = plain / "sensor.toml"
     assert "the camera of one channel" in called(app, "predict", one, tmp_path)[2]
     other = called(app, "predict", one, tmp_path, "--channel", "tap 0,1")[1]
     assert "a gain larger by 20." in other

@@ -1,8 +1,9 @@
 """A camera over its settings as its reader sees it: estimates, findings, tables and pictures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from jaxvision.errors import InputError
 from ...inference.estimates import QUANTILES, Estimate, not_determined, quantile_estimate
 from ...inference.parameters import Parameter, names
 from ...report.section import Section, Table
+from ...rig import Camera
 from ..calibration import NoiseCalibration
 from ..parts import Part, deviation_quantiles, sampling_variance
 from ..pattern import SEEN
@@ -23,7 +25,7 @@ from .calibration import CameraCalibration
 from .figures import camera_pictures
 from .findings import NAMES, findings
 from .pooled import ends_at_full_scale
-from .sensor import write_sensor_at
+from .sensor import write_sensor_at, write_sensor_of_sites_at
 from .setting import FramesOfSetting
 from .statement import BOLTZMANN_EV
 
@@ -77,6 +79,35 @@ def sections(calibration: CameraCalibration) -> list[Section]:
     return [section(calibration), *_of_settings(calibration.frames, calibration.calibrations)]
 
 
+def records_of_sites(
+    calibrations: Mapping[str, CameraCalibration], camera: Camera
+) -> dict[str, Callable[[Path], None]]:
+    """What writes the one sensor of all sites at each gain; nothing where a site has none."""
+    each = calibrations.values()
+    if len(calibrations) < len(camera.sites) or any(c.is_impossible or c.processed for c in each):
+        return {}
+    gains = dict.fromkeys((s.gain, s.gain_label) for one in each for s in one.settings)
+    return {
+        f"sensor_{_word(label)}".rstrip("_"): partial(
+            write_sensor_of_sites_at, calibrations, camera, gain
+        )
+        for gain, label in gains
+    }
+
+
+def of_site(section: Section, site: str) -> Section:
+    """A section of one of several sites, named so, without the camera file of that alone."""
+    return replace(
+        section,
+        kind=f"{section.kind}_{_word(site)}",
+        title=f"{section.title}: {site}",
+        estimates=tuple(
+            replace(one, group=f"{site} {one.group}".strip()) for one in section.estimates
+        ),
+        records={},
+    )
+
+
 def without_whole(
     frames: Sequence[FramesOfSetting],
     calibrations: Sequence[NoiseCalibration | InputError | None],
@@ -101,7 +132,7 @@ def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
 
 def _word(label: str) -> str:
     """A label as a part of a file's name."""
-    return "_".join(label.lower().replace(",", "").replace("-", "minus_").split())
+    return "_".join(label.lower().replace(",", " ").replace("-", "minus_").split())
 
 
 def _of_settings(

@@ -1,5 +1,6 @@
 """A calibrated camera as a sensor at any gain and temperature in its range."""
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -15,9 +16,11 @@ from jaxvision.files.cameras import write_sensor
 
 from ...inference.precision import in_double
 from ...inference.problem import values_from
+from ...rig import Camera
 from ..levels import Levels, PhotonTransfer
 from ..sensor import DRAWS
 from ..settings import Setting
+from ..sites import joined_sensors
 from .calibration import CameraCalibration
 from .statement import figures
 
@@ -72,6 +75,19 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
     at = Setting(gain, calibration.settings[0].gain_unit, warmest).label
     about = f"Fitted by photon transfer over gains and temperatures, at {at}; light is photons per "
     write_sensor(best, path, draws=draws, about=about + "pixel and second.")
+
+
+def write_sensor_of_sites_at(
+    calibrations: Mapping[str, CameraCalibration], camera: Camera, gain: float | None, path: Path
+) -> None:
+    """As `write_sensor_at`, of a camera whose sites were calibrated each by itself."""
+    warmest = next(iter(calibrations.values())).fit.reference
+    each = [sensor_at(calibrations[s], gain=gain, temperature=warmest) for s in camera.sites]
+    best, draws = joined_sensors(each, camera)
+    about = (
+        f"Fitted by photon transfer over gains and temperatures; taps are {', '.join(camera.sites)}"
+    )
+    write_sensor(best, path, draws=draws, about=f"{about}; light is photons per pixel and second.")
 
 
 def _within(known: list[float | None], asked: float | None, word: str) -> float | None:

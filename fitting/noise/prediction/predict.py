@@ -21,6 +21,7 @@ from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
 from ..sensor import fitted_sensor
+from ..sites import of_tap
 from .comparison import Comparison, compare
 from .missing import Missing, missing_effects
 
@@ -110,6 +111,8 @@ def predict(
     elif not isinstance(camera, Sensor):
         name = str(camera)
         camera, draws = _read(Path(camera))
+    if camera.taps is not None:
+        camera, draws = _of_one_tap(name, camera, draws, measurement.site)
     camera = _of_one_channel(name, camera)
     if draws is not None:
         draws = eqx.tree_at(_conversion, draws, None, is_leaf=lambda leaf: leaf is None)
@@ -233,6 +236,21 @@ def _read(file: Path) -> tuple[Sensor, Sensor | None]:
         draws = read_camera(file, draws=count).sensor if count else None
         return read_camera(file).sensor, draws
     return read_sensor(file), read_sensor(file, draws=count) if count else None
+
+
+def _of_one_tap(
+    name: str, sensor: Sensor, draws: Sensor | None, site: int | None
+) -> tuple[Sensor, Sensor | None]:
+    """The sensor of the tap that frames are of, and draws of it."""
+    assert sensor.taps is not None
+    count = max(max(row) for row in sensor.taps.pattern) + 1
+    if site is None or site >= count:
+        raise InputError(
+            f"{name}: has {count} taps, but the frames are not split into them; state camera.taps "
+            "or camera.pattern of the frames as the calibration had it."
+        )
+    every = None if draws is None else eqx.filter_vmap(lambda one: of_tap(one, site))(draws)
+    return of_tap(sensor, site), every
 
 
 def _of_one_channel(name: str, sensor: Sensor) -> Sensor:

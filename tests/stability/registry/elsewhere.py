@@ -166,10 +166,11 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FILES,
-        "test_noise_settings",
+        "test_noise_settings test_taps",
         """
             fitting.noise.across_settings.sensor.*
             fitting.noise.settings.*
+            fitting.noise.sites.*
         """,
     ),
     Elsewhere(
@@ -641,7 +642,7 @@ ELSEWHERE = (
             fitting.noise.pattern: fitted_pattern pattern_variance standard_pattern unequal_gains
             fitting.noise.pattern: unequal_offsets
             fitting.noise.quantised: quantised_moments window_for
-            fitting.noise.periodic: periodic_structure quarters residues unequal_gains_of
+            fitting.noise.periodic: periodic_structure quarters residues taps_of unequal_gains_of
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
             fitting.noise.misfit.*
@@ -651,6 +652,7 @@ ELSEWHERE = (
             fitting.noise.flicker: extra_in_flats without_flicker
             fitting.noise.drifting: drifting
             fitting.noise.hits: hits
+            fitting.noise.calibration: refitted
             fitting.noise.fit: fitted_without
             fitting.noise.full_well.*
             fitting.noise.mixing.*

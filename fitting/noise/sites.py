@@ -1,0 +1,306 @@
+"""One sensor of several taps or sites of a mosaic, from a calibration of each.
+
+Gain, black level, efficiency, read noise and PRNU are each tap's own, o_i. What pixels have in
+common whoever reads them is one vector s: dark current, offset of the light, curve, repulsion and
+mixing. With the estimates s_i of the taps and their covariances S_i,
+
+    s = (sum S_i^-1)^-1 sum S_i^-1 s_i          o_i' = o_i + C_i S_i^-1 (s - s_i)
+
+C_i being the covariance of o_i with s_i. This is the posterior of all taps under the condition that
+s is one; it is linear, so that each draw of the taps gives a draw of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.special import chdtrc
+
+from jaxvision import HeavyTailedReadNoise, Sensor, Taps
+from jaxvision.errors import InputError
+from jaxvision.files.cameras import write_sensor
+
+from ..inference.compiled import compiled_briefly
+from ..inference.formatting import format_p
+from ..rig import Camera
+from .calibration import NoiseCalibration, refitted
+from .choice import CURVE, SHARING
+from .misfit import MISFIT
+from .sensor import Numbers, best_and_draws, drawn_numbers, sensors_of
+
+OWN = ("gain", "quantum_efficiency", "read_noise", "prnu")  # factors of each tap
+# What is one number, and the power of electrons per DN that makes it one of charge.
+COMMON = {
+    "dark_current": ("dark currents", 0),
+    "light_offset": ("offsets of the light", 0),
+    "compression": ("curves of the response", 1),
+    "compression_2": ("curves of the response", 2),
+    "brighter_fatter": ("repulsions of charges", 1),
+    "pixel_mixing": ("mixings of neighbours", 0),
+}
+OWN_NAMES = ("system_gain", "black_level", "responsivity", "signal_rate", "read_noise")
+
+
+@dataclass(frozen=True)
+class SensorOfSites:
+    """The sensor of a camera of several taps.
+
+    Attributes:
+        best: the best fit.
+        draws: the same with a leading axis at every number.
+        findings: sentences on what its taps should have in common and do not.
+    """
+
+    best: Sensor
+    draws: Sensor
+    findings: tuple[str, ...]
+
+
+def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera) -> SensorOfSites:
+    """The one sensor of a camera whose sites were calibrated each by itself.
+
+    Args:
+        calibrations: by the name of the site.
+        camera: whose `taps` and `pattern` make the sites.
+
+    Returns:
+        The sensor; `Sensor.taps` has the numbers of each.
+
+    Raises:
+        InputError: where a site has no calibration, or no likelihood.
+
+    Example:
+        >>> from fitting import noise
+        >>> rng, odd = np.random.default_rng(0), np.arange(40) % 2  # amplifiers of the columns
+        >>> def frames(light):
+        ...     e = rng.poisson(light, (2, 40, 40)) + 5 * rng.standard_normal((2, 40, 40))
+        ...     return (64 + 4 * odd + (0.25 + 0.05 * odd) * e).round()
+        >>> light = [1000, 2000, 4000, 6000, 8000, 9000]
+        >>> camera = noise.Camera(bits=12, taps=(1, 2))
+        >>> at = {"camera": camera, "dark_exposures": [0.01]}
+        >>> taken = [frames(x) for x in light], [frames(0)], [0.01] * 6, light
+        >>> each = {
+        ...     site: noise.calibrate(noise.from_frames(*taken, **at, channel=site))
+        ...     for site in camera.sites
+        ... }
+        >>> noise.sensor_of_sites(each, camera).best.taps.offset.round(1).tolist()
+        [-2.0, 2.0]
+    """
+    missing = [site for site in camera.sites if site not in calibrations]
+    if missing:
+        raise InputError(f"{', '.join(missing)}: not calibrated, so there is no camera of all.")
+    each = [calibrations[site] for site in camera.sites]
+    called = [term for one in each for term in one.chosen.space]
+    each = [refitted(one, tuple(t for t in (*CURVE, *SHARING) if t in called)) for one in each]
+    seen = {name for one in each for name in drawn_numbers(one).beside} - {"full_well"}
+    numbers = [drawn_numbers(one, asked=frozenset(seen)) for one in each]
+    count = min(len(one.natural) for one in numbers)
+    numbers, findings = _of_one_die([_shuffled(one, i, count) for i, one in enumerate(numbers)])
+    widest = int(np.argmax([float(one.top) / one.of("system_gain")[0] for one in numbers]))
+    sensors = [sensors_of(one) for one in numbers]
+    rates = None
+    if not numbers[0].about.photons_known:
+        rates = np.stack([one.of("signal_rate") / one.of("system_gain") for one in numbers], 1)
+    every = _joined(tuple(sensors), rates, widest, _tile(camera), camera.in_parts)
+    return SensorOfSites(*best_and_draws(every), findings)
+
+
+def joined_sensors(
+    sensors: Sequence[tuple[Sensor, Sensor]], camera: Camera
+) -> tuple[Sensor, Sensor]:
+    """One sensor, and its draws, of those of all sites, whose common numbers become their mean."""
+    each = []
+    for i, (best, draws) in enumerate(sensors):
+        count = min(leaf.shape[0] for _, own in sensors for leaf in jax.tree.leaves(own))
+        order = np.random.default_rng(i).permutation(count)
+        each.append(
+            jax.tree.map(lambda x, own, at=order: np.concatenate([x[None], own[at]]), best, draws)
+        )
+    for name in vars(each[0]):
+        there = [value for one in each if (value := getattr(one, name)) is not None]
+        if not there or (len(there) == len(each) and name in (*OWN, "offset")):
+            continue
+        mean = jax.tree.map(lambda *values: np.mean(values, axis=0), *there)
+        each = [
+            eqx.tree_at(
+                lambda x, name=name: getattr(x, name), one, mean, is_leaf=lambda x: x is None
+            )
+            for one in each
+        ]
+    return best_and_draws(_joined(tuple(each), None, 0, _tile(camera), camera.in_parts))
+
+
+def _tile(camera: Camera) -> tuple[tuple[int, ...], ...]:
+    """The pattern of `Sensor.taps`: the sites in reading order."""
+    return tuple(map(tuple, np.arange(len(camera.sites)).reshape(camera.layout).tolist()))
+
+
+def write_sensor_of_sites(
+    calibrations: Mapping[str, NoiseCalibration], camera: Camera, path: Path
+) -> None:
+    """Writes the one sensor of the sites, its draws beside it."""
+    found = sensor_of_sites(calibrations, camera)
+    about = f"Fitted by photon transfer; taps are {', '.join(camera.sites)}; light is photons per "
+    write_sensor(found.best, path, draws=found.draws, about=about + "pixel and second.")
+
+
+def of_tap(sensor: Sensor, tap: int) -> Sensor:
+    """The sensor of one tap. Without a quantum efficiency its light is in electrons of this tap."""
+    taps = sensor.taps
+    if taps is None:
+        return sensor
+    found: dict[str, Any] = {}
+    for name in OWN:
+        factors, own = getattr(taps, name), getattr(sensor, name)
+        if factors is None or (own is None and name != "gain"):
+            continue
+        factor = factors[tap]
+        if isinstance(own, HeavyTailedReadNoise):
+            found[name] = replace(own, rms=factor * own.rms, tail_rms=factor * own.tail_rms)
+        else:
+            found[name] = factor * (1.0 if own is None else own)
+    if taps.offset is not None:
+        found["offset"] = taps.offset[tap] + (0.0 if sensor.offset is None else sensor.offset)
+    return replace(sensor, taps=None, **found)
+
+
+def _shuffled(numbers: Numbers, seed: int, count: int) -> Numbers:
+    """Draws in another order, so that those of two taps of one seed are independent."""
+    order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(count - 1)])
+    beside = {name: drawn[order] for name, drawn in numbers.beside.items()}
+    return Numbers(numbers.about, numbers.natural[order], beside)
+
+
+def _of_one_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
+    """The numbers of all taps under the condition that what is of the die is one, and sentences on
+    what is not."""
+    labels = set.intersection(*(set(one.about.labels) for one in each))
+    shared = [
+        name for name in COMMON if name in labels and all(one.of(name)[1:].std() for one in each)
+    ]
+    own = [name for name in OWN_NAMES if name in labels]
+    tables = [np.stack([_scaled(one, name) for name in (*own, *shared)], 1) for one in each]
+    told: tuple[str, ...] = ()
+    if shared:
+        count = len(own)
+        spreads = [np.cov(table[1:], rowvar=False) for table in tables]
+        weights = [_inverse(one[count:, count:]) for one in spreads]
+        total = sum(w @ table[:, count:].T for w, table in zip(weights, tables, strict=True))
+        together = _inverse(np.sum(weights, axis=0)) @ total
+        moved = []
+        for table, spread, weight in zip(tables, spreads, weights, strict=True):
+            change = spread[:count, count:] @ weight @ (together - table[:, count:].T)
+            moved.append(np.concatenate([table[:, :count] + change.T, together.T], axis=1))
+        told = _unequal(
+            shared, [x[0, count:] for x in tables], [s[count:, count:] for s in spreads]
+        )
+        tables = moved
+    shape = {
+        name: None
+        if (x := [getattr(one.about, name) for one in each])[0] is None
+        else np.mean(x, 0)
+        for name in ("kernel", "shares")
+    }
+    found = []
+    for one, table in zip(each, tables, strict=True):
+        labels, natural = one.about.labels, one.natural.copy()
+        for name, column in zip((*own, *shared), table.T, strict=True):
+            natural[:, labels.index(name)] = column
+        one = replace(one, about=replace(one.about, **shape), natural=natural)
+        for name in shared:
+            per_charge = (one.top / one.of("system_gain")) ** COMMON[name][1]
+            natural[:, labels.index(name)] = one.of(name) * per_charge
+        found.append(one)
+    return _with_one_beside(found), told
+
+
+def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Of a covariance in any units; what does not vary has no part in it."""
+    scale = np.sqrt(np.diagonal(matrix))
+    scale = np.outer(scale, scale)
+    scale[scale == 0] = np.inf
+    return np.linalg.pinv(matrix / scale) / scale
+
+
+def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
+    """A parameter; of what grows with the charge, per electron."""
+    per_charge = (numbers.of("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
+    return numbers.of(name) * per_charge
+
+
+def _unequal(
+    shared: Sequence[str], values: Sequence[np.ndarray], spreads: Sequence[np.ndarray]
+) -> tuple[str, ...]:
+    """Sentences on what differs between taps by more than chance."""
+    told = {}
+    for i, name in enumerate(shared):
+        of, variance = (np.array([x[i] for x in values]), np.array([s[i, i] for s in spreads]))
+        if not variance.all():
+            continue
+        mean = np.average(of, weights=1 / variance)
+        p_value = float(chdtrc(len(of) - 1, np.sum((of - mean) ** 2 / variance)))
+        if p_value < MISFIT:
+            told[COMMON[name][0]] = p_value
+    return tuple(
+        f"The {what} of the taps differ by more than their errors ({format_p(p_value)}), but the "
+        "sensor of all has one; calibrate each by --channel for a camera file of its own."
+        for what, p_value in told.items()
+    )
+
+
+def _with_one_beside(each: Sequence[Numbers]) -> list[Numbers]:
+    """Noise that lines share, DSNU and the full well of all taps are their mean in electrons, so
+    that the read noise of each lacks what is in the sensor."""
+    gains = [one.of("system_gain") for one in each]
+    for name in {name for one in each for name in one.beside} - {"prnu"}:
+        power = {"full_well": 1, "column_prnu": 0}.get(name, 2)
+        there = [
+            one.beside[name] / gain**power
+            for one, gain in zip(each, gains, strict=True)
+            if name in one.beside
+        ]
+        mean = np.mean(there, axis=0)
+        for one, gain in zip(each, gains, strict=True):
+            one.beside[name] = mean * gain**power
+    return list(each)
+
+
+@compiled_briefly
+def _joined(
+    sensors: tuple[Sensor, ...],
+    rates: np.ndarray | None,
+    widest: int,
+    tile: tuple[tuple[int, ...], ...],
+    stretched: bool,
+) -> Sensor:
+    """One sensor with taps for each draw; `rates` of light stand for efficiencies where photons are
+    not known."""
+
+    def one(each: tuple[Sensor, ...], rate: Array | None) -> Sensor:
+        own = {}
+        for name in OWN:
+            values = [getattr(sensor, name) for sensor in each]
+            if values[0] is not None:
+                own[name] = jnp.stack(values)
+        if rate is not None:
+            own["quantum_efficiency"] = rate
+        means = {name: jnp.mean(values) for name, values in own.items()}
+        safe = {name: jnp.where(mean > 0, mean, 1.0) for name, mean in means.items()}
+        offsets = jnp.stack([jnp.asarray(sensor.offset) for sensor in each])
+        taps = Taps(
+            tile,
+            offset=offsets - jnp.mean(offsets),
+            stretched=stretched,
+            **{name: values / safe[name] for name, values in own.items()},
+        )
+        if rate is not None:
+            del means["quantum_efficiency"]
+        return replace(each[widest], taps=taps, offset=jnp.mean(offsets), **means)
+
+    return eqx.filter_vmap(one)(sensors, rates)
