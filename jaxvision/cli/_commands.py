@@ -216,7 +216,7 @@ def render(
     from ..effects.certificate import summary
     from ..files.scenes import read_scene
     from ..files.scenes.schema import idle, overridden
-    from ..render_command import lacking, pruned_for, render_to_file, with_resolution
+    from ..render_command import in_words, lacking, pruned_for, render_to_file, with_resolution
     from ..tasks import workers as workers_of
 
     source = read_scene(file)
@@ -273,7 +273,7 @@ def render(
         print(sentence, file=sys.stderr)
     title = f"{source.path.stem}, {settings.integrator}"
     with workers_of(workers, scheduler=scheduler), progress_bar(title) as advance:
-        render_to_file(
+        cost = render_to_file(
             source, out, settings, pruned=pruned, preview=shown, fresh=fresh, advance=advance
         )
     if pruned is not None:
@@ -281,6 +281,7 @@ def render(
     print(f"Radiance: {out}")
     if shown is not None:
         print(f"Preview: {shown}")
+    print(in_words(cost, settings))
 
 
 @sub_command(

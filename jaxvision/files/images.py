@@ -339,9 +339,12 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
     for i, name in enumerate(spec.channelnames):
         above, _, own = name.rpartition(".")
         layers.setdefault(above, {})[own] = i
+    # a render of this library holds its standard errors beside its radiance
+    rendered = bool(spec.get_string_attribute("jaxvision:relativeError"))
+    beside = [name for name in layers if rendered and name.split(".")[0] == "error"]
     if layer is None:
-        layer = "" if "" in layers else next(iter(layers))
-        if layer and len(layers) > 1:
+        layer = "" if "" in layers else next(name for name in layers if name not in beside)
+        if layer and len(layers) - len(beside) > 1:
             raise InputError(
                 f"{file}: holds the layers {_listed(sorted(layers))}, none of which is the "
                 "picture; choose one by part."
@@ -363,7 +366,7 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
     elif "a" in known:
         chosen.append(known["a"])
     unused = [spec.channelnames[i] for i in range(spec.nchannels) if i not in chosen]
-    if unused:
+    if unused and not rendered:
         warnings.warn(
             f"{file}: its channel{'s' if len(unused) > 1 else ''} {_listed(unused)} "
             f"{'are' if len(unused) > 1 else 'is'} not used.",

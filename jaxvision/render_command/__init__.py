@@ -1,17 +1,20 @@
 """The inside of `jaxvision render`: a scene file to an image file.
 
+cost         the standard error of a render and its time
 job          tile by tile, in memory that does not grow with the picture, and resumable
 integrators  the words of `[render] integrator` as functions from pixels to radiance
 pruning      the scene without what does not matter
 tiles        the unfinished picture on disk
 """
 
+from .cost import in_words
 from .integrators import lacking, seeded_passes_of, seeded_pixels_of
 from .job import band_names, linear_srgb, render_to_file, with_resolution
 from .pruning import inspected, left_of, pruned_for
 
 __all__ = [
     "band_names",
+    "in_words",
     "inspected",
     "lacking",
     "left_of",

@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache, partial
+from typing import Any
 
 import jax
 import numpy as np
@@ -38,7 +39,7 @@ from ..transport.radiosity import (
 BY_PIXEL = ("direct", "rays", "path", "radiosity")
 
 Numbers = Int[Array, " pixels"]
-Computed = Callable[..., np.ndarray]
+Computed = Callable[..., Any]
 Solve = Callable[[Key], Solution | None]
 RaysOf = Callable[[Scene, Key, Solution | None, Array], Along]
 Pixels = Float[Array, "pixels bands"]
@@ -46,11 +47,17 @@ Pixels = Float[Array, "pixels bands"]
 
 def pixels_of(
     source: SceneFile, settings: RenderEntry
-) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """(rows, columns) of n pixels to their radiance, (n, bands) float32 in W m^-2 sr^-1; compiled
-    once for each n. What a pixel gets does not depend on the others."""
-    compute = seeded_pixels_of(source, settings)(settings.seed)
-    return lambda rows, columns: compute(rows, columns).astype(np.float32)
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """(rows, columns) of n pixels to their radiance and its standard error, (n, bands) float32 in
+    W m^-2 sr^-1; compiled once for each n. What a pixel gets does not depend on the others. The
+    error is that of independent samples, inf for one."""
+    compute = _seeded_traces_of(source, settings)(settings.seed)
+
+    def both(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        radiance, error = compute(rows, columns)
+        return radiance.astype(np.float32), error.astype(np.float32)
+
+    return both
 
 
 def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
@@ -64,8 +71,19 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
         settings: integrator, samples and the rest of `[render]` but the seed.
 
     Returns:
-        As `pixels_of`, W m^-2 sr^-1 in the dtype of the scene; compiled once for all seeds.
+        The radiance of `pixels_of` in the dtype of the scene; compiled once for all seeds.
     """
+    traces = _seeded_traces_of(source, settings)
+
+    def seeded(seed: int, within_pixels: int | None = None) -> Computed:
+        compute = traces(seed, within_pixels)
+        return lambda *pixels, **more: compute(*pixels, **more)[0]
+
+    return seeded
+
+
+def _seeded_traces_of(source: SceneFile, settings: RenderEntry) -> Callable[..., Computed]:
+    """`seeded_pixels_of` with standard errors."""
     _check_light(source, settings)
     _check_lens(source, settings)
     if settings.integrator == "radiosity":
@@ -81,13 +99,14 @@ def seeded_pixels_of(source: SceneFile, settings: RenderEntry) -> Callable[..., 
 
         def compute(
             rows: np.ndarray, columns: np.ndarray, first: int = 0, depth: int = settings.depth
-        ) -> np.ndarray:
+        ) -> tuple[np.ndarray, np.ndarray]:
             places = rows.astype(np.int32), columns.astype(np.int32)
             numbers = np.uint32(first), np.uint32(depth)
             with _refusals_in_words(source):
                 found = tile(source.scene, source.view, key, within, ready, *places, *numbers)
-            radiance = np.asarray(found)
-            return np.broadcast_to(radiance.reshape(len(rows), -1), (len(rows), source.bands))
+            shape = len(rows), source.bands
+            radiance, error = (np.asarray(x).reshape(len(rows), -1) for x in found)
+            return np.broadcast_to(radiance, shape), np.broadcast_to(error, shape)
 
         return compute
 
@@ -160,7 +179,7 @@ def _structure(source: SceneFile) -> Hashable:
 
 
 @lru_cache(maxsize=1)
-def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., Pixels]:
+def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tuple[Pixels, Pixels]]:
     """The program of the last picture. A similar scene uses it without compiling again. It holds no
     scene, and is let go with the first of another structure."""
     return _tile_of(_along(settings), settings)
@@ -180,8 +199,8 @@ def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Imag
     return one
 
 
-def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., Pixels]:
-    """The program from pixels to their radiance."""
+def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels, Pixels]]:
+    """The program from pixels to their radiance and its standard error."""
 
     @jax.jit
     def tile(
@@ -194,12 +213,13 @@ def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., Pixels]:
         columns: Numbers,
         first: Array,
         depth: Array,
-    ) -> Pixels:
+    ) -> tuple[Pixels, Pixels]:
         samples = PixelSamples(jax.random.fold_in(within, 1), settings.samples)
         if settings.samples == 1 and settings.integrator != "path":
             samples = None
         rays, pixels = along(scene, key, ready, depth), (rows, columns)
-        return photograph(rays, view, samples, pixels=pixels, first_sample=first).radiance
+        traced = photograph(rays, view, samples, pixels=pixels, first_sample=first)
+        return traced.radiance, traced.error
 
     return tile
 

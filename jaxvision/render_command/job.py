@@ -33,6 +33,7 @@ from ..files.scenes.schema import RenderEntry
 from ..point_ops import srgb_encode
 from ..scene import View
 from ..tasks import PROGRAMS, in_order
+from .cost import Clock, Cost, relative_error, timed
 from .integrators import BY_PIXEL, lacking, passes_of, pixels_of
 from .pruning import left_of
 from .tiles import PartialImage, PartialSum
@@ -44,6 +45,8 @@ _PASS = 32  # bytes a value that a pass of light tracing takes: measured for 204
 
 Advance = Callable[[int, int], None]
 Rows = Callable[[], Iterator[np.ndarray]]
+Seconds = tuple[float, float]  # of all pixels, and of compiling
+ERROR = "error"  # the layer of standard errors
 
 
 def render_to_file(
@@ -55,8 +58,12 @@ def render_to_file(
     preview: Path | None = None,
     fresh: bool = False,
     advance: Advance = lambda done, total: None,
-) -> None:
+) -> Cost:
     """Renders a scene file to an image file, tile by tile.
+
+    With several samples a pixel the file has a layer `error`: the standard error of each pixel, as
+    if its samples were independent. Those of `path` and of a lens are stratified, which makes the
+    true error smaller.
 
     Args:
         source: the scene and its view.
@@ -68,6 +75,9 @@ def render_to_file(
         fresh: whether to begin again where an earlier call with the same scene and settings left
             off; otherwise that part is kept and completed.
         advance: called with the number of tiles done and that of all tiles.
+
+    Returns:
+        The rms standard error relative to the rms radiance, and the time, s.
 
     Raises:
         KeyboardInterrupt: on an interrupt, with a sentence on how to go on.
@@ -92,18 +102,29 @@ def render_to_file(
         advance(done, total)
 
     try:
-        with whole(source, settings, pruned, unfinished, fresh, count) as rows:
+        with (
+            timed() as clock,
+            whole(source, settings, pruned, unfinished, fresh, count, clock) as (
+                rows,
+                seconds,
+            ),
+        ):
+            names, error = band_names(source.bands, source.wavelengths), None
+            if settings.samples > 1:
+                names = (*names, *(f"{ERROR}.{name}" for name in names))
+                error = relative_error(rows(), source.bands)
             write_exr(
                 out,
                 rows(),
-                shape=(*source.view.resolution, source.bands),
-                channels=band_names(source.bands, source.wavelengths),
-                attributes=_attributes(source, settings, pruned),
+                shape=(*source.view.resolution, len(names)),
+                channels=names,
+                attributes=_attributes(source, settings, pruned, error),
             )
             if preview is not None:
                 write_image(preview, _display(rows, source))
             ending = f"{out}: interrupted; the picture is written."
             say_if_interrupted(ending)
+            return Cost(error, *seconds)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(ending) from None
 
@@ -112,9 +133,8 @@ def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
     """`InputError` for a picture larger than what the disk has left, and an earlier part has
     taken."""
     height, width = source.view.resolution
-    wanted = (
-        2 * 4 * height * width * source.bands
-    )  # the part that is done, and the picture made from it
+    # radiance and error: of the part that is done, and of the picture made from it
+    wanted = 2 * 2 * 4 * height * width * source.bands
     folder = next(folder for folder in out.resolve().parents if folder.exists())
     free = shutil.disk_usage(folder).free
     free += unfinished.stat().st_size if unfinished.exists() else 0
@@ -134,19 +154,23 @@ def _render_tiles(
     unfinished: Path,
     fresh: bool,
     advance: Advance,
-) -> Iterator[Rows]:
+    clock: Clock,
+) -> Iterator[tuple[Rows, Seconds]]:
     """The picture tile by tile; the part that is done is deleted at the end of the block."""
     height, width = source.view.resolution
     tile = min(settings.tile, height * width)
     tiles = math.ceil(height * width / tile)
-    key, values = _key(source, settings, pruned), tile * source.bands
+    channels = source.bands * (1 + (settings.samples > 1))
+    key, values = _key(source, settings, pruned), tile * channels
     with PartialImage(unfinished, key=key, values=values, fresh=fresh) as partial:
         work = _Work(source, settings, pruned)
         advance(partial.done, tiles)
-        for radiance in in_order(_tile, work, range(partial.done, tiles), memory=PROGRAMS):
+        first = partial.done
+        for radiance in in_order(_tile, work, range(first, tiles), memory=PROGRAMS):
             partial.append(radiance)
             advance(partial.done, tiles)
-        yield lambda: partial.rows(width, source.bands, height, at_once=ROWS)
+        rows = lambda: partial.rows(width, channels, height, at_once=ROWS)  # noqa: E731
+        yield rows, _of_all(clock, tiles, tiles - first)
         partial.delete()
 
 
@@ -158,21 +182,29 @@ def _render_passes(
     unfinished: Path,
     fresh: bool,
     advance: Advance,
-) -> Iterator[Rows]:
+    clock: Clock,
+) -> Iterator[tuple[Rows, Seconds]]:
     """The picture as the mean of its passes; the part that is done is deleted at the end of the
     block."""
     height, _ = source.view.resolution
-    shape = (*source.view.resolution, source.bands)
+    bands, several = source.bands, settings.samples > 1
+    shape = (*source.view.resolution, bands * (1 + several))
     partial = PartialSum(unfinished, key=_key(source, settings, pruned), shape=shape, fresh=fresh)
     work = _Work(source, settings, pruned)
     passes, _ = work.passes
     advance(partial.done, passes)
-    memory = PROGRAMS + _PASS * math.prod(shape)
-    for picture in in_order(_pass, work, range(partial.done, passes), memory=memory):
-        partial.add(picture)
+    memory, first = PROGRAMS + _PASS * math.prod(shape), partial.done
+    for picture in in_order(_pass, work, range(first, passes), memory=memory):
+        squares = [np.square(picture, dtype=np.float64)] if several else []
+        partial.add(np.concatenate([picture, *squares], axis=-1))
         advance(partial.done, passes)
-    picture = (partial.total / passes).astype(np.float32)
-    yield lambda: (picture[row : row + ROWS] for row in range(0, height, ROWS))
+    found = partial.total / passes
+    if several:
+        spread = np.maximum(found[..., bands:] - found[..., :bands] ** 2, 0.0)
+        found[..., bands:] = np.sqrt(spread / (passes - 1))
+    picture = found.astype(np.float32)
+    rows = lambda: (picture[row : row + ROWS] for row in range(0, height, ROWS))  # noqa: E731
+    yield rows, _of_all(clock, passes, passes - first)
     partial.delete()
 
 
@@ -189,12 +221,20 @@ class _Work:
 
     @cached_property
     def radiance(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """`pixels_of` what is left of the scene, in all of its bands."""
+        """`pixels_of` what is left of the scene, in all of its bands: (n, bands), and with several
+        samples (n, 2 bands), the standard errors behind."""
         compute = pixels_of(*left_of(self.source, self.settings, self.pruned))
-        if self.pruned is None or self.pruned.expand is None:
-            return compute
-        expand = self.pruned.expand.astype(np.float32)
-        return lambda rows, columns: compute(rows, columns) @ expand.T
+        expand = None if self.pruned is None else self.pruned.expand
+        several = self.settings.samples > 1
+
+        def beside(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+            radiance, error = compute(rows, columns)
+            if expand is not None:
+                radiance = radiance @ expand.T.astype(np.float32)
+                error = error @ np.abs(expand).T.astype(np.float32) if several else error
+            return np.concatenate([radiance, error], axis=1) if several else radiance
+
+        return beside
 
     @cached_property
     def passes(self) -> tuple[int, Callable[[int], np.ndarray]]:
@@ -207,6 +247,12 @@ def _tile(work: _Work, index: int) -> np.ndarray:
     tile = min(work.settings.tile, height * width)
     pixels = np.minimum(index * tile + np.arange(tile), height * width - 1)
     return work.radiance(pixels // width, pixels % width)
+
+
+def _of_all(clock: Clock, parts: int, here: int) -> Seconds:
+    """The seconds of all parts from those computed here, and the seconds of compiling."""
+    seconds, compiling = clock.read()
+    return seconds * parts / max(here, 1), compiling
 
 
 def _pass(work: _Work, number: int) -> np.ndarray:
@@ -264,7 +310,7 @@ def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dic
 
 
 def _attributes(
-    source: SceneFile, settings: RenderEntry, pruned: Pruned | None
+    source: SceneFile, settings: RenderEntry, pruned: Pruned | None, error: float | None
 ) -> dict[str, str | int]:
     lacks = " ".join(lacking(source, settings))
     unit = "W m^-2 sr^-1" if source.wavelengths is None else "W m^-2 sr^-1 per m"
@@ -275,6 +321,7 @@ def _attributes(
         "jaxvision:scene": source.path.name,
         "jaxvision:sceneSha256": source.digest,
         **{f"jaxvision:{name}": value for name, value in settings.model_dump().items()},
+        **({} if error is None else {"jaxvision:relativeError": f"{error:.3g}"}),
         **({"jaxvision:lacks": lacks} if lacks else {}),
         **({} if pruned is None else {"jaxvision:certificate": explain(pruned.certificate)}),
     }
@@ -287,12 +334,14 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
     height, width = source.view.resolution
     step = math.ceil(height * width / _SHOWN)
     to_rgb = linear_srgb(source.bands, source.wavelengths)
-    some = [block.reshape(-1, source.bands)[::step] @ to_rgb for block in rows()]
+    bands = source.bands  # without their errors
+    some = [block[..., :bands].reshape(-1, bands)[::step] @ to_rgb for block in rows()]
     brightness = np.asarray(jax.jit(luminance)(np.concatenate(some)))
     seen = brightness[np.isfinite(brightness) & (brightness > 0)]
     white = np.quantile(seen, _QUANTILE) / _LEVEL if len(seen) else 1.0
     encode = jax.jit(lambda rgb: jnp.round(255 * srgb_encode(jnp.clip(rgb, 0, 1))))
-    scaled = (np.nan_to_num(block @ (to_rgb / white).astype(np.float32)) for block in rows())
+    to_white = (to_rgb / white).astype(np.float32)
+    scaled = (np.nan_to_num(block[..., :bands] @ to_white) for block in rows())
     return np.concatenate([np.asarray(encode(block)).astype(np.uint8) for block in scaled])
 
 

@@ -195,7 +195,7 @@ def test_a_killed_render_ends_bit_identical(tmp_path):
     options = [str(tmp_path / "ball.toml"), "--tile", "30", "--no-preview"]
 
     def command(out):
-        return [sys.executable, "-m", "jaxvision.cli", "render", *options, "--out", str(out)]
+        return [sys.executable, "-m", "jaxvision", "render", *options, "--out", str(out)]
 
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache")}
     part = tmp_path / "a.exr.partial"
@@ -242,6 +242,7 @@ def test_the_picture_does_not_depend_on_its_tiles_by_any_integrator(tmp_path, in
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("default")
 def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
     """Light tracing is a mean of passes: interrupted after one of three, it ends bit-identical."""
     (tmp_path / "a.toml").write_text(SCENE.replace("[18, 26]", "[6, 8]") + QUAD)
@@ -259,9 +260,48 @@ def test_passes_go_on_where_they_were(tmp_path, monkeypatch):
         assert run(*options, "--out", tmp_path / "a.exr")[0] == 130
     status, _, error = run(*options, "--out", tmp_path / "a.exr", "--seed", 1)
     assert (status, "holds part of a render with another seed" in error) == (2, True)
-    assert run(*options, "--out", tmp_path / "a.exr", "--tile", 9)[0] == 0  # it has no tiles
+    status, _, error = run(*options, "--out", tmp_path / "a.exr", "--tile", 9)
+    assert (status, "--tile has no effect" in error) == (0, True)
     assert (read_image(tmp_path / "a.exr") == read_image(tmp_path / "whole.exr")).all()
     assert not list(tmp_path.glob("*.partial"))
+
+
+def test_the_error_of_a_render_is_that_of_its_samples(rendered, tmp_path):
+    """Of single samples with other seeds; and the line says it, in the norm of `--accuracy`."""
+    command = rendered / "ball.toml", "--integrator", "path", "--depth", 2, "--no-preview"
+    singles = []
+    for seed in range(24):
+        out = tmp_path / f"{seed}.exr"
+        assert run(*command, "--samples", 1, "--seed", seed, "--out", out)[0] == 0
+        singles.append(read_image(out))
+    status, told, _ = run(*command, "--samples", 24, "--out", tmp_path / "a.exr")
+    assert status == 0
+    error = read_image(tmp_path / "a.exr", part="error").astype(float)
+    expected = np.std(singles, axis=0, ddof=1) / np.sqrt(24)
+    assert np.sqrt((error**2).mean() / (expected**2).mean()) == pytest.approx(1, abs=0.15)
+    radiance = read_image(tmp_path / "a.exr").astype(float)
+    share = np.sqrt((error**2).mean() / (radiance**2).mean())
+    assert f"24 samples a pixel: standard error {100 * share:.2g} % of the rms radiance" in told
+    assert float(head(tmp_path / "a.exr")[1]["jaxvision:relativeError"]) == pytest.approx(
+        share, rel=1e-2
+    )
+
+
+def test_a_single_ray_has_no_error(rendered, tmp_path):
+    _, told, _ = run(rendered / "ball.toml", "--out", tmp_path / "a.exr", "--no-preview")
+    assert "1 sample a pixel: no standard error, " in told
+    assert head(tmp_path / "a.exr")[0] == ("R", "G", "B")
+
+
+@pytest.mark.slow
+def test_the_error_of_passes_is_that_of_their_pictures(tmp_path):
+    (tmp_path / "a.toml").write_text(SCENE.replace("[18, 26]", "[6, 8]") + QUAD)
+    options = tmp_path / "a.toml", "--integrator", "light", "--depth", 2, "--samples"
+    assert run(*options, 1, "--out", tmp_path / "one.exr")[0] == 0
+    assert run(*options, 2, "--out", tmp_path / "two.exr")[0] == 0
+    first, mean = (read_image(tmp_path / name).astype(float) for name in ("one.exr", "two.exr"))
+    error = read_image(tmp_path / "two.exr", part="error")
+    np.testing.assert_allclose(error, np.abs(first - mean), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.slow

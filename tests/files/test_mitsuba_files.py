@@ -39,7 +39,7 @@ def test_pictures_are_those_of_mitsuba(name, tmp_path):
     halves = []
     for seed in (0, 1):
         settings = source.render.model_copy(update={"samples": 512, "seed": seed})
-        picture = pixels_of(source, settings)(number // 16, number % 16)
+        picture, _ = pixels_of(source, settings)(number // 16, number % 16)
         halves.append(picture.reshape(12, 16, 3))
     got, theirs = np.mean(halves, axis=0, dtype=float), known[name].astype(float)
     noise = np.mean((halves[0] - halves[1]) ** 2) / 4 + np.mean(known[f"{name} error"] ** 2)

@@ -1,0 +1,115 @@
+"""The standard error of a render and its time, in one line."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..files.scenes.schema import RenderEntry
+
+_TARGETS = tuple(step * 10.0**power for power in range(0, -9, -1) for step in (3, 1))
+
+
+class Cost(NamedTuple):
+    """What a render took, and how far chance moved it.
+
+    Attributes:
+        error: rms standard error of the pixels over the rms radiance; None for one ray a pixel.
+        seconds: s, of all its pixels, without compiling.
+        compiling: s, of tracing and compiling in this process.
+    """
+
+    error: float | None
+    seconds: float
+    compiling: float
+
+
+class Clock:
+    """The time of a block, s, split into compiling and the rest."""
+
+    def __init__(self) -> None:
+        self._started = monotonic()
+        self._spans: list[tuple[float, float]] = []
+
+    def add(self, event: str, duration_secs: float, **_: object) -> None:
+        """A listener of JAX's events. Traces contain one another, so their ends are kept, too."""
+        if event.startswith("/jax/core/compile/"):
+            now = monotonic()
+            self._spans.append((now - duration_secs, now))
+
+    def read(self) -> tuple[float, float]:
+        """The seconds so far without compiling, and those of compiling."""
+        compiling, reached = 0.0, self._started
+        for start, end in sorted(self._spans):
+            compiling += max(end - max(start, reached), 0.0)
+            reached = max(end, reached)
+        return max(monotonic() - self._started - compiling, 0.0), compiling
+
+
+@contextmanager
+def timed() -> Iterator[Clock]:
+    """A clock that listens to the compiler."""
+    clock = Clock()
+    jax.monitoring.register_event_duration_secs_listener(clock.add)
+    try:
+        yield clock
+    finally:
+        jax.monitoring.unregister_event_duration_listener(clock.add)
+
+
+def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
+    """The rms standard error over the rms radiance, of all pixels and bands with finite numbers;
+    None for a picture without light. `--accuracy` has the same norm.
+
+    Args:
+        rows: (rows, w, 2 bands) each: the radiance, then its standard error.
+        bands: how many there are.
+    """
+    light, squares = 0.0, 0.0
+    for block in rows:
+        radiance, error = np.split(block.astype(np.float64), [bands], axis=-1)
+        finite = np.isfinite(radiance) & np.isfinite(error)
+        light += float((radiance[finite] ** 2).sum())
+        squares += float((error[finite] ** 2).sum())
+    return float(np.sqrt(squares / light)) if light > 0 else None
+
+
+def in_words(cost: Cost, settings: RenderEntry) -> str:
+    """One line for the end of a render: samples, error, time, and the time of a smaller error."""
+    took = _seconds(cost.seconds)
+    if cost.compiling >= 0.1:
+        took += f" and {_seconds(cost.compiling)} of compiling"
+    samples = f"{settings.samples} sample{'s' * (settings.samples != 1)} a pixel"
+    if cost.error is None:
+        return f"{samples}: no standard error, {took}."
+    told = f"{samples}: standard error {100 * cost.error:.2g} % of the rms radiance, {took}"
+    target = next((t for t in _TARGETS if 0 < 1.5 * t <= cost.error), None)
+    if target is not None:
+        longer = _seconds(cost.seconds * (cost.error / target) ** 2)
+        share = f"{100 * target:.3g}"
+        told += f"; {share} % would take about {longer} (--accuracy {share}%)"
+    return f"{told}.{_BESIDE.get(_kind(settings), '')}"
+
+
+_BESIDE = {
+    "radiosity": " The error of its patches is not in it; --accuracy measures both.",
+    "rule": " The error of the quadrature over lights is not in it; --accuracy measures both.",
+}
+
+
+def _kind(settings: RenderEntry) -> str:
+    """What else than the number of samples a picture's error depends on."""
+    if settings.integrator == "radiosity":
+        return "radiosity"
+    by_rule = settings.integrator in ("direct", "rays") and settings.rule == "quadrature"
+    return "rule" if by_rule else ""
+
+
+def _seconds(seconds: float) -> str:
+    """A time in the unit that people use for it."""
+    if seconds < 120:
+        return f"{seconds:.2g} s" if seconds < 100 else f"{seconds:.0f} s"
+    return f"{seconds / 60:.2g} min" if seconds < 5400 else f"{seconds / 3600:.2g} h"
