@@ -34,7 +34,11 @@ APART = 2.0  # K, between temperatures that are two settings
 MOST_READ = 9  # images whose pixels are read, for the depth
 _DARK, _FLAT, _LIGHT = (
     re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
-    for words in ("darks?|bias|black", "flats?|bright|ff", "lights?|lamps?|led")
+    for words in (
+        "darks?|dark(?:flat|frame)s?|flatdarks?|bias|biasframes?|black",
+        "flats?|flat(?:field|frame)s?|bright|ff",
+        "lights?|lamps?|led",
+    )
 )
 # In IMAGETYP of a FITS header, such as DARKFLAT and Flat Field: the first that occurs.
 _TYPES = {
@@ -43,13 +47,16 @@ _TYPES = {
     "photograph": re.compile("light|object|science", re.IGNORECASE),
 }
 _NORMALS, _MASK = (re.compile(word, re.IGNORECASE) for word in ("normal", "mask"))
-_TIME = re.compile(r"(?<![a-z\d.,])(\d+(?:[.,]\d+)?) ?(us|ms|s|sec)(?![a-z])", re.IGNORECASE)
+_TIME = re.compile(
+    r"(?:(?<![a-z\d.,])|(?<=exp))(\d+(?:[.,]\d+)?) ?(us|\u00b5s|\u03bcs|ms|s|sec)(?![a-z])",
+    re.IGNORECASE,
+)
 _FRACTION, _COUNTED = (
     re.compile(rf"(?<![\d.,])(?<!\d[_-]){over}[_-]([1-9]\d*) ?(?:s|sec)(?![a-z])", re.IGNORECASE)
     for over in ("1", r"(?!1[_-])\d+")
 )
 _WAVELENGTH = re.compile(r"(?<![a-z\d.,])(\d+(?:\.\d+)?) ?nm(?![a-z])", re.IGNORECASE)
-_UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
+_UNITS = {**dict.fromkeys(("us", "\u00b5s", "\u03bcs"), 1e-6), "ms": 1e-3, "s": 1.0, "sec": 1.0}
 
 Key = tuple[str, float | None, float | None, str]  # line of the exposure, ISO, temperature, stem
 UNKNOWN_EXPOSURE = "# exposure = ?  # s"
@@ -117,7 +124,7 @@ def rig_of(folder: Path) -> FoundRig:
     `normals` and `mask` are the shape); the others are an exposure stack. IMAGETYP of a FITS header
     also distinguishes flats, darks and photographs. Times come from the files' heads, or from names
     such as `flat_8ms` and `scene_1-8s`; wavelengths in names, as in `chart_450nm`, separate stacks.
-    An EXR or HDR file beside images of whole numbers is left out.
+    An EXR or HDR file beside images of whole numbers is left out, and so are hidden files.
 
     Args:
         folder: of images, in it or one folder below.
@@ -133,7 +140,7 @@ def rig_of(folder: Path) -> FoundRig:
     files = [
         path
         for path in (*folder.iterdir(), *folder.glob("*/*"))
-        if path.suffix.lower() in SUFFIXES and path.is_file()
+        if path.suffix.lower() in SUFFIXES and path.is_file() and not _is_hidden(path, folder)
     ]
     if not files:
         raise InputError(f"{folder}: holds no images; known are {', '.join(SUFFIXES)}.")
@@ -180,6 +187,12 @@ def rig_of(folder: Path) -> FoundRig:
         found.missing.append("No name or header says dark: photon transfer needs darks.")
     found.text = "\n".join(lines) + "\n"
     return found
+
+
+def _is_hidden(path: Path, folder: Path) -> bool:
+    """Whether a name on the way begins with a dot, as those of systems do (macOS writes `._a.tif`
+    beside `a.tif` on sticks)."""
+    return any(part.startswith(".") for part in path.relative_to(folder).parts)
 
 
 def _natural(name: str) -> list[tuple[int, float | str]]:

@@ -206,6 +206,10 @@ def test_what_is_not_known_stands_as_comments(tmp_path):
         ("scene-1_8s", 0.125),
         ("a 2.5s", 2.5),
         ("b_500us", 5e-4),
+        ("b_1500\u00b5s", 1.5e-3),
+        ("b_1500\u03bcs", 1.5e-3),
+        ("b_exp500us_1", 5e-4),
+        ("b_temp5s", None),
         ("v2 30ms", 0.03),
         ("img_0001_8ms", 0.008),
         ("DSC_0123_1s", 1.0),
@@ -315,3 +319,28 @@ def test_names_and_cameras_that_are_no_text(tmp_path):
     (tmp_path / "rig.toml").unlink()
     with pytest.raises(InputError, match=r"\\udccf\.jpg': the path is not UTF-8; rename that"):
         write_rig(tmp_path)
+
+
+def test_kinds_written_in_one_word_count(tmp_path):
+    """As programs of astronomers name them; a dark of flats is a dark."""
+    kinds = {"DarkFlat": "dark", "FLATDARK": "dark", "DarkFrame": "dark", "BiasFrame": "dark"}
+    kinds |= {"FlatField": "flat", "flatframe": "flat", "darkness": "exposure"}
+    for name, kind in kinds.items():
+        (tmp_path / name).mkdir()
+        for frame in range(2):
+            file = tmp_path / name / f"{name}_2.5s_{frame}.png"
+            write_image(file, np.full((4, 4), 7, np.uint8))
+        rig = tomllib.loads(rig_of(tmp_path / name).text)
+        assert {"dark", "flat", "exposure"} & rig.keys() == {kind}, name
+
+
+def test_hidden_files_are_no_images(tmp_path):
+    """macOS writes these beside each file on a stick, with the suffix of the image."""
+    for n in range(2):
+        write_image(tmp_path / f"IMG_{n}_{n + 1}s.tif", np.full((4, 4), 7, np.uint16))
+    (tmp_path / ".thumbs").mkdir()
+    for hidden in ("._IMG_0_1s.tif", ".thumbs/IMG_0_1s.tif"):
+        (tmp_path / hidden).write_bytes(b"\0\5\x16\7" + bytes(100))
+    found = rig_of(tmp_path)
+    assert found.left_out == []
+    assert [one["exposure"] for one in tomllib.loads(found.text)["exposure"]] == [1, 2]
