@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from jaxvision.core.plain_arrays import plain_array
+from jaxvision.core.plain_arrays import plain_array, with_room
 from jaxvision.core.progress import progress_bar
 from jaxvision.errors import InputError
 
@@ -143,7 +143,9 @@ def fit_map(
             problem,
             jnp.asarray(np.moveaxis(flat[..., filled], -1, 0), dtype),
             [
-                None if x is None else jnp.asarray(plain_array("inputs", np.asarray(x[filled])))
+                None
+                if x is None
+                else jnp.asarray(with_room(plain_array("inputs", np.asarray(x[filled]))))
                 for x in leaves
             ],
             jnp.asarray(steps),

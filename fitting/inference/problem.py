@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxvision.core.plain_arrays import plain_array, within_integers
+from jaxvision.core.plain_arrays import plain_array, with_room, within_integers
 from jaxvision.errors import InputError, nearest
 
 from .candidates import Candidate
@@ -421,16 +421,16 @@ PARTS = ("least_squares", "surrogate", "log_density", "residuals", "draw")  # of
 
 
 def as_arrays(tree: Any) -> Any:
-    """Floating-point leaves as arrays: data, which are no part of a compile key."""
+    """Floating-point leaves as arrays: data, which are no part of a compile key. Codes of 8 and 16
+    bits get 64, in which their squares and products do not overflow."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         listed = bool(path) and isinstance(path[-1], jax.tree_util.SequenceKey)
         if listed and isinstance(leaf, str | bytes | date):
             raise InputError(f"inputs holds {leaf!r:.40}, which is no number; give numbers.")
 
     def plain_one(x: Any) -> Any:
-        return within_integers(
-            plain_array("inputs", np.asarray(x) if isinstance(x, np.memmap) else x)
-        )
+        plain = plain_array("inputs", np.asarray(x) if isinstance(x, np.memmap) else x)
+        return within_integers(with_room(plain))
 
     plain = jax.tree.map(plain_one, tree)
     return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_inexact_array_like(x) else x, plain)

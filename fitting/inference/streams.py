@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvision.core.plain_arrays import plain_array
+from jaxvision.core.plain_arrays import plain_array, with_room
 from jaxvision.errors import InputError
 
 from .given import plain_numbers, require_whole
@@ -182,7 +182,7 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         own = _chosen(stream, stream.beside)
         for begin in range(0, len(data), stream.size):
             part = slice(begin, begin + stream.size)
-            beside = tuple(plain_array("inputs", np.asarray(leaf[part])) for leaf in own)
+            beside = tuple(with_room(plain_array("inputs", np.asarray(leaf[part]))) for leaf in own)
             yield Rows(np.asarray(data[part], dtype), beside)
         return
     for piece in cast(Iterable[Any], data()) if source is None else source:
@@ -190,7 +190,9 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
         rows = np.asarray(plain_numbers("data", rows), dtype)
         beside = inputs, stream.likelihood
         _check_beside(stream, beside, len(rows) if rows.ndim else 0)
-        own = (plain_array("inputs", np.asarray(leaf)) for leaf in _chosen(stream, beside))
+        own = (
+            with_room(plain_array("inputs", np.asarray(leaf))) for leaf in _chosen(stream, beside)
+        )
         yield Rows(rows, tuple(own))
 
 

@@ -111,6 +111,13 @@ def within_integers(x: Any) -> Any:
     return x
 
 
+def with_room(x: Any) -> Any:
+    """Arrays of 8 and 16 bits in 64, in which squares and products of codes do not overflow; others
+    as they are."""
+    small = isinstance(getattr(x, "dtype", None), np.dtype) and x.dtype.kind in "iu"
+    return np.asarray(x, np.int64) if small and x.dtype.itemsize < 4 else x
+
+
 def warn_of_range(name: str, x: Any) -> None:
     """Warns of numbers of 64 bits that 32 bits, where JAX converts to these, turn into zeros, all
     of them, or into infinities. Single numbers are not looked at."""
