@@ -50,7 +50,8 @@ def equalise_locally(
 
     For uint8 and uint16 it is OpenCV's `CLAHE`, including whole counts and its order of
     redistributing the remainder. As there, a size that the tiles do not divide is first extended by
-    `tiles - size % tiles` rows and columns, mirrored about the last pixel.
+    `tiles - size % tiles` rows and columns, mirrored about the last pixel. Where a blend of curves
+    ends half way between two codes, rounding may choose the other one: 1 pixel in 1,000 of noise.
 
     Floating images use equal bins and fractional counts. Values outside the range are clamped to it
     and counted there; NaN stays NaN. A tile keeps its values if they share one bin after
