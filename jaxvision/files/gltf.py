@@ -94,7 +94,7 @@ def _check_places(file: Path, content: Mapping[str, Any]) -> None:
                 f"{file}: nodes[{i}] has a {beside[0]} beside its matrix; leave one of them."
             )
         turn = node.get("rotation")
-        if isinstance(turn, list) and turn and all(x == 0 for x in turn):
+        if isinstance(turn, list) and turn and not any(turn):
             raise InputError(
                 f"{file}: nodes[{i}] has a rotation of length 0; write [0, 0, 0, 1] for none."
             )

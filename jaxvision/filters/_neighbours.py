@@ -3,6 +3,7 @@
 A band is an array of its own here, since vector code is slow over a trailing axis of three.
 """
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -12,7 +13,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from ..core._numerics import smallest_divisor
+from ..core._numerics import or_one, smallest_divisor
 from ..core._types import Scalars, print_by_name
 from .padding import as_planes, pad
 
@@ -30,6 +31,18 @@ def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
     stack, restore = as_planes(picture)
     planes = tuple(stack[..., band] for band in range(stack.shape[-1]))
     return planes, lambda bands: restore(jnp.stack(bands, axis=-1))
+
+
+def in_its_unit(
+    guide: Planes, *sizes: float | Scalars, dtype: DTypeLike
+) -> tuple[Planes, tuple[Scalars, ...]]:
+    """A guide and sizes in its unit, both divided by the power of two at its largest finite value:
+    no bound on a size then depends on the unit of light."""
+    largest = [jnp.max(jnp.where(jnp.isfinite(g), jnp.abs(g), 0)) for g in guide]
+    largest = or_one(jax.lax.stop_gradient(functools.reduce(jnp.maximum, largest)))
+    unit = jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)
+    scaled = tuple(jnp.asarray(size, dtype) / unit.astype(dtype) for size in sizes)
+    return tuple(g / unit for g in guide), scaled
 
 
 def inverse(sigma: float | Scalars, dtype: DTypeLike) -> Scalars:

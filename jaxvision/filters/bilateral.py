@@ -18,7 +18,16 @@ from jaxtyping import Array, Bool, Int
 from ..core._arguments import takes_numbers
 from ..core._numerics import log_of_zero
 from ..core._types import Scalars, check_choice, check_count
-from ._neighbours import AnyPicture, Floats, Plane, Planes, inverse, planes_of, weighted_mean
+from ._neighbours import (
+    AnyPicture,
+    Floats,
+    Plane,
+    Planes,
+    in_its_unit,
+    inverse,
+    planes_of,
+    weighted_mean,
+)
 from .padding import check_border
 
 
@@ -114,7 +123,8 @@ def joint_bilateral_filter(
             f"{jnp.shape(picture)} and {jnp.shape(guide)}."
         )
     dtype = values[0].dtype
-    in_space, in_range = (inverse(sigma, dtype) for sigma in (sigma_space, sigma_range))
+    edges, (in_its_range,) = in_its_unit(edges, sigma_range, dtype=dtype)
+    in_space, in_range = inverse(sigma_space, dtype), inverse(in_its_range, dtype)
     square = DIFFERENCES[difference]
 
     def weight_of(change: Planes, dy: Int[Array, ""], dx: int) -> Plane:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Int
 from ..core._arguments import takes_numbers
 from ..core._numerics import log_of_zero
 from ..core._types import Scalars, check_choice, check_count
-from ._neighbours import Plane, Planes, inverse, planes_of, weighted_mean
+from ._neighbours import Plane, Planes, in_its_unit, inverse, planes_of, weighted_mean
 from .padding import Filtered, Picture, check_border
 
 
@@ -70,9 +70,10 @@ def nonlocal_means_filter(
     check_border(border, refused=("constant",))
     values, restore = planes_of(picture)
     dtype = values[0].dtype
+    guide, (strength, noise) = in_its_unit(values, strength, noise, dtype=dtype)
     scale = inverse(strength, dtype)
     taps = _taps(patch, profile)
-    noise_share = 2 * (scale * jnp.asarray(noise, dtype)) ** 2
+    noise_share = 2 * (scale * noise) ** 2
 
     def weight_of(change: Planes, dy: Int[Array, ""], dx: int) -> Plane:
         square = functools.reduce(jnp.add, ((scale * c) ** 2 for c in change))
@@ -83,7 +84,7 @@ def nonlocal_means_filter(
 
     mean = weighted_mean(
         values,
-        values,
+        guide,
         weight_of,
         radius=radius,
         border=border,

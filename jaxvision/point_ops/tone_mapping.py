@@ -5,7 +5,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..core._arguments import in_range, takes_numbers
-from ..core._numerics import divide, log1p, or_one, polynomial, safe_log, smallest_divisor
+from ..core._numerics import (
+    divide,
+    log1p,
+    magnitude,
+    or_one,
+    polynomial,
+    safe_log,
+    smallest_divisor,
+)
 from ..core._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
 
 
@@ -71,10 +79,11 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
     """
     luminance = as_relative(luminance)
     known = jnp.isfinite(luminance)
-    mean = jnp.mean(luminance, where=known)
-    floor = 1e-6 * jnp.maximum(mean, smallest_divisor(luminance.dtype))
-    average = jnp.exp(jnp.mean(safe_log(jnp.maximum(luminance, floor)), where=known))
-    return luminance * (key_value / average)
+    relative = luminance / magnitude(jnp.where(known, luminance, 0), axis=None)
+    of_black = smallest_divisor(relative.dtype) ** 2
+    floor = jnp.maximum(1e-6 * jnp.mean(relative, where=known), of_black)
+    average = jnp.exp(jnp.mean(safe_log(jnp.maximum(relative, floor)), where=known))
+    return relative * (key_value / average)
 
 
 @takes_numbers

@@ -133,3 +133,31 @@ def test_body_colours_and_gains_do_not_depend_on_the_unit_of_light(unit):
     np.testing.assert_allclose(found.body_colour, body / np.linalg.norm(body), atol=0.005)
     halved = jv.point_ops.with_luminance(light, light[..., 0], light[..., 0] / 2)
     np.testing.assert_allclose(halved, light / 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("exponent", [-80, -50, 60])
+def test_neighbours_and_keys_do_not_depend_on_the_unit_of_light(exponent):
+    """Powers of two scale without rounding, so that nothing but the unit may differ."""
+    picture = np.random.default_rng(3).uniform(0.1, 0.9, (9, 8, 3)).astype(np.float32)
+    picture[2, 3] = np.inf  # counts for no unit
+    unit = np.float32(2.0**exponent)
+
+    def bilateral(x, unit):
+        return filters.bilateral_filter(x, 1.5, 0.2 * unit, radius=2) / unit
+
+    def nonlocal_means(x, unit):
+        return (
+            filters.nonlocal_means_filter(x, 0.2 * unit, noise=0.02 * unit, patch=3, radius=2)
+            / unit
+        )
+
+    def key(x, unit):
+        del unit
+        return jv.point_ops.scaled_to_key(x[..., 0])
+
+    for function in (bilateral, nonlocal_means, key):
+        np.testing.assert_allclose(
+            function(picture * unit, unit), function(picture, np.float32(1)), rtol=1e-5
+        )
+    black = jax.grad(lambda x: jv.point_ops.scaled_to_key(x).sum())(jnp.zeros((2, 2)))
+    assert np.isfinite(black).all()
