@@ -6,7 +6,7 @@ Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._numerics import smallest_divisor
+from ._numerics import binary_unit, smallest_divisor
 from ._types import Scalars, print_by_name
 
 Points = Float[Array, " points"]
@@ -42,14 +42,15 @@ def monotone_slopes(inputs: Points, outputs: Points) -> Points:
     chord = jnp.diff(outputs) / width
     if inputs.shape[0] == 2:
         return jnp.concatenate([chord, chord])
-    before, behind = chord[:-1], chord[1:]
+    unit = binary_unit(chord)
+    before, behind = chord[:-1] / unit, chord[1:] / unit
     near_before, near_behind = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
     onward = ~(before * behind <= 0)
     steep_before, steep_behind = (
         jnp.maximum(jnp.abs(c), smallest_divisor(c.dtype)) for c in (before, behind)
     )
     mean = (near_before + near_behind) / (near_before / steep_before + near_behind / steep_behind)
-    mean = jnp.where(before < 0, -mean, mean)
+    mean = unit * jnp.where(before < 0, -mean, mean)
     first = _end_slope(width[0], width[1], chord[0], chord[1])
     last = _end_slope(width[-1], width[-2], chord[-1], chord[-2])
     return jnp.concatenate([first[None], jnp.where(onward, mean, 0), last[None]])

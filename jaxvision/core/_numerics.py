@@ -155,6 +155,15 @@ def magnitude(x: Float[Array, "..."], axis: int | tuple[int, ...] | None = -1) -
     return or_one(jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True)))
 
 
+def binary_unit(x: Float[Array, "..."]) -> Scalars:
+    """The power of two at the largest finite value of x, in its unit; 1 where all of x is 0, and a
+    constant to gradients. Division by it rounds nothing, and bounds below which a quotient counts
+    as 0 then depend on no unit."""
+    finite = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
+    largest = or_one(jax.lax.stop_gradient(jnp.max(finite)))
+    return jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)
+
+
 def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:
     """Sums of the first 1, 2, ... weights >= 0, in their unit, that never fall and rise only where
     a weight is above 0; XLA's own are added in another order at each place, and do fall."""

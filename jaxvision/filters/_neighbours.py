@@ -3,7 +3,6 @@
 A band is an array of its own here, since vector code is slow over a trailing axis of three.
 """
 
-import functools
 from collections.abc import Callable
 
 import jax
@@ -13,7 +12,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from ..core._numerics import or_one, smallest_divisor
+from ..core._numerics import binary_unit, smallest_divisor
 from ..core._types import Scalars, print_by_name
 from .padding import as_planes, pad
 
@@ -36,11 +35,9 @@ def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
 def in_its_unit(
     guide: Planes, *sizes: float | Scalars, dtype: DTypeLike
 ) -> tuple[Planes, tuple[Scalars, ...]]:
-    """A guide and sizes in its unit, both divided by the power of two at its largest finite value:
-    no bound on a size then depends on the unit of light."""
-    largest = [jnp.max(jnp.where(jnp.isfinite(g), jnp.abs(g), 0)) for g in guide]
-    largest = or_one(jax.lax.stop_gradient(functools.reduce(jnp.maximum, largest)))
-    unit = jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)
+    """A guide and sizes in its unit, both divided by one power of two: no bound on a size then
+    depends on the unit of light."""
+    unit = binary_unit(jnp.stack(guide))
     scaled = tuple(jnp.asarray(size, dtype) / unit.astype(dtype) for size in sizes)
     return tuple(g / unit for g in guide), scaled
 

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float, Shaped
 
 from ..core._arguments import warn_of_idle_fill
-from ..core._numerics import divide, smallest_divisor
+from ..core._numerics import binary_unit, divide, smallest_divisor
 from ..core._types import print_by_name
 from ..programs import on_processor
 from ._bilinear import correlate_stack
@@ -77,8 +77,10 @@ def _filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) ->
     # where the weights cancel, the sum is the rounding error of so many additions
     rounding = kernel.shape[0] * kernel.shape[1] * jnp.finfo(image.dtype).eps
     least = rounding * _shares(jnp.abs(kernel), image.shape[1:3], anchor)[0]
+    unit = binary_unit(kernel)
+    inside, least = inside / unit, least / unit
     held = ~(jnp.abs(inside) <= jnp.maximum(least, smallest_divisor(image.dtype)))
-    return restore(divide(total, inside, held))
+    return restore(divide(total / unit, inside, held))
 
 
 def _passes(term: AnyKernel | Separable, dtype: np.dtype) -> tuple[Kernel, ...]:

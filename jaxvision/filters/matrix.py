@@ -16,7 +16,7 @@ import numpy as np
 from jax.experimental.sparse import BCOO
 from jaxtyping import Array, Float
 
-from ..core._numerics import divide, smallest_divisor
+from ..core._numerics import binary_unit, divide, smallest_divisor
 from ..core._shown import Shown
 from ..core._types import as_float, as_optional_float, print_by_name
 from ._terms import Fill, Settings, filtered
@@ -93,14 +93,15 @@ def filter_matrix(
     form = per_pixel_matrix(stack, anchor=anchor, border=outer)
     if border == "normalised_zero":
         ones = jnp.ones(h * w, kernel.dtype)
-        magnitudes = jnp.abs(form.matrix.data), form.matrix.indices
+        weights = form.matrix.data / binary_unit(kernel)
+        magnitudes = jnp.abs(weights), form.matrix.indices
         whole = BCOO(magnitudes, shape=form.matrix.shape) @ ones
         # where the weights cancel, the sum is the rounding error of so many additions
         least = kernel.size * jnp.finfo(kernel.dtype).eps * whole
-        sums = form.matrix @ ones
+        sums = BCOO((weights, form.matrix.indices), shape=form.matrix.shape) @ ones
         held = jnp.abs(sums) > jnp.maximum(least, smallest_divisor(kernel.dtype))
         scale = divide(1, sums, held)
-        entries = form.matrix.data * scale[form.matrix.indices[:, 0]]
+        entries = weights * scale[form.matrix.indices[:, 0]]
         return MatrixForm(BCOO((entries, form.matrix.indices), shape=form.matrix.shape), None)
     if border == "constant":
         nothing = jnp.zeros(shape, kernel.dtype)

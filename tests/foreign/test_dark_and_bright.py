@@ -161,3 +161,25 @@ def test_neighbours_and_keys_do_not_depend_on_the_unit_of_light(exponent):
         )
     black = jax.grad(lambda x: jv.point_ops.scaled_to_key(x).sum())(jnp.zeros((2, 2)))
     assert np.isfinite(black).all()
+
+
+@pytest.mark.parametrize("exponent", [-60, 60])
+def test_weights_and_curves_do_not_depend_on_their_unit(exponent):
+    """A normalised kernel may have any sum, a curve any unit on both of its axes."""
+    picture = np.random.default_rng(4).uniform(0.1, 0.9, (9, 8)).astype(np.float32)
+    kernel = np.outer([1, 2, 1], [1, 3, 2]).astype(np.float32)
+    unit, border = np.float32(2.0**exponent), "normalised_zero"
+    np.testing.assert_array_equal(
+        filters.correlate(picture, unit * kernel, border=border),
+        filters.correlate(picture, kernel, border=border),
+    )
+    by_matrix, plain = (
+        filters.filter_matrix(k, shape=(9, 8), border=border).matrix.todense()
+        for k in (jnp.asarray(unit * kernel), jnp.asarray(kernel))
+    )
+    np.testing.assert_array_equal(by_matrix, plain)
+    inputs = np.array([0, 0.2, 0.5, 1], np.float32)
+    outputs = np.array([0, 0.1, 0.7, 1], np.float32)
+    curve = jv.tone_curve(picture, inputs, outputs)
+    np.testing.assert_array_equal(jv.tone_curve(picture, inputs, unit * outputs), unit * curve)
+    np.testing.assert_array_equal(jv.tone_curve(unit * picture, unit * inputs, outputs), curve)
