@@ -97,7 +97,9 @@ def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
 def _undetermined(labels: tuple[str, ...], direction: np.ndarray) -> str:
     return (
         f"The data cannot tell {listed(_partners(labels, direction))} apart: a change in one is "
-        "undone by the others, so fix one of them or add measurements that separate them."
+        "undone by the others, to within rounding. Fix one of them, or add measurements that "
+        "separate them. Where the inputs lie far from 0, as dates in seconds do, subtract a "
+        "constant from them."
     )
 
 

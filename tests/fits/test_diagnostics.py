@@ -74,3 +74,13 @@ def test_confusion_is_told_where_knowing_more_would_help(error, told):
     np.testing.assert_allclose(judged.inflation, (1 - 0.999**2) ** -0.5)
     for sentence in judged.sentences:
         assert "is known to 20 %, 22 times less well" in sentence
+
+
+@pytest.mark.parametrize(("origin", "told"), [(1.7e9, False), (0.0, True)])
+def test_a_line_over_dates_in_seconds_is_told_to_move_its_origin(origin, told):
+    """Minutes since 1970 leave a condition of 1e13; the same line from 0 is identifiable."""
+    seconds = origin + 60.0 * np.arange(30)
+    columns = np.stack([seconds, np.ones(30)], axis=1) / 0.01
+    judged = identifiability(SPACE[:2], columns.T @ columns)
+    assert judged.determined == told
+    assert told or "subtract a constant from them" in judged.sentences[0]
