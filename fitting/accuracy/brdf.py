@@ -19,8 +19,8 @@ from ..reflectance.from_images.fit import ChannelFit, fit_channel
 from ..reflectance.from_images.geometry_cells import Grouping, average, group, saturated_only
 from ..reflectance.from_images.model import Samples, negative_log_likelihood
 from ..reflectance.from_images.posterior import (
+    adjusted_log_density,
     composite,
-    composite_log_density,
     total_log_likelihood,
 )
 from ..reflectance.from_images.read import Photographs, read_reflectance_observation
@@ -103,7 +103,7 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
 
 def _cost(vector: Array, data: tuple[Samples, Samples | None]) -> Array:
-    return -total_log_likelihood(vector, *data)
+    return -total_log_likelihood(vector, data)
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
@@ -133,4 +133,4 @@ def _density(fit: ChannelFit, grouping: Grouping) -> Density:
     assert fit.robustness is not None
     data = composite(fit, grouping)
     covariance = fit.robustness.gaussian_covariance
-    return Density(composite_log_density, fit.space, data.mode, covariance, data)
+    return Density(adjusted_log_density, fit.space, data.mode, covariance, data)

@@ -1,16 +1,17 @@
 """Joint calibration of surface, response and sensor from the same images."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from ..inference.clustering import Robustness
-from ..inference.emcee_run import Emcee, for_group
+from ..inference.clustering import Robustness, curvature_stretch
+from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind
-from ..inference.importance import laplace_where_it_holds
-from ..inference.posterior import Posterior, sample
+from ..inference.posterior import Posterior
 from ..inference.precision import in_double
+from ..reflectance.from_images.posterior import Adjusted, adjusted_posterior, robust
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.shading_check import without_strangers
 from ..reflectance.from_images.signal import Form
@@ -18,12 +19,11 @@ from ..reflectance.models import check_index
 from ..reflectance.names import INDEX, Model
 from ..report.notebook import ShownInNotebooks
 from ..report.progress import Progress
-from .fit import JointFit
+from .fit import JointFit, fit_turned
 from .freedom import degrees_of_freedom, laplace_miss
 from .halves import Halves, by_halves, widened
-from .misfit import over_images, stretched, stretched_log_density
+from .misfit import over_images
 from .model import log_posterior
-from .turns import fit_turned
 
 STEPS = ("fit", "halves", "posterior")  # of each channel
 
@@ -48,6 +48,12 @@ class JointCalibration(ShownInNotebooks):
     posteriors: dict[str, Posterior]
     robust: dict[str, Robustness] = field(default_factory=dict)
     halves: dict[str, Halves] = field(default_factory=dict)
+
+    @property
+    def gamma(self) -> float | None:
+        """Encoding exponent of the first channel; None for linear files."""
+        gamma = self.fits[0].values.get("gamma")
+        return None if gamma is None else float(gamma)
 
 
 @in_double
@@ -99,15 +105,15 @@ def calibrate(
         fit = fit_turned(observation, channel, form)
         done(1)
         if is_determined(fit):
-            robust = over_images(observation, fit)
-            if robust is not None:
-                if robust.design_effect > 1 and (
-                    apart := by_halves(observation, channel, fit, robust)
+            shown = over_images(observation, fit)
+            if shown is not None:
+                if shown.design_effect > 1 and (
+                    apart := by_halves(observation, channel, fit, shown)
                 ):
-                    halves[fit.channel], robust = apart, widened(robust, apart)
-                robusts[fit.channel] = robust
+                    halves[fit.channel], shown = apart, widened(shown, apart)
+                robusts[fit.channel] = shown
             done(2)
-            posteriors[fit.channel] = _posterior(fit, robust, sampling, seed)
+            posteriors[fit.channel] = _posterior(fit, shown, sampling, seed)
         fits.append(fit)
     done(0)
     return JointCalibration(observation, model, tuple(fits), posteriors, robusts, halves)
@@ -119,29 +125,16 @@ def is_determined(fit: JointFit) -> bool:
 
 
 def _posterior(
-    fit: JointFit, robust: Robustness | None, sampling: Emcee | None, seed: int
+    fit: JointFit, shown: Robustness | None, sampling: Emcee | None, seed: int
 ) -> Posterior:
-    covariance, mode = np.linalg.inv(fit.information), jnp.asarray(fit.vector)
-    if robust is not None:
-        wider = robust.gaussian_covariance
-        data = stretched(fit, wider)
-        if sampling is not None:
-            own = for_group(sampling, fit.channel)
-            return sample(
-                stretched_log_density, fit.space, mode, wider, data, options=own, seed=seed
-            )
-        return laplace_where_it_holds(
-            *(stretched_log_density, fit.space, mode, robust.covariance, data),
-            seed=seed,
-            freedom=robust.freedom,
-            wider=wider,
-        )
-    if sampling is not None:
-        own = for_group(sampling, fit.channel)
-        return sample(log_posterior, fit.space, mode, covariance, fit.data, options=own, seed=seed)
-    return laplace_where_it_holds(
-        *(log_posterior, fit.space, mode, covariance, fit.data),
-        seed=seed,
-        freedom=degrees_of_freedom(fit, covariance),
-        missed=laplace_miss(fit, covariance),
-    )
+    mode, stretch = jnp.asarray(fit.vector), np.eye(len(fit.vector))
+    covariance: dict[str, Any] = {"covariance": np.linalg.inv(fit.information)}
+    if shown is not None:
+        covariance = robust(shown)
+        stretch = curvature_stretch(fit.information, shown.gaussian_covariance)
+    elif sampling is None:
+        covariance["freedom"] = degrees_of_freedom(fit, covariance["covariance"])
+        covariance["missed"] = laplace_miss(fit, covariance["covariance"])
+    data = Adjusted(log_posterior, fit.data, mode, jnp.asarray(stretch))
+    options = {"sampling": sampling, "seed": seed}
+    return adjusted_posterior(data, fit.space, fit.channel, **covariance, **options)

@@ -1,16 +1,15 @@
-"""Images of an object as cells of pixels of like normals.
+"""Images of an object as cells of pixels with similar normals.
 
-A cell of n pixels is its count, its mean and the scatter about it: all that the likelihood of its
-pixels needs if their signals were equal. They are not quite, so a reference model, near the best
-one, is taken off first: the mean of its pixels less its value at their mean geometry is added to
-what a model predicts of the cell, and the scatter is that of the pixels about it. At the reference
-cells and pixels agree; away from it they differ by how the model curves within a cell. Cells are
-therefore wide where an image is smooth, and quartered where its highlight is, or an end of the
-scale.
+A cell of n pixels has a count, a mean and a scatter. The likelihood of pixels with equal signals
+needs no more. Signals within a cell differ a little, so a reference model near the best one is
+subtracted first. The mean of its pixels, less its value at their mean geometry, is added to the
+prediction of the cell, and the scatter is taken about the reference. At the reference, cells and
+pixels agree; away from it, they differ by the curvature of the model within a cell. Cells are
+therefore wide where an image is smooth, and divided at its highlight and at an end of the scale.
 
-A cell counts in an image where all of its pixels are lit and clear of both ends of the scale: by
-the reference, since the noise of measured numbers would choose, or by measured numbers so clear of
-them that no noise did, since else a reference that is wrong would hide what contradicts it.
+A cell counts in an image if all of its pixels are lit and clear of both ends of the scale. The
+reference decides, because measured numbers would be selected by their noise. Measured numbers far
+from both ends count as well, because a wrong reference would otherwise hide them.
 """
 
 from dataclasses import dataclass, replace
@@ -46,23 +45,14 @@ SMALLEST_COSINE = 0.02  # of incidence: below, the outline's half-lit pixels
 
 @dataclass(frozen=True)
 class Grid:
-    """Which pixels share a cell, and how light falls on it.
+    """Which pixels share a cell, and how light falls on it."""
 
-    Attributes:
-        cell: (images, pixels) its index for each.
-        count: (images, cells) pixels; 0 for what only fills the table up.
-        lights: indices of the images in the fit.
-        geometry: of the cells.
-        patch: pixels of the widest cells.
-        turns: whether the directions of the lights are uncertain.
-    """
-
-    cell: Int[np.ndarray, "images pixels"]
-    count: Float[np.ndarray, "images cells"]
-    lights: Int[np.ndarray, " images"]
+    cell: Int[np.ndarray, "images pixels"]  # its index for each
+    count: Float[np.ndarray, "images cells"]  # pixels; 0 for what only fills the table up
+    lights: Int[np.ndarray, " images"]  # indices of the images in the fit
     geometry: Geometry
-    patch: float
-    turns: bool
+    patch: float  # pixels of the widest cells
+    turns: bool  # whether the directions of the lights are uncertain
 
 
 def cell_width(form: Form, shape: float | None) -> float:
@@ -96,16 +86,19 @@ def make_grid(
     same cells, as errors that pixels share need.
     """
     lights = np.flatnonzero(~observation.held_out)
-    levels = _levels(observation.normals, width)
+    levels, ones = _levels(observation.normals, width), np.ones(len(observation.normals))
     split = np.zeros((len(lights), len(levels) - 1, len(observation.normals)), bool)
     for i, light in enumerate(lights if len(levels) > 1 else ()):
         _, usable = _usable_at(observation, channel, int(light), reference, form)
-        shading = _lobe_at(observation, int(light), reference, form)
+        at = local_geometry(observation.normals, observation.wi[light], ones)
+        shading = np.asarray(unit_lobe(form, reference[shape_of(form.model).name], at))
         split[i] = [_uneven(level, usable, shading) for level in levels[:-1]]
     if shared:
         split[:] = split.any(axis=0)
     cell = np.stack([_divided(levels, of_image) for of_image in split])
-    most = _few_sizes(int(cell.max()) + 1)
+    most = int(cell.max()) + 1
+    step = 2 ** max(0, most.bit_length() - SIZES.bit_length())
+    most = -(-most // step) * step
     count = np.stack([np.bincount(of_image, minlength=most) for of_image in cell]).astype(float)
     normals, wi, irradiance = [], [], []
     for of_image, pixels, light in zip(cell, count, lights, strict=True):
@@ -148,22 +141,6 @@ def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
     return cell.astype(np.int32)
 
 
-def _few_sizes(cells: int) -> int:
-    """A number not much larger, and one of few."""
-    step = 2 ** max(0, cells.bit_length() - SIZES.bit_length())
-    return -(-cells // step) * step
-
-
-def _lobe_at(
-    observation: Photographs, light: int, reference: Values, form: Form
-) -> Float[np.ndarray, " pixels"]:
-    """The lobe at unit amplitude, of the lit pixels of one image."""
-    at = local_geometry(
-        observation.normals, observation.wi[light], np.ones(len(observation.normals))
-    )
-    return np.asarray(unit_lobe(form, jnp.asarray(reference[shape_of(form.model).name]), at))
-
-
 def reduce_images(
     observation: Photographs,
     channel: int,
@@ -171,18 +148,16 @@ def reduce_images(
     reference: Values,
     form: Form,
     *,
-    products: bool,
     within: Float[np.ndarray, "images cells"] | None = None,
 ) -> Cells:
     """Return the cells of one channel about a model of natural `reference` values, which must
-    include gain and read noise.
-
-    `products` adds products of two images' deviations. `within` is the (images, cells) count of
-    cells that may be used; None allows all.
-    """
+    include gain and read noise. If unequal pixels are among them, the cells have products of two
+    images' deviations. `within` is the (images, cells) count of cells that may be used; None allows
+    all."""
     count, mean, scatter, offset = (np.zeros(grid.count.shape) for _ in range(4))
     left = np.zeros(grid.cell.shape)
-    at_cells = np.asarray(_mean_dn(reference, form, grid.geometry, jnp.asarray(observation.white)))
+    white = jnp.asarray(observation.white)
+    at_cells = np.asarray(_pixel_moments(reference, form, grid.geometry, white)[4])
     for i, (light, cell, pixels) in enumerate(zip(grid.lights, grid.cell, grid.count, strict=True)):
         expected, usable = _usable_at(observation, channel, int(light), reference, form)
         allowed = pixels if within is None else within[i]
@@ -197,9 +172,16 @@ def reduce_images(
         scatter[i] = np.bincount(cell, left[i] ** 2, len(pixels))
     above = (at_cells + offset - float(reference["black_level"])) / observation.white
     level = np.maximum(above, DARKEST) * grid.patch / np.maximum(grid.count, 1)
+    products = None
+    if "prnu" in reference:  # sums over the pixels of each cell
+        products = np.zeros((grid.count.shape[1], len(left), len(left)))
+        for i in range(len(left)):
+            for j in range(i + 1):
+                of_cells = np.bincount(grid.cell[0], left[i] * left[j], grid.count.shape[1])
+                products[:, i, j] = products[:, j, i] = of_cells
+        products = jnp.asarray(products)
     arrays = (jnp.asarray(a) for a in (count, mean, scatter, offset, level))
-    cells = Cells(grid.geometry, *arrays)
-    return replace(cells, products=_products(left, grid)) if products else cells
+    return replace(Cells(grid.geometry, *arrays), products=products)
 
 
 def _usable_at(
@@ -218,7 +200,7 @@ def pixels_at(
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     wi = observation.wi[light]
     geometry = local_geometry(observation.normals[None], wi[None], irradiance[None])
-    expected, x, variance, noise = (
+    expected, x, variance, noise, _ = (
         np.asarray(a)[0]
         for a in _pixel_moments(values, form, geometry, jnp.asarray(observation.white))
     )
@@ -245,29 +227,12 @@ def _measured_clear(
 def _pixel_moments(
     values: Values, form: Form, geometry: Geometry, white: Array
 ) -> tuple[Array, ...]:
-    """E[DN], X, Var[DN], and the deviation of the linear signal."""
+    """E[DN] of a signal of at least its noise, X, Var[DN], the deviation of X, and E[DN] of X."""
     x = signal(values, form, geometry)
     gain = values["system_gain"]
     noise = jnp.sqrt(gain * x + (gain * values["read_noise"]) ** 2)
     mean, variance, _ = stored(values, jnp.maximum(x, noise) if "gamma" in values else x, white)
-    return mean, x, variance, noise
-
-
-@eqx.filter_jit
-def _mean_dn(values: Values, form: Form, geometry: Geometry, white: Array) -> Array:
-    x = signal(values, form, geometry)
-    return stored(values, jnp.where(x > 0, x, white), white)[0]
-
-
-def _products(left: np.ndarray, grid: Grid) -> Array:
-    """(cells, images, images) sums of left_i left_j over the pixels of each cell."""
-    images, cells = grid.count.shape
-    sums = np.zeros((cells, images, images))
-    for i in range(images):
-        for j in range(i + 1):
-            of_cells = np.bincount(grid.cell[0], left[i] * left[j], cells)
-            sums[:, i, j] = sums[:, j, i] = of_cells
-    return jnp.asarray(sums)
+    return mean, x, variance, noise, stored(values, jnp.where(x > 0, x, white), white)[0]
 
 
 def _means(values: np.ndarray, cell: np.ndarray, count: np.ndarray) -> np.ndarray:

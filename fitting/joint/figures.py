@@ -1,11 +1,13 @@
 """Pictures of a joint calibration."""
 
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
 from ..report.colours import OF_CHANNEL
 from .calibration import JointCalibration
-from .fit import image_errors, predicted_cells
+from .fit import image_errors
+from .model import predicted_parts
 from .prediction import predict
 
 BINS = 16
@@ -49,7 +51,7 @@ def noise_figure(calibration: JointCalibration) -> Figure:
     axis = figure.subplots()
     for fit in calibration.fits:
         cells, values = fit.data.cells, fit.values
-        model, _, _ = predicted_cells(fit)
+        model, _, _ = predicted_parts(jnp.asarray(fit.vector), fit.data)
         residual = cells.mean - model.mean
         found = image_errors(fit)
         if found is not None:

@@ -1,4 +1,6 @@
-"""What a reader of a joint calibration must be told, in sentences and as tables."""
+"""Every sentence about surface, response and sensor, with its condition, and the tables."""
+
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,12 +8,18 @@ import numpy as np
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent
 from ..inference.parameters import names, prior_gaussian
-from ..inference.posterior import Posterior
 from ..inference.trust import convergence_in_words
+from ..reflectance.from_images.findings import (
+    CONTRADICTED,
+    IDENTIFIABLE,
+    NOT_CONVERGED,
+    said_of_channels,
+    told,
+)
 from ..reflectance.from_images.read import ASSUMED_BLACK, Photographs
-from ..reflectance.from_images.shading_check import contradictions
 from ..reflectance.names import SHOWS
 from ..report.section import Table
+from ..report.sentences import Finding, Numbers, said
 from .calibration import JointCalibration
 from .fit import JointFit, image_errors
 from .halves import APART
@@ -26,76 +34,22 @@ UNLIKE_GAIN = 0.15  # relative difference of gains worth a word
 ROUNDS = 5  # of reweighting
 NOTABLE = 2.5  # standard deviations of an image's error worth a word
 
+OfChannel = tuple[JointCalibration, JointFit]
 
-def findings(calibration: JointCalibration) -> tuple[str, ...]:
-    """Assumptions, misfit, identifiability, what the priors alone tell, and convergence."""
-    gamma = calibration.fits[0].values.get("gamma")
-    encoding = None if gamma is None else float(gamma)
+
+def findings(calibration: JointCalibration, *, scores: tuple[Score, ...] = ()) -> tuple[str, ...]:
+    """All sentences about a joint calibration and its predictions."""
     return (
-        *contradictions(calibration.observation, gamma=encoding),
-        *(
-            sentence
-            for sentence in calibration.observation.findings
-            if sentence != ASSUMED_BLACK or "black_level" in calibration.fits[0].data.known
-        ),
-        *darker_than_darks(calibration.observation),
-        *(s for fit in calibration.fits for s in _channel_findings(calibration, fit)),
+        *said(OF_PREDICTIONS, scores),
+        *said(GIVEN, calibration),
+        *said_of_channels(OF_CHANNEL, calibration, calibration.fits),
     )
 
 
-def _channel_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
-    one = len(calibration.fits) == 1
-    name = "" if one else f"{fit.channel}: "
-    found = []
-    if not fit.converged:
-        found.append("The fit did not converge; do not use its numbers.")
-    if fit.data.form.model != calibration.model:
-        found.append("No highlight is seen: the best fit has a specular amplitude of zero.")
-    if fit.unexplained is not None:
-        found.append(
-            f"The cells scatter more than noise and the errors that the rig names allow "
-            f"(chi-square per cell {fit.unexplained:.2f}); a misfit of {_misfit_in_words(fit)} "
-            "explains them: a surface that is not the model's, "
-            "an intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not give, or a "
-            "black level, gain or read noise that is not the images'."
-        )
-    posterior = calibration.posteriors.get(fit.channel)
-    if "prnu" not in fit.values and posterior is not None:
-        stated = calibration.observation.camera.prnu_sd is not None
-        found += [] if misses_as_noise(calibration, fit) else _gain_findings(fit, stated=stated)
-    if "gamma" not in fit.values:
-        found += gains_disagree(fit, calibration.observation.camera.gain)
-    found += fit.identifiability.sentences
-    if posterior is None:
-        found.append("The data and the rig leave a direction open, so there are no intervals.")
-        return [f"{name}{sentence}" for sentence in found]
-    robust = calibration.robust.get(fit.channel)
-    if robust is not None and robust.design_effect > 1:
-        wider = robust.gaussian_covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
-        found.append(
-            "The images do not agree within their noise (their scores are "
-            f"{np.sqrt(robust.design_effect):.1f} times as large as independent cells make them): "
-            "what the model misses goes together within an image. The intervals take images, "
-            f"not cells, for independent data: {np.sqrt(np.median(wider)):.1f} times wider in the "
-            "median over the parameters."
-        )
-        if misses_as_noise(calibration, fit):
-            found.append(
-                "Gain and read noise are free and take what the model misses for noise, so neither "
-                "is printed. Give the rig camera.gain and camera.read_noise, or flats and darks, "
-                "to see how large the misfit is."
-            )
-        found += _halves_findings(calibration, fit)
-    found += _prior_alone(posterior, of_frames=calibration.observation.levels is not None)
-    found += _image_findings(calibration, fit)
-    found.append(convergence_in_words(posterior))
-    return [f"{name}{sentence}" for sentence in found]
-
-
-def darker_than_darks(observation: Photographs) -> list[str]:
-    """Report pixels that no light reaches and that are darker than the darks, since light only
+def darker_than_darks(observation: Photographs) -> list[Numbers]:
+    """Find pixels that no light reaches and that are darker than the darks, since light only
     adds."""
-    found = []
+    found: list[Numbers] = []
     unlit = observation.cosine < UNLIT
     for i, levels in enumerate(observation.levels or ()):
         if not levels.dark.any() or np.count_nonzero(unlit) < FEWEST_UNLIT:
@@ -106,17 +60,14 @@ def darker_than_darks(observation: Photographs) -> list[str]:
         error = 1.2533 * float(np.std(dn)) / np.sqrt(len(dn))  # of the median of a Gaussian
         if below > max(1.0, BELOW_DARKS * np.hypot(error, levels.mean_error[levels.dark].max())):
             found.append(
-                f"Pixels that face away from the light lie at {np.median(dn):.1f} DN (median of "
-                f"{len(dn)}), {below:.1f} DN below the darks ({of_darks:.1f} DN), although light "
-                "can only add: the darks are of another temperature, exposure or setting, and move "
-                "the surface's estimates. Leave them out, or take darks beside the images."
+                {"median": np.median(dn), "count": len(dn), "below": below, "darks": of_darks}
             )
     return found
 
 
-def gains_disagree(fit: JointFit, stated: float | None) -> list[str]:
-    """Report pixels of the object that scatter with another gain than flats and darks show or the
-    rig states (DN/e-)."""
+def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
+    """Compare the gain of the object's pixels with the gain of flats and darks, or of the rig
+    (DN/e-), for a linear fit."""
     cells, levels = fit.data.cells, fit.data.levels
     freedom = np.asarray(cells.count, float) - 1
     some = freedom > 0
@@ -130,16 +81,12 @@ def gains_disagree(fit: JointFit, stated: float | None) -> list[str]:
     elif stated is not None:
         source, other, of_other = "the rig states", stated, 0.0
     else:
-        return []
+        return None
     apart = abs(own - other)
     if not (apart > GAINS_APART * np.hypot(error, of_other) and apart > UNLIKE_GAIN * other):
-        return []
+        return None
     also = ", or a texture or unequal pixels add to the scatter" if own > other else ""
-    return [
-        f"The scatter of the object's pixels rises by {own:.3g} DN^2/DN with their signal, where "
-        f"{source} a gain of {other:.3g} DN/e-: they are of another gain than the images{also}. "
-        "Do not use the gain and the read noise."
-    ]
+    return {"own": own, "source": source, "other": other, "also": also}
 
 
 def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple[float, float]:
@@ -168,108 +115,252 @@ def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
     return free and fit.unexplained is None and disagree
 
 
-def _halves_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
-    """Whether halves of the images tell the same."""
-    halves = calibration.halves.get(fit.channel)
-    if halves is None:
-        return ["The images are too few, or too unlike, to check this by fits of their halves."]
-    if halves.agree:
-        return ["The even and the odd images, fitted alone, agree within these intervals."]
-    even, odd = halves.values
-    worst = int(np.argmax(np.abs(halves.deviations)))
-    apart = np.flatnonzero(np.abs(halves.deviations) >= APART)
-    told = listed([f"{halves.names[i]} ({even[i]:.3g} and {odd[i]:.3g})" for i in apart])
-    return [
-        f"The even and the odd images, fitted alone, differ in {told}, by up to "
-        f"{abs(halves.deviations[worst]):.0f} standard deviations: which images there are decides "
-        "the answer, for the model misses the surface. The intervals hold half of the difference; "
-        "try another model."
-    ]
+# ---------------------------------------------------------------- conditions
 
 
-def _gain_findings(fit: JointFit, *, stated: bool) -> list[str]:
-    """Whether gain and read noise explain how pixels scatter."""
-    seen = unequal_pixels(fit)
-    remedy = ", or flats and darks"
-    if fit.data.levels is not None:
-        remedy = "; the flats and darks alone tell gain and read noise by `noise`"
-    if seen.found:
-        return [
-            "The variance of pixels grows with the square of their signal, which neither photons "
-            "nor read-out make: unequal pixels, or a texture, of about "
-            f"{format_percent(seen.size, decimals=2)} "
-            f"({seen.deviations:.0f} standard errors from none). They hide the gain and the "
-            f"read noise; give the rig camera.prnu_sd = {seen.size:.2g}{remedy}."
-        ]
-    if seen.hide_noise(stated):
-        return [
-            f"Unequal pixels of {format_percent(seen.most, decimals=2)}, which these images "
-            "cannot tell from photons and "
-            f"read-out, would move the gain or the read noise by {seen.moved:.1f} standard errors: "
-            "neither is printed. Give the rig camera.prnu_sd (0 if pixels are alike and the "
-            f"surface is smooth){remedy}."
-        ]
-    if "system_gain" in fit.data.known or fit.data.levels is not None:
-        return []
-    why = "which the rig says are equal" if stated else "which shows no unequal pixels"
-    return [f"The gain is read off the scatter of the object's pixels, {why}, and no texture."]
+def _posterior(of: OfChannel):
+    return of[0].posteriors.get(of[1].channel)
 
 
-def _misfit_in_words(fit: JointFit) -> str:
+def _misfit(of: OfChannel) -> Numbers | None:
     """How large it is beside the signal, in dark pixels and in bright ones."""
+    fit = of[1]
+    if fit.unexplained is None:
+        return None
     cells, white = fit.data.cells, float(fit.data.white)
     digital = np.asarray(cells.mean)[np.asarray(cells.count) > 0] - float(fit.values["black_level"])
     dark, bright = (
-        float(fit.values["misfit"]) * np.sqrt(MISFIT_AT * white / level)
+        format_percent(float(fit.values["misfit"]) * np.sqrt(MISFIT_AT * white / level), decimals=1)
         for level in np.quantile(digital, (0.1, 0.9))
     )
-    return (
-        f"{format_percent(dark, decimals=1)} of the signal where it is dark and "
-        f"{format_percent(bright, decimals=1)} where it is bright"
-    )
+    return {"chi": fit.unexplained, "dark": dark, "bright": bright}
 
 
-def _prior_alone(posterior: Posterior, *, of_frames: bool) -> list[str]:
-    before = prior_gaussian(posterior.space)[1]
-    share = np.sqrt(np.diagonal(posterior.covariance)) / before
-    told = [name for name, s in zip(names(posterior.space), share, strict=True) if s > PRIOR_ALONE]
-    if not told:
-        return []
-    source = "the rig states or its flats and darks tell" if of_frames else "the rig states"
-    return [f"The estimates of {listed(told)} are those that {source}; the images add little."]
+def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
+    """Unequal pixels that are seen, or that could hide gain and read noise unseen."""
+    calibration, fit = of
+    if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
+        return None
+    seen = unequal_pixels(fit)
+    stated = calibration.observation.camera.prnu_sd is not None
+    if seen.found != found or not seen.hide_noise(stated):
+        return None
+    remedy = ", or flats and darks"
+    if fit.data.levels is not None:
+        remedy = "; the flats and darks alone tell gain and read noise by `noise`"
+    size, most = (format_percent(x, decimals=2) for x in (seen.size, seen.most))
+    numbers = {"deviations": seen.deviations, "prnu": seen.size, "moved": seen.moved}
+    return numbers | {"size": size, "most": most, "remedy": remedy}
 
 
-def _image_findings(calibration: JointCalibration, fit: JointFit) -> list[str]:
-    """Images whose light is notably off."""
+def _gain_of_scatter(of: OfChannel) -> Numbers | None:
+    """That the gain is read off the object's pixels, where nothing else gives it."""
+    calibration, fit = of
+    if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
+        return None
+    stated = calibration.observation.camera.prnu_sd is not None
+    known = "system_gain" in fit.data.known or fit.data.levels is not None
+    if known or unequal_pixels(fit).hide_noise(stated):
+        return None
+    return {"why": "which the rig says are equal" if stated else "which shows no unequal pixels"}
+
+
+def _disagree(of: OfChannel) -> Numbers | None:
+    """Images whose scores are larger than those of independent cells."""
+    calibration, fit = of
+    robust = calibration.robust.get(fit.channel)
+    if _posterior(of) is None or robust is None or robust.design_effect <= 1:
+        return None
+    wider = robust.gaussian_covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
+    return {"larger": np.sqrt(robust.design_effect), "wider": np.sqrt(np.median(wider))}
+
+
+def _halves(of: OfChannel, *, agree: bool | None) -> Numbers | None:
+    """Halves of images that disagree within their noise: None for none."""
+    halves = of[0].halves.get(of[1].channel)
+    if _disagree(of) is None or agree != (None if halves is None else halves.agree):
+        return None
+    if halves is None or halves.agree:
+        return {}
+    even, odd = halves.values
+    apart = np.flatnonzero(np.abs(halves.deviations) >= APART)
+    shown = listed([f"{halves.names[i]} ({even[i]:.3g} and {odd[i]:.3g})" for i in apart])
+    return {"shown": shown, "worst": np.abs(halves.deviations).max()}
+
+
+def _prior_alone(of: OfChannel) -> Numbers | None:
+    posterior = _posterior(of)
+    if posterior is None:
+        return None
+    share = np.sqrt(np.diagonal(posterior.covariance)) / prior_gaussian(posterior.space)[1]
+    given = [n for n, s in zip(names(posterior.space), share, strict=True) if s > PRIOR_ALONE]
+    frames = " or its flats and darks tell" * (of[0].observation.levels is not None)
+    return {"given": listed(given), "frames": frames} if given else None
+
+
+def _odd_light(of: OfChannel) -> Numbers | None:
+    """The image whose light is furthest off, if that is notable."""
+    calibration, fit = of
     found = image_errors(fit)
-    if found is None or "light_scatter" not in fit.values:
-        return []
-    scale = float(fit.values["light_scatter"])
-    files = np.array(calibration.observation.files)[fit.grid.lights]
+    if _posterior(of) is None or found is None or "light_scatter" not in fit.values:
+        return None
     mean = found[0][:, 0]
-    relative = mean * np.asarray(fit.data.relative["light_scatter"]) * scale
+    relative = mean * np.asarray(fit.data.relative["light_scatter"] * fit.values["light_scatter"])
     worst = int(np.argmax(np.abs(mean)))
     if abs(mean[worst]) < NOTABLE:
-        return []
-    word = "brighter" if relative[worst] > 0 else "darker"
-    return [
-        f"{files[worst]} is {format_percent(abs(relative[worst]), decimals=1)} {word} than its "
-        "intensity says, "
-        f"{abs(mean[worst]):.1f} times the usual error of a light."
-    ]
-
-
-def no_description(scores: tuple[Score, ...]) -> list[str]:
-    """Report, for each channel, a model that misses most of the images."""
-    errors = {
-        s.channel: s.fitted_error if s.unseen_error is None else s.unseen_error for s in scores
+        return None
+    return {
+        "file": np.array(calibration.observation.files)[fit.grid.lights][worst],
+        "share": format_percent(abs(relative[worst]), decimals=1),
+        "word": "brighter" if relative[worst] > 0 else "darker",
+        "times": abs(mean[worst]),
     }
+
+
+def _no_description(scores: tuple[Score, ...]) -> list[Numbers]:
+    """Channels in which the model misses most of the images."""
+    errors = [(s.channel, s.fitted_error, s.unseen_error) for s in scores]
+    missed = [(name, fitted if unseen is None else unseen) for name, fitted, unseen in errors]
+    most = format_percent(SHOWS)
     return [
-        f"{channel}: the model does not describe the images: it misses {format_percent(error)} of "
-        f"the signal, where more than {format_percent(SHOWS)} is no description."
-        for channel, error in errors.items()
+        {"channel": channel, "error": format_percent(error), "most": most}
+        for channel, error in missed
         if error > SHOWS
     ]
+
+
+# ---------------------------------------------------------------- sentences
+
+OF_PREDICTIONS = (
+    Finding(
+        "no description",
+        _no_description,
+        "{channel}: the model does not describe the images: it misses {error} of the signal, where"
+        " more than {most} is no description.",
+    ),
+)
+GIVEN = (
+    CONTRADICTED,
+    Finding(
+        "assumed",
+        lambda c: told(
+            sentence
+            for sentence in c.observation.findings
+            if sentence != ASSUMED_BLACK or "black_level" in c.fits[0].data.known
+        ),
+        "{sentence}",
+    ),
+    Finding(
+        "darker than darks",
+        lambda c: darker_than_darks(c.observation),
+        "Pixels that face away from the light lie at {median:.1f} DN (median of {count}),"
+        " {below:.1f} DN below the darks ({darks:.1f} DN), although light can only add: the darks"
+        " are of another temperature, exposure or setting, and move the surface's estimates. Leave"
+        " them out, or take darks beside the images.",
+    ),
+)
+OF_CHANNEL = (
+    NOT_CONVERGED,
+    Finding(
+        "no highlight",
+        lambda of: of[1].form.model != of[0].model,
+        "No highlight is seen: the best fit has a specular amplitude of zero.",
+    ),
+    Finding(
+        "misfit",
+        _misfit,
+        "The cells scatter more than noise and the errors that the rig names allow (chi-square per"
+        " cell {chi:.2f}); a misfit of {dark} of the signal where it is dark and {bright} where it"
+        " is bright explains them: a surface that is not the model's, an intensity_sd,"
+        " direction_sd, stray_sd or prnu_sd that the rig does not give, or a black level, gain or"
+        " read noise that is not the images'.",
+    ),
+    Finding(
+        "unequal pixels",
+        partial(_unequal, found=True),
+        "The variance of pixels grows with the square of their signal, which neither photons nor"
+        " read-out make: unequal pixels, or a texture, of about {size} ({deviations:.0f} standard"
+        " errors from none). They hide the gain and the read noise; give the rig camera.prnu_sd ="
+        " {prnu:.2g}{remedy}.",
+    ),
+    Finding(
+        "unseen unequal pixels",
+        partial(_unequal, found=False),
+        "Unequal pixels of {most}, which these images cannot tell from photons and read-out, would"
+        " move the gain or the read noise by {moved:.1f} standard errors: neither is printed. Give"
+        " the rig camera.prnu_sd (0 if pixels are alike and the surface is smooth){remedy}.",
+    ),
+    Finding(
+        "gain of scatter",
+        _gain_of_scatter,
+        "The gain is read off the scatter of the object's pixels, {why}, and no texture.",
+    ),
+    Finding(
+        "gains disagree",
+        lambda of: (
+            None
+            if "gamma" in of[1].values
+            else gains_disagree(of[1], of[0].observation.camera.gain)
+        ),
+        "The scatter of the object's pixels rises by {own:.3g} DN^2/DN with their signal, where"
+        " {source} a gain of {other:.3g} DN/e-: they are of another gain than the images{also}. Do"
+        " not use the gain and the read noise.",
+    ),
+    IDENTIFIABLE,
+    Finding(
+        "not identifiable",
+        lambda of: _posterior(of) is None,
+        "The data and the rig leave a direction open, so there are no intervals.",
+    ),
+    Finding(
+        "images disagree",
+        _disagree,
+        "The images do not agree within their noise (their scores are {larger:.1f} times as large"
+        " as independent cells make them): what the model misses goes together within an image. The"
+        " intervals take images, not cells, for independent data: {wider:.1f} times wider in the"
+        " median over the parameters.",
+    ),
+    Finding(
+        "misfit as noise",
+        lambda of: _disagree(of) is not None and misses_as_noise(*of),
+        "Gain and read noise are free and take what the model misses for noise, so neither is"
+        " printed. Give the rig camera.gain and camera.read_noise, or flats and darks, to see how"
+        " large the misfit is.",
+    ),
+    Finding(
+        "no halves",
+        partial(_halves, agree=None),
+        "The images are too few, or too unlike, to check this by fits of their halves.",
+    ),
+    Finding(
+        "halves agree",
+        partial(_halves, agree=True),
+        "The even and the odd images, fitted alone, agree within these intervals.",
+    ),
+    Finding(
+        "halves differ",
+        partial(_halves, agree=False),
+        "The even and the odd images, fitted alone, differ in {shown}, by up to {worst:.0f}"
+        " standard deviations: which images there are decides the answer, for the model misses the"
+        " surface. The intervals hold half of the difference; try another model.",
+    ),
+    Finding(
+        "prior alone",
+        _prior_alone,
+        "The estimates of {given} are those that the rig states{frames}; the images add little.",
+    ),
+    Finding(
+        "odd light",
+        _odd_light,
+        "{file} is {share} {word} than its intensity says, {times:.1f} times the usual error of a"
+        " light.",
+    ),
+    Finding(
+        "convergence",
+        lambda of: told(convergence_in_words(p) for p in [_posterior(of)] if p is not None),
+        "{sentence}",
+    ),
+)
 
 
 def score_table(scores: tuple[Score, ...]) -> Table:

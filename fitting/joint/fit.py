@@ -1,6 +1,13 @@
-"""The fit of one channel: a start by variable projection, then Newton's method on the marginal
-posterior, about a reference that is moved to the best model once. Where the cells scatter more than
-noise and the errors that the rig names allow, a misfit is added, and said.
+"""The fit of one channel by Newton's method on the marginal posterior, from a start by variable
+projection.
+
+The cells are reduced about a reference model, which follows the best model until it has come to
+rest. If the cells scatter more than noise and the stated errors allow, a misfit is added.
+
+The error of a light's direction enters linearly. A highlight does not follow its light linearly:
+the mean over lights that are off by a degree is wider and weaker than each highlight, in all images
+alike. So the fit is repeated about the directions that it finds (Gauss-Newton), until no light
+moves.
 """
 
 from dataclasses import dataclass, replace
@@ -16,74 +23,49 @@ from jaxvision.errors import InputError
 from ..inference.diagnostics import Identifiability, identifiability
 from ..inference.left_out import LeftOut
 from ..inference.newton import NewtonSolution, minimise
-from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_unconstrained
-from ..reflectance.from_images.read import Photographs, UniformLevels
+from ..inference.parameters import ParameterSpace, log_prior, names, to_unconstrained
+from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.signal import Form, Values
+from ..reflectance.from_images.turns import SETTLED, WIDEST, turned
 from ..reflectance.models import is_searched, shape_of
 from . import marginal
+from .candidates import with_misfit, without_small_errors
 from .cells import Grid, cell_width, make_grid, reduce_images
-from .left_out import small, widest, without
-from .model import (
-    Cells,
-    JointData,
-    Levels,
-    Prediction,
-    cell_errors,
-    cost,
-    predicted,
-    values_at,
-    weights,
-)
-from .start import (
-    SCATTERS,
-    first_noise,
-    first_reflectance,
-    parameters,
-    scatter_scales,
-)
+from .model import JointData, Levels, cost, parameters, predicted_parts, scatter_scales, values_at
+from .start import first_noise, first_reflectance
 
 FEWEST_CELLS = 50
 EXCESS = 3.0  # standard deviations of chi-square from which the model does not explain the cells
 MOST_ROUNDS = 24
 FREE_ROUNDS = 2  # after which no cell is taken in again: one at an end of the scale may come and go
 AT_REST = 0.05  # standard deviations by which the reference may miss the best model
-MISFIT = Parameter("misfit", symbol="ρ", unit="1", lower=0.0, upper=1.0)
-MOST_AT_FIRST = 0.5
+MOST_TURNS = 8  # of the lights
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """A fitted channel.
-
-    Attributes:
-        channel: name.
-        data: with the cells about the best model.
-        grid: of the cells.
-        vector: (P,) unconstrained.
-        information: (P, P) of the posterior on that scale.
-        identifiability: of the likelihood alone.
-        chi_square: of the cells' means, per cell.
-        cells: how many there are, over all images.
-        unexplained: chi-square per cell before a misfit was allowed; None where none was needed.
-        converged: whether the optimum was reached.
-        left_out: errors that the rig names and that are too small to matter.
-    """
+    """A fitted channel."""
 
     channel: str
-    data: JointData
+    data: JointData  # with the cells about the best model
     grid: Grid
-    vector: Float[np.ndarray, " parameters"]
-    information: Float[np.ndarray, "parameters parameters"]
-    identifiability: Identifiability
-    chi_square: float
-    cells: int
+    vector: Float[np.ndarray, " parameters"]  # unconstrained
+    information: Float[np.ndarray, "parameters parameters"]  # of the posterior on that scale
+    identifiability: Identifiability  # of the likelihood alone
+    chi_square: float  # of the cells' means, per cell
+    cells: int  # how many there are, over all images
+    # chi-square per cell before a misfit was allowed; None where none was needed
     unexplained: float | None
-    converged: bool
-    left_out: tuple[LeftOut, ...] = ()
+    converged: bool  # whether the optimum was reached
+    left_out: tuple[LeftOut, ...] = ()  # errors that the rig names and that are too small to matter
 
     @property
     def space(self) -> ParameterSpace:
         return self.data.space
+
+    @property
+    def form(self) -> Form:
+        return self.data.form
 
     @property
     def values(self) -> Values:
@@ -107,20 +89,17 @@ def fit_channel(
     if about is not None:
         grid = replace(grid, geometry=replace(grid.geometry, about=jnp.asarray(about)))
         data = eqx.tree_at(lambda d: d.cells.geometry, data, grid.geometry)
-    gone = ()
-    if not set(SCATTERS).isdisjoint(names(data.space)):
-        gone = small(data, *_predicted(widest(start, data.space), data))
-    data, start = without(data, start, gone)
+    data, start, gone = without_small_errors(data, start)
     about_start = data
     data, solution = _rounds(observation, channel, grid, data, start)
     chi_square, cells = _chi_square(solution.vector, data)
     unexplained = None
     if chi_square - 1 > EXCESS * np.sqrt(2 / cells):
         unexplained = chi_square
-        data, vector = _with_misfit(about_start, start)
+        data, vector = with_misfit(about_start, start)
         data, solution = _rounds(observation, channel, grid, data, vector)
         chi_square, cells = _chi_square(solution.vector, data)
-    of_prior = _prior_information(solution.vector, data.space)
+    of_prior = -eqx.filter_jit(jax.hessian(log_prior, argnums=1))(data.space, solution.vector)
     by_data = np.asarray(solution.information - of_prior, np.float64)
     return JointFit(
         channel=observation.channels[channel],
@@ -132,7 +111,9 @@ def fit_channel(
         chi_square=chi_square,
         cells=cells,
         unexplained=unexplained,
-        converged=bool(solution.converged) and is_searched_shape(solution.vector, data),
+        converged=bool(solution.converged)
+        and cells >= FEWEST_CELLS
+        and is_searched_shape(solution.vector, data),
         left_out=gone,
     )
 
@@ -153,51 +134,33 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
     start = start | first_noise(observation, channel, start.get("gamma"))
     shape = None if form.model == "lambert" else start[shape_of(form.model).name]
     scales = scatter_scales(observation)
-    natural = {name: start[name] for name in names(space)} | known
+    natural = {name: jnp.asarray(start[name], float) for name in names(space)}
+    known = {name: jnp.asarray(value, float) for name, value in known.items()}
     grid = make_grid(
         observation,
         channel,
-        {name: jnp.asarray(value) for name, value in natural.items()},
+        natural | known,
         form,
         width=cell_width(form, shape),
         turns="direction_scatter" in scales,
         shared="prnu" in scales,
     )
-    data = JointData(
-        space=space,
-        form=form,
-        known={name: jnp.asarray(value) for name, value in known.items()},
-        cells=_reduced(observation, channel, grid, natural, form),
-        levels=_levels(observation, channel),
-        white=jnp.asarray(observation.white),
-        relative={
-            name: jnp.asarray(size[grid.lights])
-            for name, (_, size) in scales.items()
-            if name != "prnu"
-        },
-    )
-    _refuse_too_little(observation, data)
-    vector = to_unconstrained(space, jnp.asarray([natural[name] for name in names(space)]))
-    return grid, data, vector
-
-
-def _with_misfit(data: JointData, vector: Array) -> tuple[JointData, Array]:
-    """Return the data and start of a model with a misfit, whose size the cells' residuals give.
-
-    The cells must be about the start. About the best model without a misfit, its gain and read
-    noise have already taken up part of the misfit.
-    """
-    data = replace(data, space=(*data.space, MISFIT))
-
-    def starting(size: float) -> Array:
-        return jnp.concatenate([vector, to_unconstrained((MISFIT,), jnp.asarray([size]))])
-
-    model, weight, _ = _predicted(starting(MOST_AT_FIRST), data)
-    unit = np.asarray(model.misfit) / MOST_AT_FIRST
-    seen = np.asarray(weight) > 0
-    squares = np.asarray(data.cells.mean - model.mean)[seen] ** 2
-    size = float(np.sqrt(squares.mean() / np.mean(unit[seen] ** 2)))
-    return data, starting(min(size, MOST_AT_FIRST))
+    cells = reduce_images(observation, channel, grid, natural | known, form)
+    seen = int(jnp.sum(cells.count > 0))
+    if seen < FEWEST_CELLS:
+        raise InputError(
+            f"only {seen} patches of the object are lit and clear of black and of saturation "
+            f"({observation.clip:g} DN); expose differently, or correct "
+            "camera.black_level and camera.saturation."
+        )
+    levels = None
+    if observation.levels is not None:
+        own = observation.levels[channel]
+        levels = Levels(*(jnp.asarray(a) for a in (own.mean, own.variance, own.freedom)))
+    relative = {n: jnp.asarray(size[grid.lights]) for n, (_, size) in scales.items() if n != "prnu"}
+    white = jnp.asarray(observation.white)
+    data = JointData(space, form, known, cells, levels, white, relative)
+    return grid, data, to_unconstrained(space, jnp.asarray(list(natural.values())))
 
 
 def _rounds(
@@ -207,10 +170,9 @@ def _rounds(
     solution = minimise(cost, vector, data)
     for number in range(MOST_ROUNDS):
         reference = solution.vector
-        natural = {k: float(v) for k, v in values_at(reference, data).items()}
         within = None if number < FREE_ROUNDS else np.asarray(data.cells.count)
-        cells = _reduced(observation, channel, grid, natural, data.form, within=within)
-        data = eqx.tree_at(lambda d: d.cells, data, cells)
+        of = observation, channel, grid, values_at(reference, data), data.form
+        data = eqx.tree_at(lambda d: d.cells, data, reduce_images(*of, within=within))
         solution = minimise(cost, reference, data)
         if not solution.converged:
             break
@@ -220,62 +182,49 @@ def _rounds(
     return data, replace(solution, converged=jnp.asarray(False))
 
 
-def _reduced(
-    observation: Photographs,
-    channel: int,
-    grid: Grid,
-    natural: dict[str, float],
-    form: Form,
-    *,
-    within: np.ndarray | None = None,
-) -> Cells:
-    reference = {name: jnp.asarray(value) for name, value in natural.items()}
-    kept = {"products": "prnu" in natural, "within": within}
-    return reduce_images(observation, channel, grid, reference, form, **kept)
-
-
-def _levels(observation: Photographs, channel: int) -> Levels | None:
-    if observation.levels is None:
-        return None
-    of: UniformLevels = observation.levels[channel]
-    return Levels(*(jnp.asarray(a) for a in (of.mean, of.variance, of.freedom)))
-
-
-def _refuse_too_little(observation: Photographs, data: JointData) -> None:
-    cells = int(jnp.sum(data.cells.count > 0))
-    if cells < FEWEST_CELLS:
-        raise InputError(
-            f"only {cells} patches of the object are lit and clear of black and of saturation "
-            f"({observation.clip:g} DN); expose differently, or correct "
-            "camera.black_level and camera.saturation."
-        )
-
-
-@eqx.filter_jit
-def _predicted(vector: Array, data: JointData) -> tuple[Prediction, Array, Array | None]:
-    values = values_at(vector, data)
-    model = predicted(values, data, data.cells)
-    return model, weights(data.cells, model), cell_errors(values, data.cells, model)
-
-
 def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
-    """Of the cells' means, per cell; and how many cells there are."""
-    model, weight, of_cells = _predicted(vector, data)
+    """Chi-square of the cells' means, per degree of freedom, and the number of cells."""
+    model, weight, of_cells = predicted_parts(vector, data)
     cells = int(jnp.sum(weight > 0))
-    found = _quadratic(data.cells.mean - model.mean, weight, model.image_errors, of_cells)
-    return float(found) / (cells - len(data.space)), cells
+    left = data.cells.mean - model.mean
+    shared = {"image_errors": model.image_errors, "cell_errors": of_cells}
+    found = eqx.filter_jit(marginal.chi_square)(left, weight, **shared)
+    return float(found) / max(cells - len(data.space), 1), cells
 
 
-@eqx.filter_jit
-def _quadratic(
-    residual: Array, weight: Array, image_errors: Array | None, cells: Array | None
-) -> Array:
-    return marginal.chi_square(residual, weight, image_errors=image_errors, cell_errors=cells)
+def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
+    """Fit one channel about the light directions that its images show, or about the rig's if these
+    would be off by far more than stated."""
+    sizes = observation.uncertain["direction_sd"][~observation.held_out]
+    if not sizes.any():
+        return fit_channel(observation, channel, form)
+    turns = np.zeros((2, len(sizes)))
+    nominal = fit = fit_channel(observation, channel, form, about=turns)
+    for _ in range(MOST_TURNS):
+        found = likeliest_turns(fit)
+        if found is None or found[1].max() > WIDEST * sizes.max():
+            return nominal
+        if np.all(np.abs(found[0] - turns) <= SETTLED * found[1]):
+            break
+        turns = found[0]
+        across = np.zeros((len(observation.held_out), 2))
+        across[fit.grid.lights] = turns.T
+        fit = fit_channel(turned(observation, across), channel, form, about=turns)
+    return fit
 
 
-@eqx.filter_jit
-def _prior_information(vector: Array, space: ParameterSpace) -> Array:
-    return -jax.hessian(log_prior, argnums=1)(space, vector)
+def likeliest_turns(
+    fit: JointFit,
+) -> tuple[Float[np.ndarray, "2 images"], Float[np.ndarray, " images"]] | None:
+    """Return (2, images) rad by which the images rotate the lights from the rig's directions, and
+    the (images,) standard deviations that the rig states; None if directions are exact or the fit
+    is no optimum."""
+    found = image_errors(fit)
+    if "direction_scatter" not in fit.data.relative or not fit.converged or found is None:
+        return None
+    first = 1 if "light_scatter" in fit.data.relative else 0
+    size = np.asarray(fit.data.relative["direction_scatter"] * fit.values["direction_scatter"])
+    return found[0][:, first : first + 2].T * size, size
 
 
 def image_errors(
@@ -289,18 +238,10 @@ def image_errors(
     Returns:
         Means and standard deviations, (images, errors); None where the rig names none.
     """
-    model, weight, of_cells = predicted_cells(fit)
+    model, weight, of_cells = predicted_parts(jnp.asarray(fit.vector), fit.data)
     if model.image_errors is None:
         return None
-    residual = fit.data.cells.mean - model.mean
-    found = eqx.filter_jit(marginal.image_error_means)(
-        residual, weight, model.image_errors, cell_errors=of_cells
-    )
-    mean, spread = (np.asarray(a) for a in found)
-    return mean, spread
-
-
-def predicted_cells(fit: JointFit) -> tuple[Prediction, Array, Array | None]:
-    """Return the prediction of a fit's own cells, their weights in DN^-2, and their errors by pixel
-    gains in DN, or None if pixels are alike."""
-    return _predicted(jnp.asarray(fit.vector), fit.data)
+    left = fit.data.cells.mean - model.mean
+    by_image = eqx.filter_jit(marginal.image_error_means)
+    mean, spread = by_image(left, weight, model.image_errors, cell_errors=of_cells)
+    return np.asarray(mean), np.asarray(spread)

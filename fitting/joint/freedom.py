@@ -22,8 +22,7 @@ from ..inference.importance import FAR, gaussian_miss
 from ..inference.newton import minimise
 from ..inference.parameters import names
 from .fit import JointFit
-from .model import cost, log_posterior
-from .start import SCATTERS
+from .model import SCATTERS, cost, log_posterior
 
 STEP = 0.1  # of ln s, over which the variances' slopes are taken
 

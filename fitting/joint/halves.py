@@ -18,9 +18,8 @@ from jaxvision.core.side_by_side import side_by_side
 from ..inference.clustering import Robustness
 from ..inference.parameters import names, to_natural
 from ..reflectance.from_images.read import Photographs
-from .fit import JointFit
-from .start import of_surface
-from .turns import fit_turned
+from .fit import JointFit, fit_turned
+from .model import of_surface
 
 FEWEST_IMAGES = 12  # of which the halves still tell a surface
 APART = 3.0  # standard deviations between halves from which they do not agree
@@ -30,20 +29,15 @@ APART = 3.0  # standard deviations between halves from which they do not agree
 class Halves:
     """The same fit to the even and to the odd images.
 
-    Attributes:
-        names: of the parameters.
-        values: (2, P) in their units.
-        difference: (P,) of the two, unconstrained.
-        deviations: (P,) the same in standard deviations of such a difference; 0 for all but surface
-            and encoding, as noise and misfit may differ between them.
-
     Source:
         Wolter, Introduction to Variance Estimation, 2nd ed. 2007, chapter 2.
     """
 
     names: tuple[str, ...]
-    values: Float[np.ndarray, "halves parameters"]
-    difference: Float[np.ndarray, " parameters"]
+    values: Float[np.ndarray, "halves parameters"]  # in their units
+    difference: Float[np.ndarray, " parameters"]  # of the two, unconstrained
+    # the same in standard deviations of such a difference; 0 for all but surface and encoding, as
+    # noise and misfit may differ between them
     deviations: Float[np.ndarray, " parameters"]
 
     @property

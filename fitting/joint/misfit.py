@@ -23,13 +23,14 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtri
 
-from ..inference.clustering import Robustness, cluster_robust, curvature_stretch
+from ..inference.clustering import Robustness, cluster_robust
 from ..inference.neighbours import regions
 from ..inference.newton import twice
 from ..inference.parameters import names
 from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.stated import ROUNDING, no_more_than
-from .fit import MISFIT, JointFit
+from .candidates import MISFIT
+from .fit import JointFit
 from .model import (
     BY_IMAGE,
     Images,
@@ -37,10 +38,9 @@ from .model import (
     by_image,
     log_likelihood,
     log_likelihood_by_image,
-    log_posterior,
     of_one_image,
+    of_surface,
 )
-from .start import of_surface
 
 CHANCE = 1e-3  # of calling images that agree within their noise ones that do not
 
@@ -128,35 +128,6 @@ def _at_least(covariance: np.ndarray, information: np.ndarray) -> np.ndarray:
     ratio, axes = np.linalg.eigh(root.T @ covariance @ root)
     half = np.linalg.solve(root.T, axes * np.sqrt(np.maximum(ratio, 1)))
     return half @ half.T
-
-
-class Stretched(eqx.Module):
-    """Data of `stretched_log_density`.
-
-    Attributes:
-        data: of the fit.
-        mode: (P,) unconstrained.
-        stretch: (P, P), the matrix C of mode + C (vector - mode).
-    """
-
-    data: JointData
-    mode: Float[Array, " parameters"]
-    stretch: Float[Array, "parameters parameters"]
-
-
-def stretched(fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]) -> Stretched:
-    """A fit whose posterior is to have another covariance."""
-    stretch = curvature_stretch(fit.information, covariance)
-    return Stretched(fit.data, jnp.asarray(fit.vector), jnp.asarray(stretch))
-
-
-def stretched_log_density(vector: Float[Array, " parameters"], data: Stretched) -> Array:
-    """Log posterior density, its argument stretched about the mode.
-
-    Source:
-        Ribatet, Cooley & Davison, Statistica Sinica 22, 2012.
-    """
-    return log_posterior(data.mode + data.stretch @ (vector - data.mode), data.data)
 
 
 @eqx.filter_jit

@@ -1,27 +1,30 @@
-"""The images that a reflectance, a response and a sensor predict together, and their likelihood.
+"""The images that a reflectance, an encoding and a sensor predict together, and their likelihood.
 
-Signal, encoding and noise of a pixel, or of a cell of pixels of like normals, are those of
-`from_images.signal`. Cells have a count, a mean and a scatter about it, and their likelihood is
-that of their pixels, so that the gain K speaks through the scatter.
+Numbers that the rig knows exactly are fixed, those with an `_sd` have a prior, and missing ones are
+free. A stated size of an error of lights or pixels is itself trusted to a factor of about `TRUST`.
 
-What the rig calls uncertain enters as a shared error of a whole image or of a pixel in all images,
-linear in its size and integrated out (`marginal`); only its scale is a parameter:
+Signal, encoding and noise of a pixel, or of a cell of pixels with similar normals, are those of
+`from_images.signal`. Cells have a count, a mean and a scatter about it, and their likelihood is the
+likelihood of their pixels, so that the scatter determines the gain K.
+
+An error that the rig states is shared by a whole image, or by a pixel in all images. It is linear
+in its size and marginalised (`marginal`), so that only its scale is a parameter:
 
     light_scatter      X (1 + s u)                      strength of the light, exposure
     direction_scatter  X + (s u_1 - t_1) dX/dt_1 + (s u_2 - t_2) dX/dt_2
                                                         direction of the light, about angles t
-                                                        across it, at which X is taken (`turns`)
+                                                        across it, at which X is taken
     stray_scatter      X + s E u                        light that comes another way
     prnu               X (1 + s g)                      gain of a pixel
     misfit             rho sqrt(W_0 D P / n) DN, of each cell in each image, of its own
 
-The last stands for a surface that is not the model's. It grows as the noise of photons does, so
-that neither shadows nor highlights carry all of the weight; n is the number of pixels of the cell
-and P that of the widest cells, so that a patch says as much whole as divided; W_0 is a tenth of
-full scale, and D the digital number above black that the reference model of the cells expects: a
-model's own would let it predict what it likes where it calls itself uncertain.
+The misfit describes a surface that the model does not. It grows as the noise of photons does, so
+that neither shadows nor highlights carry all of the weight. A cell has n pixels and the widest
+cells have P, so that a patch has the same weight whole and divided. W_0 is a tenth of full scale. D
+is the digital number above black of the cells' reference model, because a model that set its own D
+could claim uncertainty where it fails.
 
-A number that is known exactly is no parameter, and an error that the rig does not name is not
+A number that is known exactly is no parameter, and an error that the rig does not state is not
 traced.
 """
 
@@ -30,77 +33,151 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from jaxvision import Vec
 
-from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
-from ..reflectance.from_images.signal import Form, Geometry, Values, signal, stored
+from ..inference.parameters import Parameter, ParameterSpace, log_prior, names, to_natural
+from ..inference.priors import LogNormal, Normal
+from ..reflectance.from_images.read import Photographs
+from ..reflectance.from_images.signal import (
+    GAMMA,
+    Form,
+    Geometry,
+    Values,
+    signal,
+    stored,
+    surface_parameters,
+)
 from . import marginal
 
 Table = Float[Array, "images cells"]
 MISFIT_AT = 0.1  # of full scale: W_0 / W
 BY_IMAGE = ("light_scatter", "direction_scatter", "stray_scatter")
+TRUST = 1.6  # factor, one standard deviation, by which a stated error may be off
+
+
+GAIN = Parameter("system_gain", symbol="K", unit="DN/e-", transform="log")
+READ_NOISE = Parameter("read_noise", symbol="σ", unit="e-", lower=0.0)
+BLACK = Parameter("black_level", symbol="b", unit="DN")
+SCATTERS = {
+    "light_scatter": Parameter("light_scatter", symbol="s_l", unit="1", transform="log"),
+    "direction_scatter": Parameter("direction_scatter", symbol="s_d", unit="rad", transform="log"),
+    "stray_scatter": Parameter("stray_scatter", symbol="s_s", unit="1", transform="log"),
+    "prnu": Parameter("prnu", symbol="s_p", unit="1", transform="log"),
+}
+
+
+def of_surface(space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
+    """Which parameters describe surface and encoding. Only these enter the comparison of images,
+    since gain and read noise follow from the scatter of pixels within cells."""
+    others = {GAIN.name, READ_NOISE.name, BLACK.name, *SCATTERS, "misfit"}
+    return np.array([p.name not in others for p in space])
+
+
+def scatter_scales(
+    observation: Photographs,
+) -> dict[str, tuple[float, Float[np.ndarray, " lights"]]]:
+    """Return, by name, the typical size of each error that the rig states and each light's size
+    relative to it. Strength of a light and exposure of its image have the same effect, so they
+    count as one."""
+    known = observation.uncertain
+    stated = {
+        "light_scatter": np.hypot(known["intensity_sd"], known["exposure_sd"]),
+        "direction_scatter": known["direction_sd"],
+        "stray_scatter": known["stray_sd"],
+    }
+    found = {}
+    for name, sizes in stated.items():
+        if sizes.any():
+            typical = float(np.sqrt(np.mean(sizes[sizes > 0] ** 2)))
+            found[name] = (typical, sizes / typical)
+    if observation.camera.prnu_sd:
+        found["prnu"] = (observation.camera.prnu_sd, np.ones(0))
+    return found
+
+
+def parameters(
+    observation: Photographs,
+    channel: int,
+    form: Form,
+    start: dict[str, float],
+) -> tuple[ParameterSpace, dict[str, float]]:
+    """Return the parameters with their priors, and by name the numbers that the rig knows exactly.
+    `start` holds the values from which the search begins; it has no gamma for linear files."""
+    camera, known = observation.camera, {}
+    space = [*surface_parameters(form)]
+
+    def add(parameter: Parameter, value: float | None, sd: float | None) -> None:
+        if value is None:
+            space.append(parameter)
+        elif sd is None:
+            known[parameter.name] = value
+        else:
+            space.append(replace(parameter, prior=Normal(value, sd)))
+
+    if "gamma" in start:
+        add(GAMMA, None if form.free_gamma else camera.gamma, camera.gamma_sd)
+    add(GAIN, camera.gain, camera.gain_sd)
+    add(READ_NOISE, camera.read_noise, camera.read_noise_sd)
+    add(BLACK, *black_level(observation, channel))
+    for name, (size, _) in scatter_scales(observation).items():
+        space.append(replace(SCATTERS[name], prior=LogNormal(size, float(np.log(TRUST)))))
+    return tuple(space), known
+
+
+def black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
+    """The black level and its standard deviation: the rig's, or the darks', or of both the mean
+    weighted by their precisions."""
+    black, sd = observation.black, observation.camera.black_sd
+    stated = observation.camera.black_level is not None
+    levels = None if observation.levels is None else observation.levels[channel]
+    if levels is None or not levels.dark.any() or (stated and sd is None):
+        return black, sd
+    means, errors = [levels.mean[levels.dark]], [levels.mean_error[levels.dark]]
+    if stated and sd is not None:
+        means, errors = [*means, [black]], [*errors, [sd]]
+    weight = np.concatenate(errors) ** -2.0
+    mean = float(weight @ np.concatenate(means) / weight.sum())
+    return mean, float(weight.sum() ** -0.5)
 
 
 class Cells(eqx.Module):
-    """Images of one channel, reduced to cells.
-
-    Attributes:
-        geometry: of the cells.
-        count: (images, cells) pixels; 0 where a cell is left out.
-        mean: (images, cells) DN.
-        scatter: (images, cells) sum of squared deviations from the mean, less what the reference
-            model varies by within the cell, DN^2.
-        offset: (images, cells) DN by which the mean over the pixels of the reference model differs
-            from its value at their mean geometry.
-        level: (images, cells) D P / (n W), positive.
-        products: (cells, images, images) as `scatter`, of two images; None where pixels are alike.
-    """
+    """Images of one channel, reduced to cells."""
 
     geometry: Geometry
-    count: Table
-    mean: Table
+    count: Table  # pixels; 0 where a cell is left out
+    mean: Table  # DN
+    # sum of squared deviations from the mean, less what the reference model varies by within the
+    # cell, DN^2
     scatter: Table
+    # DN by which the mean over the pixels of the reference model differs from its value at their
+    # mean geometry
     offset: Table
-    level: Table
+    level: Table  # D P / (n W), positive
+    # as `scatter`, of two images; None where pixels are alike
     products: Float[Array, "cells images images"] | None = None
 
 
 class Levels(eqx.Module):
-    """Uniform frames: what their temporal variance adds about gain and read noise.
+    """Uniform frames: what their temporal variance adds about gain and read noise."""
 
-    Attributes:
-        mean: (levels,) DN.
-        variance: (levels,) DN^2.
-        freedom: (levels,) its degrees of freedom.
-    """
-
-    mean: Float[Array, " levels"]
-    variance: Float[Array, " levels"]
-    freedom: Float[Array, " levels"]
+    mean: Float[Array, " levels"]  # DN
+    variance: Float[Array, " levels"]  # DN^2
+    freedom: Float[Array, " levels"]  # its degrees of freedom
 
 
 class JointData(eqx.Module):
-    """Everything that the log density of one channel needs.
-
-    Attributes:
-        space: the P parameters.
-        form: of the fit.
-        known: numbers that are exact, by name.
-        cells: of the images.
-        levels: flats and darks; None without any.
-        white: W, DN.
-        relative: by name of an error of images, its size in each image relative to its scale,
-            (images,).
-    """
+    """Everything that the log density of one channel needs."""
 
     space: ParameterSpace = eqx.field(static=True)
     form: Form = eqx.field(static=True)
-    known: Values
+    known: Values  # numbers that are exact, by name
     cells: Cells
-    levels: Levels | None
-    white: Array
+    levels: Levels | None  # flats and darks; None without any
+    white: Array  # W, DN
+    # by name of an error of images, its size in each image relative to its scale, (images,)
     relative: dict[str, Float[Array, " images"]]
 
 
@@ -114,23 +191,14 @@ def values_at(vector: Float[Array, " parameters"], data: JointData) -> Values:
 
 
 class Prediction(eqx.Module):
-    """The prediction of cells by a model.
+    """The prediction of cells by a model."""
 
-    Attributes:
-        mean: (images, cells) DN.
-        variance: (images, cells) DN^2 of one pixel, shared errors apart.
-        relative: (images, cells) DN by which a relative change of the signal changes it.
-        image_errors: (images, errors, cells) DN for errors of one standard deviation; None if
-            there are none.
-        misfit: (images, cells) DN, standard deviation of what the model misses; None where nothing
-            is.
-    """
-
-    mean: Table
-    variance: Table
-    relative: Table
+    mean: Table  # DN
+    variance: Table  # DN^2 of one pixel, shared errors apart
+    relative: Table  # DN by which a relative change of the signal changes it
+    # DN for errors of one standard deviation; None if there are none
     image_errors: Float[Array, "images errors cells"] | None
-    misfit: Table | None
+    misfit: Table | None  # DN, standard deviation of what the model misses; None where nothing is
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
@@ -191,6 +259,15 @@ def cell_errors(values: Values, cells: Cells, model: Prediction) -> Table | None
     seen = cells.count > 0
     pixels = jnp.where(seen, cells.count, 1)
     return jnp.where(seen, values["prnu"] * model.relative / jnp.sqrt(pixels), 0)
+
+
+@eqx.filter_jit
+def predicted_parts(vector: Array, data: JointData) -> tuple[Prediction, Array, Array | None]:
+    """Return the prediction of cells, their weights in DN^-2, and their errors by pixel gains in
+    DN, or None if pixels are alike."""
+    values = values_at(vector, data)
+    model = predicted(values, data, data.cells)
+    return model, weights(data.cells, model), cell_errors(values, data.cells, model)
 
 
 def log_likelihood(vector: Float[Array, " parameters"], data: JointData) -> Array:

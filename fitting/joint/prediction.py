@@ -12,8 +12,7 @@ from ..reflectance.from_images.read import Photographs
 from ..reflectance.from_images.signal import local_geometry
 from .cells import DARKEST, SMALLEST_COSINE, pixels_at
 from .fit import JointFit
-from .model import BY_IMAGE, Cells, JointData, predicted, values_at
-from .start import scatter_scales
+from .model import BY_IMAGE, Cells, JointData, predicted, scatter_scales, values_at
 
 GAUSSIAN_BAND = 1.96  # standard deviations, of 95 %
 
@@ -117,23 +116,15 @@ def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class Score:
-    """How well one channel's images are predicted.
-
-    Attributes:
-        channel: name.
-        fitted_error: RMS of predicted less measured over the RMS signal, on the lights of the fit.
-        unseen_error: on the held-out ones; None without any.
-        band: half its width, in predicted deviations of a pixel.
-        fitted_share: of pixels within the predicted 95 % band, on the lights of the fit.
-        unseen_share: on the held-out ones; None without any.
-    """
+    """How well one channel's images are predicted."""
 
     channel: str
+    # RMS of predicted less measured over the RMS signal, on the lights of the fit
     fitted_error: float
-    unseen_error: float | None
-    band: float
-    fitted_share: float
-    unseen_share: float | None
+    unseen_error: float | None  # on the held-out ones; None without any
+    band: float  # half its width, in predicted deviations of a pixel
+    fitted_share: float  # of pixels within the predicted 95 % band, on the lights of the fit
+    unseen_share: float | None  # on the held-out ones; None without any
 
 
 def score(

@@ -10,7 +10,7 @@ from ..report.left_out import left_out_tables
 from ..report.section import Picture, Section
 from . import figures
 from .calibration import JointCalibration
-from .findings import findings, misfit_table, misses_as_noise, no_description, score_table
+from .findings import findings, misfit_table, misses_as_noise, score_table
 from .prediction import score
 from .unequal_pixels import NOISE, unequal_pixels
 
@@ -29,7 +29,7 @@ def section(calibration: JointCalibration) -> Section:
         kind="joint",
         title=f"Surface, response and sensor: {LABELS[calibration.model]}",
         estimates=_estimates(calibration),
-        findings=(*no_description(scores), *findings(calibration)),
+        findings=findings(calibration, scores=scores),
         pictures=_pictures(calibration),
         tables=(score_table(scores), misfit_table(calibration), *gone),
         posteriors=calibration.posteriors,

@@ -31,19 +31,13 @@ ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is ro
 
 @dataclass(frozen=True)
 class UnequalPixels:
-    """Gains of pixels, as far as the scatter of pixels shows them.
+    """Gains of pixels, as far as the scatter of pixels shows them."""
 
-    Attributes:
-        size: relative, rms; 0 where the scatter rises less than photons make it.
-        deviations: of its square from 0, in standard errors.
-        most: relative, rms, that could have gone unseen: the upper 95 % limit, at most `TYPICAL`.
-        moved: standard errors by which `most` would move the gain or the read noise.
-    """
-
-    size: float
-    deviations: float
+    size: float  # relative, rms; 0 where the scatter rises less than photons make it
+    deviations: float  # of its square from 0, in standard errors
+    # relative, rms, that could have gone unseen: the upper 95 % limit, at most `TYPICAL`
     most: float
-    moved: float
+    moved: float  # standard errors by which `most` would move the gain or the read noise
 
     @property
     def found(self) -> bool:

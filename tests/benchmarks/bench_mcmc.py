@@ -17,8 +17,8 @@ import pytest
 from oracles.sphere_photographs import light_directions, sphere_normals
 
 from fitting.reflectance.from_images.geometry_cells import average, group
-from fitting.reflectance.from_images.model import Samples
-from fitting.reflectance.from_images.posterior import Composite, composite_log_density
+from fitting.reflectance.from_images.model import Samples, total_log_likelihood
+from fitting.reflectance.from_images.posterior import Adjusted, adjusted_log_density
 from fitting.reflectance.from_images.signal import Form, local_geometry
 
 pytestmark = pytest.mark.benchmark
@@ -75,7 +75,7 @@ def posterior_of(*, cells):
     if cells:
         grouping = group(light, cosine, np.arccos(cos_mirror))
         samples = average(samples, grouping, exact_at=mode)
-    return Composite(samples, None, mode, jnp.eye(3), jnp.zeros(3))
+    return Adjusted(total_log_likelihood, (samples, None), mode, jnp.eye(3), jnp.zeros(3))
 
 
 def jax_log_density(*, cells):
@@ -84,7 +84,7 @@ def jax_log_density(*, cells):
     @jax.jit
     def evaluate(vectors, posterior):
         return jax.lax.map(
-            lambda vector: composite_log_density(vector, posterior), vectors, batch_size=BATCH
+            lambda vector: adjusted_log_density(vector, posterior), vectors, batch_size=BATCH
         )
 
     return lambda vectors: np.asarray(evaluate(jnp.asarray(vectors), posterior))

@@ -28,7 +28,7 @@ from bench_sensor import ALL, DIE
 from oracles import cornell_box
 
 from fitting.inference.in_blocks import at_a_time
-from fitting.reflectance.from_images.posterior import composite_log_density
+from fitting.reflectance.from_images.posterior import adjusted_log_density
 from jaxvision import Vec, as_dtype, filters, histogram, render
 from jaxvision.accuracy.scene_settings import machine
 from jaxvision.development import demosaic
@@ -71,7 +71,7 @@ def walkers() -> Program:
 
     def densities(vectors):
         def one(vector):
-            return composite_log_density(vector, posterior)
+            return adjusted_log_density(vector, posterior)
 
         return jax.lax.map(one, vectors, batch_size=at_a_time(BATCH))
 

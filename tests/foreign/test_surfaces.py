@@ -12,7 +12,7 @@ from fitting import joint, reflectance
 from fitting.checks.joint import Lab, photographed
 from fitting.checks.reflectance import Sphere
 from fitting.inference.estimates import find
-from fitting.joint.findings import darker_than_darks, findings, gains_disagree
+from fitting.joint.findings import GIVEN, darker_than_darks, findings, gains_disagree
 from fitting.reflectance import from_files
 from fitting.reflectance.from_files.calibration import albedo
 from fitting.reflectance.from_files.fit import LobeFit, ModelFit
@@ -20,6 +20,7 @@ from fitting.reflectance.from_files.read import from_samples, read_measured_brdf
 from fitting.reflectance.from_files.section import section
 from fitting.reflectance.from_images.section import section as images_section
 from fitting.reflectance.from_images.shading_check import without_strangers
+from fitting.report.sentences import said
 from fitting.rig import Camera, Light, SphereGeometry
 from jaxvision.brdf.measured import BRDFSamples
 from jaxvision.errors import InputError
@@ -193,7 +194,8 @@ def with_darks(black):
 
 
 def test_darks_brighter_than_what_no_light_reaches_are_named():
-    (told,) = darker_than_darks(with_darks(70.0))
+    row = [finding for finding in GIVEN if finding.key == "darker than darks"]
+    (told,) = said(row, SimpleNamespace(observation=with_darks(70.0)))
     assert "10.0 DN below the darks (70.0 DN)" in told
     assert not darker_than_darks(with_darks(60.0))
     assert not darker_than_darks(with_darks(50.0))  # stray light can be there
@@ -201,10 +203,10 @@ def test_darks_brighter_than_what_no_light_reaches_are_named():
 
 @pytest.mark.slow
 def test_what_darks_tell_is_not_called_assumed_or_stated():
-    said = " ".join(findings(joint.calibrate(with_darks(60.0), model="lambert")))
-    assert "was assumed" not in said
-    assert "those that the rig states;" not in said
-    assert "or flats and darks" not in said  # which are given
+    told = " ".join(findings(joint.calibrate(with_darks(60.0), model="lambert")))
+    assert "was assumed" not in told
+    assert "those that the rig states;" not in told
+    assert "or flats and darks" not in told  # which are given
 
 
 @pytest.mark.parametrize(("gain", "named"), [(0.5, False), (1.0, True)])

@@ -4,6 +4,7 @@ the likelihood, and simulated labs against their truth."""
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -22,19 +23,18 @@ from fitting.inference.clustering import Robustness
 from fitting.inference.importance import TOLERATED
 from fitting.inference.parameters import names, to_unconstrained
 from fitting.joint import calibrate, from_photographs, marginal, read_joint_measurement
-from fitting.joint.cells import make_grid
-from fitting.joint.findings import findings
-from fitting.joint.fit import fit_channel
+from fitting.joint.cells import make_grid, reduce_images
+from fitting.joint.findings import OF_CHANNEL, findings
+from fitting.joint.fit import fit_channel, fit_turned
 from fitting.joint.freedom import degrees_of_freedom, laplace_miss
 from fitting.joint.halves import Halves, widened
 from fitting.joint.misfit import _by_image, over_images
-from fitting.joint.model import Cells, JointData, log_likelihood
+from fitting.joint.model import Cells, JointData, log_likelihood, parameters, scatter_scales
 from fitting.joint.prediction import score
 from fitting.joint.section import section as joint_section
-from fitting.joint.start import parameters, scatter_scales
-from fitting.joint.turns import fit_turned
 from fitting.joint.unequal_pixels import unequal_pixels
 from fitting.reflectance.from_images.signal import Form, Geometry
+from fitting.report.sentences import said
 from fitting.rig import Camera, SphereGeometry
 from jaxvision import Phong, Vec, read_material
 from jaxvision.errors import InputError
@@ -154,8 +154,8 @@ def photographs(
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     own = 1 + prnu * rng.standard_normal((size, size))
     directions, images = sphere_lights(count=lights), []
-    for said in directions:
-        light = said + turn * np.cross(said, rng.standard_normal(3))
+    for stated in directions:
+        light = stated + turn * np.cross(stated, rng.standard_normal(3))
         light = light / np.linalg.norm(light)
         cosine = x * light[0] + y * light[1] + z * light[2]
         mirror = np.maximum(2 * cosine * z - light[2], 0)
@@ -634,6 +634,55 @@ def test_halves_of_the_images_are_fitted_and_told():
     equal = replace(halves, deviations=halves.deviations / 10)
     told = findings(replace(found, halves={"grey": equal}))
     assert any("agree within these intervals" in sentence for sentence in told)
+
+
+def test_a_fit_left_with_few_cells_has_not_converged(monkeypatch):
+    """As many cells as parameters leave no degree of freedom: chi-square was divided by 0."""
+    images, lights = photographs(np.random.default_rng(0), lights=5, gamma=1, size=40)
+    measured = from_photographs(
+        images,
+        lights,
+        sphere=SphereGeometry(centre=(19.5, 19.5), radius=17.0),
+        camera=Camera(bits=12, black_level=BLACK),
+        intensities=np.full(5, LIGHT),
+        held_out=[4],
+    )
+    calls = []
+
+    def few(*args, **kwargs):
+        cells = reduce_images(*args, **kwargs)
+        calls.append(cells)
+        seen = np.cumsum(np.asarray(cells.count).ravel() > 0).reshape(cells.count.shape)
+        kept = ((seen <= 3) | (len(calls) == 1)).astype(float)
+        return replace(cells, count=cells.count * kept, scatter=cells.scatter * kept)
+
+    monkeypatch.setattr("fitting.joint.fit.reduce_images", few)
+    found = fit_channel(measured, 0, Form("lambert"))
+    assert len(found.space) == found.cells == 3
+    assert np.isfinite(found.chi_square)
+    assert not found.converged
+
+
+@pytest.mark.parametrize(
+    ("deviations", "told"),
+    [
+        (None, "too few, or too unlike"),
+        ([0.0, 1.0, 0.0], "agree within these intervals"),
+        ([0.0, 7.4, 0.0], "differ in exponent (1 and 2), by up to 7 standard deviations"),
+    ],
+)
+def test_images_that_disagree_are_checked_by_their_halves(deviations, told):
+    values = np.array([[1.0, 1.0, 1.0], [1.0, 2.0, 1.0]])
+    halves = {}
+    if deviations is not None:
+        labels = ("diffuse", "exponent", "gamma")
+        halves["grey"] = Halves(labels, values, values[1] - values[0], np.array(deviations))
+    robust = SimpleNamespace(design_effect=2.0, gaussian_covariance=np.eye(3))
+    of_fit = {"posteriors": {"grey": ()}, "robust": {"grey": robust}, "halves": halves}
+    rows = [row for row in OF_CHANNEL if "halves" in row.key]
+    fit = SimpleNamespace(channel="grey", information=np.eye(3))
+    (sentence,) = said(rows, (SimpleNamespace(**of_fit), fit))
+    assert told in sentence
 
 
 def test_halves_that_differ_are_two_random_groups():

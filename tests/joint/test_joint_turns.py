@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fitting.joint import calibrate, from_photographs
-from fitting.joint.turns import likeliest_turns
+from fitting.joint.fit import likeliest_turns
 from fitting.reflectance.from_images.turns import turned
 from fitting.rig import Camera, SphereGeometry
 

@@ -29,14 +29,14 @@ from fitting.reflectance.from_images.calibration import (
     open_parameters,
 )
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
-from fitting.reflectance.from_images.comparison import compare, relative_error
+from fitting.reflectance.from_images.comparison import compare, relative_rms, squares_by_light
 from fitting.reflectance.from_images.findings import findings
 from fitting.reflectance.from_images.fit import fit_channel, predicted_image
 from fitting.reflectance.from_images.geometry_cells import group
 from fitting.reflectance.from_images.posterior import (
+    adjusted_log_density,
     channel_posterior,
     composite,
-    composite_log_density,
 )
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.samples import gather, select
@@ -322,12 +322,12 @@ def test_the_composite_density_has_the_robust_curvature(observation):
     frames = photographs(np.random.default_rng(6), lights=lights)
     found = fit(with_frames(observation, frames))
     data = composite(found, cells(observation, found.selection))
-    curvature = -jax.hessian(composite_log_density)(data.mode, data)
+    curvature = -jax.hessian(adjusted_log_density)(data.mode, data)
     # Cells replace pixels: their curvature agrees to a few per cent.
     widths = np.sqrt(np.diagonal(np.linalg.inv(curvature)))
     wider = np.sqrt(np.diagonal(found.robustness.gaussian_covariance))
     np.testing.assert_allclose(widths, wider, rtol=0.05)
-    step = np.linalg.solve(curvature, jax.grad(composite_log_density)(data.mode, data))
+    step = np.linalg.solve(curvature, jax.grad(adjusted_log_density)(data.mode, data))
     assert np.all(np.abs(step) < 1e-5 * deviations(found))
 
 
@@ -354,7 +354,7 @@ def test_cells_have_the_mode_and_the_density_of_all_pixels(observation, width):
     data = dataclasses.replace(composite(found, usual), stretch=jnp.eye(3))
     widths = np.sqrt(np.diagonal(np.linalg.inv(found.information)))
     at_mode = (
-        composite_log_density(data.mode, data),
+        adjusted_log_density(data.mode, data),
         log_likelihood_of_pixels(found.vector, found.samples),
     )
     for direction in np.eye(3):
@@ -362,8 +362,8 @@ def test_cells_have_the_mode_and_the_density_of_all_pixels(observation, width):
         slopes = [
             log_likelihood_of_pixels(found.vector + 0.01 * step, found.samples)
             - log_likelihood_of_pixels(found.vector - 0.01 * step, found.samples),
-            composite_log_density(data.mode + 0.01 * step, data)
-            - composite_log_density(data.mode - 0.01 * step, data),
+            adjusted_log_density(data.mode + 0.01 * step, data)
+            - adjusted_log_density(data.mode - 0.01 * step, data),
         ]
         np.testing.assert_allclose(slopes, 0, atol=2e-5)
     worst = 0.0
@@ -371,7 +371,7 @@ def test_cells_have_the_mode_and_the_density_of_all_pixels(observation, width):
         root = np.linalg.cholesky(np.linalg.inv(found.information))
         away = root @ (2 * direction / np.linalg.norm(direction))
         falls = [
-            composite_log_density(data.mode + away, data) - at_mode[0],
+            adjusted_log_density(data.mode + away, data) - at_mode[0],
             log_likelihood_of_pixels(found.vector + away, found.samples) - at_mode[1],
         ]
         np.testing.assert_allclose(falls[1], -2, atol=0.1)
@@ -451,7 +451,9 @@ def test_the_error_of_a_prediction_leaves_out_saturated_samples(observation):
         signal.append(measured - BLACK)
     expected = np.linalg.norm(np.concatenate(missed)) / np.linalg.norm(np.concatenate(signal))
     chosen = select(clipped, held_out=True, form=Form("phong"))
-    assert relative_error(clipped, found, chosen) == pytest.approx(expected, rel=1e-10)
+    assert relative_rms(squares_by_light(clipped, found, chosen)) == pytest.approx(
+        expected, rel=1e-10
+    )
 
 
 @pytest.mark.slow

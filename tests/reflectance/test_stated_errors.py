@@ -16,7 +16,7 @@ from fitting.checks.simulations import simulated
 from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.calibration import open_parameters
-from fitting.reflectance.from_images.comparison import relative_error
+from fitting.reflectance.from_images.comparison import relative_rms, squares_by_light
 from fitting.reflectance.from_images.derivatives import scores_and_slopes
 from fitting.reflectance.from_images.fit import fit_channel
 from fitting.reflectance.from_images.model import (
@@ -91,8 +91,9 @@ def test_a_turned_light_is_turned_back(fitted, about):
     assert (np.abs(believed).max() > 1) == (about == 0)
     doubted = fit(**wrong, uncertain={"direction_sd": known})
     rig = replace(observation, **wrong, uncertain={"direction_sd": known})
-    missed = relative_error(rig, doubted, doubted.selection)
-    assert missed == pytest.approx(relative_error(observation, right, right.selection), rel=1e-3)
+    missed = relative_rms(squares_by_light(rig, doubted, doubted.selection))
+    expected = relative_rms(squares_by_light(observation, right, right.selection))
+    assert missed == pytest.approx(expected, rel=1e-3)
     left = np.linalg.inv(doubted.stated.left_of(doubted.information))
     slopes = np.asarray(scores_and_slopes(doubted.vector, doubted.samples)[1])
     beyond = np.diagonal(left - np.linalg.inv(slopes @ slopes.T))
@@ -129,7 +130,7 @@ def test_lights_come_to_rest_where_they_do_without_a_part_first(fitted, monkeypa
     _, fit = fitted
     uncertain = {"direction_sd": np.full(5, 5e-3)}
     whole = fit(uncertain=uncertain)
-    monkeypatch.setattr("fitting.reflectance.from_images.optimum_among_turns.ENOUGH", 1300)
+    monkeypatch.setattr("fitting.reflectance.from_images.turns.ENOUGH", 1300)
     found = fit(uncertain=uncertain)
     np.testing.assert_allclose(found.turned.turns, whole.turned.turns, atol=0.03)
     error = np.sqrt(np.diagonal(np.linalg.inv(whole.information)))

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from fitting.joint.model import parameters
 from fitting.joint.read import read_joint_measurement
-from fitting.joint.start import parameters
 from fitting.noise.read import reduce_rig
 from fitting.reflectance.from_images.read import read_reflectance_observation
 from fitting.reflectance.from_images.signal import Form

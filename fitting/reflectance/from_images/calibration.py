@@ -69,6 +69,12 @@ class ReflectanceCalibration(ShownInNotebooks):
     def reported(self) -> tuple[ChannelFit, ...]:
         return self.fits[self.model]
 
+    @property
+    def gamma(self) -> float | None:
+        """Fitted encoding exponent of the first channel; None where it was not free."""
+        fit = self.reported[0]
+        return float(fit.natural[-1]) if fit.form.free_gamma else None
+
 
 @in_double
 def calibrate(

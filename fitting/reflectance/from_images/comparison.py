@@ -1,16 +1,16 @@
-"""Which model describes the surface: by what it predicts, and by what its fit costs.
+"""Which model describes the surface, by the prediction of held-out lights and by AIC and BIC.
 
-Held-out lights decide: the relative error of images that no fit has seen. Two models see the same
-lights, so their difference is judged light by light: its standard error is the jackknife's over
-lights, and models count as equal where the difference is within Student's 95 % of it in every
-channel. Differences that the solvers leave open are none. AIC and BIC judge the fit itself; pixels
-of one image share their errors, so the log likelihood and the sample size are divided by the design
-effect of the best model before they enter
+The relative error on held-out lights decides. Two models see the same lights, so their difference
+is judged light by light. Its standard error is the jackknife's over lights, and models count as
+equal if the difference is within its Student's 95 % interval in every channel. A difference within
+the precision of the solvers is none. AIC and BIC judge the fit itself. Pixels of one image share
+their errors, so the log likelihood and the sample size are divided by the design effect of the best
+model:
 
     AIC = -2 log L / d + 2 P,      BIC = -2 log L / d + P log(N / d).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -34,45 +34,27 @@ DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very 
 
 @dataclass(frozen=True)
 class ModelScore:
-    """How one model does in one channel.
-
-    Attributes:
-        model: its name.
-        channel: name.
-        fitted_error: relative RMS on the lights of the fit.
-        predicted_error: on the held-out ones; None without any.
-        parameters: how many.
-        aic: less the best model's.
-        bic: less the best model's.
-        effective_size: independent samples that the fit's samples are worth.
-        by_light: (lights, 2) sums of squared errors and of squared signals on the held-out lights;
-            None without any.
-    """
+    """How one model does in one channel."""
 
     model: Model
     channel: str
-    fitted_error: float
-    predicted_error: float | None
-    parameters: int
-    aic: float
-    bic: float
-    effective_size: float
+    fitted_error: float  # relative RMS on the lights of the fit
+    predicted_error: float | None  # on the held-out ones; None without any
+    parameters: int  # how many
+    aic: float  # less the best model's
+    bic: float  # less the best model's
+    effective_size: float  # independent samples that the fit's samples are worth
+    # sums of squared errors and of squared signals on the held-out lights; None without any
     by_light: Float[np.ndarray, "lights 2"] | None
 
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much more one model errs than another on held-out lights.
+    """By how much more one model errs than another on held-out lights."""
 
-    Attributes:
-        value: of the relative RMS.
-        error: its standard error; infinite with fewer than two lights.
-        freedom: degrees of freedom of that.
-    """
-
-    value: float
-    error: float
-    freedom: int
+    value: float  # of the relative RMS
+    error: float  # its standard error; infinite with fewer than two lights
+    freedom: int  # degrees of freedom of that
 
     @property
     def half_width(self) -> float:
@@ -97,16 +79,10 @@ def difference(one: ModelScore, other: ModelScore) -> Difference:
         value = (one.predicted_error or 0.0) - (other.predicted_error or 0.0)
         return Difference(value, float("inf"), 0)
     count = len(one.by_light)
-
-    def of(sums: np.ndarray) -> np.ndarray:
-        return np.sqrt(sums[..., 0] / sums[..., 1])
-
-    whole, without = [], []
-    for by_light in (one.by_light, other.by_light):
-        total = by_light.sum(axis=0)
-        whole.append(of(total))
-        without.append(of(total - by_light))
-    if abs(whole[0] - whole[1]) <= SAME * min(whole):
+    sums = np.stack([one.by_light, other.by_light])
+    total = sums.sum(axis=1)
+    whole, without = (np.sqrt(x[..., 0] / x[..., 1]) for x in (total, total[:, None] - sums))
+    if abs(whole[0] - whole[1]) <= SAME * whole.min():
         return Difference(0.0, 0.0, count - 1)
     gaps = without[0] - without[1]
     error = float(np.sqrt((count - 1) * np.var(gaps)))
@@ -139,12 +115,6 @@ def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None
     return float(np.sqrt(error / signal))
 
 
-def relative_error(observation: Photographs, fit: ChannelFit, selection: Selection) -> float | None:
-    """RMS of predicted - measured over the RMS of the signal above black, on unsaturated samples;
-    None without samples."""
-    return relative_rms(squares_by_light(observation, fit, selection))
-
-
 def compare(
     observation: Photographs,
     fits: Mapping[Model, Sequence[ChannelFit]],
@@ -159,11 +129,10 @@ def compare(
         counts = np.array([len(fit.space) for fit in of_models])
         deviance = -2 * np.array([fit.log_evidence(best.design_effect) for fit in of_models])
         criteria = deviance + np.array([[2.0], [np.log(size)]]) * counts
-        for model, fit, (aic, bic) in zip(
-            fits, of_models, (criteria - criteria.min(axis=1, keepdims=True)).T, strict=True
-        ):
-            unseen = squares_by_light(observation, fit, held_out)
-            error = relative_error(observation, fit, fitted)
+        criteria -= criteria.min(axis=1, keepdims=True)
+        for model, fit, (aic, bic) in zip(fits, of_models, criteria.T, strict=True):
+            seen, unseen = (squares_by_light(observation, fit, x) for x in (fitted, held_out))
+            error = relative_rms(seen)
             assert error is not None
             scores.append(
                 ModelScore(
@@ -207,26 +176,45 @@ def comparison_table(scores: Sequence[ModelScore], held_out: int) -> Table:
     )
 
 
+def _by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
+    found: dict[Model, list[ModelScore]] = {}
+    for score in scores:
+        found.setdefault(score.model, []).append(score)
+    return found
+
+
+def _bic(by_model: Mapping[Model, Sequence[ModelScore]]) -> dict[Model, float]:
+    """Summed over channels."""
+    return {m: float(sum(score.bic for score in own)) for m, own in by_model.items()}
+
+
+def _differences(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> list[Difference]:
+    return [difference(a, b) for a, b in zip(own, other, strict=True)]
+
+
 def equally_good(scores: Sequence[ModelScore]) -> tuple[Model, ...]:
     """Return the models whose prediction of held-out lights differs from the best one's within
     chance in every channel. The best comes first; of models with equal predictions the first
     fitted. Without held-out lights, return the model of smallest BIC."""
     by_model = _by_model(scores)
     if any(score.predicted_error is None for score in scores):
-        costs: dict[Model, float] = {m: _sum(s.bic for s in own) for m, own in by_model.items()}
+        costs = _bic(by_model)
         return (_least(costs),)
     errors: dict[Model, float] = {
-        m: _sum(s.predicted_error or 0.0 for s in own) for m, own in by_model.items()
+        m: sum(s.predicted_error or 0.0 for s in own) for m, own in by_model.items()
     }
     least = _least(errors)
-    alike: list[Model] = [m for m in by_model if _same(by_model[m], by_model[least])]
-    best: Model = alike[0] if alike else least
-    equal: list[Model] = [best]
-    for model, own in by_model.items():
-        gaps = _differences(own, by_model[best])
-        if model != best and all(g.freedom and g.value <= g.half_width for g in gaps):
-            equal.append(model)
-    return tuple(equal)
+    alike: list[Model] = [
+        m for m in by_model if all(g.none for g in _differences(by_model[m], by_model[least]))
+    ]
+    best = alike[0] if alike else least
+    others: list[Model] = [
+        model
+        for model, own in by_model.items()
+        if model != best
+        and all(g.freedom and g.value <= g.half_width for g in _differences(own, by_model[best]))
+    ]
+    return (best, *others)
 
 
 def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str] | None:
@@ -237,24 +225,16 @@ def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str
     if tested and model not in equal:
         more = _more(by_model[model], by_model[equal[0]])
         return equal[0], f"errs on unseen lights by {more} than"
-    judged: tuple[Model, ...] = equal if tested else tuple(by_model)
-    costs: dict[Model, float] = {m: _sum(s.bic for s in by_model[m]) for m in judged}
+    costs = _bic({m: by_model[m] for m in (equal if tested else by_model)})
     cheapest = _least(costs)
     lead = costs[model] - costs[cheapest]
     return (cheapest, f"has a BIC larger by {lead:.0f} than") if lead > DECISIVE else None
 
 
-def _by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
-    found: dict[Model, list[ModelScore]] = {}
-    for score in scores:
-        found.setdefault(score.model, []).append(score)
-    return found
-
-
 def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     """Name the best model and its lead, in one or two sentences."""
     channels, by_model = tuple(dict.fromkeys(s.channel for s in scores)), _by_model(scores)
-    costs: dict[Model, float] = {m: _sum(s.bic for s in own) for m, own in by_model.items()}
+    costs = _bic(by_model)
     cheapest = _least(costs)
     if not held_out:
         return (
@@ -288,8 +268,13 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     sentence += "."
     if len(equal) > 1:
         others = ", ".join(f"{LABELS[m]} ({_more(by_model[m], by_model[best])})" for m in equal[1:])
-        sentence += f" Not distinguishable from it by these lights: {others}."
-        sentence += _criterion(by_model[equal[1]], by_model[best])
+        # few lights show their scatter badly
+        freedom = min(gap.freedom for gap in _differences(by_model[equal[1]], by_model[best]))
+        sentence += (
+            f" Not distinguishable from it by these lights: {others}. With {_lights(freedom + 1)} a"
+            f" difference counts from {stdtrit(freedom, LEVEL):.1f} standard errors on, by"
+            f" Student's t with {freedom} degree{'' if freedom == 1 else 's'} of freedom at 95 %."
+        )
         lead = min(costs[m] - costs[cheapest] for m in costs if m != cheapest)
         if lead > DECISIVE:
             sentence += (
@@ -301,32 +286,17 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     elif len(by_model) > 1:
         rest: dict[Model, float] = {m: float(e.sum()) for m, e in errors.items() if m != best}
         runner = _least(rest)
-        sentence += (
-            f" The next, {LABELS[runner]}, errs by {_more(by_model[runner], by_model[best])}."
-        )
+        more = _more(by_model[runner], by_model[best])
+        sentence += f" The next, {LABELS[runner]}, errs by {more}."
     return sentence
+
+
+def _least(values: dict[Model, float]) -> Model:
+    return min(values.items(), key=lambda item: item[1])[0]
 
 
 def _lights(count: int, kind: str = "") -> str:
     return f"{count} {kind}light{'' if count == 1 else 's'}"
-
-
-def _criterion(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
-    """From how many standard errors on a difference counts: few lights tell their scatter badly."""
-    freedom = min(gap.freedom for gap in _differences(own, best))
-    return (
-        f" With {_lights(freedom + 1)} a difference counts from {stdtrit(freedom, LEVEL):.1f} "
-        f"standard errors on, by Student's t with {freedom} degree{'' if freedom == 1 else 's'} of "
-        "freedom at 95 %."
-    )
-
-
-def _differences(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> list[Difference]:
-    return [difference(a, b) for a, b in zip(own, other, strict=True)]
-
-
-def _same(own: Sequence[ModelScore], other: Sequence[ModelScore]) -> bool:
-    return all(gap.none for gap in _differences(own, other))
 
 
 def _more(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
@@ -334,16 +304,8 @@ def _more(own: Sequence[ModelScore], best: Sequence[ModelScore]) -> str:
     gaps = _differences(own, best)
     if all(gap.none for gap in gaps):
         return "the same"
-    told = ("0" if g.none else format_with_error(100 * g.value, 100 * g.error) for g in gaps)
-    return f"{' / '.join(told)} percentage points more"
-
-
-def _sum(values: Iterable[float]) -> float:
-    return float(sum(values))
-
-
-def _least(values: dict[Model, float]) -> Model:
-    return min(values.items(), key=lambda item: item[1])[0]
+    shown = ("0" if g.none else format_with_error(100 * g.value, 100 * g.error) for g in gaps)
+    return f"{' / '.join(shown)} percentage points more"
 
 
 def _percentages(values: np.ndarray, *, digits: int = 1) -> str:

@@ -15,61 +15,51 @@ from .derivatives import scores_and_slopes
 from .geometry_cells import Grouping
 from .model import Samples, negative_log_likelihood, parameter_space, predicted_dn
 from .optimum import best, residual_signal_slope, weighted
-from .optimum_among_turns import TurnedLights, among_turns, with_wider_directions
 from .read import Photographs
 from .samples import Gathered, Selection, make_samples
 from .signal import Form
 from .spread import Spread, chi_square_per_dof, fit_spread, sensor_spread
 from .stated import StatedErrors, stated_errors, with_stated_errors
-from .turns import information_on_turns, shifts_of_turns, turned
+from .turns import (
+    TurnedLights,
+    among_turns,
+    information_on_turns,
+    shifts_of_turns,
+    turned,
+    with_wider_directions,
+)
 
 _cost = compiled_briefly(negative_log_likelihood)
 
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """A fitted channel. Its form lacks the terms whose best amplitude is zero.
-
-    Attributes:
-        channel: name.
-        requested: the form asked for.
-        samples: with the form and the deviations of the fit.
-        selection: of the samples.
-        regions: (lights,) of lights that err alike; each its own where neighbours do not.
-        space: the P parameters.
-        vector: (P,) unconstrained.
-        information: (P, P) on that scale, as if all samples were independent.
-        robustness: covariance that does not assume so; None where the data leave a direction open.
-        identifiability: of the information, less what turns of lights take.
-        stated: what the rig calls uncertain.
-        turned: where the images put lights of uncertain directions; None without such.
-        spread: of the residuals of plain squares.
-        chi_square: per degree of freedom, with the weights of the fit.
-        sensor_chi_square: with the sensor's noise alone; None if unknown.
-        log_likelihood: with the spread of the final residuals, where lights stand in the fit.
-        told_of_turns: (lights, 2) turns and (lights, 2, 2) what the images tell of them, in units
-            of the directions' uncertainty; None without such.
-        converged: whether the optimum was reached.
-    """
+    """A fitted channel. Its form lacks the terms whose best amplitude is zero."""
 
     channel: str
-    requested: Form
-    samples: Samples
+    requested: Form  # the form asked for
+    samples: Samples  # with the form and the deviations of the fit
     selection: Selection
+    # of lights that err alike; each its own where neighbours do not
     regions: Int[np.ndarray, " lights"]
     space: ParameterSpace
-    vector: Float[np.ndarray, " parameters"]
+    vector: Float[np.ndarray, " parameters"]  # unconstrained
+    # on that scale, as if all samples were independent
     information: Float[np.ndarray, "parameters parameters"]
+    # covariance that does not assume so; None where the data leave a direction open
     robustness: Robustness | None
-    stated: StatedErrors
+    stated: StatedErrors  # what the rig calls uncertain
+    # where the images put lights of uncertain directions; None without such
     turned: TurnedLights | None
-    identifiability: Identifiability
-    spread: Spread
-    chi_square: float
-    sensor_chi_square: float | None
-    log_likelihood: float
+    identifiability: Identifiability  # of the information, less what turns of lights take
+    spread: Spread  # of the residuals of plain squares
+    chi_square: float  # per degree of freedom, with the weights of the fit
+    sensor_chi_square: float | None  # with the sensor's noise alone; None if unknown
+    log_likelihood: float  # with the spread of the final residuals, where lights stand in the fit
+    # (lights, 2) turns and (lights, 2, 2) what the images tell of them, in units of the directions'
+    # uncertainty; None without such
     told_of_turns: tuple[np.ndarray, np.ndarray] | None
-    converged: bool
+    converged: bool  # whether the optimum was reached
 
     @property
     def form(self) -> Form:
@@ -120,7 +110,8 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
     robustness = None
     stated = stated_errors(known, channel, vector, samples, selection, turns)
     judged = identifiability(space, stated.left_of(information))
-    alike = _lights_alike(observation, vector, samples, selection)
+    gradients = np.asarray(scores_and_slopes(vector, samples)[0], np.float64)
+    alike = regions(gradients, selection.light, observation.wi.mean(axis=1))
     if judged.determined:
         robustness = robust_covariance(
             vector, samples, selection, information, np.arange(len(space)), stated, alike
@@ -175,17 +166,6 @@ def robust_covariance(
         gradients[known], among, alike[selection.light], selection.pixel, slopes=slopes[known]
     )
     return with_stated_errors(found, stated, among, known)
-
-
-def _lights_alike(
-    observation: Photographs,
-    vector: Float[Array, " parameters"],
-    samples: Samples,
-    selection: Selection,
-) -> Int[np.ndarray, " lights"]:
-    """Return (lights,) regions of lights whose images have similar residuals."""
-    gradients = np.asarray(scores_and_slopes(vector, samples)[0], np.float64)
-    return regions(gradients, selection.light, observation.wi.mean(axis=1))
 
 
 def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:

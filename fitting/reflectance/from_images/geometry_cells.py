@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxvision import Vec
 
@@ -26,15 +26,10 @@ FINE_ANGLE, ANGLE_RATIO = 0.1, 1.1  # cells are 0.01 rad wide at the mirror dire
 
 @dataclass(frozen=True)
 class Grouping:
-    """Which samples share a cell.
+    """Which samples share a cell."""
 
-    Attributes:
-        cell: (samples,) its index for each.
-        count: of cells.
-    """
-
-    cell: Int[np.ndarray, " samples"]
-    count: int
+    cell: Int[np.ndarray, " samples"]  # its index for each
+    count: int  # of cells
 
 
 def group(
@@ -63,8 +58,9 @@ def average(
     With `exact_at`, the cells predict the mean of their pixels exactly at that vector. An empty
     cell gets an enormous deviation, so that all channels have the same number of cells.
     """
-    trusted = _trusted(samples)
-    weight = np.where(trusted, 1 / np.asarray(samples.deviation, np.float64) ** 2, 0)
+    weight = 1 / np.asarray(samples.deviation, np.float64) ** 2
+    if samples.saturated is not None:
+        weight = np.where(samples.saturated, 0, weight)
     total = np.bincount(grouping.cell, weight, grouping.count)
     filled = total > 0
 
@@ -120,9 +116,3 @@ def saturated_only(samples: Samples) -> Samples | None:
         deviation=jnp.where(real, samples.deviation[at], UNCERTAIN),
         saturated=real,
     )
-
-
-def _trusted(samples: Samples) -> Bool[np.ndarray, " samples"]:
-    if samples.saturated is None:
-        return np.ones(samples.dn.shape, bool)
-    return ~np.asarray(samples.saturated)

@@ -24,31 +24,20 @@ def parameter_space(form: Form) -> ParameterSpace:
 
 
 class Samples(eqx.Module):
-    """Lit pixels of one channel, or cells of like pixels.
-
-    Attributes:
-        form: of the fit.
-        geometry: of the samples, (samples,).
-        dn: (samples,) DN.
-        deviation: (samples,) DN; a cell of equal pixels is one sample of smaller deviation.
-        saturated: (samples,); None where nothing clips.
-        black: DN without light.
-        white: DN of full scale above black.
-        clip: DN from which a pixel is saturated.
-        gamma: known encoding; None for linear files or where it is free.
-        offset: (samples,) DN added to a cell's prediction: by how much the mean over its pixels
-            differs from the value at their mean geometry.
-    """
+    """Lit pixels of one channel, or cells of like pixels."""
 
     form: Form = eqx.field(static=True)
     geometry: Geometry
-    dn: Float[Array, " samples"]
+    dn: Float[Array, " samples"]  # DN
+    # DN; a cell of equal pixels is one sample of smaller deviation
     deviation: Float[Array, " samples"]
-    saturated: Bool[Array, " samples"] | None
-    black: Float[Array, ""]
-    white: Float[Array, ""]
-    clip: Float[Array, ""]
-    gamma: Float[Array, ""] | None
+    saturated: Bool[Array, " samples"] | None  # None where nothing clips
+    black: Float[Array, ""]  # DN without light
+    white: Float[Array, ""]  # DN of full scale above black
+    clip: Float[Array, ""]  # DN from which a pixel is saturated
+    gamma: Float[Array, ""] | None  # known encoding; None for linear files or where it is free
+    # DN added to a cell's prediction: by how much the mean over its pixels differs from the value
+    # at their mean geometry
     offset: Float[Array, " samples"] | None = None
 
 
@@ -100,12 +89,9 @@ def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Sample
     return -jnp.sum(log_likelihoods(vector, samples))
 
 
-@eqx.filter_jit
 def total_log_likelihood(
-    vector: Float[Array, " parameters"], cells: Samples, saturated: Samples | None
+    vector: Float[Array, " parameters"], data: tuple[Samples, Samples | None]
 ) -> Array:
-    """Log likelihood of cells and of the saturated samples, which are in no cell."""
-    total = jnp.sum(log_likelihoods(vector, cells))
-    if saturated is not None:
-        total = total + jnp.sum(log_likelihoods(vector, saturated))
-    return total
+    """Log likelihood of cells, and of the saturated samples, which are in no cell."""
+    each = [jnp.sum(log_likelihoods(vector, own)) for own in data if own is not None]
+    return jnp.sum(jnp.stack(each))

@@ -46,23 +46,15 @@ SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is abse
 
 @dataclass(frozen=True)
 class Optimum:
-    """The likeliest parameters.
+    """The likeliest parameters."""
 
-    Attributes:
-        samples: with the deviations of the weights.
-        spread: of the residuals that gave the weights.
-        weights: the same without the part that grows with the signal, where the model misses it.
-        vector: (P,) unconstrained.
-        information: (P, P) on that scale.
-        converged: whether it was reached.
-    """
-
-    samples: Samples
-    spread: Spread
+    samples: Samples  # with the deviations of the weights
+    spread: Spread  # of the residuals that gave the weights
+    # the same without the part that grows with the signal, where the model misses it
     weights: Spread
-    vector: Array
-    information: Array
-    converged: bool
+    vector: Array  # (P,) unconstrained
+    information: Array  # (P, P) on that scale
+    converged: bool  # whether it was reached
 
 
 def best(samples: Samples, grouping: Grouping, sensor: Spread | None) -> Optimum:
@@ -202,7 +194,7 @@ def _nearer(vector: Array, samples: Samples, grouping: Grouping) -> Array:
 
 
 def _cost_of_cells(vector: Array, data: tuple[Samples, Samples | None]) -> Array:
-    return -total_log_likelihood(vector, *data)
+    return -total_log_likelihood(vector, data)
 
 
 def optimum(vector: Float[Array, " parameters"], samples: Samples) -> tuple[Array, Array, bool]:

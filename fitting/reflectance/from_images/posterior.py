@@ -1,95 +1,100 @@
-"""The posterior of one channel's reflectance: Laplace, or draws from a calibrated likelihood.
+"""The posterior of a channel: Laplace's approximation, or draws from an adjusted likelihood.
 
-Where residuals are shared by the pixels of an image, their product of densities is a composite
-likelihood: its mode is right, its curvature is not. Its argument is therefore stretched about the
-mode until its curvature is the inverse of the sandwich covariance (the curvature adjustment of
-Ribatet, Cooley & Davison, Statistica Sinica 22, 2012; per direction what the magnitude adjustment
-of Pauli, Racugno & Ventura, 2011, does on average). Priors are flat in the logarithms.
+Pixels of one image share errors, so that the product of their densities is a composite likelihood.
+Its mode is right, but not its curvature. Its argument is therefore stretched about the mode until
+its curvature is the inverse of the covariance over images (Ribatet, Cooley & Davison, "Bayesian
+Inference from Composite Likelihoods", Statistica Sinica 22, 2012). Priors of a surface are flat in
+the logarithms.
 
 A step of the chain evaluates cells instead of pixels. At the mode both predict the same mean of
-each cell, but not how it changes with the parameters: that differs inside a cell, and with it the
-slope. The slope of the cells is therefore taken off, so that their density has its mode where that
-of all pixels has.
+each cell, but its derivatives differ inside a cell, and with them the slope. The slope of the cells
+is therefore subtracted, so that their density has the mode of all pixels.
 """
+
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from ...inference.clustering import curvature_stretch
+from ...inference.clustering import Robustness, curvature_stretch
 from ...inference.emcee_run import Emcee, for_group
 from ...inference.importance import laplace_where_it_holds
+from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, sample
 from .fit import ChannelFit
 from .geometry_cells import Grouping, average, saturated_only
-from .model import Samples, total_log_likelihood
+from .model import total_log_likelihood
 
 
-class Composite(eqx.Module):
-    """Data of `composite_log_density`.
+class Adjusted(eqx.Module):
+    """A log density with another curvature at its mode."""
 
-    Attributes:
-        cells: of the unsaturated samples.
-        saturated: the others; None if there are none.
-        mode: (P,) unconstrained.
-        stretch: (P, P), the matrix C of mode + C (vector - mode).
-        slope: (P,) of the cells and saturated samples at the mode, where that of all pixels is 0.
-    """
-
-    cells: Samples
-    saturated: Samples | None
-    mode: Float[Array, " parameters"]
-    stretch: Float[Array, "parameters parameters"]
-    slope: Float[Array, " parameters"]
+    density: Callable[[Array, Any], Array] = eqx.field(static=True)  # function of (vector, data)
+    data: Any  # of the density
+    mode: Float[Array, " parameters"]  # unconstrained
+    stretch: Float[Array, "parameters parameters"]  # the matrix C of mode + C (vector - mode)
+    # of the density at the mode, to be subtracted; None for 0
+    slope: Float[Array, " parameters"] | None = None
 
 
-def composite_log_density(vector: Float[Array, " parameters"], data: Composite) -> Array:
-    """Log density of all pixels with its curvature adjusted, up to a constant.
-
-    Source:
-        Ribatet, Cooley & Davison, Statistica Sinica 22, 2012.
-    """
+def adjusted_log_density(vector: Float[Array, " parameters"], data: Adjusted) -> Array:
+    """Log density with its argument stretched about the mode, up to a constant."""
     away = data.stretch @ (vector - data.mode)
-    own = total_log_likelihood(data.mode + away, data.cells, data.saturated)
-    return own - data.slope @ away
+    own = data.density(data.mode + away, data.data)
+    return own if data.slope is None else own - data.slope @ away
 
 
 _slope = eqx.filter_jit(jax.grad(total_log_likelihood))
 
 
-def composite(fit: ChannelFit, grouping: Grouping) -> Composite:
-    """Return the adjusted likelihood of a fit whose covariance is known."""
+def composite(fit: ChannelFit, grouping: Grouping) -> Adjusted:
+    """Return the adjusted likelihood of cells and saturated samples, where the covariance of a fit
+    is known."""
     assert fit.robustness is not None
     mode = jnp.asarray(fit.vector, fit.samples.dn.dtype)
-    cells = average(fit.samples, grouping, exact_at=mode)
-    saturated = saturated_only(fit.samples)
-    return Composite(
-        cells=cells,
-        saturated=saturated,
-        mode=mode,
-        slope=_slope(mode, cells, saturated),
-        stretch=jnp.asarray(
-            curvature_stretch(fit.information, fit.robustness.gaussian_covariance), mode.dtype
-        ),
-    )
+    data = average(fit.samples, grouping, exact_at=mode), saturated_only(fit.samples)
+    stretch = curvature_stretch(fit.information, fit.robustness.gaussian_covariance)
+    slope = _slope(mode, data)
+    return Adjusted(total_log_likelihood, data, mode, jnp.asarray(stretch, mode.dtype), slope)
 
 
 def channel_posterior(
     fit: ChannelFit, grouping: Grouping, *, sampling: Emcee | None, seed: int
 ) -> Posterior:
-    """Return the posterior of one channel by Laplace's approximation with the robust covariance and
-    Student's t. If the likelihood is not Gaussian, return draws whose 95 % intervals are as wide as
-    those of t."""
+    """Return the posterior of one channel whose covariance is known."""
     assert fit.robustness is not None
-    robust, data = fit.robustness, composite(fit, grouping)
-    density, wider = composite_log_density, robust.gaussian_covariance
-    if sampling is not None:
-        own = for_group(sampling, fit.channel)
-        return sample(density, fit.space, data.mode, wider, data, options=own, seed=seed)
-    return laplace_where_it_holds(
-        *(density, fit.space, data.mode, robust.covariance, data),
-        seed=seed,
-        freedom=robust.freedom,
-        wider=wider,
-    )
+    data, options = composite(fit, grouping), {"sampling": sampling, "seed": seed}
+    return adjusted_posterior(data, fit.space, fit.channel, **robust(fit.robustness), **options)
+
+
+def robust(covariance: Robustness) -> dict[str, Any]:
+    """What `adjusted_posterior` needs of a covariance over images: an interval of Student's t is
+    wider than its standard deviation, and a density that is not Gaussian is stretched to it."""
+    return {
+        "covariance": covariance.covariance,
+        "wider": covariance.gaussian_covariance,
+        "freedom": covariance.freedom,
+    }
+
+
+def adjusted_posterior(
+    data: Adjusted,
+    space: ParameterSpace,
+    channel: str,
+    *,
+    covariance: Float[np.ndarray, "parameters parameters"],
+    wider: Float[np.ndarray, "parameters parameters"] | None = None,
+    sampling: Emcee | None,
+    seed: int,
+    **judged: Any,
+) -> Posterior:
+    """Return draws by emcee if `sampling` says how, else Laplace's approximation where it holds."""
+    if sampling is None:
+        of = adjusted_log_density, space, data.mode, covariance, data
+        return laplace_where_it_holds(*of, seed=seed, wider=wider, **judged)
+    of = adjusted_log_density, space, data.mode, covariance if wider is None else wider, data
+    return sample(*of, options=for_group(sampling, channel), seed=seed)

@@ -56,21 +56,13 @@ PILED = (
 
 @dataclass(frozen=True)
 class UniformLevels:
-    """Flats and darks of one channel, a level an entry of the rig.
+    """Flats and darks of one channel, a level an entry of the rig."""
 
-    Attributes:
-        mean: (levels,) over frames and pixels, DN.
-        variance: (levels,) temporal, of one pixel, DN^2.
-        freedom: (levels,) degrees of freedom of the variance.
-        mean_error: (levels,) standard error of the mean, DN.
-        dark: (levels,) which are darks.
-    """
-
-    mean: Float[np.ndarray, " levels"]
-    variance: Float[np.ndarray, " levels"]
-    freedom: Float[np.ndarray, " levels"]
-    mean_error: Float[np.ndarray, " levels"]
-    dark: Bool[np.ndarray, " levels"]
+    mean: Float[np.ndarray, " levels"]  # over frames and pixels, DN
+    variance: Float[np.ndarray, " levels"]  # temporal, of one pixel, DN^2
+    freedom: Float[np.ndarray, " levels"]  # degrees of freedom of the variance
+    mean_error: Float[np.ndarray, " levels"]  # standard error of the mean, DN
+    dark: Bool[np.ndarray, " levels"]  # which are darks
 
 
 @dataclass(frozen=True)
@@ -201,7 +193,12 @@ def read_reflectance_observation(
         gamma=camera.encoding,
         gain=camera.gain,
         read_noise=camera.read_noise,
-        findings=(*told, *how, *_assumptions(rig), *_mask_without_effect(rig, shape, load)),
+        findings=(
+            *told,
+            *how,
+            *([ASSUMED_BLACK] * (rig.camera.black_level is None)),
+            *_mask_without_effect(rig, shape, load),
+        ),
         uncertain={
             name: np.array([getattr(light, name) or 0.0 for light in rig.light])
             for name in OF_LIGHTS
@@ -399,12 +396,6 @@ def _held_out(rig: Rig) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
         f"The rig holds no light out, so every fourth ({int(chosen.sum())} of {len(chosen)}) was "
         "kept from the fit to test its prediction.",
     )
-
-
-def _assumptions(rig: Rig) -> tuple[str, ...]:
-    if rig.camera.black_level is not None:
-        return ()
-    return (ASSUMED_BLACK,)
 
 
 def _refuse_unusable(rig: Rig, observation: Photographs) -> None:

@@ -14,15 +14,10 @@ from .signal import Form, Geometry, local_geometry
 
 @dataclass(frozen=True)
 class Selection:
-    """Which samples a fit sees.
+    """Which samples a fit sees."""
 
-    Attributes:
-        light: (samples,) indices, lights in order.
-        pixel: (samples,) indices.
-    """
-
-    light: Int[np.ndarray, " samples"]
-    pixel: Int[np.ndarray, " samples"]
+    light: Int[np.ndarray, " samples"]  # indices, lights in order
+    pixel: Int[np.ndarray, " samples"]  # indices
 
 
 def select(
@@ -42,20 +37,13 @@ def select(
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What the fits of one selection share: its values, gathered from an observation once.
+    """What the fits of one selection share: its values, gathered from an observation once."""
 
-    Attributes:
-        observation: of the object.
-        selection: of its samples.
-        geometry: of each channel by its index.
-        dn: (samples,) of each channel, DN.
-        saturated: (samples,) of each channel; None where nothing clips in any.
-    """
-
-    observation: Photographs
-    selection: Selection
-    geometry: dict[int, Geometry]
-    dn: dict[int, Array]
+    observation: Photographs  # of the object
+    selection: Selection  # of its samples
+    geometry: dict[int, Geometry]  # of each channel by its index
+    dn: dict[int, Array]  # (samples,) of each channel, DN
+    # (samples,) of each channel; None where nothing clips in any
     saturated: dict[int, Array | None]
 
     def samples(self, channel: int, form: Form) -> Samples:

@@ -50,7 +50,11 @@ def section(calibration: ReflectanceCalibration) -> Section:
             "black level [DN]": observation.black,
             "clip level [DN]": observation.clip,
             "gamma": observation.gamma or 1.0,
-            **_facet_settings(calibration),
+            **(
+                {"index of refraction": calibration.reported[0].requested.index}
+                if calibration.model in CLEAR
+                else {}
+            ),
         },
         records=material_files(
             {
@@ -60,12 +64,6 @@ def section(calibration: ReflectanceCalibration) -> Section:
             }
         ),
     )
-
-
-def _facet_settings(calibration: ReflectanceCalibration) -> dict[str, float]:
-    if calibration.model not in CLEAR:
-        return {}
-    return {"index of refraction": calibration.reported[0].requested.index}
 
 
 def _estimates(calibration: ReflectanceCalibration) -> tuple[Estimate, ...]:

@@ -41,19 +41,12 @@ Values = dict[str, Array]  # natural, by the parameter's name
 
 @dataclass(frozen=True)
 class Form:
-    """Which terms a fit has.
+    """Which terms a fit has."""
 
-    Attributes:
-        model: one of `reflectance.models`.
-        ambient: whether an ambient term is free.
-        free_gamma: whether the encoding exponent is, whatever the rig says of it.
-        index: of refraction, of clear facets.
-    """
-
-    model: Model
-    ambient: bool = False
-    free_gamma: bool = False
-    index: float = INDEX
+    model: Model  # one of `reflectance.models`
+    ambient: bool = False  # whether an ambient term is free
+    free_gamma: bool = False  # whether the encoding exponent is, whatever the rig says of it
+    index: float = INDEX  # of refraction, of clear facets
 
 
 def surface_parameters(form: Form) -> ParameterSpace:
@@ -68,22 +61,14 @@ def surface_parameters(form: Form) -> ParameterSpace:
 
 
 class Geometry(eqx.Module):
-    """How light falls on pixels, or on cells of them, in their local frames.
+    """How light falls on pixels, or on cells of them, in their local frames."""
 
-    Attributes:
-        wi: components toward the light.
-        wo: components toward the viewer.
-        irradiance: E on a facing surface.
-        turned: derivatives of `wi` to two angles of the light, rad^-1; None where its direction is
-            exact.
-        about: (2, images) rad, angles by which the lights are turned from where the rig puts them;
-            None for none.
-    """
-
-    wi: Vec
-    wo: Vec
-    irradiance: Float[Array, "..."]
+    wi: Vec  # components toward the light
+    wo: Vec  # components toward the viewer
+    irradiance: Float[Array, "..."]  # E on a facing surface
+    # derivatives of `wi` to two angles of the light, rad^-1; None where its direction is exact
     turned: tuple[Vec, Vec] | None = None
+    # rad, angles by which the lights are turned from where the rig puts them; None for none
     about: Float[Array, "2 images"] | None = None
 
 

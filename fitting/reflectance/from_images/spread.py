@@ -29,17 +29,11 @@ EXCESS = 3.0  # standard deviations by which chi-square must exceed its expectat
 
 @dataclass(frozen=True)
 class Spread:
-    """Variance of the linear signal X: floor + shot X + (relative X)^2.
+    """Variance of the linear signal X: floor + shot X + (relative X)^2."""
 
-    Attributes:
-        floor: DN^2.
-        shot: DN; the system gain, DN per electron.
-        relative: fraction of the signal; None where the data do not ask for it.
-    """
-
-    floor: float
-    shot: float
-    relative: float | None
+    floor: float  # DN^2
+    shot: float  # DN; the system gain, DN per electron
+    relative: float | None  # fraction of the signal; None where the data do not ask for it
 
 
 def variance(

@@ -43,19 +43,14 @@ CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
 
 @dataclass(frozen=True)
 class StatedErrors:
-    """Pulls p e of the errors that a rig states, each of one standard deviation.
+    """Pulls p e of the errors that a rig states, each of one standard deviation."""
 
-    Attributes:
-        of_lights: (errors, P), each of one image.
-        common: (errors, P), each of all images.
-        slopes: (P, samples) of the predictions, in standard deviations, as far as turns of the
-            lights leave them; None where none are found.
-        left_out: errors that the rig states and that are too small to matter.
-    """
-
-    of_lights: Float[np.ndarray, "errors parameters"]
-    common: Float[np.ndarray, "more parameters"]
+    of_lights: Float[np.ndarray, "errors parameters"]  # each of one image
+    common: Float[np.ndarray, "more parameters"]  # each of all images
+    # of the predictions, in standard deviations, as far as turns of the lights leave them; None
+    # where none are found
     slopes: Float[np.ndarray, "parameters samples"] | None = None
+    # errors that the rig states and that are too small to matter
     left_out: tuple[LeftOut, ...] = ()
 
     def left_of(

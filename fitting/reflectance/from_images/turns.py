@@ -1,35 +1,46 @@
-"""Where lights stand, as far as their images tell.
+"""Light directions that the rig calls uncertain, found from the images with the parameters.
 
-A rig's `direction_sd` is a normal prior of the two turns e of each light. With everything in
-standard deviations, an image of residuals r moves by S e to first order, so that
+A rig's `direction_sd` is a normal prior of the two rotations e of each light. In units of standard
+deviations, the residuals r of an image change by S e to first order, so that
 
     e = K^-1 S^T r,    K = 1 + S^T S,
 
-are the likeliest turns at given parameters, and eliminating them leaves of the information I on
-the parameters, whose slopes are J,
+are the most likely rotations at given parameters. Marginalising over them leaves the information
 
-    I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S S^T)^-1.
+    I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S S^T)^-1,
 
-A highlight does not follow its light linearly: lights off by a degree, left where the rig puts
-them, show the mean of highlights that lie apart, wider and weaker than each of them. All images
-show it alike, so that no spread among them tells. Turns and parameters are therefore found in
-turn, about the last ones (Gauss-Newton).
+on the parameters, whose slopes are J and whose information was I.
+
+A highlight does not follow its light linearly. If lights are off by a degree and left where the rig
+puts them, the fit shows the mean of highlights that lie apart, which is wider and weaker than each
+of them. All images show it alike, so that no scatter between them reveals it. Rotations and
+parameters are therefore found in alternation, each about the last ones (Gauss-Newton).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import chdtri
 
 from jaxvision import as_array, as_vec
 from jaxvision.geometry.hemisphere import local_frame
 
+from .geometry_cells import Grouping
 from .model import Samples, predicted_dn, residuals
+from .optimum import Optimum, weighed, weighed_and_fitted
 from .read import Photographs, angles
-from .samples import Selection, make_samples
+from .samples import Gathered, Selection, make_samples, of_some_pixels
+from .spread import Spread
 
 STEP = 0.5  # standard deviations to either side, of a slope
-TOLD = 1e-12  # least information of an image on a turn, in units of the prior's
+TOLD = 1e-12  # least information of an image on a rotation, in units of the prior's
+MOST_TURNS = 10  # of the lights
+SETTLED = 0.05  # standard deviations of a light's direction
+IMPLAUSIBLE = 1e-3  # chance that lights as good as stated are off by as much
+WIDEST = 3.0  # times the stated size, from which the model misses something else
+ABSURD = 2 * WIDEST  # standard deviations, of a step, which the next ones may take back
+ENOUGH = 20_000  # samples that put lights nearly where all samples do
 
 
 def turned(observation: Photographs, angles_across: Float[np.ndarray, "lights 2"]) -> Photographs:
@@ -121,3 +132,96 @@ def _standard(
         [np.bincount(selection.light, one * other, lights) for other in moves] for one in moves
     ]
     return moves, np.eye(2) + np.moveaxis(np.array(squares), -1, 0)
+
+
+@dataclass(frozen=True)
+class TurnedLights:
+    """Where the images put the lights."""
+
+    turns: Float[np.ndarray, "lights 2"]  # in units of `direction_sd`
+    size: float  # their rms over the lights of uncertain direction
+    # factor by which `direction_sd` was taken larger, as such turns are no chance
+    widened: float = 1.0
+
+    @property
+    def followed(self) -> bool:
+        """Whether the fit uses these directions. If they are too far from the rig's, the model
+        misses something else and the fit keeps the rig's."""
+        return self.size <= WIDEST
+
+
+def among_turns(
+    nominal: Optimum, gathered: Gathered, channel: int, grouping: Grouping, sensor: Spread | None
+) -> tuple[Optimum, TurnedLights]:
+    """Alternate between parameters and light rotations until no light moves. If lights are off by
+    more than stated and chance allows, their uncertainty is taken from the images.
+
+    Returns `nominal`, the optimum at the rig's directions, if the rotations are not followed.
+    """
+    observation = gathered.observation
+    known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
+    seen = 2 * np.count_nonzero(known)
+    most = float(np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen))
+    found, turns = _settled(nominal, gathered, known, channel, grouping, sensor)
+    lights = TurnedLights(turns, _rms(turns[known]))
+    if most < lights.size <= WIDEST:
+        widened = lights.size
+        wider = replace(gathered, observation=with_wider_directions(observation, widened))
+        found, turns = _settled(nominal, wider, known, channel, grouping, sensor)
+        lights = TurnedLights(widened * turns, widened * _rms(turns[known]), widened)
+    return (found if lights.followed else nominal), lights
+
+
+def with_wider_directions(observation: Photographs, factor: float) -> Photographs:
+    """Return the observation with a larger `direction_sd`."""
+    sizes = observation.uncertain | {"direction_sd": factor * observation.uncertain["direction_sd"]}
+    return replace(observation, uncertain=sizes)
+
+
+def _settled(
+    nominal: Optimum,
+    gathered: Gathered,
+    known: np.ndarray,
+    channel: int,
+    grouping: Grouping,
+    sensor: Spread | None,
+) -> tuple[Optimum, np.ndarray]:
+    """Return the optimum and the rotations that agree with each other. Of many samples, a part is
+    used until no light moves, then all of them twice. It ends if lights go astray."""
+    whole = gathered.observation, gathered.selection
+    found, turns = nominal, np.zeros((len(known), 2))
+    step = max(1, len(whole[1].light) // ENOUGH)
+    stages = [(*whole, MOST_TURNS)]
+    if step > 1:
+        stages = [(*of_some_pixels(*whole, step), MOST_TURNS), (*whole, 2)]
+    for observation, selection, rounds in stages:
+        if step > 1:
+            samples = _about(observation, selection, channel, found, turns)
+            found = replace(found, samples=weighed(found.vector, samples, sensor)[0])
+        for _ in range(rounds):
+            vector, samples = found.vector, found.samples
+            shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
+            before = turns
+            turns = likeliest_turns(shifts, before, vector, samples, selection)
+            if _rms(turns[known]) > ABSURD:
+                return nominal, turns
+            samples = _about(observation, selection, channel, found, turns)
+            found = weighed_and_fitted(vector, samples, grouping, sensor)
+            if np.abs(turns - before).max() < SETTLED:
+                break
+    return found, turns
+
+
+def _about(
+    observation: Photographs,
+    selection: Selection,
+    channel: int,
+    found: Optimum,
+    turns: np.ndarray,
+) -> Samples:
+    lights = turned(observation, turns * observation.uncertain["direction_sd"][:, None])
+    return make_samples(lights, channel, found.samples.form, selection)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

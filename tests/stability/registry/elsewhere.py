@@ -727,20 +727,19 @@ ELSEWHERE = (
         """
             fitting.joint.calibration: calibrate is_determined
             fitting.joint.cells: cell_width make_grid pixels_at reduce_images
-            fitting.joint.fit: fit_channel image_errors is_searched_shape predicted_cells
+            fitting.joint.candidates: with_misfit without_small_errors
+            fitting.joint.fit: fit_channel fit_turned image_errors is_searched_shape likeliest_turns
             fitting.joint.freedom: degrees_of_freedom laplace_miss
-            fitting.joint.left_out: small widest without
             fitting.joint.unequal_pixels: unequal_pixels
             fitting.joint.halves: by_halves widened
-            fitting.joint.misfit: over_images stretched stretched_log_density
+            fitting.joint.misfit: over_images
             fitting.joint.marginal: chi_square image_error_means log_density scatter_log_density
             fitting.joint.model: cell_errors cost log_likelihood log_posterior predicted
             fitting.joint.model: values_at weights by_image of_one_image
-            fitting.joint.model: log_likelihood_by_image
+            fitting.joint.model: log_likelihood_by_image black_level of_surface parameters
+            fitting.joint.model: predicted_parts scatter_scales
             fitting.joint.prediction: predict score
-            fitting.joint.start: first_noise first_reflectance of_surface parameters
-            fitting.joint.start: scatter_scales
-            fitting.joint.turns: fit_turned likeliest_turns
+            fitting.joint.start: first_noise first_reflectance
         """,
     ),
     Elsewhere(
@@ -767,13 +766,13 @@ ELSEWHERE = (
         """
             fitting.reflectance.from_images.calibration: calibrate mean_residual open_parameters
             fitting.reflectance.from_images.comparison: compare comparison_table difference
-            fitting.reflectance.from_images.comparison: equally_good relative_error relative_rms
+            fitting.reflectance.from_images.comparison: equally_good relative_rms
             fitting.reflectance.from_images.comparison: squares_by_light surpassed_by verdict
             fitting.reflectance.from_images.fit: fit_channel lights_as_fitted predicted_image
             fitting.reflectance.from_images.fit: robust_covariance
             fitting.reflectance.from_images.optimum: best optimum project residual_signal_slope
             fitting.reflectance.from_images.optimum: weighed weighed_and_fitted weighted
-            fitting.reflectance.from_images.optimum_among_turns: among_turns with_wider_directions
+            fitting.reflectance.from_images.turns: among_turns with_wider_directions
             fitting.reflectance.from_images.geometry_cells: average group saturated_only
             fitting.reflectance.from_images.model: encoding_gamma linear_signal log_likelihoods
             fitting.reflectance.from_images.model: negative_log_likelihood parameter_space
@@ -785,7 +784,8 @@ ELSEWHERE = (
             fitting.reflectance.from_images.plan: added_information check_target plan
             fitting.reflectance.from_images.plan: plan_section
             fitting.reflectance.from_images.posterior: channel_posterior composite
-            fitting.reflectance.from_images.posterior: composite_log_density
+            fitting.reflectance.from_images.posterior: adjusted_log_density adjusted_posterior
+            fitting.reflectance.from_images.posterior: robust
             fitting.reflectance.from_images.shading_check: contradictions directions_by_shading
             fitting.reflectance.from_images.shading_check: without_strangers
             fitting.reflectance.from_images.read: lightless_images
