@@ -49,6 +49,10 @@ from .inference.emcee_run import (
 from .inference.estimates import (
     Estimate as Estimate,
 )
+from .inference.joint_prior import (
+    JointPrior as JointPrior,
+    as_prior as as_prior,
+)
 from .inference.likelihoods import (
     Censored as Censored,
     Clustered as Clustered,

@@ -23,7 +23,9 @@ from jaxvision.core.in_notebooks import record_html
 from jaxvision.errors import InputError, nearest
 
 from ..inference.candidates import whole_name
+from ..inference.diagnostics import listed
 from ..inference.formatting import format_with_error
+from ..inference.joint_prior import places_of
 from ..inference.likelihoods import Clustered
 from ..inference.on_host import on_host
 from ..inference.posterior import Posterior
@@ -209,8 +211,12 @@ def _variance(likelihood: Any) -> np.ndarray:
 def _of_priors(
     problem: Problem, prior: np.ndarray, along: np.ndarray, nuisances: Mapping[str, Sequence[str]]
 ) -> dict[str, float]:
-    """g^T C P_m C g of each source; the priors are independent, their information diagonal."""
+    """g^T C P_m C g of each source; priors are independent, their information diagonal, but for the
+    numbers of a joint prior, which are one source."""
     each = np.diagonal(prior) * along**2
+    joint = problem.prior
+    together = np.array([], int) if joint is None else places_of(joint, problem.space)
+    each[together] = 0.0
     owner = {name: group for group, members in nuisances.items() for name in members}
     known = {name for number in problem.space for name in (number.name, whole_name(number.name))}
     for unknown in owner.keys() - known:
@@ -222,4 +228,8 @@ def _of_priors(
             continue
         name = own or f"prior of {number.name}"
         terms[name] = terms.get(name, 0.0) + float(term)
+    if joint is not None:
+        own = owner.get(joint.names[0]) or f"prior of {listed(list(joint.names))}"
+        term = along[together] @ prior[np.ix_(together, together)] @ along[together]
+        terms[own] = terms.get(own, 0.0) + float(term)
     return terms

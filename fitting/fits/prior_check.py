@@ -19,15 +19,18 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy.special import chdtrc, ndtr, ndtri
 from scipy.stats import norm
 
+from ..inference.diagnostics import listed
 from ..inference.formatting import format_with_error
+from ..inference.joint_prior import JointPrior, places_of, scores
 from ..inference.likelihoods import Clustered
 from ..inference.misfit import CHANCE, Misfit
-from ..inference.parameters import Parameter, log_prior, share_below, to_natural
+from ..inference.parameters import Parameter, share_below, to_natural
 from ..inference.priors import HalfNormal, LogNormal, Normal, Prior, Uniform
-from ..inference.problem import Problem
+from ..inference.problem import Problem, log_prior_at
 from ..inference.search import Optimum
 from .widening import Widening
 
@@ -51,20 +54,24 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Confl
     """Return the priors that differ significantly from the data, the largest difference first.
 
     Of all priors together one false alarm is allowed in 1 / `CHANCE` fits."""
-    space = problem.space
+    space, joint = problem.space, problem.prior
+    together = () if joint is None else places_of(joint, space)
     tested = [
-        i for i, p in enumerate(space) if p.prior is not None and not isinstance(p.prior, Uniform)
+        i
+        for i, p in enumerate(space)
+        if p.prior is not None and not isinstance(p.prior, Uniform) and i not in together
     ]
-    if not tested or not optimum.stationary:
+    if not (tested or joint) or not optimum.stationary:
         return ()
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
+    chance = CHANCE / (len(tested) + (joint is not None))
     to_x = partial(to_natural, space)
     values, slopes = jax.jvp(to_x, (vector,), (jnp.ones_like(vector),))
     values, slopes = np.asarray(values, np.float64), np.asarray(slopes, np.float64)
-    gradient = -np.asarray(jax.grad(partial(log_prior, space))(vector), np.float64)
+    gradient = -np.asarray(jax.grad(partial(log_prior_at, problem))(vector), np.float64)
     known = np.diagonal(np.linalg.inv(optimum.curvature))
     prior_part = np.diagonal(optimum.prior_information)
-    limit = -ndtri(CHANCE / (2 * len(tested)))
+    limit = -ndtri(chance / 2)
     found = []
     for i in tested:
         share = 1 - known[i] * prior_part[i]
@@ -82,7 +89,36 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Confl
         if abs(z) > limit:
             alone = _alone(space[i], values[i], slopes[i], step, np.sqrt(spread))
             found.append((abs(z), Conflict(_in_words(space[i], abs(z), alone), step * gradient[i])))
+    if joint is not None and (one := _joint_conflict(problem, joint, vector, wide, chance)):
+        found.append(one)
     return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+
+
+def _joint_conflict(
+    problem: Problem, joint: JointPrior, vector: Array, wide: Widening, chance: float
+) -> tuple[float, Conflict] | None:
+    """Compares a joint prior with the rest, in the directions in which the data say something. The
+    difference between its mean and the posterior's has the covariance of the prior less that of
+    the posterior (Hausman, Econometrica 46, 1978)."""
+    on_scale = partial(scores, joint, problem.space)
+    z = np.asarray(on_scale(vector), np.float64)
+    slope = np.asarray(jax.jacfwd(on_scale)(vector), np.float64)
+    narrowed = joint.correlation - slope @ wide.gaussian_covariance @ slope.T
+    root = np.linalg.cholesky(np.asarray(joint.correlation, np.float64))
+    scaled = np.linalg.solve(root, np.linalg.solve(root, narrowed).T)
+    values, axes = np.linalg.eigh(scaled)
+    along = (axes.T @ np.linalg.solve(root, z))[values > LEAST]
+    square = float(np.sum(along**2 / values[values > LEAST]))
+    if not along.size or chdtrc(len(along), square) > chance:
+        return None
+    words = (
+        f"The prior of {listed(list(joint.names))}, from an earlier fit, differs from what the "
+        f"data alone say by a chi-square of {square:.4g} for {len(along)} "
+        f"degree{'s' * (len(along) > 1)} of freedom: one of them is wrong, or less certain than it "
+        "claims."
+    )
+    saved = square - float(np.sum(np.linalg.solve(root, z) ** 2))  # less what the prior costs
+    return square**0.5, Conflict(words, saved)
 
 
 def blamed(found: tuple[Conflict, ...], checks: Misfit) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from ..inference.candidates import Choice
 from ..inference.design import Plan
 from ..inference.estimates import Estimate
 from ..inference.formatting import format_interval, format_p, format_unit, format_value
+from ..inference.joint_prior import JointPrior, Selection, posterior_prior
 from ..inference.misfit import Misfit
 from ..inference.on_host import on_host
 from ..inference.posterior import Posterior, estimates
@@ -140,6 +141,61 @@ class Fit:
         if name not in records:
             raise InputError(f"There is no record {name!r}; {nearest(name, records)}.")
         return jax.tree.map(jnp.asarray, records[name])
+
+    def as_prior(self, names: Selection = "*") -> JointPrior:
+        """The posterior of some parameters as the prior of another problem, with its correlations.
+
+        The density is Gaussian on the unconstrained scale, or Student's t where the widths are
+        estimated from few groups. An interval that a misfit has widened stays as wide. What the
+        earlier data say of other parameters is marginalised over. Data that are used again count
+        twice: the new problem has new ones.
+
+        Args:
+            names: a name, a pattern such as "camera.*", several of them, or new names by old ones
+                ({"gain": "camera.sensor.gain"}, {"camera.*": "left.*"}).
+
+        Returns:
+            What `Problem(..., prior=...)` takes.
+
+        Raises:
+            InputError: for a name that matches nothing, a fit that did not converge, and a
+                posterior that is not Gaussian.
+
+        Example:
+            >>> from fitting import Gaussian, Parameter, Problem, fit
+            >>> def level(data, prior=None):
+            ...     like, free = Gaussian(sd=0.2), {"m": Parameter(start=1.0)}
+            ...     return Problem(free, lambda m: m * jnp.ones(2), like, data, prior=prior)
+            >>> first = fit(level([1.9, 2.0]))
+            >>> second = fit(level([2.0, 2.1], first.as_prior("m")))
+            >>> one, = second.estimates
+            >>> round(one.value, 4), round(one.standard_error, 4)  # of all four, 0.2 / sqrt(4)
+            (2.0, 0.1)
+        """
+        if self.failures:
+            raise InputError(
+                f"as_prior: the fit did not converge, so that it cannot be a prior: "
+                f"{self.failures[0]}"
+            )
+        shapes = {parameter.name: parameter.shape or () for parameter in self.problem.free}
+        return posterior_prior(self.posterior, shapes, names, words=self._widened())
+
+    def _widened(self) -> tuple[str, ...]:
+        """That a prior made of this is wider than its data alone would have it."""
+        before = () if self.problem.prior is None else self.problem.prior.words
+        if self.noise > 1:
+            return (
+                *before,
+                "The prior comes from a fit with a misfit; what its data say is widened by "
+                f"{self.noise:.3g}.",
+            )
+        if self.posterior.freedom is not None:
+            return (
+                *before,
+                "The prior comes from a fit whose groups share errors; its intervals allow for "
+                "them.",
+            )
+        return before
 
     def derived(self, function: Callable[..., Any], *, draws: int = 1000) -> Bands:
         """Something that follows from the parameters, with intervals: the draws pushed through it.

@@ -25,9 +25,16 @@ from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import Misfit, judge_sums, sums
 from ..inference.nuts import Nuts, nuts, require_blackjax
 from ..inference.on_host import on_host
-from ..inference.parameters import log_prior, scalars
+from ..inference.parameters import scalars
 from ..inference.posterior import Laplace, Posterior, sample
-from ..inference.problem import Problem, Vector, log_density, log_likelihood, values_at
+from ..inference.problem import (
+    Problem,
+    Vector,
+    log_density,
+    log_likelihood,
+    log_prior_at,
+    values_at,
+)
 from ..inference.search import (
     Optimum,
     derivatives,
@@ -175,7 +182,8 @@ def fit(
     failures += about_search(optimum, drawn) + about_chains(drawn)
     contradicted = () if why else tuple(one.words for one in against)
     remarks = (*own.findings, *wide.words, *(() if own.overrated else checks.remarks))
-    remarks += contradicted
+    carried = () if problem.prior is None else problem.prior.words
+    remarks += (*contradicted, *carried)
     findings = (*remarks, *about_posterior(problem, optimum, drawn))
     findings = (*map(str, choices), *findings)
     settings = {
@@ -437,7 +445,7 @@ def _stretched_log_density(vector: Vector, args: tuple[Problem, Array, Array]) -
 def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
     """The posterior of data whose every error is larger by a factor; the prior as it is."""
     problem, factor = args
-    return log_likelihood(vector, problem) / factor**2 + log_prior(problem.space, vector)
+    return log_likelihood(vector, problem) / factor**2 + log_prior_at(problem, vector)
 
 
 def _draw(

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..inference.diagnostics import identifiability, listed
+from ..inference.joint_prior import Marginal
 from ..inference.misfit import Misfit
 from ..inference.parameters import (
     Parameter,
@@ -21,6 +22,7 @@ from ..inference.trust import convergence_in_words, is_trusted
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
 SAME_END = 0.02  # rise in cost above which two searches ended apart: of many optima, some are near
 MANY_OPTIMA = 0.5  # share of searches that end alone
+HARDLY = 0.95  # posterior over prior from which data say little beside those of an earlier fit
 APART = 5.0  # standard deviations between two optima
 NARROWEST = 1e-4  # scaled eigenvalue of a covariance below which a search need not agree
 # Standard deviations from a bound to the median: .7 for a density that falls off from the bound,
@@ -173,7 +175,7 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
         f"{parameter.name} is known from its prior or bounds, hardly from the data: its standard "
         f"deviation is {part * width:.3g} after and {width:.3g} before them."
         for parameter, width, part in zip(space, before, share, strict=True)
-        if part > NEARLY_PRIOR
+        if part > (HARDLY if isinstance(parameter.prior, Marginal) else NEARLY_PRIOR)
     ]
 
 

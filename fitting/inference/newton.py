@@ -32,7 +32,7 @@ class NewtonSolution(eqx.Module):
 
     Attributes:
         vector: (parameters,).
-        beyond: (parameters,) where one more step leads, at which nothing was evaluated.
+        beyond: (parameters,) where one more undamped step leads, at which nothing was evaluated.
         cost: the objective at `vector`.
         information: (parameters, parameters), the Hessian there.
         lowest: eigenvalue of the information scaled to unit diagonal.
@@ -60,6 +60,7 @@ class _State(eqx.Module):
     gradient: Array
     information: Array
     proposal: Array
+    beyond: Array
     damping: Array
     lowest: Array
     decrement: Array
@@ -143,6 +144,7 @@ def _begun(start: Array) -> _State:
         gradient=jnp.zeros_like(start),
         information=jnp.eye(start.size, dtype=start.dtype),
         proposal=start,
+        beyond=start,
         damping=jnp.full_like(infinite, FIRST_DAMPING),
         lowest=-infinite,
         decrement=infinite,
@@ -160,16 +162,17 @@ def _advanced(state: _State, cost: Array, gradient: Array, information: Array) -
         gradient=jnp.where(better, gradient, state.gradient),
         information=jnp.where(better, information, state.information),
         proposal=state.proposal,
+        beyond=state.beyond,
         damping=jnp.where(better, EASIER, HARDER) * state.damping,
         lowest=state.lowest,
         decrement=state.decrement,
         steps=state.steps + 1,
     )
-    move, fall, lowest = _damped_step(here)
+    move, full, fall, lowest = _steps(here)
     return eqx.tree_at(
-        lambda state: (state.proposal, state.decrement, state.lowest),
+        lambda state: (state.proposal, state.beyond, state.decrement, state.lowest),
         here,
-        (here.vector + move, jnp.where(better, fall, jnp.inf), lowest),
+        (here.vector + move, here.vector + full, jnp.where(better, fall, jnp.inf), lowest),
     )
 
 
@@ -179,7 +182,7 @@ _advanced_alone = eqx.filter_jit(_advanced)
 def _solution(end: _State, tolerance: Array) -> NewtonSolution:
     return NewtonSolution(
         vector=end.vector,
-        beyond=end.proposal,
+        beyond=end.beyond,
         cost=end.cost,
         information=end.information,
         lowest=end.lowest,
@@ -204,11 +207,11 @@ def twice(
     return cost[0], gradient[0], information
 
 
-def _damped_step(state: _State) -> tuple[Array, Array, Array]:
-    """Return Newton's step, the predicted decrease of the cost for an undamped step, and the lowest
-    eigenvalue. The Hessian is scaled to unit diagonal, and `damping` is added to the absolute
-    values of its eigenvalues. The step goes downhill from any point, also away from saddles
-    (Dauphin et al. 2014).
+def _steps(state: _State) -> tuple[Array, Array, Array, Array]:
+    """Return Newton's damped step, the undamped step, the decrease of the cost that the latter
+    predicts, and the lowest eigenvalue. The Hessian is scaled to unit diagonal, and `damping` is
+    added to the absolute values of its eigenvalues. The step goes downhill from any point, also
+    away from saddles (Dauphin et al. 2014).
 
     There is only one decomposition, whose results are used for everything. If two decompositions of
     a batch run at the same time, each waits in XLA's pool for threads that the other holds, which
@@ -218,5 +221,7 @@ def _damped_step(state: _State) -> tuple[Array, Array, Array]:
     curvature, axes = jnp.linalg.eigh(state.information / jnp.outer(size, size))
     along = axes.T @ (state.gradient / size)
     steepness = jnp.abs(curvature)
-    fall = jnp.sum(along**2 / jnp.maximum(steepness, jnp.finfo(along.dtype).eps)) / 2
-    return -axes @ (along / (steepness + state.damping)) / size, fall, curvature[0]
+    undamped = along / jnp.maximum(steepness, jnp.finfo(along.dtype).eps)
+    damped = along / (steepness + state.damping)
+    move, full = (-axes @ step / size for step in (damped, undamped))
+    return move, full, along @ undamped / 2, curvature[0]

@@ -24,7 +24,8 @@ from jaxvision.core.plain_arrays import plain_array, with_room, within_integers
 from jaxvision.errors import InputError, nearest
 
 from .candidates import Candidate
-from .given import plain_numbers
+from .given import plain_numbers, require_kind
+from .joint_prior import JointPrior, log_dependence, restricted, with_joint_prior
 from .likelihoods import Likelihood, check_data, names_within, with_values
 from .on_host import on_host
 from .parameters import Parameter, ParameterSpace, log_prior, scalars, to_natural
@@ -65,6 +66,7 @@ class Problem(eqx.Module):
         records: by name, into which paths lead.
         inputs: what else `predict` is given.
         space: the free numbers one by one, the order of every vector.
+        prior: what an earlier fit knows of some parameters, with its correlations; or None.
         candidates: terms that a fit may leave out.
         start: from the data to natural values by name, from which a search begins; None for none.
         left_out: what `called_for` has left out of the records, or None.
@@ -97,6 +99,7 @@ class Problem(eqx.Module):
     records: dict[str, Any]
     inputs: Any
     space: ParameterSpace
+    prior: JointPrior | None
     candidates: tuple[Candidate, ...] = eqx.field(static=True)
     start: Callable[..., Any] | None = eqx.field(static=True)
     left_out: Any = eqx.field(static=True)
@@ -111,6 +114,7 @@ class Problem(eqx.Module):
         records: Mapping[str, Any] | None = None,
         inputs: Any = None,
         start: Callable[..., Any] | None = None,
+        prior: JointPrior | None = None,
         chunk: int | None = None,
         left_out: Any = None,
     ) -> None:
@@ -123,6 +127,12 @@ class Problem(eqx.Module):
         those of `predict` that are not parameters. Each pixel of `fit_map` has its own start. NaN
         means no value, and a value outside a bound is moved inside. None begins at the starts of
         the parameters.
+
+        `prior`: the posterior of an earlier fit, `earlier.as_prior("camera.*")`, or the draws of a
+        camera file, `as_prior({"sensor": read_sensor("sensor.toml", draws=500)}, "sensor.*")`. It
+        replaces the priors of the parameters that it names; the others keep theirs. It is
+        marginalised over its numbers that are not free here. A name that was given to `as_prior`
+        without `*` must be free here.
 
         `chunk`: number of rows of data to read at a time, which bounds the memory; 50,000 suits
         most problems. None reads all at once. The data are then an array, also a memory-mapped one,
@@ -144,6 +154,10 @@ class Problem(eqx.Module):
             for name, entry in parameters.items()
             if isinstance(entry, Parameter)
         )
+        self.prior = None
+        if prior is not None:
+            require_kind("prior", prior, JointPrior, source="fit(...).as_prior(...)")
+            self.free, self.prior = with_joint_prior(self.free, prior)
         self.candidates = tuple(
             replace(candidates[parameter.name], parameter=parameter)
             for parameter in self.free
@@ -235,6 +249,9 @@ class Problem(eqx.Module):
         every: dict[str, Any] = {p.name: p for p in self.free} | self.fixed | self.tied
         every |= {candidate.name: candidate for candidate in self.candidates}
         every |= parameters or {}
+        if self.prior is not None:
+            kept = [name for name, one in every.items() if isinstance(one, Parameter | Candidate)]
+            given["prior"] = restricted(self.prior, kept)
         return Problem(every, self.predict, likelihood, **(given | changes))
 
 
@@ -397,7 +414,15 @@ def log_likelihood(vector: Vector, problem: Problem) -> Float[Array, ""]:
 
 def log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
     """Log posterior density of the unconstrained vector, up to a constant."""
-    return log_likelihood(vector, problem) + log_prior(problem.space, vector)
+    return log_likelihood(vector, problem) + log_prior_at(problem, vector)
+
+
+def log_prior_at(problem: Problem, vectors: Float[Array, "... parameters"]) -> Float[Array, "..."]:
+    """Log prior density of unconstrained vectors, up to a constant."""
+    found = log_prior(problem.space, vectors)
+    if problem.prior is None:
+        return found
+    return found + log_dependence(problem.prior, problem.space, vectors)
 
 
 def least_squares_residuals(vector: Vector, problem: Problem) -> Float[Array, " data"]:

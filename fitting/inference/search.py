@@ -53,7 +53,6 @@ from .parameters import (
     Parameter,
     ParameterSpace,
     ends,
-    log_prior,
     prior_gaussian,
     prior_values,
     to_natural,
@@ -66,6 +65,7 @@ from .problem import (
     least_squares_residuals,
     log_density,
     log_likelihood,
+    log_prior_at,
     missing_in_words,
     start_of_data,
 )
@@ -274,7 +274,7 @@ def search(
     else:
         found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
     return Optimum(
-        vector=on_host(found.vector, dtype=np.float64),
+        vector=on_host(found.beyond if found.converged else found.vector, dtype=np.float64),
         cost=float(found.cost),
         information=on_host(found.information, dtype=np.float64),
         prior_information=on_host(prior_information, dtype=np.float64),
@@ -485,7 +485,7 @@ def _to_mode(start: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
 
 
 def _prior_information(vector: Vector, problem: Problem) -> Array:
-    return jax.hessian(lambda vector: -log_prior(problem.space, vector))(vector)
+    return jax.hessian(lambda vector: -log_prior_at(problem, vector))(vector)
 
 
 def gauss_newton(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
@@ -517,7 +517,7 @@ def prior_derivatives(vector: Vector, problem: Problem) -> tuple[Array, Array, A
     """The prior's part of the cost, its gradient and curvature."""
 
     def prior(vector: Array) -> Array:
-        return -log_prior(problem.space, vector)
+        return -log_prior_at(problem, vector)
 
     return *jax.value_and_grad(prior)(vector), jax.hessian(prior)(vector)
 
@@ -629,4 +629,4 @@ def _costs_read(vectors: Array, problem: Problem) -> Array:
 
 @eqx.filter_jit
 def _prior_costs(vectors: Array, problem: Problem) -> Array:
-    return -log_prior(problem.space, vectors)
+    return -log_prior_at(problem, vectors)

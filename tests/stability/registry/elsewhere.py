@@ -610,8 +610,11 @@ ELSEWHERE = (
             fitting.inference.parameters: share_below to_unconstrained
             fitting.inference.parameters: natural_numbers unconstrained_numbers
             fitting.inference.priors: support
+            fitting.inference.joint_prior: as_prior log_dependence places_of posterior_prior
+            fitting.inference.joint_prior: restricted scores selected with_joint_prior
             fitting.inference.problem: give least_squares_residuals likelihood_at log_density
-            fitting.inference.problem: log_likelihood log_likelihood_terms prediction records_at
+            fitting.inference.problem: log_likelihood log_likelihood_terms log_prior_at prediction
+            fitting.inference.problem: records_at
             fitting.inference.problem: residuals_from start_of_data values_at values_from
             fitting.inference.records: head is_path reach read replaced
             fitting.inference.problem: argument_names arguments as_arrays check_names finite_data

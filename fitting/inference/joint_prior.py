@@ -1,0 +1,427 @@
+"""A posterior as the prior of another fit: numbers with their correlations.
+
+Each number keeps the density of its posterior on the unconstrained scale u of the fit that it comes
+from, Gaussian or Student's t with scale s about m, as the prior of one parameter. With
+F the distribution function of (u - m) / s and R the correlations, z = Phi^-1(F((u - m) / s)) is
+N(0, R): the joint density is the product of the single ones times
+
+    exp(-z^T (R^-1 - I) z / 2).
+
+Without degrees of freedom it is the Gaussian N(m, s R s). The density holds in any parameter's own
+unit, so that another fit may search the numbers on another scale.
+"""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import betainc
+from jax.scipy.special import ndtri as gaussian_quantile
+from jaxtyping import Array, Float
+from scipy.special import ndtri, stdtrit
+
+from jaxvision.errors import InputError, nearest
+
+from .diagnostics import listed
+from .parameters import (
+    Parameter,
+    ParameterSpace,
+    ends,
+    log_prior,
+    natural_numbers,
+    to_natural,
+    to_unconstrained,
+    unconstrained_numbers,
+)
+from .posterior import Posterior
+from .priors import HALF_LOG_2PI
+
+FAR = 1.96  # standard deviations at which draws are compared with a Gaussian
+TOLERATED = 0.2  # standard deviations by which these may differ, as the test of Laplace's allows
+OWN_ERROR = 2.67  # times 1 / sqrt(draws): the standard error of such a quantile
+BEYOND = 2.0  # of those, by which draws of a Gaussian may differ too
+FAR_FROM_0 = 3.0  # standard deviations of a positive number that is at home on a log scale
+CONSTANT = 1e-12  # spread of draws, relative to the number, of one that does not vary
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """The prior of one number that was estimated before.
+
+    Attributes:
+        centre: unconstrained.
+        sd: scale on the unconstrained scale.
+        freedom: degrees of freedom of Student's t; infinite for a Gaussian.
+        number: the scale on which it was estimated: its transform and bounds.
+    """
+
+    centre: float
+    sd: float
+    freedom: float
+    number: Parameter
+
+    def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """ln p(x), -inf outside of the bounds."""
+        lower, upper = ends(self.number)
+        there = (x > lower) & (x < upper)
+        inside = float(natural_numbers((self.number,), np.array([self.centre]))[0])
+        u = to_unconstrained((self.number,), jnp.where(there, x, inside)[..., None])
+        t = (u[..., 0] - self.centre) / self.sd
+        if math.isinf(self.freedom):
+            shape = -(t**2) / 2 - HALF_LOG_2PI
+        else:
+            half = self.freedom / 2
+            norm = math.lgamma(half + 0.5) - math.lgamma(half) - math.log(math.pi * 2 * half) / 2
+            shape = norm - (half + 0.5) * jnp.log1p(t**2 / self.freedom)
+        slope = log_prior((self.number,), u)
+        if self.number.transform == "log":
+            slope = slope + jnp.log(jnp.where(there, x, inside))
+        return jnp.where(there, shape - math.log(self.sd) - slope, -jnp.inf)
+
+    def quantile(self, p: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """Inverse distribution function."""
+        steps = ndtri(p)
+        if not math.isinf(self.freedom):  # at the ends `stdtrit` has no sign
+            steps = np.where(np.isinf(steps), steps, stdtrit(self.freedom, p))
+        u = self.centre + self.sd * np.asarray(steps)
+        return natural_numbers((self.number,), u[..., None])[..., 0]
+
+    def score(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The place of a value on the scale on which the prior is N(0, 1)."""
+        u = to_unconstrained((self.number,), jnp.asarray(x)[..., None])[..., 0]
+        t = (u - self.centre) / self.sd
+        return t if math.isinf(self.freedom) else _gaussian_score(self.freedom, t)
+
+
+@jax.custom_jvp
+def _gaussian_score(freedom: Any, t: Array) -> Array:
+    """Phi^-1 of Student's distribution function."""
+    size = jnp.finfo(t.dtype)
+    beyond = betainc(freedom / 2, jnp.asarray(0.5, t.dtype), freedom / (freedom + t**2)) / 2
+    return -jnp.sign(t) * gaussian_quantile(jnp.maximum(beyond, size.tiny))
+
+
+@_gaussian_score.defjvp
+def _(primals: tuple[Any, Array], tangents: tuple[Any, Array]) -> tuple[Array, Array]:
+    """By the ratio of the two densities, which `betainc` leaves undefined at 0."""
+    freedom, t = primals
+    half, z = freedom / 2, _gaussian_score(freedom, t)
+    norm = math.lgamma(half + 0.5) - math.lgamma(half) - math.log(math.pi * freedom) / 2
+    log_slope = norm - (half + 0.5) * jnp.log1p(t**2 / freedom) + z**2 / 2 + HALF_LOG_2PI
+    return z, jnp.exp(log_slope) * tangents[1]
+
+
+class JointPrior(eqx.Module):
+    """What is known of some numbers, with their correlations.
+
+    `Fit.as_prior` and `as_prior` make one; `Problem(..., prior=...)` takes it.
+
+    Attributes:
+        names: of the parameters that it is for.
+        shapes: of each; () for a number.
+        marginals: of each number of each parameter, arrays in row-major order.
+        correlation: (numbers, numbers) on the scale on which each is N(0, 1).
+        coupling: (numbers, numbers), 1 less its inverse; None until a problem takes it.
+        required: names that a problem must have as free parameters.
+        words: what a reader of the new fit should know, in sentences.
+
+    Example:
+        >>> from fitting import as_prior
+        >>> first, other = np.random.default_rng(0).standard_normal((2, 500))
+        >>> prior = as_prior({"x": first, "y": first + other}, ["x", "y"])
+        >>> round(float(prior.correlation[0, 1]), 1)  # 1 / sqrt(2)
+        0.7
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    shapes: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    marginals: tuple[Marginal, ...] = eqx.field(static=True)
+    correlation: Float[np.ndarray, "numbers numbers"]
+    coupling: Float[Array, "numbers numbers"] | None = None
+    required: tuple[str, ...] = eqx.field(static=True, default=())
+    words: tuple[str, ...] = eqx.field(static=True, default=())
+
+
+Selection = str | Sequence[str] | Mapping[str, str]
+
+
+def selected(selection: Selection, known: Sequence[str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Names by those that they get, and the new ones that were given in full, without `*`."""
+    if isinstance(selection, str):
+        selection = (selection,)
+    pairs = (
+        selection.items() if isinstance(selection, Mapping) else ((one, one) for one in selection)
+    )
+    found: dict[str, str] = {}
+    required = []
+    for old, new in pairs:
+        if not (isinstance(old, str) and isinstance(new, str)):
+            raise InputError(f"as_prior: {old!r} is no name of a parameter; give text.")
+        if old in known:
+            found[old] = new
+            required.append(new)
+            continue
+        matching = [name for name in known if fnmatchcase(name, old.replace("[", "[[]"))]
+        if not matching:
+            raise InputError(
+                f"as_prior: no parameter {old!r} was estimated; {nearest(old, known)}."
+            )
+        if old != new and not (old.count("*") == new.count("*") == 1):
+            raise InputError(
+                f"as_prior: {old!r} cannot be renamed to {new!r}; give one * in both, or names."
+            )
+        head, _, tail = old.partition("*")
+        begin, _, end = new.partition("*")
+        for name in matching:
+            found[name] = begin + name[len(head) : len(name) - len(tail)] + end
+    if len({*found.values()}) < len(found):
+        raise InputError("as_prior: two parameters get the same name; give each its own.")
+    return found, tuple(required)
+
+
+def posterior_prior(
+    posterior: Posterior,
+    shapes: Mapping[str, tuple[int, ...]],
+    selection: Selection,
+    *,
+    words: tuple[str, ...] = (),
+) -> JointPrior:
+    """A posterior as a prior.
+
+    Args:
+        posterior: of Laplace's approximation, or draws.
+        shapes: of all its parameters by name, in the order of its space.
+        selection: names, patterns with `*`, or new names by old ones.
+        words: what a reader of the new fit should know.
+
+    Returns:
+        The prior.
+
+    Raises:
+        InputError: for a name that matches nothing, and a posterior that is not Gaussian.
+    """
+    renamed, required = selected(selection, list(shapes))
+    sizes = [int(np.prod(shape)) for shape in shapes.values()]
+    parts = np.split(np.arange(len(posterior.space)), np.cumsum(sizes)[:-1])
+    places = dict(zip(shapes, parts, strict=True))
+    index = np.concatenate([places[name] for name in renamed])
+    space = tuple(posterior.space[i] for i in index)
+    freedom = None if posterior.freedom is None else posterior.freedom[index]
+    if posterior.method == "Laplace":
+        _refuse_missed(posterior)
+        centre, spread = posterior.unconstrained_mode[index], posterior.covariance
+        spread = spread[np.ix_(index, index)]
+    else:
+        vectors = unconstrained_numbers(space, posterior.samples[:, index])
+        count = posterior.effective
+        if posterior.tau is not None:
+            count = len(vectors) / float(np.max(posterior.tau))
+        _refuse_odd_draws(space, vectors, count if np.isfinite(count) else len(vectors))
+        centre, spread = vectors.mean(axis=0), np.cov(vectors.T).reshape(len(index), -1)
+    kept = tuple(shapes[name] for name in renamed)
+    named = tuple(renamed.values())
+    return _prior(named, kept, space, (centre, spread, freedom), required, words)
+
+
+def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
+    """Draws of numbers as a prior, such as those of a calibrated camera.
+
+    Numbers whose draws are all positive and far from 0 are Gaussian on the scale of their
+    logarithm, others on their own. Numbers that do not vary are left out.
+
+    Args:
+        draws: by name, of an array or of a record such as a `Sensor`, each number with a leading
+            axis of draws, as `jaxvision.read_sensor("sensor.toml", draws=500)` gives it. The
+            numbers of a record are named by their paths, "sensor.gain".
+        names: a name, a pattern such as "sensor.*", several of them, or new names by old ones.
+
+    Returns:
+        What `Problem(..., prior=...)` takes.
+
+    Raises:
+        InputError: for a name that matches no number that varies, for as many numbers as draws, and
+            for draws that are not Gaussian.
+
+    Example:
+        >>> from fitting import Gaussian, Parameter, Problem, as_prior, fit
+        >>> m = np.random.default_rng(0).normal(2.0, 0.1, 500)
+        >>> like, free = Gaussian(sd=0.1), {"m": Parameter()}
+        >>> prior = as_prior({"m": m}, "m")
+        >>> found = fit(Problem(free, lambda m: m * jnp.ones(1), like, [2.2], prior=prior))
+        >>> round(float(found.values["m"]), 2)
+        2.1
+    """
+    every: dict[str, np.ndarray] = {}
+    for name, tree in draws.items():
+        for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+            values = np.asarray(leaf, np.float64)
+            if values.ndim and np.all(np.ptp(values, axis=0) > CONSTANT * np.abs(values[0])):
+                every[name + jax.tree_util.keystr(path)] = values
+    if not every:
+        raise InputError("as_prior: none of the numbers varies from draw to draw; give draws.")
+    renamed, required = selected(names, list(every))
+    space, columns = [], []
+    for name in renamed:
+        for column in every[name].reshape(len(every[name]), -1).T:
+            positive = column.min() > 0 and column.mean() > FAR_FROM_0 * column.std()
+            space.append(Parameter(name, transform="log" if positive else "identity"))
+            columns.append(np.log(column) if positive else column)
+    if len({len(column) for column in columns}) > 1:
+        raise InputError("as_prior: some numbers have more draws than others; give as many of all.")
+    vectors = np.stack(columns, axis=-1)
+    _refuse_odd_draws(tuple(space), vectors, len(vectors))
+    centre, spread = vectors.mean(axis=0), np.cov(vectors.T).reshape(len(space), -1)
+    shapes = tuple(every[name].shape[1:] for name in renamed)
+    return _prior(
+        *(tuple(renamed.values()), shapes, tuple(space), (centre, spread, None)), required, ()
+    )
+
+
+def _prior(
+    named: tuple[str, ...],
+    shapes: tuple[tuple[int, ...], ...],
+    space: ParameterSpace,
+    density: tuple[np.ndarray, np.ndarray, np.ndarray | None],
+    required: tuple[str, ...],
+    words: tuple[str, ...],
+) -> JointPrior:
+    centre, spread, freedom = density
+    freedom = np.full(len(space), np.inf) if freedom is None else freedom
+    deviation = np.sqrt(np.diagonal(spread))
+    marginals = tuple(
+        Marginal(float(m), float(sd), float(nu), _scale_of(parameter))
+        for parameter, m, sd, nu in zip(space, centre, deviation, freedom, strict=True)
+    )
+    correlation = spread / np.outer(deviation, deviation)
+    if not np.linalg.eigvalsh(correlation)[0] > 1e-12:
+        raise InputError(
+            f"as_prior: {listed(list(named))} determine each other, so that their joint density "
+            "has no width; name fewer of them, or give more draws."
+        )
+    return JointPrior(named, shapes, marginals, correlation, required=required, words=words)
+
+
+def _scale_of(parameter: Parameter) -> Parameter:
+    lower, upper = ends(parameter)
+    return Parameter(transform=parameter.transform, lower=lower, upper=upper)
+
+
+def _refuse_missed(posterior: Posterior) -> None:
+    if name := posterior.missed or posterior.endless:
+        raise InputError(
+            f"as_prior: the posterior of {name} is far from a Gaussian, which a prior of another "
+            "fit must be; fit the data of both in one problem, or take more data."
+        )
+
+
+def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) -> None:
+    """Compares the ends of 95 % of the draws with a Gaussian's, of each number and of each
+    principal axis."""
+    z = (vectors - vectors.mean(axis=0)) / vectors.std(axis=0)
+    _, axes = np.linalg.eigh(np.corrcoef(z.T).reshape(len(space), -1))
+    along = z @ axes
+    every = np.concatenate([z, along / along.std(axis=0)], axis=-1)
+    found = np.quantile(every, (0.025, 0.975), axis=0)
+    off = np.max(np.abs(found - np.array([[-FAR], [FAR]])), axis=0)
+    worst = int(np.argmax(off))
+    if off[worst] <= TOLERATED + BEYOND * OWN_ERROR / math.sqrt(count):
+        return
+    name = space[worst % len(space)].name
+    if worst >= len(space):
+        weights = axes[:, worst - len(space)] ** 2
+        name = listed([space[i].name for i in np.flatnonzero(weights > 0.5 / len(space))])
+    low, high = found[:, worst]
+    raise InputError(
+        f"as_prior: the posterior of {name} is not Gaussian: 95 % of its draws lie from "
+        f"{low:.2f} to {high:.2f} standard deviations about their mean, those of a Gaussian from "
+        f"{-FAR} to {FAR}; fit the data of both in one problem, or take more data."
+    )
+
+
+def with_joint_prior(
+    free: tuple[Parameter, ...], prior: JointPrior
+) -> tuple[tuple[Parameter, ...], JointPrior]:
+    """The free parameters of a problem with their part of a joint prior, and that part."""
+    by_name = {parameter.name: parameter for parameter in free}
+    for name in prior.required:
+        if name not in by_name:
+            raise InputError(
+                f"prior: {name!r} is no free parameter of this problem; {nearest(name, by_name)}."
+            )
+    own = restricted(prior, by_name)
+    if own is None:
+        raise InputError(
+            f"prior: none of {', '.join(prior.names)} is a free parameter of this problem; rename "
+            f"them, as_prior({{'old': 'new'}}), to some of {', '.join(by_name)}."
+        )
+    begin = 0
+    for name, shape in zip(own.names, own.shapes, strict=True):
+        if by_name[name].shape != shape:
+            raise InputError(
+                f"prior: {name} has the shape {shape} there and {by_name[name].shape} in this "
+                "problem; give both the same."
+            )
+        size = math.prod(shape)
+        each = _nested(own.marginals[begin : begin + size], shape)
+        by_name[name] = replace(by_name[name], prior=each)
+        begin += size
+    return tuple(by_name.values()), own
+
+
+def restricted(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
+    """A prior marginalised over the numbers of all other names; None where nothing is left."""
+    sizes = [math.prod(shape) for shape in prior.shapes]
+    chosen = np.flatnonzero(np.repeat([name in kept for name in prior.names], sizes))
+    if not chosen.size:
+        return None
+    pairs = [pair for pair in zip(prior.names, prior.shapes, strict=True) if pair[0] in kept]
+    correlation = prior.correlation[np.ix_(chosen, chosen)]
+    return JointPrior(
+        names=tuple(name for name, _ in pairs),
+        shapes=tuple(shape for _, shape in pairs),
+        marginals=tuple(prior.marginals[i] for i in chosen),
+        correlation=correlation,
+        coupling=jnp.asarray(np.eye(len(chosen)) - np.linalg.inv(correlation)),
+        words=prior.words,
+    )
+
+
+def _nested(flat: tuple[Marginal, ...], shape: tuple[int, ...]) -> Any:
+    """As nested tuples, which a compile key can hold."""
+    if not shape:
+        return flat[0]
+    size = math.prod(shape[1:])
+    parts = (flat[i * size : (i + 1) * size] for i in range(shape[0]))
+    return tuple(_nested(part, shape[1:]) for part in parts)
+
+
+def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:
+    """Where the numbers of a prior stand in a space."""
+    order = {parameter.name: i for i, parameter in enumerate(space)}
+    found = []
+    for name, shape in zip(prior.names, prior.shapes, strict=True):
+        for index in np.ndindex(shape):
+            found.append(order[name + (f"[{','.join(map(str, index))}]" if index else "")])
+    return np.array(found)
+
+
+def scores(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "... numbers"]:
+    """The numbers on the scale on which each is N(0, 1) by the prior.
+
+    `vectors`: (..., P) unconstrained."""
+    natural = to_natural(space, vectors)[..., places_of(prior, space)]
+    places = [one.score(natural[..., i]) for i, one in enumerate(prior.marginals)]
+    return jnp.stack(places, axis=-1)
+
+
+def log_dependence(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "..."]:
+    """What the correlations add to the sum of the single log densities, up to a constant."""
+    assert prior.coupling is not None
+    z = scores(prior, space, vectors)
+    return jnp.sum((z @ prior.coupling.astype(z.dtype)) * z, axis=-1) / 2
