@@ -229,6 +229,9 @@ class Camera(_Known):
             bottom" or "quadrants".
         region: top, left, height and width, in pixels, of the part of each frame that is used; one
             half of a chip with an amplifier on either side.
+        sensor: file of a calibrated sensor, `sensor.toml` as `jaxvision-fit noise` writes it.
+            Where black_level, gain, read_noise or prnu_sd are missing here, they are those of this
+            file, with the standard deviations of its draws. Its codes are those of the images.
     """
 
     black_level: NonNegativeBySite | None = None
@@ -238,6 +241,21 @@ class Camera(_Known):
     pattern: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
     taps: Taps | None = None
     region: tuple[Index, Index, Count, Count] | None = None
+    sensor: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_sensor(cls, content: Any) -> Any:
+        if not isinstance(content, dict) or not isinstance(content.get("sensor"), str):
+            return content
+        try:
+            told = _told_by_sensor(Path(content["sensor"]))
+        except InputError as error:
+            raise ValueError(str(error).removesuffix(".")) from error
+        for name, numbers in told.items():
+            if content.get(name) is None:
+                content = content | numbers
+        return content
 
     @model_validator(mode="after")
     def _one_a_site(self) -> "Camera":
@@ -367,6 +385,48 @@ class Camera(_Known):
             raise ValueError(f"{name} lists {len(values)} numbers for {len(names)} channels")
         place = names.index(channel)
         return values[place if len(values) == len(names) else place // len(COLOURS)]
+
+
+def _told_by_sensor(file: Path) -> dict[str, dict[str, float]]:
+    """What a sensor file tells of a camera, by the key whose absence asks for it; a standard
+    deviation is that of the draws beside the file."""
+    import numpy as np
+
+    from jaxvision.files.cameras import read_sensor
+    from jaxvision.files.records import draws_beside
+
+    best, count = read_sensor(file), draws_beside(file)
+    draws = read_sensor(file, draws=count) if count else None
+    if best.taps is not None:
+        raise InputError(
+            f"{file} has several taps, whose numbers a rig lists by site; give black_level, gain "
+            "and read_noise in place of sensor"
+        )
+
+    def rms(sensor: Any, *names: str) -> Any:
+        parts = [getattr(sensor, name) for name in names]
+        squares = [np.asarray(part, float) ** 2 for part in parts if part is not None]
+        return np.sqrt(sum(squares)) if squares else None
+
+    of_names: dict[str, tuple[str, tuple[str, ...]]] = {
+        "black_level": ("black_sd", ("offset",)),
+        "gain": ("gain_sd", ("gain",)),
+        "read_noise": (
+            "read_noise_sd",
+            ("read_noise", "row_noise", "column_noise", "frame_noise"),
+        ),
+        "prnu_sd": ("", ("prnu", "column_prnu")),
+    }
+    found = {}
+    for key, (error, names) in of_names.items():
+        value = rms(best, *names)
+        if value is None:
+            continue
+        found[key] = {key: float(value)}
+        spread = 0.0 if draws is None else float(np.std(rms(draws, *names)))
+        if error and spread > 0:
+            found[key][error] = spread
+    return found
 
 
 def _mosaic_sites(pattern: str) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -590,6 +650,8 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     content = read_toml(file, "rig")
     if "folder" in content:
         raise InputError(f"{file}: `folder` is not a key of a rig file; remove it.")
+    if isinstance(camera := content.get("camera"), dict) and isinstance(camera.get("sensor"), str):
+        content = {**content, "camera": camera | {"sensor": str(file.parent / camera["sensor"])}}
     return checked(file, {"folder": file.parent, **content}, Rig, "rig")
 
 

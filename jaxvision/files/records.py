@@ -76,6 +76,14 @@ def table_of(record: eqx.Module) -> dict[str, Any]:
     return table
 
 
+def draws_beside(file: Path) -> int:
+    """How many draws are stored with the file of a record; 0 for none."""
+    beside = _beside(file)
+    if not beside.is_file():
+        return 0
+    return min((len(values) for values in read_arrays(beside).values() if values.ndim), default=0)
+
+
 def with_draws(file: Path, record: Record, count: int) -> Record:
     """Return a record with a leading axis of `count` draws, for `jax.vmap`, spread evenly over the
     draws stored with its file. Raises `InputError` without draws, with fewer, and for draws of

@@ -1,8 +1,11 @@
 """Rig files: what is right is read, what is wrong is named with its entry."""
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
+import jaxvision as jv
 from fitting.observation import (
     one_site,
     read_frame,
@@ -33,6 +36,29 @@ intensity = [1.0, 2.0, 3.0]
 [geometry]
 sphere = { centre = [10.0, 11.0], radius = 5.0 }
 """
+
+
+def test_a_sensor_file_states_what_the_rig_leaves_out(tmp_path):
+    """Temporal noise of a pixel is that of pixels, rows and frames together."""
+    rng = np.random.default_rng(0)
+    best = jv.Sensor(gain=0.5, read_noise=4.0, row_noise=3.0, offset=64.0, prnu=0.01)
+    draws = jax.tree.map(lambda x: np.full(300, x), best)
+    gains, noises = 0.5 + 0.01 * rng.standard_normal(300), 4 + 0.1 * rng.standard_normal(300)
+    draws = eqx.tree_at(lambda s: (s.gain, s.read_noise), draws, (gains, noises))
+    jv.write_sensor(best, tmp_path / "sensor.toml", draws=draws)
+    camera = load_rig(write_rig(tmp_path, 'camera = {bits = 12, sensor = "sensor.toml"}')).camera
+    assert (camera.gain, camera.read_noise, camera.black_level) == (0.5, 5.0, 64.0)
+    np.testing.assert_allclose(camera.prnu_sd, 0.01)
+    np.testing.assert_allclose(camera.gain_sd, gains.std(), rtol=1e-5)
+    np.testing.assert_allclose(camera.read_noise_sd, np.hypot(noises, 3).std(), rtol=1e-5)
+    assert camera.black_sd is None  # the offset does not vary
+    (tmp_path / "sensor.npz").unlink()
+    stated = Camera(bits=12, gain=0.4, gain_sd=0.1, sensor=str(tmp_path / "sensor.toml"))
+    assert (stated.gain, stated.gain_sd, stated.read_noise) == (0.4, 0.1, 5.0)
+    assert stated.read_noise_sd is None
+    write_rig(tmp_path, 'camera = {bits = 12, sensor = "none.toml"}')
+    with pytest.raises(InputError, match=r"none\.toml: no such sensor file; check the name"):
+        load_rig(tmp_path)
 
 
 def write_rig(folder, text):
