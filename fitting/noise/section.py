@@ -21,7 +21,7 @@ from .misfit import MISFIT
 from .parts import deviation_quantiles
 from .pattern import PatternVariance, Spread
 from .prediction import section as prediction
-from .prediction.predict import of_calibration
+from .prediction.predict import predict_own_frames
 from .quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
 from .sensor import write_fitted_sensor
 from .sites import sensor_of_sites, write_sensor_of_sites
@@ -49,7 +49,7 @@ def section(calibration: NoiseCalibration) -> Section:
         Estimates by both methods, findings, tables and pictures.
     """
     likelihood = calibration.likelihood
-    predicted = None if is_no_sensor(calibration) else of_calibration(calibration)
+    predicted = None if is_no_sensor(calibration) else predict_own_frames(calibration)
     of_fit = {}
     if likelihood is not None:
         chosen = likelihood.chosen

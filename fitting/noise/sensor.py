@@ -135,14 +135,29 @@ def _fitted_without(
     calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The mode of a fit that does without some levels, and Laplace's draws about it."""
+    mode, covariance = mode_without(calibration, left_out)
+    rng = np.random.default_rng(calibration.posterior.seed)
+    every = np.concatenate([mode[None], rng.multivariate_normal(mode, covariance, count)])
+    natural = np.asarray(to_natural(calibration.chosen.space, jnp.asarray(every)))
+    return natural[0], natural[1:]
+
+
+def mode_without(
+    calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"]
+) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "parameters parameters"]]:
+    """The fit of the same model without some levels.
+
+    Args:
+        calibration: of the camera.
+        left_out: (levels,) true for those of the likelihood's levels that it is fitted without.
+
+    Returns:
+        The mode and its covariance, unconstrained.
+    """
     chosen = calibration.chosen
     solution = fitted_without(chosen, left_out, calibration.standard.values)
     covariance = chosen.inflation * np.linalg.inv(np.asarray(solution.information))
-    rng = np.random.default_rng(calibration.posterior.seed)
-    drawn = rng.multivariate_normal(np.asarray(solution.vector), covariance, count)
-    every = np.concatenate([np.asarray(solution.vector)[None], drawn])
-    natural = np.asarray(to_natural(chosen.space, jnp.asarray(every)))
-    return natural[0], natural[1:]
+    return np.asarray(solution.vector), covariance
 
 
 def _beside_the_likelihood(

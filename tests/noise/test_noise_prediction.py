@@ -13,7 +13,7 @@ from fitting.cli import app
 from fitting.noise import Camera, calibrate, from_frames, predict
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.prediction.comparison import compare
-from fitting.noise.prediction.predict import levels_kept_out, of_calibration
+from fitting.noise.prediction.predict import levels_kept_out, predict_own_frames
 from fitting.noise.prediction.section import NOTHING_KNOWN, findings
 from fitting.noise.sensor import fitted_sensor
 from fitting.noise.shared import SharedVariance
@@ -168,6 +168,11 @@ def test_light_that_is_known_roughly_widens_the_errors():
     off_lights = replace(made, bright=bright)
     missed = predict(PLAIN, off_lights)
     assert missed.missing[0].key == "light_scatter"
+    first, *others = findings(missed)
+    assert first.startswith("The frames show light that is off by")
+    assert "which no camera file holds. Beside it the camera alone predicts 12 levels" in first
+    assert "; without it they are " in first
+    assert not any("missed by more than chance" in one for one in others)
     assert not predict(PLAIN, off_lights, light_error=0.01).judged.missed
 
 
@@ -228,7 +233,7 @@ def test_levels_kept_out_of_the_fit_are_predicted(afternoon):
     kept_out = levels_kept_out(calibration)
     assert kept_out is not None
     assert kept_out[: len(calibration.usable)].sum() == len(calibration.usable) // 2
-    prediction = of_calibration(calibration)
+    prediction = predict_own_frames(calibration)
     assert prediction.labels[0] == "levels kept out of its fit"
     for comparison in prediction.comparisons:
         assert not comparison.missed

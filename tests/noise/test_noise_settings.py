@@ -386,6 +386,39 @@ def write_rig(folder, change=lambda line: line):
     return folder
 
 
+def two_gains(bend):
+    """Twelve levels at two gains, of a camera whose response bends by that share of full scale."""
+    rng, found = np.random.default_rng(5), []
+    for decibel in (0.0, 6.0):
+        gain = 0.2 * 10 ** (decibel / 20)
+        truth = CameraTruth(gain=gain, efficiency=0.5, read_noise=np.hypot(4.0, 1.2 / gain))
+        lights = np.linspace(0.06, 0.8, 12) * 4095 / gain / 0.5
+        flats = []
+        for light in lights:
+            raw = expose(rng, truth, light, 0.02, (4, 60, 80)).astype(float)
+            flats.append(np.round(raw - bend * (raw - 64) ** 2 / 4095))
+        darks = [expose(rng, truth, 0.0, 0.02, (4, 60, 80))]
+        at = {"camera": Camera(bits=12), "dark_exposures": [0.02]}
+        made = from_frames(flats, darks, [0.02] * 12, lights, **at)
+        found.append(FramesOfSetting(Setting(decibel, "dB", 293.0), made))
+    return calibrate_settings(found)
+
+
+@pytest.mark.slow
+def test_levels_kept_out_of_the_fit_of_all_settings_are_predicted():
+    (straight, bent) = (section(two_gains(bend)) for bend in (0.0, 0.03))
+    told = next(one for one in straight.findings if "The camera over all settings alone" in one)
+    assert "predicts 12 levels of 2 settings, which the fit of another camera" in told
+    assert not any("missed by more than chance" in one for one in straight.findings)
+    (table,) = [one for one in straight.tables if "predicts" in one.title]
+    ratios = {(row[0], row[2]): row[4] for row in table.rows}
+    assert len(ratios) == 6
+    assert max(ratios.values()) < 2.5
+    missed = [one for one in bent.findings if "missed by more than chance" in one]
+    assert len(missed) == 2
+    assert all("likely is a response that is not linear" in one for one in missed)
+
+
 def test_rigs_of_several_settings_are_read_one_by_one(tmp_path):
     folder = write_rig(tmp_path)
     read = read_by_setting(folder)

@@ -10,7 +10,7 @@ from fitting.inference.estimates import find
 from fitting.noise.calibration import calibrate as calibrate_noise
 from fitting.noise.emva1288 import ranges
 from fitting.noise.levels import linear_levels, saturation_index
-from fitting.noise.prediction.predict import of_calibration, predict
+from fitting.noise.prediction.predict import predict, predict_own_frames
 from fitting.noise.read import read_photon_transfer
 from fitting.noise.section import section as noise_section
 from jaxvision import read_sensor
@@ -128,7 +128,7 @@ def test_dark_current_by_mean_variance_and_likelihood_agree(calibration):
 @pytest.mark.slow
 def test_the_written_camera_predicts_its_own_levels(calibration, measurement, tmp_path):
     """Without the compression and the light offset of the file, means are up to 65 DN off."""
-    prediction = of_calibration(calibration)
+    prediction = predict_own_frames(calibration)
     kept_out, whole = prediction.comparisons
     assert len(whole.lit.lit) == 35 + 50
     for comparison in (kept_out, whole):

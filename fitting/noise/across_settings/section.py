@@ -21,6 +21,7 @@ from ..pattern import SEEN
 from ..section import TITLE as TITLE_OF_ONE
 from ..section import section as section_of_one
 from ..settings import Setting
+from . import prediction
 from .calibration import CameraCalibration
 from .figures import camera_pictures
 from .findings import NAMES, findings
@@ -55,15 +56,20 @@ def section(calibration: CameraCalibration) -> Section:
     writers = {
         f"sensor_{_word(t)}".rstrip("_"): partial(write_sensor_at, calibration, g) for g, t in gains
     }
+    no_sensor = calibration.is_impossible or calibration.processed
+    predicted = () if no_sensor else prediction.predict_settings(calibration)
     return Section(
         kind=KIND,
         title=TITLE,
         estimates=_estimates(calibration),
-        findings=findings(calibration),
+        findings=(*findings(calibration), *prediction.findings(predicted)),
         pictures=camera_pictures(calibration),
-        tables=(_settings_table(calibration), _claims_table(calibration)),
+        tables=(
+            *(_settings_table(calibration), _claims_table(calibration)),
+            *(prediction.table(predicted),) * bool(predicted),
+        ),
         posteriors={"": calibration.posterior},
-        records={} if calibration.is_impossible or calibration.processed else writers,
+        records={} if no_sensor else writers,
         about=_about(calibration),
         headings=OWN_HEADINGS,
         settings={

@@ -14,7 +14,7 @@ K^2 I, and the correlation of the two by the skewness of shot noise is neglected
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxvision.errors import InputError
 
@@ -23,6 +23,7 @@ from ...inference.parameters import names
 from ..calibration import NoiseCalibration, finest_read_noise
 from ..levels import Levels, PhotonTransfer
 from ..misfit import inflation
+from ..sensor import mode_without
 from ..settings import Setting
 from ..shared import shared_noise
 
@@ -68,9 +69,11 @@ class Told:
         return rate / gain, error / gain
 
 
-def told_by_calibration(calibration: NoiseCalibration) -> Told:
+def told_by_calibration(
+    calibration: NoiseCalibration, *, left_out: Bool[np.ndarray, " levels"] | None = None
+) -> Told:
     """What flats and darks tell: ln K, ln R of known photons, a determined ln read noise, and a
-    fitted dark current."""
+    fitted dark current; `left_out` is true for levels that the fit is kept from."""
     posterior = calibration.posterior
     labels = names(posterior.space)
     present = [name for name in FROM_BOTH if name in labels]
@@ -81,8 +84,10 @@ def told_by_calibration(calibration: NoiseCalibration) -> Told:
     if posterior.covariance[place, place] > OPEN**2 or too_fine:
         present.remove("read_noise")
     index = [labels.index(name) for name in present]
-    covariance = posterior.covariance[np.ix_(index, index)]
-    return Told(tuple(present), np.asarray(posterior.unconstrained_mode)[index], covariance)
+    mode, covariance = np.asarray(posterior.unconstrained_mode), posterior.covariance
+    if left_out is not None:
+        mode, covariance = mode_without(calibration, left_out)
+    return Told(tuple(present), mode[index], covariance[np.ix_(index, index)])
 
 
 def told_by_darks(setting: Setting, darks: Levels) -> Told:

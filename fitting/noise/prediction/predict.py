@@ -12,6 +12,7 @@ from jaxtyping import Bool
 from jaxvision import PhotonConversion, Sensor, as_dtype
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import read_camera, read_sensor, write_sensor
+from jaxvision.files.records import draws_beside
 from jaxvision.files.toml import read_toml
 
 from ...inference.given import require_kind
@@ -132,7 +133,7 @@ def predict(
 
 
 @in_double
-def of_calibration(calibration: NoiseCalibration) -> Prediction:
+def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
     """What the camera of a calibration, written and read back, predicts of its own frames: of
     levels that a second fit of the same model was kept from, where there are enough, and of all.
 
@@ -142,11 +143,7 @@ def of_calibration(calibration: NoiseCalibration) -> Prediction:
     Returns:
         The comparison.
     """
-    values = calibration.chosen.values
-    errors = {
-        "light_error": float(values.get("light_scatter", 0.0)),
-        "variance_error": float(values.get("variance_scatter", 0.0)),
-    }
+    errors = scatters(calibration)
     whole = _compared(calibration, None, errors)
     kept_out = levels_kept_out(calibration)
     comparisons, labels = (whole,), ("the levels of its fit",)
@@ -162,6 +159,22 @@ def of_calibration(calibration: NoiseCalibration) -> Prediction:
         missing=missing_effects(comparisons[0]),
         **errors,
     )
+
+
+def scatters(calibration: NoiseCalibration) -> dict[str, float]:
+    """What no camera file holds: relative scatter of the light and of variances over levels.
+
+    Args:
+        calibration: with a likelihood.
+
+    Returns:
+        `light_error` and `variance_error`, 0 where none was found.
+    """
+    values = calibration.chosen.values
+    return {
+        "light_error": float(values.get("light_scatter", 0.0)),
+        "variance_error": float(values.get("variance_scatter", 0.0)),
+    }
 
 
 def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"] | None:
@@ -214,7 +227,19 @@ def written(
     Returns:
         The best fit, and draws.
     """
-    best, draws = fitted_sensor(calibration, left_out=kept_out)
+    return reread(*fitted_sensor(calibration, left_out=kept_out))
+
+
+def reread(best: Sensor, draws: Sensor) -> tuple[Sensor, Sensor | None]:
+    """A sensor and its draws as a file of them gives them back.
+
+    Args:
+        best: the best fit.
+        draws: of it.
+
+    Returns:
+        The best fit, and as many draws as a prediction uses.
+    """
     with TemporaryDirectory() as folder:
         file = Path(folder) / "sensor.toml"
         write_sensor(best, file, draws=draws)
@@ -226,12 +251,7 @@ def _read(file: Path) -> tuple[Sensor, Sensor | None]:
     if not file.suffix and not file.exists():
         return read_camera(str(file)).sensor, None
     whole = "view" in read_toml(file, "camera")
-    beside = file.with_suffix(".npz")
-    there = 0
-    if beside.is_file():
-        with np.load(beside) as stored:
-            there = min((len(stored[name]) for name in stored.files), default=0)
-    count = min(DRAWS, there)
+    count = min(DRAWS, draws_beside(file))
     if whole:
         draws = read_camera(file, draws=count).sensor if count else None
         return read_camera(file).sensor, draws

@@ -9,6 +9,7 @@ from ...inference.formatting import format_number, format_p
 from ...report.colours import BLUE
 from ...report.section import Picture, Section, Table
 from .comparison import PARTS, Agreement
+from .missing import SCATTERS
 from .predict import Prediction
 
 KIND, TITLE = "prediction", "What the camera predicts of its frames"
@@ -56,10 +57,18 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
         kept = ", which the fit of another camera file like it was kept from,"
     elif prediction.labels[0] == "the levels of its fit":
         kept = ", those of its fit, as there are too few to keep some out of it,"
-    told = [
-        f"{prediction.camera} alone predicts {levels}{kept} with chi-squares per degree of freedom "
-        f"of {_ratios(judged.agreement)}."
-    ]
+    predicts = f"{prediction.camera} alone predicts {levels}{kept} with chi-squares per degree of "
+    if _scatter_alone(prediction):
+        clauses = _joined([one.clause for one in prediction.missing])
+        strengths = _joined([f"{one.strength:.0f}" for one in prediction.missing])
+        told = [
+            f"The frames show {clauses}, {strengths} standard errors from none, which no camera "
+            f"file holds. Beside it {predicts[0].lower()}{predicts[1:]}freedom of "
+            f"{_ratios(prediction.missing[-1].after)}; without it they are "
+            f"{_ratios(judged.agreement)}."
+        ]
+    else:
+        told = [f"{predicts}freedom of {_ratios(judged.agreement)}."]
     if prediction.unscaled:
         told.append(
             "The camera or the frames do not tell photons, so the means gave the rate of the light."
@@ -77,10 +86,11 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
             f"These allow for what no camera file holds: from level to level {' and '.join(errors)}"
             " rms."
         )
-    return (*told, *_missed(prediction))
+    return (*told, *explanations(prediction))
 
 
-def _missed(prediction: Prediction) -> list[str]:
+def explanations(prediction: Prediction) -> list[str]:
+    """What is missed, by which effect most likely; empty where nothing is."""
     agreement = prediction.judged.agreement
     told = []
     far = {name: agreement[name] for name in prediction.judged.missed}
@@ -91,7 +101,7 @@ def _missed(prediction: Prediction) -> list[str]:
             f"The {_listed(less)} scatter less about the prediction than independent frames do "
             f"({_chances(less)}): frames of a level may be copies or averages of each other."
         )
-    if not more:
+    if not more or _scatter_alone(prediction):
         return told
     told.append(f"The {_listed(more)} are missed by more than chance ({_chances(more)}).")
     for one in prediction.missing:
@@ -105,6 +115,16 @@ def _missed(prediction: Prediction) -> list[str]:
     if any(one.is_missed and one.ratio > 1 for one in left.values()):
         told.append(NOTHING_KNOWN if not prediction.missing else REST_UNKNOWN)
     return told
+
+
+def _scatter_alone(prediction: Prediction) -> bool:
+    """Whether light, black level or variances that scatter from level to level explain all that is
+    missed, so that the camera lacks nothing."""
+    scatters = {one.key for one in SCATTERS}
+    if not prediction.missing or any(one.key not in scatters for one in prediction.missing):
+        return False
+    left = prediction.missing[-1].after.values()
+    return not any(one.is_missed and one.ratio > 1 for one in left)
 
 
 def _ratios(agreement: dict[str, Agreement]) -> str:

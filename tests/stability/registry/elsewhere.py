@@ -237,7 +237,8 @@ ELSEWHERE = (
             fitting.noise.drifting: drifting_in_words
             fitting.*.section.*
             fitting.noise.prediction.section: picture residual_figure section table
-            fitting.noise.prediction.section: findings
+            fitting.noise.prediction.section: explanations findings
+            fitting.noise.across_settings.prediction: findings table
             fitting.report.*
             fitting.inference.formatting.*
             fitting.checks.section.*
@@ -589,7 +590,7 @@ ELSEWHERE = (
     Elsewhere(
         STATISTICS,
         "test_likelihoods test_parameters test_problem test_clustering test_diagnostics "
-        "test_joint_left_out test_stated_errors test_neighbours",
+        "test_joint_left_out test_joint_prior test_stated_errors test_neighbours",
         """
             fitting.inference.clustering: cluster_robust curvature_stretch like_gaussian
             fitting.inference.neighbours: regions
@@ -695,6 +696,7 @@ ELSEWHERE = (
             fitting.noise.across_settings.pooled: full_well pattern
             fitting.noise.across_settings.statement: figures fitted predict proportional_gain
             fitting.noise.across_settings.setting: told_by_calibration told_by_darks
+            fitting.noise.across_settings.prediction: predict_settings
         """,
     ),
     Elsewhere(

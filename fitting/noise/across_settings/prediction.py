@@ -1,0 +1,120 @@
+"""What the camera over its settings predicts of levels that its fit was kept from.
+
+Each setting is fitted again without every second level, and the camera over the settings from these
+fits. Its sensor at a setting, written to a file and read back, predicts the levels left out.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool
+
+from ...inference.diagnostics import listed
+from ...inference.formatting import format_p
+from ...inference.precision import in_double
+from ...report.section import Table
+from ..calibration import NoiseCalibration
+from ..prediction.comparison import Agreement, compare
+from ..prediction.missing import missing_effects
+from ..prediction.predict import Prediction, levels_kept_out, reread, scatters
+from ..prediction.section import explanations
+from ..settings import Setting
+from .calibration import CameraCalibration
+from .sensor import sensor_at
+from .setting import told_by_calibration
+from .statement import fitted
+
+SHOWN = 3  # settings of which missing effects are named
+
+
+@in_double
+def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
+    """What the camera of all settings predicts of levels kept out of its fit.
+
+    Args:
+        calibration: of a camera that a sensor can be made of.
+
+    Returns:
+        A prediction for each setting with light; of all its levels, which the fit has seen, where
+        they are too few to keep some out.
+    """
+    parts = [
+        (setting, own, levels_kept_out(own))
+        for setting, own in zip(calibration.settings, calibration.calibrations, strict=True)
+        if own is not None
+    ]
+    if not parts:
+        return ()
+    lit = {setting: told_by_calibration(own, left_out=apart) for setting, own, apart in parts}
+    every = zip(calibration.settings, calibration.fit.told, strict=True)
+    told = [lit.get(setting, before) for setting, before in every]
+    shared = fitted(calibration.settings, told, seed=calibration.posterior.seed)
+    camera = replace(calibration, fit=shared)
+    return tuple(_predicted(camera, setting, own, apart) for setting, own, apart in parts)
+
+
+def _predicted(
+    camera: CameraCalibration,
+    setting: Setting,
+    own: NoiseCalibration,
+    apart: Bool[np.ndarray, " levels"] | None,
+) -> Prediction:
+    errors = scatters(own)
+    best, draws = sensor_at(camera, gain=setting.gain, temperature=setting.temperature)
+    best, drawn = reread(best, draws)
+    at = {"shown": apart, "fitted": apart is None, **errors}
+    found = compare(best, drawn, own.measurement, own.usable, **at)
+    return Prediction(
+        camera=setting.label,
+        comparisons=(found,),
+        labels=("levels of its fit" if apart is None else "levels kept out of its fit",),
+        unscaled=not own.measurement.photons_known,
+        missing=missing_effects(found),
+        **errors,
+    )
+
+
+def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
+    """How well the settings are predicted, and what the camera lacks at those that are missed."""
+    if not predictions:
+        return ()
+    sums: dict[str, Agreement] = {}
+    for one in predictions:
+        for name, own in one.judged.agreement.items():
+            before = sums.get(name, Agreement(0.0, 0.0))
+            sums[name] = Agreement(before.chi_square + own.chi_square, before.degrees + own.degrees)
+    told = listed(
+        [f"{one.ratio:.3g} ({format_p(one.p_value)}) for {name}" for name, one in sums.items()]
+    )
+    levels = sum(one.judged.lit.lit.size for one in predictions)
+    kept = all(one.labels == ("levels kept out of its fit",) for one in predictions)
+    which = "which the fit of another camera like it was kept from,"
+    if not kept:
+        which = "some of them those of its fit, as there are too few to keep some out of it,"
+    words = [
+        f"The camera over all settings alone predicts {levels} levels of {len(predictions)} "
+        f"settings, {which} with chi-squares per degree of freedom of {told}."
+    ]
+    missed = [one for one in predictions if one.judged.missed]
+    missed.sort(key=lambda one: -max(part.ratio for part in one.judged.agreement.values()))
+    words += [f"At {one.camera}: {' '.join(explanations(one))}" for one in missed[:SHOWN]]
+    if len(missed) > SHOWN:
+        others = ", ".join(one.camera for one in missed[SHOWN:])
+        words.append(f"Levels of {others} are missed by more than chance, too.")
+    return tuple(words)
+
+
+def table(predictions: tuple[Prediction, ...]) -> Table:
+    """A row for each setting and quantity."""
+    rows = tuple(
+        (one.camera, one.labels[0], name, own.degrees, own.ratio, own.p_value)
+        for one in predictions
+        for name, own in one.judged.agreement.items()
+    )
+    return Table(
+        "What the camera over its settings predicts",
+        ("setting", "levels", "quantity", "degrees of freedom", "χ² per degree", "p-value"),
+        rows,
+        "By the sensor of all settings alone; errors are those of the frames and of the camera's "
+        "draws. χ² per degree is near 1 where it holds.",
+    )
