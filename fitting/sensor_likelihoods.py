@@ -2,12 +2,13 @@
 
 `SensorNoise` takes mean and variance of a datum from the sensor's moments. `SensorCounts` computes
 the probability of every code, for codes that are coarse relative to the noise, and for few
-electrons. Both have the interface of `inference.likelihoods`. In place of a sensor they take its
-path in the problem's records ("camera.sensor"), and its numbers can then be fitted, too
-("camera.sensor.gain").
+electrons; its data are codes, or tables of how often each code occurs. Both have the interface of
+`inference.likelihoods`. In place of a sensor they take its path in the problem's records
+("camera.sensor"), and its numbers can then be fitted, too ("camera.sensor.gain").
 """
 
-from typing import cast
+from operator import attrgetter
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -18,12 +19,19 @@ from jaxtyping import Array, Float
 
 from jaxvision import PoissonShotNoise, Sensor
 from jaxvision.errors import InputError
-from jaxvision.sensor import count, expected_signal, read_out_variance, signal_variance
-from jaxvision.sensor.adc import largest_number
+from jaxvision.sensor import (
+    charge_of_signal,
+    count,
+    expected_signal,
+    read_out_variance,
+    signal_of_charge,
+    signal_variance,
+)
+from jaxvision.sensor.adc import amplified, largest_number
 from jaxvision.sensor.moments import QUANTISATION_VARIANCE
 
-from .inference.given import is_concrete
-from .inference.likelihoods import Censored, Numbers
+from .inference.given import is_concrete, plain_numbers
+from .inference.likelihoods import Censored, Numbers, numerics
 from .inference.tails import log1mexp, log_ndtr, ndtri_exp
 from .poisson import log_poisson, log_poisson_tails
 
@@ -76,7 +84,7 @@ class SensorNoise(eqx.Module):
     def draw(self, key: Array, prediction: Array) -> Array:
         """Data as they might have been, rounded and clipped where there is an ADC."""
         sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
-        analogue = eqx.tree_at(lambda s: s.bits, sensor, None, is_leaf=lambda x: x is None)
+        analogue = _without(sensor, "bits")
         deviation = jnp.sqrt(signal_variance(analogue, prediction))  # rounding brings its own
         signal = Censored(deviation).draw(key, self._mean(prediction))
         bits = sensor.bits
@@ -142,82 +150,113 @@ class _VarianceOfData(eqx.Module):
 
 
 _HALVINGS = 40  # of the range of counts, to less than one of 1e12
+_NOT_OF_A_PIXEL = ("brighter_fatter", "charge_transfer", "own", "mixing")  # effects of a sensor
+
+
+class _Reading(NamedTuple):
+    """How the electrons of each pixel are read: DN per electron, DN, and electrons rms."""
+
+    gain: Array
+    offset: Array
+    noise: Array
 
 
 class SensorCounts(eqx.Module):
     """The probability of every code: electrons counted, read out with noise, rounded and clipped.
 
         P(c) = sum_n Poisson(n; mu) [Phi(z_n + 1 / (2 K sigma)) - Phi(z_n - 1 / (2 K sigma))],
-        z_n  = (c - offset - K n) / (K sigma)
+        z_n  = (c - offset - K s(n)) / (K sigma)
 
-    Exact also below a read noise of half a DN, where the moments are not. The sensor needs shot
-    noise, read noise and gain. Electrons within `reach` of those that contribute most are summed,
-    which lie between the mean and the code: the cost grows with the read noise in electrons.
+    Exact also below a read noise of half a DN, where the moments are not, and below an electron,
+    where a histogram of codes has a peak for each electron and its moments lose most of what it
+    tells. s(n) is n, or the sensor's nonlinearity; its light offset and the numbers of its taps
+    count. The sensor needs shot noise, read noise and gain. Differences between pixels (fixed
+    pattern) are no part of it, nor is a full well; read noise is taken as Gaussian. Electrons
+    within `reach` of those that contribute most are summed, which lie between the mean and the
+    code: the cost grows with the read noise in electrons.
 
     Attributes:
         sensor: record, or the path of one among the problem's records.
         reach: electrons to either side that are summed: at least eight times the read noise in
             electrons, and half a DN.
+        codes: (codes,) or of the data's shape, DN: the data are then tables, (..., codes) numbers
+            of pixels and frames that read each code, and the prediction (..., codes) is the light
+            of each table in all of its places. Numbers outside of a table are not known of: its
+            probabilities add up to 1. None where each datum is a code.
+        totals: () or (..., 1) how many numbers each table holds, for `draw`; None without.
+
+    Raises:
+        InputError: for a sensor that does not count or whose pixels share charge, for a reach that
+            is too short, and for codes that are no whole numbers.
 
     Example:
-        The probabilities of all codes sum to 1.
+        The probabilities of all codes sum to 1; of a table, each number counts its code.
 
         >>> import jaxvision as jv
         >>> from fitting import SensorCounts
         >>> noise = dict(shot_noise=jv.PoissonShotNoise(), read_noise=0.3)
-        >>> counts = SensorCounts(jv.Sensor(**noise, gain=1.0, bits=4), reach=16)
-        >>> density = jax.jit(lambda light: counts.log_density(light, jnp.arange(16.0)))
-        >>> round(float(jnp.exp(density(jnp.full(16, 2.0))).sum()), 4)
+        >>> sensor = jv.Sensor(**noise, gain=1.0, bits=4)
+        >>> light, codes = jnp.full(16, 2.0), jnp.arange(16.0)
+        >>> density = SensorCounts(sensor, reach=16).log_density(light, codes)
+        >>> round(float(jnp.exp(density).sum()), 4)
         1.0
+        >>> table = jnp.zeros(16).at[2].set(100.0)  # 100 times the code 2
+        >>> found = SensorCounts(sensor, reach=16, codes=codes).log_density(light, table)
+        >>> round(float(found.sum() / density[2]))
+        100
     """
 
     sensor: Sensor | str
     reach: int = eqx.field(static=True)
+    codes: Any = eqx.field(default=None, kw_only=True)
+    totals: Any = eqx.field(default=None, kw_only=True)
     least_squares = False
     surrogate = None
 
     def __check_init__(self) -> None:
         if not isinstance(self.sensor, str):
             _check_counts(self.sensor, self.reach)
+        if self.codes is not None and is_concrete(self.codes):
+            _check_whole("codes", np.asarray(plain_numbers("SensorCounts: codes", self.codes)))
 
     def check_data(self, data: Numbers) -> None:
-        """Refuses data that are no codes."""
+        """Refuses data that are no codes, or no numbers of them."""
         known = np.asarray(data)
-        wrong = known[np.isfinite(known) & (known != np.round(known))]
-        if wrong.size:
+        if self.codes is None:
+            _check_whole("the data", known)
+        elif (known < 0).any():
             raise InputError(
-                f"SensorCounts: the data are codes, whole numbers, and hold {wrong.flat[0]:g}; use "
-                "SensorNoise for means of frames or corrected data."
+                f"SensorCounts: a table holds numbers of codes, at least 0, and one is "
+                f"{known.min():g}; mark a missing one by NaN."
             )
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """ln P of each code.
+        """ln P of each code; of a table, each number times ln P of its code, without the logarithm
+        of the orders in which the codes may have come, which no parameter changes.
 
         Args:
-            prediction: (..., bands) light, as in `mean_photoelectrons`.
-            data: (..., bands) DN, whole numbers.
+            prediction: (..., bands) light, as in `mean_photoelectrons`; of tables (..., codes).
+            data: (..., bands) DN, whole numbers; of tables (..., codes).
 
         Returns:
-            (..., bands).
+            (..., bands), or (..., codes).
         """
         _check_counts(_record(self.sensor), self.reach)
-        mean, counts, log_count = self._counted(prediction, data)
-        low, high = self._ends(data, counts)
-        masses = logsumexp(log_count + _log_interval(low, high), axis=-1)
-        dark, bright = _beyond(counts, mean)
-        black, white = self._ends_beyond(data, counts)
-        beyond = jnp.where(black, dark, jnp.where(white, bright, -jnp.inf))
-        some = beyond > -jnp.inf
-        return jnp.where(some, jnp.logaddexp(masses, jnp.where(some, beyond, 0)), masses)
+        if self.codes is None:
+            return self._log_chances(prediction, data)
+        return jnp.where(data > 0, data * self._log_shares(prediction), 0)
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
         """Normal deviates of a place, picked by chance, in each code's share of probability; from
-        the logarithm of the smaller tail, so that they are finite however far a code lies."""
+        the logarithm of the smaller tail, so that they are finite however far a code lies. Of a
+        table, the deviates of each number, binomial given those of smaller codes."""
         data, prediction = jnp.asarray(data), jnp.asarray(prediction)
+        if self.codes is not None:
+            return _binomial_deviates(self._log_shares(prediction), data, chance)
         share = self.log_density(prediction, data)
-        mean, counts, log_count = self._counted(prediction, data)
-        low, high = self._ends(data, counts)
-        code, dark, bright = self._of_code(data), *_beyond(counts, mean)
+        read, mean, counts, log_count = self._counted(prediction, data)
+        low, high = self._ends(read, data, counts)
+        code, dark, bright = self._of_code(read, data), *_beyond(counts, mean)
         dark = jnp.where(counts[..., 0] <= code, dark, -jnp.inf)
         bright = jnp.where(counts[..., -1] >= code, bright, -jnp.inf)
         below = jnp.logaddexp(logsumexp(log_count + log_ndtr(low), axis=-1), dark)
@@ -231,27 +270,62 @@ class SensorCounts(eqx.Module):
         return jnp.where(lower < upper, deviate, -deviate)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Codes as they might have been."""
+        """Codes, or tables, as they might have been; `InputError` for tables without `totals`."""
+        if self.codes is not None:
+            if self.totals is None:
+                raise InputError(
+                    "SensorCounts: tables are drawn of as many numbers as `totals` says; give it, "
+                    "such as totals=tables.sum(axis=-1, keepdims=True)."
+                )
+            shares = jnp.exp(self._log_shares(prediction))
+            totals = jnp.broadcast_to(self.totals, (*shares.shape[:-1], 1))[..., 0]
+            return jax.random.multinomial(key, totals.astype(shares.dtype), shares)
         counted, read = jax.random.split(key)
         mean = self._electrons(prediction)
         electrons = count(counted, mean, PoissonShotNoise())
-        noise = self._read_noise() * jax.random.normal(read, mean.shape, mean.dtype)
-        codes = jnp.round(self._gain() * (electrons + noise) + self._offset())
+        how = self._read(mean)
+        noise = how.noise * jax.random.normal(read, mean.shape, mean.dtype)
+        codes = jnp.round(how.gain * (self._signal(electrons) + noise) + how.offset)
         return jnp.clip(codes, *self._range())
 
-    def _gain(self) -> Array:
-        return cast(Array, _record(self.sensor).gain)
+    def _log_chances(self, prediction: Array, data: Array) -> Array:
+        """ln P of codes."""
+        read, mean, counts, log_count = self._counted(prediction, data)
+        low, high = self._ends(read, data, counts)
+        masses = logsumexp(log_count + _log_interval(low, high), axis=-1)
+        if _record(self.sensor).bits is None:
+            return masses
+        dark, bright = _beyond(counts, mean)
+        black, white = self._ends_beyond(read, data, counts)
+        beyond = jnp.where(black, dark, jnp.where(white, bright, -jnp.inf))
+        some = beyond > -jnp.inf
+        return jnp.where(some, jnp.logaddexp(masses, jnp.where(some, beyond, 0)), masses)
 
-    def _offset(self) -> Array:
-        offset = _record(self.sensor).offset
-        return jnp.zeros_like(self._gain()) if offset is None else offset
+    def _log_shares(self, prediction: Array) -> Array:
+        """ln of each code's share of a table."""
+        prediction = jnp.asarray(prediction)
+        codes = jnp.broadcast_to(jnp.asarray(self.codes, prediction.dtype), prediction.shape)
+        chances = self._log_chances(prediction, codes)
+        return chances - logsumexp(chances, axis=-1, keepdims=True)
 
     def _electrons(self, prediction: Array) -> Array:
+        """Mean of those that are counted."""
         light = _light("SensorCounts", prediction)
-        return (expected_signal(_record(self.sensor), light) - self._offset()) / self._gain()
+        read = ("gain", "offset", "nonlinearity", "taps")
+        return expected_signal(_without(_record(self.sensor), *read), light)
 
-    def _read_noise(self) -> Array:
-        return jnp.sqrt(read_out_variance(_record(self.sensor), dtype=self._gain().dtype))
+    def _read(self, mean: Array) -> _Reading:
+        """How each pixel is read, of the shape of the mean electrons."""
+        sensor, shape, dtype = _record(self.sensor), mean.shape, mean.dtype
+        zero, one = jnp.zeros_like(mean), jnp.ones_like(mean)
+        plain = _without(sensor, "offset", *(() if sensor.taps is None else ("taps.offset",)))
+        gain = amplified(plain, one)
+        noise = jnp.sqrt(read_out_variance(sensor, dtype=dtype, shape=shape))
+        return _Reading(gain, amplified(sensor, zero), jnp.broadcast_to(noise, shape))
+
+    def _signal(self, electrons: Array) -> Array:
+        curve = _record(self.sensor).nonlinearity
+        return electrons if curve is None else signal_of_charge(curve, electrons)
 
     def _range(self) -> tuple[float, float | Array]:
         """The codes of black and white, DN; without an ADC there is no end."""
@@ -264,32 +338,44 @@ class SensorCounts(eqx.Module):
     def _is_white(self, data: Array) -> Array:
         return data >= self._range()[1]
 
-    def _counted(self, prediction: Array, data: Array) -> tuple[Array, Array, Array]:
-        """Mean electrons (...), the counts about each code (..., n) and ln of their probability."""
+    def _counted(self, prediction: Array, data: Array) -> tuple[_Reading, Array, Array, Array]:
+        """How pixels are read, mean electrons (...), the counts about each code (..., n) and ln of
+        their probability."""
         mean = self._electrons(prediction)
-        centre = jax.lax.stop_gradient(self._likeliest(mean, data))
+        read = self._read(mean)
+        centre = self._likeliest(*jax.lax.stop_gradient((read, mean, data)))
         about = jnp.arange(-self.reach, self.reach + 1.0, dtype=mean.dtype)
         counts = centre[..., None] + about.reshape(*[1] * centre.ndim, -1)
-        return mean, counts, log_poisson(counts, jnp.maximum(mean, 1e-30)[..., None])
+        return read, mean, counts, log_poisson(counts, jnp.maximum(mean, 1e-30)[..., None])
 
-    def _of_code(self, data: Array) -> Array:
-        return jnp.round((data - self._offset()) / self._gain())
+    def _of_code(self, read: _Reading, data: Array) -> Array:
+        """The count whose signal is nearest to a code."""
+        signal = (data - read.offset) / read.gain
+        curve = _record(self.sensor).nonlinearity
+        return jnp.round(signal if curve is None else charge_of_signal(curve, signal))
 
-    def _likeliest(self, mean: Array, data: Array) -> Array:
+    def _likeliest(self, read: _Reading, mean: Array, data: Array) -> Array:
         """The count that contributes most to each code, where the slope of
 
-            n ln(mu) - ln(n!) - (n - c)^2 / (2 sigma^2)
+            n ln(mu) - ln(n!) - (s(n) - s_c)^2 / (2 sigma^2)
 
         in n changes its sign; for the code of black at least that code's own count, for white at
         most. Its neighbours fall off at least as fast as the read noise does.
         """
-        code, variance = self._of_code(data), jnp.square(self._read_noise())
+        code, variance = self._of_code(read, data), jnp.square(read.noise)
         log_mean = jnp.log(jnp.maximum(mean, 1e-30))
+        curve = _record(self.sensor).nonlinearity
+
+        def pull(middle: Array) -> Array:
+            if curve is None:
+                return code - middle
+            signal, slope = jax.jvp(self._signal, (middle,), (jnp.ones_like(middle),))
+            return slope * (self._signal(code) - signal)
 
         def halved(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
             low, high = ends
             middle = (low + high) / 2
-            rises = log_mean - jnp.log(middle + 0.5) + (code - middle) / variance > 0
+            rises = log_mean - jnp.log(middle + 0.5) + pull(middle) / variance > 0
             return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
 
         ends = jnp.zeros_like(code + mean), jnp.maximum(jnp.maximum(code, mean), 1.0)
@@ -298,19 +384,43 @@ class SensorCounts(eqx.Module):
         peak = jnp.where(self._is_black(data), jnp.maximum(peak, code), peak)
         return jnp.maximum(jnp.where(self._is_white(data), jnp.minimum(peak, code), peak), 0)
 
-    def _ends_beyond(self, data: Array, counts: Array) -> tuple[Array, Array]:
+    def _ends_beyond(self, read: _Reading, data: Array, counts: Array) -> tuple[Array, Array]:
         """Whether all counts below those summed are black, and all above white."""
-        code = self._of_code(data)
+        code = self._of_code(*jax.lax.stop_gradient((read, data)))
         fewest, most = counts[..., 0], counts[..., -1]
         return self._is_black(data) & (fewest <= code), self._is_white(data) & (most >= code)
 
-    def _ends(self, data: Array, counts: Array) -> tuple[Array, Array]:
+    def _ends(self, read: _Reading, data: Array, counts: Array) -> tuple[Array, Array]:
         """The ends of each code's interval in standard deviations from the noiseless signal."""
-        noise = self._gain() * self._read_noise()
-        centre = data[..., None] - self._offset() - self._gain() * counts
+        gain, offset, rms = (part[..., None] for part in read)
+        noise = gain * rms
+        centre = data[..., None] - offset - gain * self._signal(counts)
         low = jnp.where(self._is_black(data)[..., None], -FAR, (centre - ROUNDING) / noise)
         high = jnp.where(self._is_white(data)[..., None], FAR, (centre + ROUNDING) / noise)
         return low, high
+
+
+def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Numbers:
+    """Normal deviates of the numbers of a table: of those left behind smaller codes, each code has
+    a binomial number; independent if the law holds."""
+    xp, special = numerics(log_shares, counts, chance)
+    shares, counts = xp.exp(xp.asarray(log_shares)), xp.asarray(counts)
+
+    def remaining(x: Numbers) -> Numbers:
+        return xp.flip(xp.cumsum(xp.flip(x, -1), -1), -1)
+
+    left, tiny = remaining(counts), xp.finfo(shares.dtype).tiny
+    p = xp.clip(shares / xp.maximum(remaining(shares), tiny), 0, 1)
+    some, not_all = counts > 0, counts < left
+    others = left - counts
+    fewer = special.betainc(others + 1, xp.where(some, counts, 1.0), 1 - p)
+    more = special.betainc(counts + 1, xp.where(not_all, others, 1.0), p)
+    below, above = xp.where(some, fewer, 0.0), xp.where(not_all, more, 0.0)
+    ways = special.gammaln(left + 1) - special.gammaln(counts + 1) - special.gammaln(others + 1)
+    mass = xp.exp(ways + special.xlogy(counts, p) + special.xlog1py(others, -p))
+    lower, upper = below + chance * mass, above + (1 - chance) * mass
+    deviate = special.ndtri(xp.clip(xp.minimum(lower, upper), tiny, 0.5))
+    return xp.where(lower < upper, deviate, -deviate)
 
 
 def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
@@ -334,22 +444,63 @@ def _light(likelihood: str, prediction: Array) -> Array:
     return jnp.asarray(prediction)
 
 
+def _check_whole(what: str, known: np.ndarray) -> None:
+    """Refuses what are no codes."""
+    wrong = known[np.isfinite(known) & (known != np.round(known))]
+    if wrong.size:
+        raise InputError(
+            f"SensorCounts: {what} are codes, whole numbers, and hold {wrong.flat[0]:g}; use "
+            "SensorNoise for means of frames or corrected data."
+        )
+
+
 def _check_counts(sensor: Sensor, reach: int) -> None:
-    """Refuses a sensor that does not count, and a sum that ends too near to each code."""
+    """Refuses a sensor that does not count, one whose pixels share charge, and a sum that ends too
+    near to each code."""
     for name in ("shot_noise", "read_noise", "gain"):
         if getattr(sensor, name) is None:
             raise InputError(f"SensorCounts needs a sensor with {name}: or use SensorNoise.")
+    for name in _NOT_OF_A_PIXEL:
+        if getattr(sensor, name) is not None:
+            raise InputError(
+                f"SensorCounts: Sensor.{name} changes counted electrons, which are then no longer "
+                "Poisson's in each pixel by itself; leave it out, or use SensorNoise."
+            )
     if not is_concrete(sensor):
         return
     with jax.ensure_compile_time_eval():  # the sensor's numbers are known, inside `jit` too
         gain = jnp.asarray(sensor.gain)
         noise = np.sqrt(np.asarray(read_out_variance(sensor, dtype=gain.dtype)))
+        taps = sensor.taps
+        if taps is not None and taps.read_noise is not None:
+            noise = noise * max(float(np.max(taps.read_noise)), 1.0)
+        if taps is not None and taps.gain is not None:
+            gain = gain * float(np.min(taps.gain))
+        noise = noise / _least_slope(sensor)
     needed = np.max(8 * noise + ROUNDING / np.asarray(gain))
     if reach < needed:
         raise InputError(
             f"SensorCounts: reach = {reach} electrons cuts off probability: at least "
             f"{int(np.ceil(needed))} are needed for this read noise and gain."
         )
+
+
+def _least_slope(sensor: Sensor) -> float:
+    """Of the curve from charge to signal, over the codes of its converter."""
+    curve, bits = sensor.nonlinearity, sensor.bits
+    if curve is None or bits is None:
+        return 1.0
+    top = charge_of_signal(curve, largest_number(bits) / jnp.asarray(sensor.gain))
+    charge = jnp.linspace(jnp.zeros_like(top), top, 65)
+    slopes = jax.jvp(lambda x: signal_of_charge(curve, x), (charge,), (jnp.ones_like(charge),))[1]
+    return float(jnp.min(slopes))
+
+
+def _without(sensor: Sensor, *fields: str) -> Sensor:
+    """The sensor without some of its numbers, which may be those of each table."""
+    parts = attrgetter(*fields)
+    none = None if len(fields) == 1 else (None,) * len(fields)
+    return eqx.tree_at(parts, sensor, none, is_leaf=lambda part: part is None)
 
 
 def _record(sensor: Sensor | str) -> Sensor:

@@ -1,0 +1,129 @@
+"""Efficiency of fits to tables of codes: the scatter of estimates beside the Cramer-Rao bound.
+
+    python -m fitting.checks.counts
+
+Tables of two levels of light are drawn and fitted by `fit_map`, with the same gain, read noise and
+black level. The Fisher information of the exact law is a sum over codes in NumPy, by central
+differences of Poisson's probabilities times differences of the normal distribution function.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import norm, poisson
+
+from jaxvision import PoissonShotNoise, Sensor
+
+from ..fits.pixels import fit_map
+from ..inference.parameters import Parameter
+from ..inference.precision import in_double
+from ..inference.problem import Problem
+from ..sensor_likelihoods import SensorCounts
+
+NAMES = ("gain", "read_noise", "black", "electrons[0]", "electrons[1]")
+GAIN, BLACK, ELECTRONS = 3.0, 40.0, (1.0, 6.0)
+READ_NOISES = (0.2, 0.5, 1.0, 5.0)
+NUMBERS = 200_000  # of each table
+DIFFERENCE = 1e-4  # relative, of the information's derivatives
+REACH = 8.5  # read noises that are summed
+
+
+@dataclass(frozen=True)
+class Efficiency:
+    """How close fits come to the bound.
+
+    Attributes:
+        read_noise: e-.
+        fits: that converged.
+        ratios: (parameters,) the bound over the variance of the estimates, in the order of `NAMES`.
+        whole: the same of all parameters together, by their whitened squares.
+        claimed: (parameters,) mean variance that the fits state, over that of the estimates.
+    """
+
+    read_noise: float
+    fits: int
+    ratios: Float[np.ndarray, " parameters"]
+    whole: float
+    claimed: Float[np.ndarray, " parameters"]
+
+
+def shares(values: Float[np.ndarray, " parameters"], codes: np.ndarray) -> np.ndarray:
+    """(levels, codes) probability of each code by plain sums; values in the order of `NAMES`."""
+    gain, read_noise, black, *electrons = values
+    n = np.arange(200)
+    law = norm(black + gain * n[:, None], gain * read_noise)
+    inside = law.cdf(codes + 0.5) - law.cdf(codes - 0.5)
+    return np.stack([poisson.pmf(n, mean) @ inside for mean in electrons])
+
+
+def information(
+    values: Float[np.ndarray, " parameters"], codes: np.ndarray, numbers: int
+) -> Float[np.ndarray, "parameters parameters"]:
+    """Fisher's, of tables of so many numbers."""
+    slopes = []
+    for i, value in enumerate(values):
+        step = np.where(np.arange(len(values)) == i, DIFFERENCE * value, 0)
+        moved = shares(values + step, codes) - shares(values - step, codes)
+        slopes.append(moved / (2 * DIFFERENCE * value))
+    probability = np.maximum(shares(values, codes), 1e-300)
+    return numbers * np.einsum("ilc,jlc->ij", np.stack(slopes) / probability, np.stack(slopes))
+
+
+@in_double
+def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
+    """Draws tables, fits them and compares.
+
+    Args:
+        read_noise: e-.
+        simulations: how many.
+        seed: of the tables.
+
+    Returns:
+        The efficiency.
+    """
+    truth = np.array([GAIN, read_noise, BLACK, *ELECTRONS])
+    beyond = REACH * GAIN * read_noise
+    codes = np.arange(np.floor(BLACK - beyond), np.ceil(BLACK + GAIN * 26 + beyond))
+    law = shares(truth, codes)
+    rng = np.random.default_rng(seed)
+    drawn = np.stack([rng.multinomial(NUMBERS, p / p.sum(), simulations) for p in law])
+    sensor = Sensor(shot_noise=PoissonShotNoise(), read_noise=read_noise, gain=GAIN, offset=BLACK)
+    free = {
+        "sensor.gain": Parameter(transform="log"),
+        "sensor.read_noise": Parameter(transform="log"),
+        "sensor.offset": Parameter(),
+        "electrons": Parameter(shape=(2,), transform="log", start=ELECTRONS),
+    }
+    problem = Problem(
+        free,
+        lambda electrons, inputs: electrons[:, None] * inputs,
+        SensorCounts("sensor", int(np.ceil(REACH * read_noise + 1)), codes=codes),
+        drawn[:, 0],
+        inputs=np.ones_like(law),
+        records={"sensor": sensor},
+    )
+    found = fit_map(problem, np.moveaxis(drawn, 1, 2), starts=1, chunk=100)
+    estimates, errors = (
+        np.concatenate([np.reshape(of[name], (-1, simulations)) for name in free])
+        for of in (found.estimate, found.sd)
+    )
+    there = np.isfinite(estimates).all(axis=0)
+    missed = estimates[:, there] - truth[:, None]
+    bound = information(truth, codes, NUMBERS)
+    squares = np.einsum("in,ij,jn->n", missed, bound, missed)
+    scatter = np.mean(missed**2, axis=1)
+    return Efficiency(
+        read_noise=read_noise,
+        fits=int(there.sum()),
+        ratios=np.diagonal(np.linalg.inv(bound)) / scatter,
+        whole=len(truth) / float(squares.mean()),
+        claimed=np.mean(errors[:, there] ** 2, axis=1) / scatter,
+    )
+
+
+if __name__ == "__main__":
+    for noise in READ_NOISES:
+        one = efficiency(noise, 500)
+        figures = " | ".join(f"{ratio:.3f}" for ratio in (*one.ratios, one.whole))
+        print(f"| {noise:g} | {one.fits} | {figures} |")
