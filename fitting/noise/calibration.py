@@ -29,6 +29,7 @@ from ..inference.posterior import Posterior, estimates, sample
 from ..inference.precision import in_double
 from ..report.notebook import ShownInNotebooks
 from .choice import choose_model
+from .counted import CodeFit, fitted_tables
 from .drifting import drifting
 from .emva1288 import Evaluation, Ranges, Sheet, evaluate, ranges
 from .fit import LikelihoodFit, fitted, likelihood_sheet, noise_data
@@ -87,6 +88,7 @@ class NoiseCalibration(ShownInNotebooks):
         flicker: noise of rows and columns that the flats have beyond the darks, which was taken out
             of the measurement.
         periodic: rows, columns, cells and halves that differ without having been stated.
+        counted: the fit to tables of codes at levels of few electrons; None without such tables.
     """
 
     measurement: PhotonTransfer
@@ -100,6 +102,7 @@ class NoiseCalibration(ShownInNotebooks):
     left_out: tuple[LeftOut, ...]
     flicker: dict[str, Found]
     periodic: tuple[Periodic, ...] = ()
+    counted: CodeFit | None = None
 
     def _of_likelihood(self) -> Likelihood:
         if self.likelihood is None:
@@ -183,7 +186,9 @@ def calibrate(
     standard = _evaluated(bare, within, shared=shared)
     window, gone = needed_window(measurement, usable)
     offsets = None if window is None else offset_data(measurement, usable)
-    data = noise_data(measurement, usable, window=window, offsets=offsets)
+    counted = fitted_tables(measurement)
+    of_tables = None if counted is None else counted.among(usable)
+    data = noise_data(measurement, usable, window=window, offsets=offsets, counted=of_tables)
     likelihood, why, sheet = None, "", ()
     try:
         linear, chosen = choose_model(
@@ -220,6 +225,7 @@ def calibrate(
         left_out=gone,
         flicker=flicker,
         periodic=periodic,
+        counted=counted,
     )
 
 

@@ -10,6 +10,7 @@ from ..inference.formatting import format_p, format_with_error, format_within
 from ..inference.trust import convergence_in_words
 from .brighter_fatter import own_area_change
 from .calibration import NoiseCalibration
+from .code_tables import SUB_ELECTRON
 from .drifting import drifting, drifting_in_words
 from .emva1288 import is_floored, least_dark_variance
 from .fit import gain_drop
@@ -48,6 +49,7 @@ def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
         *periodic_findings(calibration),
         *_converter(calibration),
         *_of_likelihood(calibration),
+        *_counted(calibration),
         *_standard_scatter(calibration),
         *_near_black(calibration),
         *_saturation(calibration),
@@ -180,6 +182,32 @@ def _of_likelihood(calibration: NoiseCalibration) -> list[str]:
             "regressions need no maximum. Their figures stand, with errors from their scatter."
         ]
     return [*_linearity(calibration), *_random_effects(calibration)]
+
+
+def _counted(calibration: NoiseCalibration) -> list[str]:
+    """Whether tables of codes took the place of moments, and what it gained."""
+    counted = calibration.counted
+    if counted is None or calibration.likelihood is None:
+        return []
+    read, electrons = np.exp(counted.logs[1]), np.exp(counted.logs[2:])
+    about = (
+        f"Read noise is about {read:.2g} e⁻. Below {SUB_ELECTRON:g} e⁻ the histogram of codes "
+        "tells more than mean and variance do: "
+    )
+    if counted.failures:
+        return [
+            f"{about}it was fitted, but {counted.failures[0][:1].lower()}{counted.failures[0][1:]} "
+            "Means and variances were used."
+        ]
+    gain, error = np.exp(counted.logs[0]), np.sqrt(counted.covariance[0, 0])
+    of = "level" if len(electrons) == 1 else "levels"
+    return [
+        f"{about}for {len(electrons)} {of} of {electrons.min():.2g} to {electrons.max():.2g} "
+        f"electrons it was fitted in their place ({counted.numbers} numbers), which alone gives "
+        f"K = {format_with_error(float(gain), float(gain * error))} DN/e⁻. Each pixel's own black, "
+        "its mean dark frame, was subtracted, so that DSNU does not blur it; gains of pixels are "
+        "taken as alike there."
+    ]
 
 
 def _linear_model(calibration: NoiseCalibration) -> str:

@@ -16,6 +16,7 @@ from .emva1288 import Ranges, Sheet, derived_figures, linearity_errors
 from .levels import PhotonTransfer
 from .misfit import inflation, p_value
 from .model import (
+    CountedLevels,
     NoiseData,
     OffsetData,
     Residuals,
@@ -104,6 +105,7 @@ def noise_data(
     *,
     window: Window | None = None,
     offsets: OffsetData | None = None,
+    counted: CountedLevels | None = None,
 ) -> NoiseData:
     """Bright levels and all darks in one row.
 
@@ -112,6 +114,7 @@ def noise_data(
         usable: indices of the bright levels to use.
         window: of the levels that need exact moments.
         offsets: of the pixels, where rounding needs to know of them.
+        counted: the levels whose tables of codes count in place of their moments.
 
     Returns:
         The data of a fit.
@@ -146,6 +149,7 @@ def noise_data(
         unsteady=unsteady,
         converter=measurement.converter,
         kept=jnp.ones_like(lit),
+        counted=counted,
     )
 
 

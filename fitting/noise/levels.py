@@ -104,6 +104,30 @@ class Doubt(NamedTuple):
     sentence: str
 
 
+class CodeTables(eqx.Module):
+    """How often each code occurs at levels of few electrons, in codes beyond the pixel's own black.
+
+    A pixel's black is its mean over the dark frames; pixels of one table have about the same place
+    of it between two codes.
+
+    Attributes:
+        level: (tables,) index of the bright level.
+        dark: (tables,) index of the dark that gives the pixels' black.
+        place: (tables,) mean of what the pixels' black is above a whole code, codes.
+        known: (tables,) variance of the differences between a pixel's black and what was taken for
+            it, codes^2: noise of the dark frames, places within a table and drift.
+        first: (tables,) the first code of each table, less the whole code of the pixel's black.
+        counts: (tables, codes) pixels and frames that read each code; NaN beyond a table's end.
+    """
+
+    level: Int[Array, " tables"]
+    dark: Int[Array, " tables"]
+    place: Float[Array, " tables"]
+    known: Float[Array, " tables"]
+    first: Float[Array, " tables"]
+    counts: Float[Array, "tables codes"]
+
+
 class PhotonTransfer(eqx.Module):
     """A photon transfer measurement.
 
@@ -118,6 +142,8 @@ class PhotonTransfer(eqx.Module):
         lossy: names of frames whose files are JPEG.
         doubts: figures that the frames do not tell, and why.
         site: index of the tap or site of a mosaic whose pixels these are; None of all pixels.
+        tables: of codes at levels of few electrons; None where moments tell as much, and where only
+            sums are known.
     """
 
     bright: Levels
@@ -130,6 +156,7 @@ class PhotonTransfer(eqx.Module):
     lossy: tuple[str, ...] = eqx.field(static=True, default=())
     doubts: tuple[Doubt, ...] = eqx.field(static=True, default=())
     site: int | None = eqx.field(static=True, default=None)
+    tables: CodeTables | None = None
 
     @property
     def converter(self) -> Converter:

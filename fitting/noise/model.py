@@ -27,7 +27,8 @@ light of a level is off by tau_H mu_p, and its black level by tau_0.
 An effect that the space does not name is not traced. Where black is clipped or read noise does not
 smooth the rounding (`window`), the named levels take their moments from `quantised_moments`. Where
 the offsets of the pixels are seen to differ there, their spread is a parameter, and the spatial
-variance of each dark level, which rounding changes, too, joins the data (`OffsetData`).
+variance of each dark level, which rounding changes, too, joins the data (`OffsetData`). Of levels
+of few electrons tables of codes may count in place of the moments (`CountedLevels`).
 """
 
 from dataclasses import replace
@@ -35,7 +36,7 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..codes import Converter
 from ..inference.parameters import ParameterSpace, log_prior, names, to_natural
@@ -43,6 +44,8 @@ from .neighbours import NeighbourData, own_variance
 from .quantised import Window, quantised_moments
 from .quantities import RESPONSIVITY, SCATTERS, SIGNAL_RATE
 from .shared import SharedNoise
+
+UNKNOWN_LIGHT = 1e6  # relative variance of a level's light that is kept out
 
 
 class OffsetData(eqx.Module):
@@ -60,6 +63,21 @@ class OffsetData(eqx.Module):
     noise: Float[Array, " levels"]
     darks: Float[Array, ""]
     pixels: Float[Array, ""]
+
+
+class CountedLevels(eqx.Module):
+    """What tables of codes tell of dim levels, in place of their means and variances: a Gaussian.
+
+    Attributes:
+        levels: (m,) their indices.
+        logs: (2 + m,) logarithms of the gain (DN/e-), of the read noise (e-) and of the electrons
+            of each level.
+        covariance: (2 + m, 2 + m).
+    """
+
+    levels: Int[Array, " m"]
+    logs: Float[Array, " logs"]
+    covariance: Float[Array, "logs logs"]
 
 
 class NoiseData(eqx.Module):
@@ -84,6 +102,7 @@ class NoiseData(eqx.Module):
         converter: the grid on which the numbers lie.
         kept: (levels,) 1 of a level that the likelihood uses, 0 of one that is kept out of it; None
             uses all.
+        counted: the levels whose tables of codes count in place of their moments; None for none.
     """
 
     light: Float[Array, " levels"]
@@ -103,6 +122,7 @@ class NoiseData(eqx.Module):
     unsteady: Float[Array, " levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())
     kept: Float[Array, " levels"] | None = None
+    counted: CountedLevels | None = None
 
 
 class Moments(eqx.Module):
@@ -459,8 +479,35 @@ def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseD
         ().
     """
     space, data = args
-    terms, _ = log_likelihood_terms(named(space, vector), data)
-    return -jnp.sum(terms if data.kept is None else terms * data.kept)
+    values, counted = named(space, vector), data.counted
+    terms, _ = log_likelihood_terms(values, data)
+    terms = terms if data.kept is None else terms * data.kept
+    if counted is None:
+        return -jnp.sum(terms)
+    return -jnp.sum(terms.at[counted.levels].set(0)) - _log_density_of_tables(values, data, counted)
+
+
+def _log_density_of_tables(
+    values: dict[str, Array], data: NoiseData, counted: CountedLevels
+) -> Array:
+    """ln p of what the tables tell. The light of a level that is kept out is not known; gain and
+    read noise remain those of all tables."""
+    at = counted.levels
+    light, lit, exposure = data.light[at], data.lit[at], data.exposure[at]
+    electrons = jax.vmap(lambda *of: expected_electrons(values, data, *of))(light, lit, exposure)
+    found = jnp.stack([values["system_gain"], values["read_noise"]])
+    missed = counted.logs - jnp.log(jnp.concatenate([found, electrons]))
+    of_light = jnp.zeros_like(light)
+    if "light_scatter" in values:
+        of_light = of_light + values["light_scatter"] ** 2
+    if data.light_step is not None:
+        of_light = of_light + data.light_step**2 / 12 / light**2
+    if data.kept is not None:
+        of_light = of_light + UNKNOWN_LIGHT * (1 - data.kept[at])
+    covariance = counted.covariance + jnp.diag(jnp.pad(of_light, (2, 0)))
+    root = jnp.linalg.cholesky(covariance)
+    deviates = jax.scipy.linalg.solve_triangular(root, missed, lower=True)
+    return -jnp.sum(deviates**2) / 2 - jnp.sum(jnp.log(jnp.diagonal(root)))
 
 
 def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:

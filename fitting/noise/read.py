@@ -24,6 +24,7 @@ from ..inference.formatting import format_percent
 from ..inference.precision import in_double
 from ..observation import Load, read_frame, split_channels
 from ..rig import Camera, Dark, Flat, Rig, load_rig, require
+from .code_tables import code_tables, dim_levels
 from .doubts import doubts
 from .hits import BULK
 from .level_sums import LevelStatistics, LevelSums, Unlit
@@ -145,7 +146,15 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         lossy=tuple(name for one in (*flats, *darks) for name in one.files if _is_jpeg(name)),
         site=rig.camera.sites.index(channel) if len(rig.camera.sites) > 1 else None,
     )
-    return replace(found, doubts=doubts(found, of_flats, of_darks))
+    found = replace(found, doubts=doubts(found, of_flats, of_darks))
+    counted = dim_levels(found)
+    if isinstance(counted, str):
+        return replace(found, remarks=(*found.remarks, counted))
+    if len(counted):
+        named = ([[one.name for one in shown] for shown in of] for of in (of_flats, of_darks))
+        tables = code_tables(found, counted, *named, plane=source.plane, live=source.live)
+        found = replace(found, tables=tables)
+    return found
 
 
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:

@@ -57,6 +57,9 @@ def section(calibration: NoiseCalibration) -> Section:
             "parameters": ", ".join(names(chosen.space)),
             "exact moments of clipping and rounding": chosen.data.window is not None,
             "covariance inflated by": chosen.inflation,
+            "levels by the histogram of codes": 0
+            if chosen.data.counted is None
+            else chosen.data.counted.levels.size,
         }
     return Section(
         kind=KIND,

@@ -43,8 +43,8 @@ STAGES = ["read", "model", "fit", "calibration", "findings", "figures", "section
 FITTING_FLOORS = [
     {"rig", "inference", "codes", "copies"},
     {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
-    {"fits"},
-    {"noise", "response", "sensor_likelihoods"},
+    {"fits", "sensor_likelihoods"},
+    {"noise", "response"},
     {"reflectance"},
     {"accuracy", "demo", "joint"},
     {"checks"},
