@@ -10,6 +10,7 @@ whole picture in memory.
 import dataclasses
 import math
 import shutil
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
@@ -122,6 +123,12 @@ def render_to_file(
             )
             if preview is not None:
                 write_image(preview, _display(rows, source))
+            if not any((block != 0).any() for block in rows()):
+                warnings.warn(
+                    f"{out}: every pixel is black: the camera sees no surface, or no light reaches "
+                    "what it sees; check its position and target, and the lamps.",
+                    stacklevel=2,
+                )
             ending = f"{out}: interrupted; the picture is written."
             say_if_interrupted(ending)
             return Cost(error, *seconds)

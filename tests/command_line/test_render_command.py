@@ -94,6 +94,14 @@ def test_the_head_says_what_it_is(rendered):
     assert attributes["Software"].startswith("jaxvision ")
 
 
+@pytest.mark.filterwarnings("always:.*every pixel is black")
+def test_a_black_picture_is_named(tmp_path):
+    (tmp_path / "away.toml").write_text(SCENE.replace("target = [0, 0, 0]", "target = [0, -8, 0]"))
+    status, _, said = run(tmp_path / "away.toml", "--out", tmp_path / "a.exr")
+    assert status == 0
+    assert "every pixel is black: the camera sees no surface" in said
+
+
 def test_the_preview_follows_its_rule(rendered):
     """95 % of what is not black lie below .8 of white, in 8-bit sRGB (IEC 61966-2-1)."""
     radiance = read_image(rendered / "ball.exr").astype(float)

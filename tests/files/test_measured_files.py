@@ -353,3 +353,11 @@ def test_what_the_dtype_cannot_hold_is_refused(tmp_path):
     assert files.read_cornell(path).values[0, 0] == 1e39
     with jax.enable_x64(False):
         refused(files.read_cornell, path, "line 3", "not a finite number")
+
+
+def test_a_colour_of_a_merl_file_that_ends_in_zeros_is_named(tmp_path):
+    values = np.full((4, 4, 8, 3), 0.2)
+    values[3, 2:, :, 2] = 0
+    files.write_merl(tmp_path / "cut.binary", HalfDifferenceTable(jnp.asarray(values)))
+    with pytest.warns(UserWarning, match="blue ends in zeros, 12% of its bins"):
+        files.read_merl(tmp_path / "cut.binary")

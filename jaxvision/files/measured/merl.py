@@ -11,6 +11,7 @@ Source:
 
 import os
 import struct
+import warnings
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,7 @@ from ...errors import InputError
 from ..images import replaced_on_success
 from ._contents import contents_of, representable
 
+_PADDED = 0.02  # share of zeros at the end of a colour that no measurement has
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
@@ -86,12 +88,25 @@ def read_merl(
     valid = np.asarray((stored >= 0).all(axis=0))
     if not valid.any():
         raise InputError(f"{file}: every bin is marked as not measured; take another file.")
+    _name_padding(file, stored)
     values = np.moveaxis(stored, 0, -1) * MERL_SCALE
     if invalid == "nearest" and not valid.all():
         values = _nearest_valid(values, valid)
     else:
         values = np.where(valid[..., None], values, 0)
     return HalfDifferenceTable(jnp.asarray(values))
+
+
+def _name_padding(file: Path, stored: np.ndarray) -> None:
+    """Warns of a colour that ends in zeros, as in a copy that was cut short and filled up."""
+    for colour, values in zip(("red", "green", "blue"), stored.reshape(3, -1), strict=True):
+        ends = len(values) - 1 - int(np.max(np.flatnonzero(values), initial=-1))
+        if _PADDED * len(values) < ends < len(values):
+            warnings.warn(
+                f"{file}: {colour} ends in zeros, {ends / len(values):.0%} of its bins, as in a "
+                "copy that was cut short; copy it again from its source.",
+                stacklevel=3,
+            )
 
 
 def write_merl(path: str | os.PathLike[str], table: HalfDifferenceTable) -> None:
