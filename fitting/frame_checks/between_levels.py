@@ -1,12 +1,14 @@
 """Levels of light compared with each other: their light, its distribution and their noise."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from scipy.special import stdtrit
 
 from ..inference.formatting import format_percent
 from .compared import HALF, MOSTLY, OTHER_NOISE, SURE, UNEVEN, ComparedLevels, rms
-from .frame import Odd
+from .frame import Odd, Shown
 
 SPIKE = 0.15  # by which a level's light differs from that of both levels beside it
 FEWEST_LEVELS = 4  # to tell what a level should be from those beside it
@@ -75,8 +77,21 @@ def light_of_levels(levels: ComparedLevels) -> None:
         top = float(np.mean([frame.at_top for frame in frames]))
         if top > MOSTLY:
             reason = f"{format_percent(top)} of the pixels are saturated, and {reason}"
+        step, least = _step(frames), _step([f for i in there for f in levels.frames[i]])
+        if step > least:
+            reason += (
+                f"; its numbers are multiples of {step}, those of other levels are not, as where "
+                "they are multiplied or left-aligned (the upper bits of a wider number)"
+            )
         levels.remove(there[place], range(len(frames)), reason)
     _stated_wrongly(levels)
+
+
+def _step(frames: Sequence[Shown]) -> int:
+    """The greatest common divisor of the numbers of some frames; 1 where they are no whole ones."""
+    values = np.concatenate([frame.sample.ravel() for frame in frames])
+    whole = np.isfinite(values).all() and (values == np.floor(values)).all()
+    return max(int(np.gcd.reduce(values.astype(np.int64))), 1) if whole else 1
 
 
 def _stated_wrongly(levels: ComparedLevels) -> None:
@@ -169,11 +184,14 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
         if len(there) < FEWEST_ON_A_CURVE:
             return
         signal = _signals(levels, there)
-        fields = [
-            np.mean([levels.blocks(i, frame) for frame in levels.frames[i]], axis=0) for i in there
-        ]
+        every = [[levels.blocks(i, frame) for frame in levels.frames[i]] for i in there]
+        fields = [np.mean(own, axis=0) for own in every]
         if len({field.shape for field in fields}) > 1:
             return
+        # Of light that differs from frame to frame, as in bands that move.
+        apart = np.array(
+            [rms(np.std(own, axis=0)) / np.sqrt(max(len(own) - 1, 1)) for own in every]
+        )
         x = signal / signal.max()
         design = np.stack([np.ones_like(x), x.min() / x, x], axis=1)
         blocks = fields[0].size
@@ -183,7 +201,7 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
                 for i in there
             ]
         )
-        chance = np.maximum(chance / signal, 1e-9)
+        chance = np.maximum(np.maximum(chance / signal, apart), 1e-9)
         values = np.stack([field.ravel() for field in fields])
         away, scatter, _ = _from_the_others(values, design, chance, chance)
         size = np.array([rms(own) for own in away])
@@ -205,7 +223,7 @@ def noise_of_levels(levels: ComparedLevels) -> None:
     if len(there) < FEWEST_LEVELS:
         return
     signal = _signals(levels, there)
-    varied = np.array([levels.pixel_noise(i) ** 2 for i in there])
+    varied = np.array([levels.pixel_noise(i, lines=False) ** 2 for i in there])
     rates = np.maximum(varied, 1e-12 * signal) / signal
     saturated = rates < 0.5 * np.median(rates)
     count = len(there) if saturated.all() else int(np.flatnonzero(~saturated)[-1]) + 1

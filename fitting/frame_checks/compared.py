@@ -32,13 +32,16 @@ class ComparedLevels:
         self.wander = usual_size(apart) / float(np.sqrt(2))  # DN, of a frame's mean
         self.noise = _noise_of_levels(frames, light, np.array(own))
 
-    def pixel_noise(self, level: int) -> float:
-        """DN rms of a pixel between two frames, by the pair that differs least and is no copy."""
+    def pixel_noise(self, level: int, *, lines: bool = True) -> float:
+        """DN rms of a pixel between two frames, by the pair that differs least and is no copy.
+
+        `lines`: whether what whole rows and columns share counts."""
         frames = self.frames[level]
         if len(frames) < 2:
             return 0.0
         alike = of_one_mean(frames, None if self.black is None else float(self.black[level]))
-        variances = [trimmed_variance(a - b) for a, b in pairwise(alike)]
+        fields = [a - b for a, b in pairwise(alike)]
+        variances = [trimmed_variance(f if lines else without_lines(f)) for f in fields]
         return float(np.sqrt(min((v for v in variances if v > 0), default=0.0) / 2))
 
     def chance(self, level: int) -> float:
@@ -124,6 +127,13 @@ def trimmed_variance(residuals: np.ndarray) -> float:
     squares = np.sort((residuals - np.median(residuals)).ravel().astype(float) ** 2)
     kept = squares if squares.size < FEWEST_TRIMMED else squares[: int(TRIMMED * squares.size)]
     return float(kept.mean())
+
+
+def without_lines(field: np.ndarray) -> np.ndarray:
+    """Less what whole rows or columns share, as bands of a lamp that flickers under a rolling
+    shutter do."""
+    of_columns, of_rows = field.mean(axis=0), field.mean(axis=1, keepdims=True)
+    return field - of_columns - of_rows + field.mean()
 
 
 def of_one_mean(frames: Sequence[Shown], black: float | None) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from .compared import SURE, ComparedLevels, of_one_mean, trimmed_variance
+from .compared import SURE, ComparedLevels, of_one_mean, trimmed_variance, without_lines
 from .frame import Odd, listed
 
 OTHER_NOISE = 1.4  # ratio of variances of two pairs of frames, of which one pair moved
@@ -52,10 +52,10 @@ def moved_frames(levels: ComparedLevels) -> None:
 
 
 def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarray:
-    """By what the first two groups differ, of mean 0 and length 1."""
+    """By what the first two groups differ, of length 1; bands of a lamp that flickers are left
+    out."""
     first, second = (np.mean([samples[i] for i in group], axis=0) for group in groups[:2])
-    field = (second - first).ravel().astype(float)
-    field -= field.mean()
+    field = without_lines((second - first).astype(float)).ravel()
     return field / max(float(np.linalg.norm(field)), 1e-300)
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..codes import Converter
-from .levels import PhotonTransfer, linear_levels, saturation_index
+from .levels import PhotonTransfer, linear_levels, saturated_level
 from .quantities import NEED_PHOTONS
 from .regressions import chi_square, line, line_misfit, surprise, through_origin
 from .sampling import SamplingErrors, sampling_errors
@@ -126,7 +126,7 @@ def ranges(measurement: PhotonTransfer) -> Ranges:
     """
     bright = measurement.bright
     signal = np.asarray(_signal(statistics(measurement, None), measurement))
-    saturated = saturation_index(bright)
+    saturated = saturated_level(measurement)
     top = saturated if saturated is not None else int(linear_levels(measurement)[-1])
     below = np.arange(len(signal)) <= top
     low, high = LINEARITY_RANGE

@@ -429,7 +429,15 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
 
 
 def _saturation(calibration: NoiseCalibration) -> list[str]:
-    within = calibration.within
+    within, knee = calibration.within, calibration.measurement.knee
+    if knee is not None:
+        return [
+            f"From about {knee.signal:.4g} DN above black on the signal rises by "
+            f"{knee.slope:.3g} of what it does below, and the variance of the light falls to "
+            f"{knee.slope**2:.2g}: a knee of a piecewise linear response (companding), where no "
+            "well is full. The levels below it are used, nothing that needs the capacity is "
+            "determined, and the camera written here is wrong above; give linear frames."
+        ]
     if within.saturation is None or within.saturation_width is None:
         which = "No level that is left" if calibration.measurement.bright.left_out else "No level"
         return [
@@ -457,7 +465,8 @@ def _glow(calibration: NoiseCalibration) -> list[str]:
     of_pixels = 8 / float(dark.pixels) * np.asarray(dark.local_pattern) ** 2
     error = np.sqrt(2 * by_noise + of_pixels)
     beneath = max(smooth[short], 0.0) + error[short]
-    noise = float(np.sqrt(np.median(np.asarray(dark.variance))))
+    rounding = dark.converter.rounding
+    noise = float(np.sqrt(np.median(np.asarray(dark.variance)) + rounding))
     uneven = np.sqrt(np.maximum(smooth, 0.0))
     least = max(SURE * error[long], GROWS**2 * beneath, (MATTERS * noise) ** 2)
     if not smooth[long] >= least:
@@ -486,10 +495,18 @@ def _dark_current(calibration: NoiseCalibration) -> list[str]:
             "variances scatter about a line over exposure more than noise explains, so the second "
             "figure is no dark current."
         ]
+    apart = f"{abs(mean - variance) / error:.1f} standard errors apart"
+    window = None if calibration.likelihood is None else calibration.chosen.data.window
+    if window is not None:
+        return [
+            f"By the standard dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by "
+            f"the variance, {apart}: both are biased by black that is clipped or hardly dithered; "
+            "the likelihood's figure allows for it."
+        ]
     return [
         f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
-        f"{abs(mean - variance) / error:.1f} standard errors apart. A camera that subtracts dark "
-        "current from its black level shows it in the variance only."
+        f"{apart}. A camera that subtracts dark current from its black level shows it in the "
+        "variance only."
     ]
 
 

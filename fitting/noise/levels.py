@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..codes import Converter
+from .knee import Knee, knee_of
 from .shared import SharedVariance
 
 FEWEST_PIXELS = 100
@@ -163,10 +164,41 @@ class PhotonTransfer(eqx.Module):
         """The grid on which the numbers of flats and darks lie."""
         return finer(self.bright, self.dark)
 
+    @property
+    def knee(self) -> Knee | None:
+        """Where the response bends to a second slope, below full scale; None where it does not."""
+        bright, matched = self.bright, np.asarray(self.dark_of)
+        clear = _clear_of_clipping(self)
+        signal = np.asarray(bright.mean) - np.asarray(self.dark.mean)[matched]
+        variance, dark = np.asarray(bright.variance), np.asarray(self.dark.variance)[matched]
+        error = variance * np.sqrt(2 / np.asarray(bright.pixels * (bright.frames - 1)))
+        end = len(clear) if clear.all() else int(np.argmin(clear))
+        return knee_of(signal[:end], (variance - dark)[:end], error[:end])
+
 
 def finer(bright: Levels, dark: Levels) -> Converter:
     """The grid on which the numbers of both lie."""
     return min(bright.converter, dark.converter, key=lambda one: one.step)
+
+
+def _clear_of_clipping(measurement: PhotonTransfer) -> np.ndarray:
+    """Levels four standard deviations below full scale."""
+    mean, variance = np.asarray(measurement.bright.mean), np.asarray(measurement.bright.variance)
+    if measurement.full_scale is None:
+        return np.ones(mean.shape, bool)
+    return mean + CLEAR_OF_CLIPPING * np.sqrt(variance) <= measurement.full_scale
+
+
+def saturated_level(measurement: PhotonTransfer) -> int | None:
+    """The standard's saturation point, where a fall of the variance is one and no knee.
+
+    Args:
+        measurement: bright and dark levels.
+
+    Returns:
+        Index of the bright level; None without.
+    """
+    return None if measurement.knee is not None else saturation_index(measurement.bright)
 
 
 def saturation_index(levels: Levels) -> int | None:
@@ -197,15 +229,17 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
 
     Returns:
         Indices of the levels up to 95 % of the saturation signal and four standard deviations below
-        full scale, and below the number from which another converter takes over where four levels
-        are.
+        full scale, below a knee, and below the number from which another converter takes over
+        where four levels are.
     """
     bright = measurement.bright
     mean, variance = np.asarray(bright.mean), np.asarray(bright.variance)
     usable = variance > 0
-    if measurement.full_scale is not None:
-        usable &= mean + CLEAR_OF_CLIPPING * np.sqrt(variance) <= measurement.full_scale
-    saturated = saturation_index(bright)
+    usable &= _clear_of_clipping(measurement)
+    knee = measurement.knee
+    if knee is not None:
+        usable &= np.arange(len(mean)) < knee.level
+    saturated = None if knee is not None else saturation_index(bright)
     if saturated is not None:
         signal = mean - np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)]
         usable &= signal <= LINEAR_TOP * signal[saturated]

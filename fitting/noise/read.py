@@ -111,6 +111,10 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     lit = replace(source, codes=Codes())
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
     bright, of_flats = _reduced(lit, flats, odd=odd["flat"], light=amounts, dark=dark)
+    if bright.left_out:  # numbers of these say nothing of the converter
+        lit = _recounted(lit, of_flats)
+    if dark.left_out:
+        source = _recounted(source, of_darks)
     of_all = (lit.codes + source.codes).converter()
     of_each = [of_all, of_all]
     if {lit.codes.whole, source.codes.whole} == {True, False}:  # some were averaged or divided
@@ -404,6 +408,20 @@ def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[O
             found[i] = None
 
 
+def _recounted(source: _Source, levels: Sequence[Sequence[Shown]]) -> _Source:
+    """With the numbers of these frames alone."""
+    found = replace(source, codes=Codes())
+    for frame in (one for level in levels for one in level):
+        _count(found, found.plane(frame.name))
+    return found
+
+
+def _count(source: _Source, frame: np.ndarray) -> None:
+    """The numbers of a frame, but for dead pixels."""
+    live = source.pixels(frame.shape)
+    source.codes.add(np.where(live.mask, frame, np.nan) if live.count < frame.size else frame)
+
+
 def _level(
     source: _Source,
     files: Sequence[str],
@@ -424,9 +442,7 @@ def _level(
             continue
         live = source.pixels(frame.shape)
         if not again:
-            source.codes.add(
-                np.where(live.mask, frame, np.nan) if live.count < frame.size else frame
-            )
+            _count(source, frame)
         if sums is None:
             top, corner = rig.camera.at(source.channel).clip_level, rig.camera.region
             sums = LevelSums(frame, top, live, unlit, corner=(corner or (0, 0))[:2])

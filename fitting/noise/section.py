@@ -222,6 +222,8 @@ def _why_missing(calibration: NoiseCalibration, name: str) -> str:
         return "maximum likelihood has no maximum here, as the findings say"
     if name in NEED_PHOTONS and not calibration.measurement.photons_known:
         return "the light was not measured; give photons or irradiance for every flat"
+    if name in NEED_SATURATION and calibration.measurement.knee is not None:
+        return "the response bends at a knee, as the findings say, and no level tells its end"
     if name in NEED_SATURATION:
         return "no level saturates the camera; add brighter flats"
     if name.startswith("dark_current"):

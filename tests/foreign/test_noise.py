@@ -12,8 +12,10 @@ from PIL import Image
 from scipy.stats import norm, poisson
 
 from fitting import folders, noise
-from fitting.noise.findings import _by_the_dimmest_alone, _light_offset
+from fitting.noise.emva1288 import ranges
+from fitting.noise.findings import _by_the_dimmest_alone, _glow, _light_offset
 from fitting.noise.hits import hits
+from fitting.noise.knee import knee_of
 from fitting.noise.level_sums import LevelSums, Unlit
 from fitting.noise.levels import linear_levels
 from fitting.noise.live_pixels import LivePixels
@@ -616,3 +618,130 @@ def test_tails_of_few_electrons_and_of_warm_pixels_are_no_cosmic_rays():
     for mean in (0.001, 0.01, 0.1, 1.0, warm):
         frames = 20 * rng.poisson(mean, (2, 128, 128)) + 5 * rng.standard_normal((2, 128, 128))
         assert hits(np.round(frames[1]) - np.round(frames[0]), live) is None
+
+
+def test_a_knee_of_a_piecewise_linear_response_is_no_full_well():
+    """Numbers above 1800 DN count a quarter (1736 above black)."""
+    rng = np.random.default_rng(3)
+
+    def frame(photons):
+        electrons = rng.poisson(QE * photons, (128, 128)) + 4 * rng.standard_normal((128, 128))
+        number = K * electrons + 64
+        return np.round(np.where(number < 1800, number, 1800 + (number - 1800) / 4))
+
+    found = noise.calibrate(
+        noise.from_frames(
+            [[frame(p), frame(p)] for p in PHOTONS],
+            [[frame(0.0), frame(0.0)] for _ in PHOTONS],
+            [0.01] * len(PHOTONS),
+            list(PHOTONS),
+            camera=noise.Camera(bits=12),
+        )
+    )
+    knee = found.measurement.knee
+    assert knee is not None
+    assert knee.level == 4
+    np.testing.assert_allclose([knee.slope, knee.signal], [0.25, 1736], rtol=0.1)
+    np.testing.assert_array_equal(found.usable, range(4))
+    figures = {one.name: one for one in section(found).estimates}
+    assert_true({name: figures[name] for name in ("system_gain",)}, system_gain=K)
+    assert figures["saturation_electrons"].value is None
+    assert "bends at a knee" in figures["saturation_electrons"].reason
+    assert any("a knee of a piecewise linear response" in text for text in section(found).findings)
+
+
+def test_saturation_and_bends_that_are_smooth_are_no_knee():
+    """2,000 series without noise, and with that of 128 x 128 pixels."""
+    rng = np.random.default_rng(0)
+    for noisy in (0.0, np.sqrt(2) / 128):
+        for _ in range(200):
+            light = np.linspace(rng.uniform(0.01, 0.1), rng.uniform(0.9, 1.4), rng.integers(6, 25))
+            clipped = np.minimum(light, 1)
+            for signal, slope in (
+                (light, np.ones_like(light)),
+                (clipped, np.where(light < 1, 1, 1e-3)),
+                (1 - np.exp(-light), np.exp(-light)),
+                (light / (1 + light**8) ** (1 / 8), (1 + light**8) ** (-9 / 8)),
+                (light - light**2 / 10, 1 - light / 5),
+            ):
+                shot = 1e4 * light * slope**2
+                shot = shot * (1 + noisy * rng.standard_normal(len(light)))
+                assert knee_of(1e4 * signal, shot, noisy * shot) is None
+
+
+def test_a_series_without_light_that_saturates_has_its_well():
+    rng = np.random.default_rng(0)
+    flats = [[np.minimum(rng.poisson(p, (64, 64)), 9000) for _ in range(2)] for p in PHOTONS / 2]
+    darks = [[10 + rng.poisson(9, (64, 64)) for _ in range(2)] for _ in PHOTONS]
+    measured = noise.from_frames(
+        [[10 + frame for frame in level] for level in flats],
+        darks,
+        [0.01] * len(PHOTONS),
+        list(PHOTONS),
+        camera=noise.Camera(bits=14),
+    )
+    assert measured.knee is None
+    assert ranges(measured).saturation is not None
+
+
+def exposed(rng, *, offset=64.0, side=128, read=4.0, dark=20.0, light=None, levels=12):
+    """Flats and darks of one lamp under longer and longer exposures, and what is stated of them."""
+    photons = np.linspace(600, 26_000, levels)
+    times = photons / 1e6
+
+    def frame(mean, time):
+        mean = mean if light is None else mean * light(rng)
+        electrons = rng.poisson(QE * mean + dark * time, (side, side))
+        return np.clip(
+            np.round(K * (electrons + read * rng.standard_normal((side, side))) + offset, 0),
+            0,
+            4095,
+        )
+
+    flats = [[frame(p, t), frame(p, t)] for p, t in zip(photons, times, strict=True)]
+    darks = [[frame(0.0, t), frame(0.0, t)] for t in times]
+    return flats, darks, list(times), list(photons)
+
+
+@pytest.mark.parametrize("seed", [6, 7, 8])
+def test_bands_of_a_dimmed_lamp_are_no_camera_that_moved(seed):
+    """A lamp that is dimmed by pulses under a rolling shutter: 4 %, of another phase in each frame.
+    Two frames of nearly one phase may be left out."""
+    rows = np.arange(128)[:, None]
+
+    def bands(rng):
+        return 1 + 0.04 * np.sin(2 * np.pi * (rows / 41 + rng.uniform()))
+
+    measured = noise.from_frames(
+        *exposed(np.random.default_rng(seed), light=bands), camera=noise.Camera(bits=12)
+    )
+    assert len(measured.bright.mean) >= 10
+    told = " ".join(measured.bright.left_out)
+    assert not any(word in told for word in ("moved", "copies", "averaged"))
+
+
+def test_a_level_that_is_left_aligned_is_told_as_such():
+    flats, darks, *stated = exposed(np.random.default_rng(10))
+    flats[5] = [16 * frame for frame in flats[5]]
+    measured = noise.from_frames(flats, darks, *stated, camera=noise.Camera(bits=16))
+    (told,) = measured.bright.left_out
+    assert "its numbers are multiples of 16, those of other levels are not" in told
+    assert measured.converter.coarse_from is None  # of what is left
+
+
+def test_darks_that_hardly_leave_one_code_are_not_uneven():
+    """Read noise of .3 electrons at .25 DN an electron."""
+    for seed in (2, 4, 6):
+        frames = exposed(np.random.default_rng(seed), offset=10, side=64, read=0.3, dark=0.5)
+        measured = noise.from_frames(*frames, camera=noise.Camera(bits=12))
+        assert _glow(SimpleNamespace(measurement=measured)) == []
+
+
+@pytest.mark.slow
+def test_the_dark_current_of_clipped_black_blames_no_compensation():
+    frames = exposed(np.random.default_rng(14), offset=0, levels=14)
+    found = noise.calibrate(noise.from_frames(*frames, camera=noise.Camera(bits=12)))
+    told = " ".join(section(found).findings)
+    assert "subtracts dark current" not in told
+    assert "biased by black that is clipped" in told
+    assert_true({"dark_current": estimates(found)["dark_current"]}, dark_current=20)

@@ -637,7 +637,9 @@ ELSEWHERE = (
             fitting.noise.emva1288: linearity_deviation linearity_errors ranges sheet statistics
             fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet noise_data
             fitting.noise.fit: observations start_vector
-            fitting.noise.levels: linear_levels rounding_step saturation_index
+            fitting.noise.levels: linear_levels rounding_step saturated_level
+            fitting.noise.levels: saturation_index
+            fitting.noise.knee: knee_of
             fitting.noise.model: compressed cost expected_electrons level_moments log_density
             fitting.noise.model: log_likelihood_terms named negative_log_density predicted_moments
             fitting.noise.model: expected_neighbours scatter_prior
