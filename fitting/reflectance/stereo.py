@@ -19,6 +19,7 @@ from jaxvision.core.in_notebooks import figure_png, record_html, with_picture
 from jaxvision.errors import InputError
 from jaxvision.plots import pictures
 
+from ..codes import converter_of
 from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
@@ -125,7 +126,8 @@ def photometric_stereo(
             None for 1.
         lowest: readings at or below count as shadow and are left out, in the unit of the images; so
             are those that the others predict less than three standard deviations above.
-        highest: readings at or above count as clipped and are left out, likewise.
+        highest: readings at or above count as clipped and are left out, likewise. Without it, the
+            largest reading does, and a sentence says so, where readings pile up at it.
         robust: also leave out what the other readings contradict, as highlights and cast shadows:
             those beyond 2.5 standard deviations of the fit of least absolute residuals that the
             others' least squares and their scatter would predict so far off once in a hundred
@@ -163,6 +165,9 @@ def photometric_stereo(
     stack, directions, irradiance = _checked(images, lights, intensities)
     rows = directions * irradiance[:, None]
     readings = stack.reshape(len(stack), -1)
+    clipped: tuple[str, ...] = ()
+    if np.isinf(highest) and (top := converter_of(stack).clips_at) is not None:
+        highest, clipped = top, (_of_clipped(readings, top),)
     between = (readings > lowest) & (readings < highest)
     limits = (lowest, highest)
     counts = _counted(rows, readings, between, limits, robust=robust)
@@ -205,7 +210,16 @@ def photometric_stereo(
         albedo_sd.reshape(shape),
         counts.sum(axis=0).reshape(shape),
         misfit.reshape(shape),
-        (*_copies(stack), *findings),
+        (*clipped, *_copies(stack), *findings),
+    )
+
+
+def _of_clipped(readings: Float[np.ndarray, "lights pixels"], top: float) -> str:
+    lit, at = np.sum(readings > 0), np.sum(readings >= top)
+    return (
+        f"{at} readings ({format_percent(at / lit)} of those above 0) are equal to the largest, "
+        f"{top:.6g}, as in images that are clipped there, and were left out; give highest to "
+        "choose another limit."
     )
 
 

@@ -324,3 +324,26 @@ def test_pixels_with_too_few_lights_are_nan_and_three_have_no_error():
 def test_bad_input_is_a_sentence(images, lights, options, said):
     with pytest.raises(InputError, match=said):
         photometric_stereo(images, lights, **options)
+
+
+def test_a_ball_of_8_bits_that_is_clipped_leaves_out_its_largest_code():
+    """Without `highest`; a ball that is not clipped has no such code, of 8 bits or not."""
+    y, x = (np.mgrid[:64, :64] - 31.5) / 30
+    ball = np.stack([x, -y, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))], axis=-1)
+    turn, height = 2.4 * np.arange(12), np.linspace(0.4, 0.95, 12)
+    aside = np.sqrt(1 - height**2)
+    lights = np.stack([aside * np.cos(turn), aside * np.sin(turn), height], axis=-1)
+    shades = np.clip(np.einsum("hwc,lc->lhw", ball, lights), 0, None)
+    noise = np.random.default_rng(0).standard_normal(shades.shape)
+    there = ball[..., 2] > 0.3
+
+    def angles(found):
+        return np.degrees(np.arccos(np.clip(np.sum(found.normals * ball, axis=-1), -1, 1)))[there]
+
+    for albedo, told in ((400, True), (240, False)):
+        codes = np.clip(np.round(albedo * shades + noise), 0, 255).astype(np.uint8)
+        found = photometric_stereo(codes, lights)
+        assert np.median(angles(found)) < 0.5
+        assert any("equal to the largest, 255, as in" in text for text in found.findings) == told
+    scaled = photometric_stereo(np.round(3000 * shades + 5 * noise) / 4095, lights)
+    assert not any("equal to the largest" in text for text in scaled.findings)
