@@ -108,6 +108,8 @@ def table_of(heading, make, keys):
     ]
     for name, key in keys.items():
         default = "required" if key.default is MISSING else shown(key.default)
+        if key.default is MISSING and "by default" in key.about:
+            default = "by integrator"
         words = words_of(key.hint)
         meaning = SHAPE.sub("", " ".join(key.about.split())).replace("|", "\\|")
         if words and not all(word in meaning for word in words):

@@ -263,7 +263,7 @@ def _packed(shared: Any) -> bytes:
 
 
 def _record(kind: type, fields: Mapping[str, Any]) -> Any:
-    """A record of Equinox as it was."""
+    """Rebuild an Equinox module from its type and fields, without calling its constructor."""
     made = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(made, name, value)

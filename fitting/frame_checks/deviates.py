@@ -8,8 +8,8 @@ MEDIAN = 0.6745  # of the size of a normal deviate of standard deviation 1
 
 
 def usual_size(deviates: Sequence[float] | np.ndarray) -> float:
-    """Standard deviation of normal deviates of mean 0, of which less than half may be of another
-    kind.
+    """Robust standard deviation of normal deviates with mean 0, from their median. Fewer than half
+    may be outliers.
 
     Args:
         deviates: any number of them.

@@ -182,8 +182,8 @@ def weakest(
 ) -> str | None:
     """The candidate to leave out next.
 
-    Returns the one that pays least of its price, among those that no other requires; None where all
-    of them pay.
+    Returns the one whose gain is the smallest fraction of its price, among those that no other
+    requires; None if every gain exceeds its price.
     """
     required = {name for candidate in candidates for name in candidate.requires}
     shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}

@@ -151,7 +151,7 @@ def require_positive(what: str, value: Any) -> None:
 
 
 def require_ascending(what: str, low: Any, high: Any) -> None:
-    """Refuse an empty interval. Names of parameters and traced values pass.
+    """Refuse an empty interval. An end that is a parameter's name or a traced value is not checked.
 
     `low`: number or array; None for an open end."""
     ends = {"low": low, "high": high}

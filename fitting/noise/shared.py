@@ -106,8 +106,8 @@ NOTHING = Found(0.0, 0.0, 0.0)
 
 
 def _deviate(ratio: float, degrees: float, beneath: float = MOST_DEGREES) -> float:
-    """The normal deviate that is as rare as a ratio of two variances of so many degrees of freedom:
-    of few, chi-squares have tails that no number of standard errors bounds."""
+    """The normal deviate that is as improbable as a ratio of two variances with these degrees of
+    freedom. With few of them no number of standard errors bounds the tail of a chi-square."""
     return -float(ndtri(np.clip(fdtrc(degrees, beneath, max(ratio, 0.0)), RAREST, 1 - EPSILON)))
 
 

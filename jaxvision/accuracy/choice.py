@@ -17,8 +17,8 @@ STEP = 2**0.5  # between settings that are inferred
 def candidates(curve: Curve) -> tuple[Trial, ...]:
     """List the measured settings and the inferred ones, cheapest first, times in s. A setting
     between or beyond the measured ones is inferred if the knob takes any whole number and the
-    measured errors fall at least as fast as its declared order. Its error follows from the next
-    coarser setting, by the slower of the two orders."""
+    measured errors fall at least as fast as its declared order. Its error is extrapolated
+    from the next coarser setting, with the declared or the measured order, whichever is slower."""
     run = tuple(t for t in curve.trials if np.isfinite(t.error))
     if not curve.knob.whole or curve.knob.law != "power" or not holds(curve.knob, curve.order):
         return run

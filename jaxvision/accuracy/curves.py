@@ -147,9 +147,9 @@ def curve(
 
 
 def _look(session: Session, names: tuple[str, ...]) -> None:
-    """Two calls of each setting while they fit; where none does, of one that takes no new program
-    or of the first, if one call may. Settings that the problem refuses, such as too few pixels for
-    a fit, are left out."""
+    """Run each setting twice, as long as the time allows. If no setting fits in the time, run the
+    first that needs no new program, else the first, provided that one call fits. Settings that the
+    problem refuses, such as too few pixels for a fit, are left out."""
     settings, finest = session.knob.settings, session.knob.reference[-1:]
     if session.left <= LEAST:
         raise OutOfTime

@@ -188,8 +188,8 @@ class Session:
 
 
 def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
-    """s of the whole, where a call of the part took `seconds`, of which the whole takes `once` no
-    longer."""
+    """Time of the whole, s, from that of a call of the part. `once` is a fixed cost, which the
+    whole pays only once."""
     return once + problem.whole * np.maximum(seconds - once, 0.0)
 
 

@@ -4,10 +4,10 @@ A one-sided convex surface does not shade itself, nor does the outer side of a c
 or a box that holds lamp and receiver, such as a room, blocks nothing between them: what joins two
 points of a convex body stays in it. Nothing is blocked where lamp, receiver and occluder are parted
 by the plane of one of them: both of the others on one closed side of a flat occluder, the lamp or
-the occluder behind a flat receiver, the receiver or the occluder behind the lamp. Elsewhere the
-hull of lamp and receiver and the occluder
-must be apart (`bodies.gap`). A point within a few rounding errors of a plane counts as in it: far
-fewer than `geometry.offset_length`, within which no ray meets it either. Lengths in m.
+the occluder behind a flat receiver, the receiver or the occluder behind the lamp. Elsewhere nothing
+is blocked only if the occluder is apart from the convex hull of lamp and receiver (`bodies.gap`). A
+point within a few rounding errors of a plane counts as in it: far fewer than
+`geometry.offset_length`, within which no ray meets it either. Lengths in m.
 """
 
 from collections.abc import Sequence

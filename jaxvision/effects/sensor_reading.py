@@ -60,7 +60,7 @@ def every_pixel(name: str, pixel: Pixel) -> Bound:
 
 
 def telegraph_noise(pixel: Pixel) -> Bound:
-    """A trapped pixel is off by +-a in half of its frames, of variance a^2 / 2; others are not."""
+    """A trapped pixel is wrong by +-a in half of its frames: a variance of a^2 / 2."""
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
     rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()

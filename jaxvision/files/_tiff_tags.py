@@ -61,7 +61,7 @@ class TiffPicture:
 
     @property
     def pattern(self) -> str | None:
-        """Phase of a Bayer mosaic, such as "RGGB"; None of any other picture."""
+        """Phase of a Bayer mosaic, such as "RGGB"; None if the picture is no 2 x 2 Bayer mosaic."""
         if self.first(PHOTOMETRIC) != MOSAIC or self.values.get(CFA_SIZE) != (2, 2):
             return None
         letters = "".join("RGB"[i] if i < 3 else "?" for i in self.values.get(CFA_COLOURS, ()))

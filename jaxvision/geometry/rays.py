@@ -110,10 +110,10 @@ def offset_origin(
 ) -> Vec:
     """Where a ray that leaves a surface starts, so that it does not meet the surface again.
 
-    The point moves along the normal, to the side to which the ray goes, as far as rounding may have
-    put it on the other side. Only one normal is known here: a ray from an edge or a corner of a
-    mesh that goes outward of one face and inward of its neighbour starts on the wrong side of the
-    neighbour and may meet it.
+    The point moves along the normal, toward the side to which the ray goes, by the largest distance
+    by which rounding may have put it on the wrong side. Only one normal is known here: a ray from
+    an edge or a corner of a mesh that goes outward of one face and inward of its neighbour starts
+    on the wrong side of the neighbour and may meet it.
 
     Args:
         point: (3,) m.

@@ -75,8 +75,8 @@ def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
 
 
 class Spread(eqx.Module):
-    """A stretch of [0, 1] onto the interval from `start`, `length` long, of the line whose origin
-    is the foot of a perpendicular: x = scale sinh(first + u span), all () m or no unit."""
+    """Maps [0, 1] onto an interval of a line, from `start` on and `length` long: x = scale
+    sinh(first + u span), measured from the foot of a perpendicular. start, length, scale: () m."""
 
     start: Scalar
     length: Scalar

@@ -47,7 +47,7 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
 
 @jax.custom_jvp
 def _saturating(x: Scalars) -> Scalars:
-    """x / (1 + x), 1 at infinity, whose slope 1 / (1 + x)^2 is no difference."""
+    """x / (1 + x), and 1 at infinity. The slope is computed as 1 / (1 + x)^2: nothing cancels."""
     return jnp.where(x == jnp.inf, 1, x / (1 + x))
 
 

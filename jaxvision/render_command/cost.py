@@ -51,7 +51,7 @@ class Clock:
 
 @contextmanager
 def timed() -> Iterator[Clock]:
-    """A clock that listens to the compiler."""
+    """A clock in s that listens to the compiler."""
     clock = Clock()
     jax.monitoring.register_event_duration_secs_listener(clock.add)
     try:
@@ -78,7 +78,15 @@ def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
 
 
 def in_words(cost: Cost, settings: RenderEntry) -> str:
-    """One line for the end of a render: samples, error, time, and the time of a smaller error."""
+    """One line for the end of a render: samples, error, time, and the time of a smaller error.
+
+    Args:
+        cost: from `render_to_file`.
+        settings: with which it was called.
+
+    Returns:
+        A sentence in the units s and %.
+    """
     took = _seconds(cost.seconds)
     if cost.compiling >= 0.1:
         took += f" and {_seconds(cost.compiling)} of compiling"

@@ -164,7 +164,7 @@ def box_of(free: Sequence[str]) -> Box:
 
 
 def with_names(source: SceneFile, effect: Effect) -> Effect:
-    """An effect whose name holds that of its surface or light in the file, if it has one there."""
+    """The effect, with the name of its surface or light added if the file gives one."""
     place = re.match(r"(surfaces|lights|shadows)\[(\d+)\]", effect.name)
     if place is None:
         return effect

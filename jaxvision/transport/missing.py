@@ -517,7 +517,7 @@ def _open_edges(surface: Surface) -> int:
 def _cut_short(
     integrator: Integrator, depth: int, faces: str, before: np.ndarray, behind: np.ndarray
 ) -> list[str]:
-    """A sentence where mirrors and glass in a row take more pieces than `depth` allows."""
+    """A warning where mirrors and glass in a row need more path segments than `depth` allows."""
     match integrator:
         case "path":  # to the surface, to the lamp, and a piece for each face between
             needed = before + 2 + np.where(behind >= 0, behind, 0)

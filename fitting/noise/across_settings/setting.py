@@ -55,7 +55,7 @@ class Told:
     covariance: Float[np.ndarray, "quantities quantities"]
 
     def of(self, name: str) -> tuple[float, float]:
-        """Value and standard error of a quantity; NaN where it is not told."""
+        """Value and standard error of a quantity; NaN if this setting does not determine it."""
         if name not in self.names:
             return np.nan, np.nan
         place = self.names.index(name)

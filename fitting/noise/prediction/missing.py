@@ -416,7 +416,7 @@ class _Fit:
         return Missing(one.key, clause, float(np.sqrt(gain)), self.agreement())
 
     def _shape(self, one: Candidate) -> np.ndarray:
-        """Over the standard deviations of the frames' noise."""
+        """The effect's shape, divided by the standard deviations of the frames' noise."""
         rows = one.shape(self._traces)[: len(self._comparison.noise)]
         none = np.zeros(self._comparison.noise.shape[1])
         shape = np.concatenate([none if row is None else none + row for row in rows])

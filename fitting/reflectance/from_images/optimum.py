@@ -1,11 +1,11 @@
 """The best parameters of one channel: variable projection, weighted squares, maximum likelihood.
 
-Variable projection finds the global optimum of the plain squares without a start. Its residuals
-give the spread, and with it the weights, of the fit proper: one step of feasible generalised least
-squares. Where the model misses more than the sensor's noise, the weights take that for a constant
-(`spread`): a wrong model must not discount the very highlights that it misses. Where
-pixels are saturated, the likelihood counts them as "at least this bright"; leaving them out, or
-trusting them, would bias the highlight.
+Variable projection finds the global optimum of unweighted least squares, without start values. Its
+residuals give the spread, and with it the weights, of the fit proper: one step of feasible
+generalised least squares. Where the model misses more than the sensor's noise, the weights take
+that for a constant (`spread`): a wrong model must not discount the very highlights that it misses.
+Where pixels are saturated, the likelihood counts them as "at least this bright"; leaving them out,
+or trusting them, would bias the highlight.
 """
 
 from dataclasses import dataclass, replace

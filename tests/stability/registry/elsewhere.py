@@ -88,7 +88,9 @@ def covered_names(group: Elsewhere) -> tuple[str, ...]:
 
 ELSEWHERE = (
     Elsewhere(
-        CHOICES, "test_plain_arrays", "core.plain_arrays: plain_array warn_of_range within_integers"
+        CHOICES,
+        "test_plain_arrays",
+        "core.plain_arrays: plain_array warn_of_range with_room within_integers",
     ),
     Elsewhere(
         FILES,
@@ -550,6 +552,7 @@ ELSEWHERE = (
             fitting.fits.bands: bands pushed simulated thinned_draws
             fitting.fits.budget: budget
             fitting.fits.called_for: called_for
+            fitting.fits.data_checks: data_check
             fitting.fits.prior_check: blamed conflicts
             fitting.fits.information: expected_information slope_of with_inputs
             fitting.fits.information: in_words plan
@@ -637,7 +640,7 @@ ELSEWHERE = (
             fitting.noise.emva1288: linearity_deviation linearity_errors ranges sheet statistics
             fitting.noise.fit: base_space fit_space fitted gain_drop likelihood_sheet noise_data
             fitting.noise.fit: observations start_vector
-            fitting.noise.levels: linear_levels rounding_step saturated_level
+            fitting.noise.levels: finer linear_levels rounding_step saturated_level
             fitting.noise.levels: saturation_index
             fitting.noise.knee: knee_of
             fitting.noise.model: compressed cost expected_electrons level_moments log_density
