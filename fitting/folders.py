@@ -210,9 +210,8 @@ def _has_taps(file: Path) -> bool:
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
     """One section for each site of a mosaic, or for each tap."""
     from .noise.calibration import calibrate
-    from .noise.read import reduce_rig
+    from .noise.read import read_photon_transfer
     from .noise.section import sections_of_sites
-    from .noise.usable import check
     from .report.inputs import with_inputs
 
     sites = rig.camera.sites
@@ -221,8 +220,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
         for i, site in enumerate(sites):
             own = draws(f"noise_{i}" if i else "noise", lambda done, total: None)
             try:
-                measurement = reduce_rig(rig, channel=site)
-                check(rig.folder, measurement)
+                measurement = read_photon_transfer(rig, channel=site)
                 calibrations[site] = calibrate(measurement, **own)
             except InputError as error:
                 failed.append((site, error))

@@ -171,7 +171,7 @@ class PhotonTransfer(eqx.Module):
         clear = _clear_of_clipping(self)
         signal = np.asarray(bright.mean) - np.asarray(self.dark.mean)[matched]
         variance, dark = np.asarray(bright.variance), np.asarray(self.dark.variance)[matched]
-        error = variance * np.sqrt(2 / np.asarray(bright.pixels * (bright.frames - 1)))
+        error = variance * np.sqrt(2 / (float(bright.pixels) * (np.asarray(bright.frames) - 1)))
         end = len(clear) if clear.all() else int(np.argmin(clear))
         return knee_of(signal[:end], (variance - dark)[:end], error[:end])
 

@@ -41,12 +41,12 @@ BRIGHTEST = 2  # levels by which dead pixels are found
 
 @in_double
 def read_photon_transfer(
-    path: str | os.PathLike[str], *, bits: int | None = None, channel: str = ""
+    path: str | os.PathLike[str] | Rig, *, bits: int | None = None, channel: str = ""
 ) -> PhotonTransfer:
     """A photon transfer measurement from a rig's `[[flat]]` and `[[dark]]` frames, or from a table.
 
     Args:
-        path: a rig folder or file, or a table of sums with the suffix `.csv`.
+        path: a rig, its folder or file, or a table of sums with the suffix `.csv`.
         bits: ADC bits of a table's camera; None for those of the rig, or to infer them where the
             table saturates.
         channel: site of a rig's Bayer mosaic; empty for the first green.
@@ -57,7 +57,7 @@ def read_photon_transfer(
     Raises:
         InputError: for what cannot be used.
     """
-    file = Path(path)
+    file = Path(path.folder if isinstance(path, Rig) else path)
     if file.suffix.lower() == ".csv":
         if channel:
             raise InputError(f"{file}: is a table of one channel; leave out {channel!r}.")
@@ -65,7 +65,8 @@ def read_photon_transfer(
     elif bits is not None:
         raise InputError(f"{file}: camera.bits of the rig counts; leave out the bits, {bits}.")
     else:
-        measurement = reduce_rig(load_rig(file), channel=channel)
+        rig = path if isinstance(path, Rig) else load_rig(file)
+        measurement = reduce_rig(rig, channel=channel)
     check(file, measurement)
     return measurement
 

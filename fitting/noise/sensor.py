@@ -14,6 +14,7 @@ from jaxvision.files.cameras import write_sensor
 from ..codes import Converter
 from ..inference.compiled import compiled_briefly
 from ..inference.parameters import names, to_natural
+from ..inference.precision import in_double
 from .brighter_fatter import fitted_effect, fitted_kernel
 from .calibration import NoiseCalibration
 from .fit import fitted_without
@@ -116,6 +117,7 @@ def sensors_of(numbers: Numbers) -> Sensor:
     return _sensors(numbers.about, numbers.natural, numbers.beside)
 
 
+@in_double
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
     """Writes the sensor of a calibration, its draws beside it.
 

@@ -28,6 +28,7 @@ from jaxvision.files.cameras import write_sensor
 
 from ..inference.compiled import compiled_briefly
 from ..inference.formatting import format_p
+from ..inference.precision import in_double
 from ..rig import Camera
 from .calibration import NoiseCalibration, refitted
 from .choice import CURVE, SHARING
@@ -62,6 +63,7 @@ class SensorOfSites:
     findings: tuple[str, ...]
 
 
+@in_double
 def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera) -> SensorOfSites:
     """The one sensor of a camera whose sites were calibrated each by itself.
 
@@ -141,6 +143,7 @@ def _tile(camera: Camera) -> tuple[tuple[int, ...], ...]:
     return tuple(map(tuple, np.arange(len(camera.sites)).reshape(camera.layout).tolist()))
 
 
+@in_double
 def write_sensor_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera, path: Path
 ) -> None:

@@ -36,6 +36,7 @@ def read_by_setting(
     return reduce_by_setting(load_rig(path), channel=channel)
 
 
+@in_double
 def reduce_by_setting(
     rig: Rig,
     *,

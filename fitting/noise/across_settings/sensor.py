@@ -77,6 +77,7 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
     write_sensor(best, path, draws=draws, about=about + "pixel and second.")
 
 
+@in_double
 def write_sensor_of_sites_at(
     calibrations: Mapping[str, CameraCalibration], camera: Camera, gain: float | None, path: Path
 ) -> None:
