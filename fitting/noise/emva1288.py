@@ -21,6 +21,8 @@ standard's, the errors tell of the scatter.
 Decibels are 20 log10. Usable bits are log2 of the dynamic range.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -320,7 +322,11 @@ def linearity_deviation(
 
 
 def evaluate(
-    measurement: PhotonTransfer, within: Ranges, *, shared: SharedNoise | None = None
+    measurement: PhotonTransfer,
+    within: Ranges,
+    *,
+    shared: SharedNoise | None = None,
+    figures: Callable[[Statistics, PhotonTransfer, Ranges], Sheet] = sheet,
 ) -> Evaluation:
     """The sheet and its standard errors by the delta method.
 
@@ -328,15 +334,16 @@ def evaluate(
         measurement: bright and dark levels.
         within: the standard's ranges.
         shared: noise of rows, columns or frames; None without.
+        figures: the sheet of a release.
 
     Returns:
         Values, errors and misfit.
     """
     stats = statistics(measurement, within.saturation)
-    values = sheet(stats, measurement, within)
+    values = figures(stats, measurement, within)
     errors, misfit = _sampling(stats, measurement, within, values["system_gain"], shared)
     bright, dark = errors
-    slopes = jax.jacrev(lambda stats: sheet(stats, measurement, within))(stats)
+    slopes = jax.jacrev(lambda stats: figures(stats, measurement, within))(stats)
 
     def standard_error(slope: Statistics) -> Array:
         total = _propagated(slope.bright_mean, slope.bright_variance, bright)

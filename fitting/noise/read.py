@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -71,6 +71,23 @@ def read_photon_transfer(
     return measurement
 
 
+@dataclass(frozen=True)
+class Reduced:
+    """A rig's photon transfer, and how its frames can be read again.
+
+    Attributes:
+        measurement: unchecked.
+        flats: names of the frames that count, by bright level.
+        darks: likewise.
+        plane: (h, w) DN of a frame by its name.
+    """
+
+    measurement: PhotonTransfer
+    flats: list[list[str]]
+    darks: list[list[str]]
+    plane: Callable[[str], np.ndarray]
+
+
 def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> PhotonTransfer:
     """Reduces all frames of a rig, one frame in memory at a time.
 
@@ -85,6 +102,11 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
     Raises:
         InputError: for frames that do not belong together.
     """
+    return reduced_rig(rig, channel=channel, load=load).measurement
+
+
+def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Reduced:
+    """`reduce_rig`, with the names of the frames that it used."""
     require(rig, "photon transfer")
     require_one_setting(rig, "read them with fitting.noise.read_by_setting")
     rig, odd, remarks = _without_odd_heads(rig)
@@ -152,14 +174,14 @@ def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Photo
         site=rig.camera.sites.index(channel) if len(rig.camera.sites) > 1 else None,
     )
     found = replace(found, doubts=doubts(found, of_flats, of_darks))
+    named = [[[one.name for one in shown] for shown in of] for of in (of_flats, of_darks)]
     counted = dim_levels(found)
     if isinstance(counted, str):
-        return replace(found, remarks=(*found.remarks, counted))
-    if len(counted):
-        named = ([[one.name for one in shown] for shown in of] for of in (of_flats, of_darks))
+        found = replace(found, remarks=(*found.remarks, counted))
+    elif len(counted):
         tables = code_tables(found, counted, *named, plane=source.plane, live=source.live)
         found = replace(found, tables=tables)
-    return found
+    return Reduced(found, *named, source.plane)
 
 
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
