@@ -51,7 +51,11 @@ Channel = Annotated[
 INCOMPLETE = 3  # exit status where channels could not be calibrated and the others were written
 
 
-@command("jaxvision-fit noise camera --out noise", "jaxvision-fit noise sums.csv --bits 12")
+@command(
+    "jaxvision-fit noise camera --out noise",
+    "jaxvision-fit noise camera --release 4.0",
+    "jaxvision-fit noise sums.csv --bits 12",
+)
 def noise(
     options: Options,
     path: Annotated[
@@ -62,11 +66,16 @@ def noise(
     ],
     bits: BitsOfTable = None,
     channel: Channel = "",
+    release: Annotated[
+        Literal["3.1", "4.0"],
+        typer.Option(help="Release of EMVA 1288; 4.0 adds its sheet beside that of 3.1."),
+    ] = "3.1",
 ) -> None:
     """Photon transfer: the EMVA 1288 sheet, each figure with its standard error."""
 
     def calibrate_noise(reporter: Reporter) -> folders.Found:
-        return folders.noise(path, reporter.step, options.draws, bits=bits, channel=channel)
+        asked = {"bits": bits, "channel": channel, "release": release}
+        return folders.noise(path, reporter.step, options.draws, **asked)
 
     run("Photon transfer", path, options, calibrate_noise)
 
@@ -354,7 +363,8 @@ def study(
 def check(
     options: Options,
     kind: Annotated[
-        Literal["brdf", "joint", "noise", "response"], typer.Argument(help="Fits to check.")
+        Literal["brdf", "emva1288", "joint", "noise", "response"],
+        typer.Argument(help="Fits to check."),
     ],
     simulations: Annotated[int, typer.Option(help="Simulations of each case.", min=2)] = 200,
     workers: Workers = 0,

@@ -62,7 +62,13 @@ def _attempted(
 
 
 def noise(
-    path: Path, step: Step, draws: Draws, *, bits: int | None = None, channel: str = ""
+    path: Path,
+    step: Step,
+    draws: Draws,
+    *,
+    bits: int | None = None,
+    channel: str = "",
+    release: str = "3.1",
 ) -> Found:
     """Photon transfer from flats and darks, or from a CSV of sums per exposure. Several gains or
     temperatures are fitted separately and together.
@@ -73,6 +79,7 @@ def noise(
         draws: how it samples.
         bits: of a CSV's camera.
         channel: site of a mosaic, or tap; "" for all of them, one after the other.
+        release: of EMVA 1288; "4.0" adds its sheet, of each site.
 
     Returns:
         One section, or one a site, or that of the camera and one a setting; no pictures.
@@ -89,10 +96,18 @@ def noise(
     from .report.inputs import with_inputs
     from .report.section import Section
 
-    if rig is not None and len(by_setting(rig)) > 1:
+    settings = 1 if rig is None else len(by_setting(rig))
+    sites = [channel] if rig is None or channel else list(rig.camera.sites)
+    if release == "4.0" and settings > 1:
+        raise InputError(
+            f"{path}: has {settings} settings, and the sheet of release 4.0 is of one; give the "
+            "frames of one gain and temperature, or leave out --release."
+        )
+    added = _release_4(path, sites, step, draws, bits) if release == "4.0" else []
+    if rig is not None and settings > 1:
         return _noise_of_settings(rig, step, draws, channel), {}
-    if rig is not None and not channel and len(rig.camera.sites) > 1:
-        return _noise_of_sites(rig, step, draws), {}
+    if rig is not None and len(sites) > 1:
+        return [*_noise_of_sites(rig, step, draws), *added], {}
     with step("reading frames"):
         measurement = read_photon_transfer(path, bits=bits, channel=channel)
     unstated: list[tuple[Rig, tuple[str, ...]]] = []
@@ -113,8 +128,39 @@ def noise(
     if unstated:
         apart, told = unstated[0]
         first, *others = _noise_of_sites(apart, step, draws)
-        return [replace(first, findings=(*told, *first.findings)), *others], {}
-    return [found if rig is None else with_inputs(found, rig, "photon transfer")], {}
+        return [replace(first, findings=(*told, *first.findings)), *others, *added], {}
+    return [found if rig is None else with_inputs(found, rig, "photon transfer"), *added], {}
+
+
+def _release_4(
+    path: Path, sites: Sequence[str], step: Step, draws: Draws, bits: int | None
+) -> "list[Section]":
+    """The sheets of release 4.0 of each site."""
+    from .noise.release_4.section import sections
+    from .noise.release_4.sheet import release_4_sheet
+    from .noise.release_4.stacks import read_stacks
+
+    seed, found = draws("noise", lambda done, total: None)["seed"], []
+    for site in sites:
+        with step(f"averaging frames{f' of {site}' if len(sites) > 1 else ''}"):
+            try:
+                stacks = read_stacks(path, bits=bits, channel=site)
+            except InputError:
+                continue  # the section of the site says why
+            own = sections(release_4_sheet(stacks, seed=seed))
+        if len(sites) > 1:
+            word = site.replace(" ", "_").replace(",", "_")
+            own = [
+                replace(
+                    one,
+                    kind=f"{one.kind}_{word}",
+                    title=f"{one.title}: {site}",
+                    estimates=tuple(replace(known, group=site) for known in one.estimates),
+                )
+                for one in own
+            ]
+        found += own
+    return found
 
 
 def _flats_and_darks(path: Path, bits: int | None, channel: str) -> "Rig | None":

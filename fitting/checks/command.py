@@ -10,13 +10,19 @@ from jaxvision import __version__
 
 from ..report.progress import Reporter
 from ..report.section import Section
-from . import joint, noise, reflectance, response
+from . import emva1288, joint, noise, reflectance, response
 from .coverage import coverage
 from .section import section
 from .simulations import simulated
 
 SEEDS = 1_000_000  # simulations of a seed
-KINDS = {"brdf": reflectance, "joint": joint, "noise": noise, "response": response}
+KINDS = {
+    "brdf": reflectance,
+    "emva1288": emva1288,
+    "joint": joint,
+    "noise": noise,
+    "response": response,
+}
 
 
 def run(
@@ -25,7 +31,7 @@ def run(
     """Checks every case of a kind.
 
     Args:
-        kind: of fit, "brdf", "joint", "noise" or "response".
+        kind: of fit, of `KINDS`.
         simulations: fits of each case.
         kept: folder in which fits are kept, so that another run goes on from them; None for none.
         reporter: told of every fit.

@@ -6,10 +6,11 @@ from jaxvision import ArrayLike
 from jaxvision.errors import InputError
 
 from ..inference.precision import in_double
-from ..observation import MEMORY, each, in_memory, require_as_many, require_frames
-from ..rig import Camera
+from ..observation import MEMORY, Load, each, in_memory, require_as_many, require_frames
+from ..rig import Camera, Rig
 from .levels import Levels, PhotonTransfer
 from .read import reduce_darks, reduce_rig
+from .release_4.stacks import Stacks, reduce_stacks
 from .usable import check
 
 
@@ -53,6 +54,53 @@ def from_frames(
         >>> print(gain.round(1))  # DN an electron
         [1.  1.  1.1 1.1]
     """
+    rig, load = _rig_of(flats, darks, exposures, photons, camera, dark_exposures)
+    measurement = reduce_rig(rig, channel=channel, load=load)
+    check(MEMORY, measurement)
+    return measurement
+
+
+@in_double
+def stacks_from_frames(
+    flats: Sequence[Sequence[ArrayLike]],
+    darks: Sequence[Sequence[ArrayLike]],
+    exposures: Sequence[float],
+    *,
+    camera: Camera,
+    photons: Sequence[float] | None = None,
+    dark_exposures: Sequence[float] | None = None,
+    channel: str = "",
+) -> Stacks:
+    """Average frames and spatial variances from frames in memory, for `release_4_sheet`.
+
+    Args:
+        flats: of each level of light two or more frames, (h, w) DN.
+        darks: of each exposure two or more frames, (h, w) DN.
+        exposures: of the levels of light, s.
+        camera: its bits, and what else is known of it.
+        photons: mean photons per pixel and exposure of the levels; None where unknown.
+        dark_exposures: of the darks, s; None where each level has darks of its own exposure.
+        channel: site of a Bayer mosaic; empty for the first green.
+
+    Returns:
+        Statistics in DN, of all pixels.
+
+    Raises:
+        InputError: for lists of unequal length, and for what cannot be used.
+    """
+    rig, load = _rig_of(flats, darks, exposures, photons, camera, dark_exposures)
+    return reduce_stacks(rig, channel=channel, load=load)
+
+
+def _rig_of(
+    flats: Sequence[Sequence[ArrayLike]],
+    darks: Sequence[Sequence[ArrayLike]],
+    exposures: Sequence[float],
+    photons: Sequence[float] | None,
+    camera: Camera,
+    dark_exposures: Sequence[float] | None,
+) -> tuple[Rig, Load]:
+    """The rig of frames in memory, and what loads them."""
     require_frames("flats", flats)
     require_frames("darks", darks)
     exposures = each("exposures", exposures)
@@ -86,10 +134,7 @@ def from_frames(
         "flat.photons": "photons",
         "dark.exposure": "exposures" if dark_exposures is None else "dark_exposures",
     }
-    rig, load = in_memory(images, called=called, camera=camera, flat=flat, dark=dark)
-    measurement = reduce_rig(rig, channel=channel, load=load)
-    check(MEMORY, measurement)
-    return measurement
+    return in_memory(images, called=called, camera=camera, flat=flat, dark=dark)
 
 
 @in_double

@@ -174,14 +174,17 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
         site=rig.camera.sites.index(channel) if len(rig.camera.sites) > 1 else None,
     )
     found = replace(found, doubts=doubts(found, of_flats, of_darks))
-    named = [[[one.name for one in shown] for shown in of] for of in (of_flats, of_darks)]
+    flats_used, darks_used = (
+        [[one.name for one in shown] for shown in of] for of in (of_flats, of_darks)
+    )
     counted = dim_levels(found)
     if isinstance(counted, str):
         found = replace(found, remarks=(*found.remarks, counted))
     elif len(counted):
-        tables = code_tables(found, counted, *named, plane=source.plane, live=source.live)
+        again = {"plane": source.plane, "live": source.live}
+        tables = code_tables(found, counted, flats_used, darks_used, **again)
         found = replace(found, tables=tables)
-    return Reduced(found, *named, source.plane)
+    return Reduced(found, flats_used, darks_used, source.plane)
 
 
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:

@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from scipy.stats import binom, norm
 
 import jaxvision as jv
+from fitting import folders
 from fitting.cli import app
 from fitting.inference.newton import minimise
 from fitting.inference.parameters import names, to_unconstrained
@@ -445,6 +446,12 @@ def test_rigs_of_several_settings_are_read_one_by_one(tmp_path):
         (folder / "rig.toml").write_text(text.replace(old, new))
         with pytest.raises(InputError, match=words):
             read_by_setting(folder)
+
+
+def test_the_sheet_of_release_4_is_of_one_setting(tmp_path):
+    folder = write_rig(tmp_path)
+    with pytest.raises(InputError, match=r"has 3 settings, and the sheet of release 4"):
+        folders.noise(folder, None, None, release="4.0")  # pyright: ignore
 
 
 def test_a_setting_that_cannot_be_read_is_left_out_with_the_darks_of_its_gain(tmp_path):

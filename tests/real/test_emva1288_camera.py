@@ -12,6 +12,9 @@ from fitting.noise.emva1288 import ranges
 from fitting.noise.levels import linear_levels, saturation_index
 from fitting.noise.prediction.predict import predict, predict_own_frames
 from fitting.noise.read import read_photon_transfer
+from fitting.noise.release_4.section import sections
+from fitting.noise.release_4.sheet import release_4_sheet
+from fitting.noise.release_4.stacks import read_stacks
 from fitting.noise.section import section as noise_section
 from jaxvision import read_sensor
 
@@ -69,6 +72,28 @@ def test_the_standards_sheet_is_the_published_one(calibration, published, ours, 
     value = float(calibration.standard.values[ours])
     np.testing.assert_allclose(value, published[theirs], rtol=1e-6)
     assert 0 < float(calibration.standard.errors[ours]) < abs(value)
+
+
+@pytest.mark.slow
+def test_release_4_differs_by_its_threshold_and_says_what_a_table_lacks(data_folder, published):
+    sheet = release_4_sheet(read_stacks(data_folder / "emva1288" / "temporal_ptc.csv"))
+    found = {name: float(value) for name, value in sheet.linear.values.items()}
+    same = {"system_gain": "K", "responsivity": "R", "read_noise": "sigma_d", "snr_max": "SNR_max"}
+    for ours, theirs in same.items():
+        np.testing.assert_allclose(found[ours], published[theirs], rtol=1e-6)
+    sigma = published["sigma_y_dark"] / published["K"]
+    ratio = (np.sqrt(sigma**2 + 0.25) + 0.5) / (sigma + 0.5)
+    np.testing.assert_allclose(found["threshold_photons"], ratio * published["u_p_min"], rtol=1e-6)
+    sizes = published["LE_min"], published["LE_max"]
+    assert 0 < found["linearity_error"] < max(map(abs, sizes))
+    linear, general = sections(sheet)
+    assert "pixels" in linear.estimate("prnu_col").reason
+    # Without a model: as many electrons as the signal to noise needs, which the standard's K,
+    # a line through a curve, puts 2.6 % lower.
+    bound = general.estimate("efficiency_bound")
+    assert bound.value is not None
+    np.testing.assert_allclose(bound.value, published["QE"], rtol=0.03)
+    assert sheet.general.total is None
 
 
 @pytest.mark.slow

@@ -326,6 +326,7 @@ ELSEWHERE = (
         """
             fitting.checks.command.*
             fitting.checks.coverage.*
+            fitting.checks.emva1288.*
             fitting.checks.joint.*
             fitting.checks.noise.*
             fitting.checks.problem.*
@@ -631,8 +632,9 @@ ELSEWHERE = (
     Elsewhere(
         STATISTICS,
         "test_noise test_emva1288 test_photon_transfer test_noise_shared test_noise_neighbours "
-        "test_noise_prediction foreign/test_noise",
+        "test_noise_prediction test_release_4 foreign/test_noise",
         """
+            fitting.noise.release_4.*
             fitting.noise.brighter_fatter.*
             fitting.noise.calibration: calibrate finest_read_noise sheet_estimate widened
             fitting.noise.choice: choose_model dark_scatter

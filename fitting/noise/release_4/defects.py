@@ -1,0 +1,104 @@
+"""Histograms of the pixels' deviations, clause 8.8, and how many lie beyond those of a Gaussian.
+
+The classes are whole multiples of 1 / L DN, the grid of an average over L frames:
+
+    I = floor(L (y_max - y_min) / 256) + 1,    Q = floor(L (y_max - y_min) / I) + 1      (73)
+    q = floor(L (y - y_min) / I)                                                        (74)
+    y[q] = y_min + (I - 1) / (2 L) + q I / L                                            (75)
+
+and the accumulated histogram has the share of pixels that deviate by at least as much (77).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import betaincinv, erfc
+
+CLASSES = 256
+ROUNDING = 1e-9  # of a class, in an average that is a multiple of 1 / L
+
+
+class Histogram(NamedTuple):
+    """Of the deviations from the mean.
+
+    Attributes:
+        centres: (classes,) of the classes, less the mean, in the unit of the image.
+        counts: (classes,) pixels.
+        gaussian: (classes,) pixels of a Gaussian of the same standard deviation.
+        deviations: (257,) least deviations.
+        share: (257,) per cent of pixels that deviate by at least these.
+    """
+
+    centres: Float[np.ndarray, " classes"]
+    counts: Int[np.ndarray, " classes"]
+    gaussian: Float[np.ndarray, " classes"]
+    deviations: Float[np.ndarray, " deviations"]
+    share: Float[np.ndarray, " deviations"]
+
+
+class Outliers(NamedTuple):
+    """Pixels beyond so many standard deviations.
+
+    Attributes:
+        beyond: standard deviations.
+        pixels: how many.
+        interval: (low, high) of their share in the population, 95 % (Clopper and Pearson 1934).
+        expected: share of a Gaussian.
+    """
+
+    beyond: float
+    pixels: int
+    interval: tuple[float, float]
+    expected: float
+
+
+def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:
+    """The standard's histograms of an average frame.
+
+    Args:
+        image: filtered, or as it is.
+        steps: of the average to one unit of the image: L where that is DN.
+
+    Returns:
+        Both histograms.
+    """
+    low, spread, mean = image.min(), np.ptp(image), image.mean()
+    width = int(steps * spread / CLASSES + ROUNDING) + 1
+    classes = int(steps * spread / width + ROUNDING) + 1
+    place = (steps * (image - low) / width + ROUNDING).astype(int).ravel()
+    counts = np.bincount(np.minimum(place, classes - 1), minlength=classes)
+    centres = low - mean + (width - 1) / (2 * steps) + np.arange(classes) * width / steps
+    sd = max(float(image.std()), np.finfo(float).tiny)
+    gaussian = np.exp(-((centres / sd) ** 2) / 2) / np.sqrt(2 * np.pi) / sd
+    away = np.sort(np.abs(image - mean).ravel())
+    deviations = np.linspace(0, away[-1], CLASSES + 1)
+    beyond = away.size - np.searchsorted(away, deviations, side="left")
+    return Histogram(
+        centres,
+        counts,
+        gaussian * image.size * width / steps,
+        deviations,
+        100 * beyond / away.size,
+    )
+
+
+def outliers(image: Float[np.ndarray, "h w"]) -> tuple[Outliers, ...]:
+    """How many pixels lie beyond 3, 4 and 5 standard deviations.
+
+    Args:
+        image: DN.
+
+    Returns:
+        One for each; the deviations are in units of the middle 68 %, which a few outliers do not
+        widen.
+    """
+    away = np.abs(image - np.median(image)).ravel()
+    sd = float(np.quantile(away, 0.6827))
+    found = []
+    for beyond in (3.0, 4.0, 5.0):
+        count = int(np.sum(away > beyond * sd))
+        low = float(betaincinv(count, away.size - count + 1, 0.025)) if count else 0.0
+        high = float(betaincinv(count + 1, away.size - count, 0.975)) if count < away.size else 1.0
+        found.append(Outliers(beyond, count, (low, high), float(erfc(beyond / np.sqrt(2)))))
+    return tuple(found)

@@ -1,0 +1,72 @@
+"""Spectrograms and profiles of an average frame, clauses 8.6 and 8.7.
+
+The horizontal spectrogram is the power of the rows' discrete Fourier transforms over sqrt(N), mean
+over the rows; of independent pixels it is s^2 + sigma^2 / L at every frequency, as the mean of M
+numbers that are chi-square of two degrees of freedom.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import chdtri
+
+BAND = (0.975, 0.025)
+
+
+class Spectrogram(NamedTuple):
+    """Power over frequency along one direction.
+
+    Attributes:
+        cycles: (frequencies,) per pixel, 0 to 1/2.
+        power: (frequencies,) DN^2.
+        white: median power, DN^2: that of what is independent from pixel to pixel.
+        band: (low, high) of the power of such pixels, 95 % at each frequency.
+    """
+
+    cycles: Float[np.ndarray, " frequencies"]
+    power: Float[np.ndarray, " frequencies"]
+    white: float
+    band: tuple[float, float]
+
+
+class Profile(NamedTuple):
+    """Along one direction, over all lines across it: (pixels,) each, DN."""
+
+    middle: Float[np.ndarray, " pixels"]
+    mean: Float[np.ndarray, " pixels"]
+    least: Float[np.ndarray, " pixels"]
+    most: Float[np.ndarray, " pixels"]
+
+
+def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
+    """Power along an axis of an image, mean over the other.
+
+    Args:
+        image: DN.
+        axis: 1 for the horizontal, 0 for the vertical spectrogram.
+
+    Returns:
+        The spectrogram.
+    """
+    length = image.shape[axis]
+    transform = np.fft.rfft(image - image.mean(), axis=axis) / np.sqrt(length)
+    power = np.mean(np.abs(transform) ** 2, axis=1 - axis)
+    degrees = 2 * image.shape[1 - axis]
+    white = float(np.median(power[1:]))
+    low, high = (white * float(chdtri(degrees, q)) / degrees for q in BAND)
+    return Spectrogram(np.arange(len(power)) / length, power, white, (low, high))
+
+
+def profile(image: Float[np.ndarray, "h w"], axis: int) -> Profile:
+    """The middle line along an axis, and mean, least and most of all lines.
+
+    Args:
+        image: DN.
+        axis: 1 for the horizontal, 0 for the vertical profile.
+
+    Returns:
+        The profile.
+    """
+    lines = image if axis == 1 else image.T
+    return Profile(lines[len(lines) // 2], lines.mean(axis=0), lines.min(axis=0), lines.max(axis=0))

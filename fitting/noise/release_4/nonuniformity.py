@@ -1,0 +1,165 @@
+"""What rows, columns and pixels add to the spatial variance of an average frame, with intervals.
+
+Of an average over L frames of M rows and N columns, with sigma^2 the temporal variance of a pixel,
+
+    s^2_y   = mean of (y - mu)^2 - sigma^2 / L               (36), all pixels
+    s^2_cav = mean of (column mean - mu)^2 - sigma^2 / (L M)  (41)
+    s^2_rav = mean of (row mean - mu)^2 - sigma^2 / (L N)     (41)
+    s^2_y = row + col + pixel,  s^2_cav = col + pixel / M,  s^2_rav = row + pixel / N     (42)
+
+The high-pass of clause 8.1 takes the mean over 7 x 7, then 11 x 11 pixels, then the binomial 3 x 3,
+from each pixel; of the borders, where a window is not full, nothing is used.
+
+Intervals stand for the population of pixels, rows and columns that the frames are a sample of. Mean
+squares of the dark and of the bright average have a Wishart distribution in each stratum, so their
+covariances are drawn from its inverse (of which a variance is a mean square over a chi-square per
+degree of freedom), and each figure follows from every draw. One draw serves both averages, as the
+dark pattern is in the bright one, too. Filtered lines and pixels are correlated, and the pixels'
+tails may be heavier than Gaussian, so fewer degrees of freedom count.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import correlate1d, uniform_filter
+from scipy.signal import fftconvolve
+
+BOXES, BINOMIAL = (7, 11), np.array([1.0, 2.0, 1.0]) / 4
+BORDER = 9  # pixels that the windows reach
+FEWEST_LINES = 8  # rows and columns that must be left within the borders
+DRAWS = 4000
+
+
+class Split(NamedTuple):
+    """Spatial variances, DN^2: of all pixels, and what rows, columns and pixels add to it."""
+
+    total: float
+    row: float
+    col: float
+    pixel: float
+
+
+class Loss(NamedTuple):
+    """What the filter leaves.
+
+    Attributes:
+        lines: share of the variance of independent rows or columns.
+        pixels: of independent pixels.
+        line_degrees: share of the degrees of freedom of rows or columns.
+        pixel_degrees: of pixels.
+    """
+
+    lines: float = 1.0
+    pixels: float = 1.0
+    line_degrees: float = 1.0
+    pixel_degrees: float = 1.0
+
+
+@cache
+def loss_of_filter() -> Loss:
+    """What the high-pass leaves of rows, columns and pixels that are independent."""
+    smooth = BINOMIAL
+    for width in BOXES:
+        smooth = np.convolve(smooth, np.ones(width) / width)
+    line = -smooth
+    line[BORDER] += 1
+    pixel = -np.outer(smooth, smooth)
+    pixel[BORDER, BORDER] += 1
+    alike = np.convolve(line, line[::-1]), fftconvolve(pixel, pixel[::-1, ::-1])
+    left = [float(np.max(one)) for one in alike]
+    degrees = [size**2 / float(np.sum(one**2)) for one, size in zip(alike, left, strict=True)]
+    return Loss(*left, *degrees)
+
+
+def can_filter(shape: tuple[int, ...]) -> bool:
+    """Whether a frame of this size has rows and columns left within the filter's borders."""
+    return min(shape) >= 2 * BORDER + FEWEST_LINES
+
+
+def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows columns"]:
+    """What clause 8.1 leaves of an image, without its borders; about 0."""
+    smooth = np.asarray(image, float)
+    for width in BOXES:
+        smooth = uniform_filter(smooth, width)
+    for axis in (0, 1):
+        smooth = correlate1d(smooth, BINOMIAL, axis=axis)
+    return (image - smooth)[BORDER:-BORDER, BORDER:-BORDER]
+
+
+def split(image: Float[np.ndarray, "h w"], rest: float) -> Split:
+    """The standard's spatial variances of an average frame.
+
+    Args:
+        image: DN, filtered or not.
+        rest: temporal variance that the average keeps, sigma^2 / L, DN^2.
+
+    Returns:
+        The variances, DN^2; below 0 where noise makes them so.
+    """
+    (rows, columns), away = image.shape, image - image.mean()
+    total = float(np.mean(away**2)) - rest
+    col = float(np.mean(away.mean(axis=0) ** 2)) - rest / rows
+    row = float(np.mean(away.mean(axis=1) ** 2)) - rest / columns
+    pixel = (total - col - row) / (1 - 1 / rows - 1 / columns)
+    return Split(total, row - pixel / columns, col - pixel / rows, pixel)
+
+
+def drawn(
+    dark: Float[np.ndarray, "h w"],
+    bright: Float[np.ndarray, "h w"],
+    rest: Float[np.ndarray, "2"],
+    of_rest: Float[np.ndarray, "2"],
+    loss: Loss,
+    rng: np.random.Generator,
+) -> dict[str, Float[np.ndarray, "draws 2 2"]]:
+    """Covariances between the dark and the bright pattern, as the averages allow.
+
+    Args:
+        dark: average frame without light, DN.
+        bright: average frame with light, filtered as it is, DN.
+        rest: temporal variance that each average keeps, DN^2.
+        of_rest: standard error of these, DN^2.
+        loss: of the filter.
+        rng: of the draws.
+
+    Returns:
+        Of the fields of `Split`, DN^2.
+    """
+    away = np.stack([dark - dark.mean(), bright - bright.mean()])
+    of_rows, of_columns = away.mean(axis=2), away.mean(axis=1)
+    own = away - of_rows[:, :, None] - of_columns[:, None, :]
+    rows, columns = dark.shape
+    lines = [
+        _inverse_wishart(one @ one.T / degrees, degrees * loss.line_degrees, rng)
+        for one, degrees in ((of_rows, rows - 1), (of_columns, columns - 1))
+    ]
+    own = own.reshape(2, -1)
+    degrees = float((rows - 1) * (columns - 1))
+    squares = np.maximum(np.mean(own**2, axis=1), np.finfo(float).tiny)
+    tails = max(float(np.max(np.mean(own**4, axis=1) / squares**2)) - 1, 2.0)
+    rest_of_pixels = _inverse_wishart(
+        own @ own.T / degrees, degrees * loss.pixel_degrees * 2 / tails, rng
+    )
+    ratio = loss.lines / loss.pixels
+    row = lines[0] - ratio * rest_of_pixels / columns
+    col = lines[1] - ratio * rest_of_pixels / rows
+    temporal = loss.pixels * (rest + of_rest * rng.standard_normal((len(row), 2)))
+    pixel = rest_of_pixels - temporal[:, :, None] * np.eye(2)
+    return {"total": row + col + pixel, "row": row, "col": col, "pixel": pixel}
+
+
+def _inverse_wishart(
+    square: Float[np.ndarray, "2 2"], degrees: float, rng: np.random.Generator
+) -> Float[np.ndarray, "draws 2 2"]:
+    """Draws of a covariance of which `square` is the mean square over so many degrees."""
+    values, vectors = np.linalg.eigh(square)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    wishart = np.zeros((DRAWS, 2, 2))
+    # With one more degree, a variance by itself is chi-square of `degrees`.
+    wishart[:, 0, 0] = np.sqrt(rng.chisquare(degrees + 1, DRAWS))
+    wishart[:, 1, 1] = np.sqrt(rng.chisquare(degrees, DRAWS))
+    wishart[:, 1, 0] = rng.standard_normal(DRAWS)
+    inverse = root @ np.linalg.inv(wishart).transpose(0, 2, 1)
+    return degrees * inverse @ inverse.transpose(0, 2, 1)

@@ -1,0 +1,109 @@
+"""The saturation point of release 4 (clause 6.6): the light at which .1 to .2 % of the numbers are
+at the end of the scale.
+
+Between two levels of light with numbers both at the end and below, the normal deviate of the share
+is interpolated, which is about linear in the light, at .15 %. Where the levels are too far apart
+for that, the numbers are taken for Gaussian: mean and standard deviation go on from the two levels
+below to where .15 % would be beyond the end. The standard error is that of a share anywhere between
+.1 and .2 %, with that of the counts, or with a tenth of the way from the mean to the end, as tails
+need not be Gaussian.
+
+Where no level reaches the share (full well comes first, or a table has no pixels) the point of
+release 3.1, of the largest variance, stands for it.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtri
+
+from .. import emva1288
+from ..emva1288 import LINEARITY_RANGE, SENSITIVITY_TOP, Ranges
+from ..levels import PhotonTransfer
+
+SHARES = np.array([0.001, 0.0015, 0.002])
+FEWEST = 10  # numbers at the end, and below, for an interpolation
+TAILS = 0.1  # of the way from the mean to the end
+WIDTH_OF_ERROR = float(np.sqrt(24))  # `Ranges.saturation_width` is the base of a triangle
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers of each bright level.
+
+    Attributes:
+        at_top: (levels,) share at the end of the scale; 0 where that is unknown.
+        spread: (levels,) standard deviation over pixels and frames, DN.
+    """
+
+    at_top: Float[np.ndarray, " levels"]
+    spread: Float[np.ndarray, " levels"]
+
+
+def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges, bool]:
+    """The ranges of release 4.
+
+    Args:
+        measurement: bright and dark levels, of ascending light.
+        numbers: of the bright levels; None where unknown.
+
+    Returns:
+        The ranges, and whether the saturation point is that of release 4.
+    """
+    within = emva1288.ranges(measurement)
+    if numbers is None or measurement.full_scale is None:
+        return within, False
+    beyond = np.flatnonzero(numbers.at_top > SHARES[1])
+    if not beyond.size or beyond[0] < 2:
+        return within, False
+    above = int(beyond[0])
+    bright, dark = measurement.bright, measurement.dark
+    lights, mean = np.asarray(bright.light), np.asarray(bright.mean)
+    pair = slice(above - 1, above + 1)
+    count = float(bright.pixels) * np.asarray(bright.frames)[pair]
+    share = numbers.at_top[pair]
+    if np.all((share * count >= FEWEST) & ((1 - share) * count >= FEWEST)):
+        light, error = _interpolated(lights[pair], share, count)
+    else:
+        end = measurement.full_scale - measurement.converter.step / 2
+        light, error = _of_gaussian(lights, mean, numbers.spread, end, above)
+    place = (light - lights[above - 1]) / max(lights[above] - lights[above - 1], 1e-300)
+    signal = mean - np.asarray(dark.mean)[np.asarray(measurement.dark_of)]
+    top = signal[above - 1] + place * (signal[above] - signal[above - 1])
+    below = np.arange(len(signal)) < above
+    least, most = LINEARITY_RANGE
+    found = replace(
+        within,
+        sensitivity=jnp.asarray(below & (signal <= SENSITIVITY_TOP * top)),
+        linearity=jnp.asarray(below & (signal >= least * top) & (signal <= most * top)),
+        saturation=jnp.asarray(float(light)),
+        saturation_width=jnp.asarray(WIDTH_OF_ERROR * float(error)),
+    )
+    return found, True
+
+
+def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tuple[float, float]:
+    """Light and its error, of two levels with numbers at the end and below it."""
+    deviates = ndtri(share)
+    slope = (lights[1] - lights[0]) / (deviates[1] - deviates[0])
+    low, light, high = lights[0] + slope * (ndtri(SHARES) - deviates[0])
+    density = np.exp(-(deviates**2) / 2) / np.sqrt(2 * np.pi)
+    place = (light - lights[0]) / (lights[1] - lights[0])
+    by_counts = np.sqrt(share * (1 - share) / count) / density * (1 - place, place)
+    return float(light), float(np.hypot((high - low) / np.sqrt(12), slope * np.hypot(*by_counts)))
+
+
+def _of_gaussian(
+    lights: np.ndarray, mean: np.ndarray, spread: np.ndarray, end: float, above: int
+) -> tuple[float, float]:
+    """Light and its error, from mean and spread of the two levels below."""
+    one, two = above - 2, above - 1
+    apart = lights[two] - lights[one]
+    rate, growth = (mean[two] - mean[one]) / apart, (spread[two] - spread[one]) / apart
+    deviates = -ndtri(SHARES)
+    steps = (end - mean[two] - deviates * spread[two]) / (rate + deviates * growth)
+    low, light, high = np.clip(lights[two] + steps, lights[two], lights[above])
+    tails = TAILS * deviates[1] * (spread[two] + growth * (light - lights[two])) / rate
+    return float(light), float(np.hypot((high - low) / np.sqrt(12), tails))

@@ -1,0 +1,408 @@
+"""The sheet of release 4 as its reader sees it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...inference.estimates import QUANTILES, Estimate, not_determined, quantile_estimate
+from ...inference.formatting import format_number, format_percent
+from ...report.section import Section, Table
+from ..calibration import BY_NAME, sheet_estimate
+from ..emva1288 import is_floored, least_dark_variance
+from ..quantities import HEADINGS, NEED_PHOTONS, NEED_SATURATION, QUANTITIES, Quantity
+from ..sampling import sampling_errors
+from .defects import outliers
+from .figures import defect_images, pictures_of_images, signal_to_noise
+from .nonuniformity import BORDER, FEWEST_LINES, Split, loss_of_filter
+from .sheet import FILTERED, PARTS, PLAIN, Nonuniformity, Release4
+from .stacks import Averages
+
+KIND, TITLE = "noise_release_4", "EMVA 1288, release 4.0"
+LINEAR, UNFILTERED, GENERAL = "EMVA 1288 R4", "no high-pass", "EMVA 1288 R4 General"
+METHODS = {FILTERED: LINEAR, PLAIN: UNFILTERED}
+LINEARITY = Quantity("linearity_error", "LE", "%")
+GENERAL_QUANTITIES = (
+    Quantity("output_snr_max", "SNR_y.max", "1"),
+    Quantity("input_snr_max", "SNR_p.max", "1"),
+    Quantity("input_snr_max_db", "SNR_p.max", "dB", False),
+    Quantity("efficiency_bound", "η_least", "%"),
+    *(BY_NAME[name] for name in ("threshold_photons", "dynamic_range", "dynamic_range_db")),
+)
+OF_PARTS = {
+    (kind, part): Quantity(
+        kind if part == "total" else f"{kind}_{part}",
+        f"{kind.upper()}_1288" + ("" if part == "total" else f".{part}"),
+        unit,
+    )
+    for kind, unit in (("dsnu", "e⁻"), ("prnu", "%"))
+    for part in PARTS
+}
+# What the standard's floor of dark noise is a bound of, and whether an upper one.
+BELOW_FLOOR = {
+    **dict.fromkeys(("temporal_dark_noise", "read_noise"), True),
+    **dict.fromkeys(("threshold_photons", "threshold_electrons"), True),
+    **dict.fromkeys(("dynamic_range", "dynamic_range_db", "usable_bits"), False),
+}
+LEAK = 0.1  # of a part, from which noise of rows and columns that the average keeps is told
+
+
+def section(sheet: Release4) -> Section:
+    """*Linear* and *General* as one section, for a notebook.
+
+    Args:
+        sheet: of a camera.
+
+    Returns:
+        Figures of both, by their method.
+    """
+    linear, general = sections(sheet)
+    return replace(
+        linear,
+        kind=KIND,
+        title=TITLE,
+        estimates=(*linear.estimates, *general.estimates),
+        pictures=(*linear.pictures, *general.pictures),
+        tables=(*linear.tables, *general.tables),
+    )
+
+
+def sections(sheet: Release4) -> list[Section]:
+    """The sheet of release 4 as sections of a report.
+
+    Args:
+        sheet: of a camera.
+
+    Returns:
+        *Linear*, with the nonuniformities, and *General*: figures, findings, tables and pictures.
+    """
+    stacks = sheet.stacks
+    settings = {"release": "4.0", "seed of the draws": sheet.seed}
+    of_images, frames = (), {}
+    averages = stacks.averages
+    if averages is not None:
+        of_images = (
+            *(_variances(sheet, averages), _variances_of_levels(sheet, averages)),
+            _outliers(averages),
+        )
+        frames = {
+            "light of the bright average": float(stacks.measurement.bright.light[averages.level]),
+            "frames of the bright average": averages.lit.frames,
+            "frames of the dark average": averages.unlit.frames,
+        }
+    linear = Section(
+        kind=f"{KIND}_linear",
+        title=f"{TITLE} Linear",
+        estimates=_without_doubted(sheet, [*_linear(sheet), *_nonuniformities(sheet)]),
+        findings=_findings(sheet),
+        pictures=pictures_of_images(sheet),
+        tables=of_images,
+        about="EMVA Standard 1288, release 4.0 Linear (2021), of all pixels.",
+        headings=_headings(),
+        settings=settings | frames,
+    )
+    general = Section(
+        kind=f"{KIND}_general",
+        title=f"{TITLE} General",
+        estimates=_without_doubted(sheet, _general(sheet)),
+        pictures=(signal_to_noise(sheet),),
+        tables=(_signal_to_noise(sheet),),
+        about="EMVA Standard 1288, release 4.0 General (2021): no linear model, the measured "
+        "response alone.",
+        settings=settings,
+    )
+    return [linear, general]
+
+
+def _without_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
+    """The figures; those that frames do not tell replaced by the reason."""
+    doubts = sheet.stacks.measurement.doubts
+    why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
+    found = []
+    for one in listed:
+        name = one.name.split("_")[0] if one.name.startswith(("dsnu", "prnu")) else one.name
+        found.append(not_determined(one, why[name], method=one.method) if name in why else one)
+    return tuple(found)
+
+
+def _headings() -> dict[str, tuple[str, ...]]:
+    found = dict(HEADINGS)
+    for kind, title in (("dsnu", "Dark signal"), ("prnu", "Photo response")):
+        names = tuple(OF_PARTS[kind, part].name for part in PARTS)
+        found[f"{title} nonuniformity"] = names
+    del found["Spatial nonuniformity"]
+    found["Linearity error"] = (LINEARITY.name,)
+    return found
+
+
+def _linear(sheet: Release4) -> list[Estimate]:
+    values, errors, listed = sheet.linear.values, sheet.linear.errors, []
+    measurement = sheet.stacks.measurement
+    floored = is_floored(measurement, sheet.within)
+    floor = float(np.sqrt(least_dark_variance(measurement)))
+    for quantity in (*QUANTITIES, LINEARITY):
+        name = quantity.name
+        if name in ("dsnu", "prnu", "linearity_error_min", "linearity_error_max"):
+            continue
+        if name not in values:
+            listed.append(not_determined(quantity, _why_missing(sheet, name), method=LINEAR))
+        elif floored and name in BELOW_FLOOR:
+            side = "below" if BELOW_FLOOR[name] else "above"
+            reason = (
+                f"{side} {float(values[name]):.3g} {quantity.unit}: dark noise is under the "
+                f"standard's floor of {floor:.2g} DN, where rounding rules"
+            )
+            listed.append(not_determined(quantity, reason, method=LINEAR))
+        else:
+            listed.append(
+                sheet_estimate(quantity, float(values[name]), float(errors[name]), LINEAR)
+            )
+    return listed
+
+
+def _why_missing(sheet: Release4, name: str) -> str:
+    if name in NEED_PHOTONS and not sheet.stacks.measurement.photons_known:
+        return "the light was not measured; give photons or irradiance for every flat"
+    if name in NEED_SATURATION:
+        return "no level saturates the camera; add brighter flats"
+    return "the darks have fewer than three different exposures; add darks at other exposures"
+
+
+def _nonuniformities(sheet: Release4) -> list[Estimate]:
+    if not sheet.nonuniformity:
+        reason = (
+            "a table of temporal sums does not hold the pixels; give the frames in a rig folder"
+        )
+        return [not_determined(quantity, reason, method=LINEAR) for quantity in OF_PARTS.values()]
+    relative = float(sheet.linear.errors["system_gain"]) / sheet.gain
+    rng = np.random.default_rng(sheet.seed)
+    listed = []
+    for (kind, part), quantity in OF_PARTS.items():
+        for method, one in sheet.nonuniformity.items():
+            dark, bright = getattr(one.dark, part), getattr(one.bright, part)
+            if kind == "dsnu":
+                variance, draws, scale = dark, one.dsnu[part], 1 / sheet.gain
+                spread = np.exp(relative * rng.standard_normal(len(draws)))
+            else:
+                variance, draws, scale = (bright - dark) / one.signal**2, one.prnu[part], 100.0
+                spread = 1.0
+            listed.append(_deviation(quantity, variance, draws, scale, spread, METHODS[method]))
+    return listed
+
+
+def _deviation(
+    quantity: Quantity,
+    variance: float,
+    draws: Float[np.ndarray, " draws"],
+    scale: float,
+    spread: Float[np.ndarray, " draws"] | float,
+    method: str,
+) -> Estimate:
+    """A standard deviation, with the draws of its variance; what they do not tell from 0 is a
+    limit."""
+    drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
+    ends = np.quantile(drawn, QUANTILES)
+    if ends[0] <= 0 or variance <= 0:
+        reason = f"below {ends[-1]:.3g} {quantity.unit}: not distinguishable from none"
+        return not_determined(quantity, reason, method=method)
+    value = scale * float(np.sqrt(variance))
+    return quantile_estimate(quantity, value, float(drawn.std()), ends, method=method)
+
+
+def _general(sheet: Release4) -> list[Estimate]:
+    listed = []
+    for quantity in GENERAL_QUANTITIES:
+        if quantity.name not in sheet.general.values:
+            if quantity.name == "efficiency_bound":
+                reason = _why_missing(sheet, "quantum_efficiency")
+            else:
+                reason = _why_missing(sheet, quantity.name)
+            listed.append(not_determined(quantity, reason, method=GENERAL))
+            continue
+        draws = sheet.general.draws[quantity.name]
+        listed.append(
+            quantile_estimate(
+                quantity,
+                sheet.general.values[quantity.name],
+                float(draws.std()),
+                np.quantile(draws, QUANTILES),
+                method=GENERAL,
+            )
+        )
+    return listed
+
+
+def _findings(sheet: Release4) -> tuple[str, ...]:
+    stacks, told = sheet.stacks, []
+    if sheet.within.saturation is not None and not sheet.clipped:
+        why = "no level has more than .15 % of its numbers at the end of the scale"
+        if stacks.numbers is None:
+            why = "a table of sums has no pixels to count at the end of the scale"
+        told.append(f"The saturation point is that of the largest variance (release 3.1): {why}.")
+    told.append(_noise_of_linearity(sheet))
+    if stacks.averages is None:
+        return tuple(told)
+    if FILTERED not in sheet.nonuniformity:
+        least = 2 * BORDER + FEWEST_LINES
+        told.append(
+            "The frames are too small for the high-pass of clause 8.1, which needs at least "
+            f"{least} x {least} pixels, so uneven light counts as nonuniformity."
+        )
+    else:
+        loss = loss_of_filter()
+        lines, pixels = (
+            format_percent(float(np.sqrt(x)), decimals=1) for x in (loss.lines, loss.pixels)
+        )
+        told.append(
+            f"The high-pass leaves {lines} of the deviation of independent rows and columns and "
+            f"{pixels} of that of independent pixels; figures behind it are not corrected for that."
+        )
+        told += _uneven(sheet.nonuniformity)
+    return (*told, *_leaks(sheet, stacks.averages))
+
+
+def _noise_of_linearity(sheet: Release4) -> str:
+    """What noise alone makes of the mean absolute deviation."""
+    measurement = sheet.stacks.measurement
+    bright, dark = measurement.bright, measurement.dark
+    gain = jnp.asarray(0.0)
+    of_bright, of_dark = (
+        np.asarray(sampling_errors(one, jnp.zeros_like(one.mean), gain).mean)
+        for one in (bright, dark)
+    )
+    own = np.asarray(measurement.dark_of)
+    within = np.asarray(sheet.within.linearity)
+    signal = (np.asarray(bright.mean) - np.asarray(dark.mean)[own])[within]
+    errors = np.sqrt(of_bright + of_dark[own])[within] / signal
+    alone = 100 * np.sqrt(2 / np.pi) * float(errors.mean())
+    found = float(sheet.linear.values[LINEARITY.name])
+    return (
+        f"The noise of the means alone makes a linearity error of {format_number(alone, 3)} % of a "
+        f"straight camera; this one has {format_number(found, 3)} %."
+    )
+
+
+def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
+    plain, filtered = (found[how].prnu["total"] for how in (PLAIN, FILTERED))
+    low, high = np.quantile(plain, 0.025), np.quantile(filtered, 0.975)
+    if low <= high / loss_of_filter().lines:
+        return []
+    without, behind = (100 * np.sqrt(max(float(np.median(x)), 0)) for x in (plain, filtered))
+    return [
+        f"PRNU is {format_number(without, 2)} % without the high-pass and "
+        f"{format_number(behind, 2)} % with it: most of it is uneven over more than 10 pixels, as "
+        "light and lenses are."
+    ]
+
+
+def _leaks(sheet: Release4, averages: Averages) -> list[str]:
+    """Temporal noise of rows and columns, and drift, that an average keeps or the standard takes
+    out twice."""
+    measurement, unlit, told = sheet.stacks.measurement, averages.unlit, []
+    shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
+    split: Split = sheet.nonuniformity[PLAIN].dark
+    if shared is not None:
+        of_lines = ("rows", shared.rows, split.row), ("columns", shared.columns, split.col)
+        for name, varying, fixed in of_lines:
+            kept = float(varying[own]) / unlit.frames
+            if fixed > 0 and kept > LEAK * fixed:
+                told.append(
+                    f"The {name} of a dark share temporal noise, of which the average over "
+                    f"{unlit.frames} frames keeps {format_number(np.sqrt(kept), 2)} DN. The "
+                    f"standard counts that as DSNU of {name} "
+                    f"({format_number(np.sqrt(fixed), 2)} DN in all); more frames lower it."
+                )
+    lost = unlit.drift / unlit.frames
+    if lost > LEAK * max(split.total, 0.0) and lost > 0:
+        told.append(
+            f"The means of the darks differ by {format_number(np.sqrt(unlit.drift), 2)} DN rms, "
+            "which (65) counts as noise of the pixels: spatial variances of the dark are too small "
+            f"by {format_number(lost, 2)} DN²."
+        )
+    return told
+
+
+def _signal_to_noise(sheet: Release4) -> Table:
+    general = sheet.general
+    none = (None,) * len(general.light)
+    light = "photons" if sheet.stacks.measurement.photons_known else "s"
+    return Table(
+        "Signal to noise at all levels",
+        (f"light [{light}]", "slope R [DN per unit]", "SNR_y", "SNR_p", "standard error",
+         "total SNR_p", "nonuniformity of the input [%]"),
+        tuple(
+            zip(
+                general.light.tolist(),
+                general.slope.tolist(),
+                general.output.tolist(),
+                general.input.tolist(),
+                general.input_errors.tolist(),
+                none if general.total is None else general.total.tolist(),
+                none if general.nonuniformity is None else general.nonuniformity.tolist(),
+                strict=True,
+            )
+        ),
+        "From the measured response alone; its slope is that of the parabola through the five "
+        "nearest levels.",
+    )  # fmt: skip
+
+
+def _variances(sheet: Release4, averages: Averages) -> Table:
+    rows = []
+    lit, unlit = averages.lit, averages.unlit
+    for how, one in sheet.nonuniformity.items():
+        for name, split, stack in (("dark", one.dark, unlit), ("bright", one.bright, lit)):
+            rows.append((name, how, *split, stack.noise + stack.drift, stack.frames))
+    return Table(
+        "Spatial variances of the average frames",
+        ("average", "filter", *(f"s² {part} [DN²]" for part in PARTS), "σ² [DN²]", "frames"),
+        tuple(rows),
+        "By (36), (41), (42) and (65) of release 4.0 Linear; below 0 where noise makes them so.",
+    )
+
+
+def _variances_of_levels(sheet: Release4, averages: Averages) -> Table:
+    stacks, rows = sheet.stacks, []
+    bright, dark = stacks.measurement.bright, stacks.measurement.dark
+    own = int(stacks.measurement.dark_of[averages.level])
+    for levels, i, one in (
+        (dark, own, stacks.dark[own]),
+        *((bright, i, one) for i, one in enumerate(stacks.bright)),
+    ):
+        numbers = (levels.light[i], 1e3 * levels.exposure[i], levels.mean[i])
+        last = float(levels.variance[i]), int(levels.frames[i])
+        rows.append((*(float(x) for x in numbers), *one, *last))
+    heads = ("light", "exposure [ms]", "mean [DN]", *(f"s² {part} [DN²]" for part in PARTS))
+    how = "High-passed" if FILTERED in sheet.nonuniformity else "Not filtered"
+    return Table(
+        "Spatial variances of all levels",
+        (*heads, "σ² [DN²]", "frames"),
+        tuple(rows),
+        f"{how}; the dark is that of the averages. The temporal noise that few frames leave is "
+        "taken out.",
+    )
+
+
+def _outliers(averages: Averages) -> Table:
+    rows = []
+    for name, _, image, _ in defect_images(averages):
+        for one in outliers(image):
+            low, high = (100 * x for x in one.interval)
+            rows.append(
+                (
+                    name,
+                    one.beyond,
+                    one.pixels,
+                    100 * one.pixels / image.size,
+                    f"{low:.3g} to {high:.3g}",
+                    100 * one.expected,
+                )
+            )
+    return Table(
+        "Pixels that deviate",
+        ("image", "standard deviations", "pixels", "share [%]", "95 % [%]", "Gaussian [%]"),
+        tuple(rows),
+        "Standard deviations are those of the middle 68 % of the pixels.",
+    )

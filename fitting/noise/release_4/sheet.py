@@ -1,0 +1,141 @@
+"""The whole of release 4 for one camera: *Linear*, nonuniformities, *General*."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision import as_dtype
+
+from ...inference.compiled import compiled_briefly
+from ...inference.precision import in_double
+from ...report.notebook import ShownInNotebooks
+from ..emva1288 import Evaluation, Ranges, evaluate
+from ..shared import shared_noise
+from .general import General, general
+from .linear import figures
+from .nonuniformity import Loss, Split, can_filter, drawn, high_pass, loss_of_filter, split
+from .saturation import ranges
+from .stacks import Stack, Stacks
+
+PARTS = Split._fields  # total, row, col, pixel
+FILTERED, PLAIN = "high-pass (8.1)", "no filter"
+
+
+@dataclass(frozen=True)
+class Nonuniformity:
+    """DSNU and PRNU of one pair of average frames.
+
+    Attributes:
+        dark: the standard's spatial variances of the dark, DN^2.
+        bright: of the bright level.
+        signal: of that level above its dark, DN.
+        dsnu: (draws,) of s^2_dark, DN^2, by part.
+        prnu: (draws,) of (s^2_50 - s^2_dark) / signal^2, by part.
+    """
+
+    dark: Split
+    bright: Split
+    signal: float
+    dsnu: Mapping[str, Float[np.ndarray, " draws"]]
+    prnu: Mapping[str, Float[np.ndarray, " draws"]]
+
+
+@dataclass(frozen=True, repr=False)
+class Release4(ShownInNotebooks):
+    """The sheet of release 4.0.
+
+    Attributes:
+        stacks: that it was made from.
+        within: the ranges of the levels.
+        clipped: whether the saturation point is that of release 4, by numbers at the end of the
+            scale.
+        linear: figures of *Linear* with their standard errors.
+        nonuniformity: by how the frames were filtered: `FILTERED` and `PLAIN`; none without images,
+            `PLAIN` alone of frames too small for the filter.
+        general: signal to noise without a linear model.
+        seed: of the draws.
+    """
+
+    stacks: Stacks
+    within: Ranges
+    clipped: bool
+    linear: Evaluation
+    nonuniformity: Mapping[str, Nonuniformity]
+    general: General
+    seed: int = 0
+
+    @property
+    def gain(self) -> float:
+        """K, DN/e-."""
+        return float(self.linear.values["system_gain"])
+
+
+_evaluated = compiled_briefly(evaluate)
+
+
+@in_double
+def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
+    """The sheet of EMVA 1288, release 4.0, of a camera.
+
+    Args:
+        stacks: of `read_stacks` or `stacks_from_frames`.
+        seed: of the draws that intervals come from.
+
+    Returns:
+        The sheet; a notebook and `print` show it, and its `section` has estimates by name.
+
+    Source:
+        EMVA Standard 1288, releases 4.0 Linear and 4.0 General (2021).
+
+    Example:
+        >>> from fitting.noise import Camera, release_4_sheet, stacks_from_frames
+        >>> rng = np.random.default_rng(0)
+        >>> columns = 3 * (-1.0) ** np.arange(40)  # DN, the same in every frame
+        >>> def frames(light):
+        ...     return np.round(rng.poisson(light, (8, 40, 40)) + 20 + columns)
+        >>> photons = [200, 400, 600, 800, 1000]
+        >>> lit, dark = [frames(light / 2) for light in photons], [frames(4)]
+        >>> at = {"camera": Camera(bits=12), "dark_exposures": [0.01], "photons": photons}
+        >>> stacks = stacks_from_frames(lit, dark, [0.01] * 5, **at)
+        >>> sheet = release_4_sheet(stacks)
+        >>> found = sheet.nonuniformity["no filter"].dark
+        >>> [round(float(np.sqrt(max(x, 0))), 1) for x in (found.row, found.col)]  # DN
+        [0.0, 3.0]
+    """
+    rng = np.random.default_rng(seed)
+    measurement = as_dtype(stacks.measurement, np.float64)
+    within, clipped = ranges(measurement, stacks.numbers)
+    dark = measurement.dark
+    shared = shared_noise(dark.shared, dark.variance, dark.frames)
+    linear = _evaluated(measurement, within, shared=shared, figures=figures)
+    found = {}
+    if stacks.averages is not None:
+        unlit, lit = stacks.averages.unlit, stacks.averages.lit
+        if can_filter(lit.image.shape):
+            found[FILTERED] = _nonuniformity(unlit, lit, True, rng)
+        found[PLAIN] = _nonuniformity(unlit, lit, False, rng)
+    return Release4(
+        stacks, within, clipped, linear, found, general(stacks, within, shared, rng), seed
+    )
+
+
+def _nonuniformity(
+    unlit: Stack, lit: Stack, filtered: bool, rng: np.random.Generator
+) -> Nonuniformity:
+    images = [one.image for one in (unlit, lit)]
+    signal = float(images[1].mean() - images[0].mean())
+    loss = Loss()
+    if filtered:
+        images, loss = [high_pass(image) for image in images], loss_of_filter()
+    rest = np.array([one.noise / one.frames for one in (unlit, lit)])
+    degrees = np.array([images[0].size * (one.frames - 1) for one in (unlit, lit)])
+    draws = drawn(images[0], images[1], rest, rest * np.sqrt(2 / degrees), loss, rng)
+    return Nonuniformity(
+        split(images[0], unlit.rest),
+        split(images[1], lit.rest),
+        signal,
+        {part: one[:, 0, 0] for part, one in draws.items()},
+        {part: (one[:, 1, 1] - one[:, 0, 0]) / signal**2 for part, one in draws.items()},
+    )

@@ -1,0 +1,214 @@
+"""Average frames of the levels of a photon transfer, all pixels of them, and their spatial
+variances.
+
+The standard's own statistics: with y the frames of a level and d_f the mean of frame f,
+
+    mu_y    = mean of y                                                     (16)
+    sigma^2 = mean over the pixels of the variance over the frames - variance of d_f    (18)
+    sigma^2_stack = mean over the pixels of the variance over the frames    (65)
+
+(18) is the standard's for two frames; for more it is what their pairs give on average.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision.errors import InputError
+from jaxvision.files.images import read_image
+
+from ...inference.precision import in_double
+from ...observation import Load
+from ...rig import Rig, load_rig
+from ..levels import PhotonTransfer
+from ..pattern import standard_pattern
+from ..read import read_photon_transfer, reduced_rig
+from ..usable import check
+from .nonuniformity import Split, can_filter, high_pass, split
+from .saturation import Numbers, ranges
+
+
+@dataclass(frozen=True)
+class Stack:
+    """The frames of a level, averaged.
+
+    Attributes:
+        image: (h, w) average, DN.
+        noise: sigma^2, DN^2.
+        drift: variance of the frames' means, DN^2.
+        frames: L.
+        at_top: share of the numbers at the end of the scale; 0 where that is unknown.
+    """
+
+    image: Float[np.ndarray, "h w"]
+    noise: float
+    drift: float
+    frames: int
+    at_top: float
+
+    @property
+    def rest(self) -> float:
+        """What the average keeps of the standard's sigma^2_stack, DN^2."""
+        return (self.noise + self.drift) / self.frames
+
+
+@dataclass(frozen=True)
+class Averages:
+    """The average frames of two levels.
+
+    Attributes:
+        level: index of the bright level, about half of saturation.
+        lit: its frames.
+        unlit: those of its dark.
+    """
+
+    level: int
+    lit: Stack
+    unlit: Stack
+
+
+@dataclass(frozen=True)
+class Stacks:
+    """A photon transfer with what its images tell; without images that of a table of sums.
+
+    Attributes:
+        measurement: means and temporal variances of all pixels, as the standard has them.
+        numbers: of the bright levels; None without images.
+        bright: spatial variances of each bright level, high-passed where it is large enough for
+            that, else as it is.
+        dark: of each dark.
+        averages: of which the nonuniformities are; None without images.
+    """
+
+    measurement: PhotonTransfer
+    numbers: Numbers | None = None
+    bright: tuple[Split, ...] = ()
+    dark: tuple[Split, ...] = ()
+    averages: Averages | None = None
+
+
+@in_double
+def read_stacks(
+    path: str | os.PathLike[str], *, bits: int | None = None, channel: str = ""
+) -> Stacks:
+    """Average frames and spatial variances of a rig's `[[flat]]` and `[[dark]]` frames, for
+    `release_4_sheet`.
+
+    Args:
+        path: a rig folder or file, or a table of sums with the suffix `.csv`, which has no images.
+        bits: ADC bits of a table's camera; None for those of the rig.
+        channel: site of a rig's Bayer mosaic, or tap; empty for the first green, or the first tap.
+
+    Returns:
+        Statistics in DN, of all pixels: dead ones count, as the standard's histograms show them.
+
+    Raises:
+        InputError: for what cannot be used.
+    """
+    file = Path(path)
+    if file.suffix.lower() == ".csv":
+        return Stacks(read_photon_transfer(file, bits=bits, channel=channel))
+    if bits is not None:
+        raise InputError(f"{file}: camera.bits of the rig counts; leave out the bits, {bits}.")
+    return reduce_stacks(load_rig(file), channel=channel)
+
+
+def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Stacks:
+    """Reduces all frames of a rig, one frame in memory at a time.
+
+    Args:
+        rig: with `[[flat]]` and `[[dark]]`.
+        channel: site of a Bayer mosaic; empty for the first green.
+        load: how an image is had by its path.
+
+    Returns:
+        The statistics.
+
+    Raises:
+        InputError: for frames that do not belong together.
+    """
+    reduced = reduced_rig(rig, channel=channel, load=load)
+    check(rig.folder, reduced.measurement)
+    top = reduced.measurement.full_scale
+
+    def stack(names: Sequence[str]) -> Stack:
+        return _averaged(reduced.plane, names, top)
+
+    of_flats, of_darks = (
+        [_summed(stack(names)) for names in files] for files in (reduced.flats, reduced.darks)
+    )
+    levels = [
+        replace(
+            one,
+            mean=jnp.asarray([level.mean for level in own]),
+            variance=jnp.asarray([level.noise for level in own]),
+            pixels=jnp.asarray(float(own[0].pixels)),
+        )
+        for one, own in (
+            (reduced.measurement.bright, of_flats),
+            (reduced.measurement.dark, of_darks),
+        )
+    ]
+    measurement = replace(reduced.measurement, bright=levels[0], dark=levels[1])
+    numbers = Numbers(
+        np.array([level.at_top for level in of_flats]),
+        np.array([level.spread for level in of_flats]),
+    )
+    half = standard_pattern(measurement, ranges(measurement, numbers)[0]).level
+    assert half is not None
+    own_dark = int(measurement.dark_of[half])
+    return Stacks(
+        measurement,
+        numbers,
+        tuple(level.split for level in of_flats),
+        tuple(level.split for level in of_darks),
+        Averages(half, stack(reduced.flats[half]), stack(reduced.darks[own_dark])),
+    )
+
+
+@dataclass(frozen=True)
+class _Summed:
+    mean: float
+    noise: float
+    at_top: float
+    spread: float
+    pixels: int
+    split: Split
+
+
+def _summed(stack: Stack) -> _Summed:
+    """What is kept of every level."""
+    image = stack.image
+    filtered = high_pass(image) if can_filter(image.shape) else image
+    kept = stack.noise + stack.drift - stack.rest  # of all numbers about the average frame
+    return _Summed(
+        mean=float(image.mean()),
+        noise=stack.noise,
+        at_top=stack.at_top,
+        spread=float(np.sqrt(image.var() + kept)),
+        pixels=image.size,
+        split=split(filtered, stack.rest),
+    )
+
+
+def _averaged(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
+    """Sums over the frames, less the first, so that little cancels in their difference."""
+    first = np.asarray(plane(names[0]), float)
+    total, squares = np.zeros_like(first), 0.0
+    means, at_top = [], 0.0
+    for name in names:
+        frame = np.asarray(plane(name), float)
+        deviation = frame - first
+        total += deviation
+        squares += float(np.mean(deviation**2))
+        means.append(float(deviation.mean()))
+        at_top += 0.0 if top is None else float(np.mean(frame >= top))
+    count = len(names)
+    variance = (squares - float(np.mean(total**2)) / count) / (count - 1)
+    drift = float(np.var(means, ddof=1))
+    return Stack(first + total / count, variance - drift, drift, count, at_top / count)
