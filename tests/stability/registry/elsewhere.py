@@ -325,6 +325,7 @@ ELSEWHERE = (
         "test_checks",
         """
             fitting.checks.command.*
+            fitting.checks.counts.*
             fitting.checks.coverage.*
             fitting.checks.emva1288.*
             fitting.checks.joint.*
@@ -632,8 +633,10 @@ ELSEWHERE = (
     Elsewhere(
         STATISTICS,
         "test_noise test_emva1288 test_photon_transfer test_noise_shared test_noise_neighbours "
-        "test_noise_prediction test_release_4 foreign/test_noise",
+        "test_noise_counts test_noise_prediction test_release_4 foreign/test_noise",
         """
+            fitting.noise.code_tables.*
+            fitting.noise.counted.*
             fitting.noise.release_4.*
             fitting.noise.brighter_fatter.*
             fitting.noise.calibration: calibrate finest_read_noise sheet_estimate widened
@@ -684,7 +687,7 @@ ELSEWHERE = (
             fitting.frame_checks.heads: odd_heads
             fitting.frame_checks.between_levels: distribution_of_levels light_of_levels
             fitting.frame_checks.between_levels: noise_of_levels
-            fitting.frame_checks.compared: of_one_mean rms trimmed_variance
+            fitting.frame_checks.compared: of_one_mean rms trimmed_variance without_lines
             fitting.frame_checks.deviates: beyond_chance usual_size
             fitting.frame_checks.moved: moved_frames
             fitting.noise.doubts: doubts
