@@ -38,6 +38,7 @@ EAGER = {
     "jaxvision.files.gltf",
     "jaxvision.files.meshes",
     "jaxvision.render_command",
+    "jaxvision.render_command.cost",
     "jaxvision.render_command.job",
     "jaxvision.render_command.integrators",
     "jaxvision.render_command.pruning",

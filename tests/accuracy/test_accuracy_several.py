@@ -338,6 +338,7 @@ def run(*arguments):
     return called(app, *arguments)
 
 
+@pytest.mark.slow
 def test_the_command_measures_a_scene(scene, tmp_path):
     status, said, _ = run("accuracy", scene, "--seconds", 1e5, "--out", tmp_path / "page")
     assert status == 0

@@ -47,6 +47,8 @@ OTHER = words("""
 *.calibrate_lab.draws *.folders.*.draws *.minimise_in_box.* *.commands.run.repeats
 *.format_within.width *.plain_tables.width *.called_for.tolerance *.summed.terms *.bands.bands.draws
 *.bands.thinned_draws.* *.Window.nodes *.refuse_half.count *.prediction.*.draws
+*.posterior_prior.posterior *.as_prior.draws *.refitted.terms *.histogram.steps *.General.draws
+*.SensorOfSites.draws
 """)
 
 

@@ -40,7 +40,7 @@ def slide(scene, view, time):
     return scene, replace(view, position=view.position + jnp.asarray([0.1, 0, 0]) * time)
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motion", "part"), [(gloss, "material"), (glow, "emission"), (lend, "material")]
 )

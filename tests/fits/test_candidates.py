@@ -39,6 +39,7 @@ def problem(data, *, sd=0.1, **others):
     return Problem(free | others, polynomial, Gaussian(sd=sd), data, inputs=X)
 
 
+@pytest.mark.slow
 def test_a_term_stays_by_its_ratio_in_numpys_regression():
     data = 1 + X + 0.4 * X**2 + 0.1 * NOISE
     found = fit(problem(data))

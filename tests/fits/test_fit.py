@@ -526,6 +526,7 @@ def test_an_edge_that_no_gradient_sees_move_is_followed_by_differences():
     assert abs(float(result.values["edge"]) - 0.4012) < 0.004
 
 
+@pytest.mark.slow
 def test_smooth_models_have_nothing_unseen():
     time = jnp.linspace(0.0, 3.0, 50)
     noise = 0.3 * np.random.default_rng(0).standard_normal(50)  # wide intervals: much curvature

@@ -98,6 +98,7 @@ def test_other_numbers_are_marginalised_over_and_keep_their_own_priors(half):
 @pytest.mark.parametrize(
     "names", [{"a": "x", "b": "y"}, {"*": "left.*"}], ids=["by name", "by pattern"]
 )
+@pytest.mark.sweep
 def test_names_may_be_others(half, names):
     new = [names.get(one, f"left.{one}") for one in "ab"]
     record = {"left": {"a": 1.0, "b": 1.0}} if "*" in names else None
@@ -186,6 +187,7 @@ def test_a_fit_that_failed_is_refused():
         found.as_prior()
 
 
+@pytest.mark.slow
 def test_a_widening_goes_along():
     with jax.enable_x64(True):
         found = fitted(line(FIRST, sd=SD / 3), misfit="inflate")
@@ -199,6 +201,7 @@ def test_a_widening_goes_along():
     np.testing.assert_allclose(both.posterior.covariance, expected, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_few_groups_give_students_t():
     """Of 6 groups that share errors; where new data say nothing the prior comes back, its intervals
     those of the first fit."""
@@ -241,6 +244,7 @@ def test_a_prior_that_new_data_contradict_is_named(half):
     assert f"and would be about {alone / dof:.2g} without that prior" in told
 
 
+@pytest.mark.slow
 def test_the_density_is_a_gaussian_copula_of_students_t():
     """Against SciPy, with two bounds and on a logarithmic scale; slopes against differences."""
     marginals = (

@@ -598,6 +598,7 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
 
 
 @pytest.mark.parametrize("traced", [False, True])
+@pytest.mark.sweep
 def test_residuals_of_tables_are_binomial_deviates(traced):
     """Given the numbers of smaller codes, by SciPy's binomial distribution; and standard normal."""
     tables = SensorCounts(sensor(gain=4.0, read_noise=0.3, offset=10.0), 4, codes=TABLE_CODES)

@@ -704,6 +704,7 @@ def exposed(rng, *, offset=64.0, side=128, read=4.0, dark=20.0, light=None, leve
 
 
 @pytest.mark.parametrize("seed", [6, 7, 8])
+@pytest.mark.sweep
 def test_bands_of_a_dimmed_lamp_are_no_camera_that_moved(seed):
     """A lamp that is dimmed by pulses under a rolling shutter: 4 %, of another phase in each frame.
     Two frames of nearly one phase may be left out."""

@@ -192,7 +192,7 @@ def test_a_lobe_between_the_samples_of_a_lamp_is_named(material, order, said):
     assert missing_light(scene, integrator="path") == []
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("alpha", "height", "said"), [(0.02, 100.0, 1), (0.3, 1.0, 0), (0.02, 0.5, 0), (0.02, 0.0, 0)]
 )
@@ -470,6 +470,7 @@ DOWN_ON_FLOOR = jv.Orthographic([0.1, 0.1, 1.0], DOWN, 0.1, resolution=(1, 1))
     ],
     ids=lambda x: type(x).__name__,
 )
+@pytest.mark.sweep
 def test_a_surface_that_reflects_more_than_it_receives_is_named(material, reflected):
     scene = jv.Scene([replace(FLOOR, material=material)], [LAMP])
     method = Paths(1, 2)
@@ -483,6 +484,7 @@ def test_a_surface_that_reflects_more_than_it_receives_is_named(material, reflec
         assert float(given) == pytest.approx(reflected, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_radiosity_is_solved_for_albedos_above_1():
     table, sent = jnp.array([[0.0, 1], [1, 0]]), jnp.ones((2, 1))
     for solve in (

@@ -346,6 +346,7 @@ def test_an_angle_along_the_surface_and_wavelengths_in_micrometres_are_told(tmp_
         read_measured_brdf(file)
 
 
+@pytest.mark.slow
 def test_a_surface_darker_than_velvet_is_told():
     found = cornell_samples(lambda f, i, o: f / 1500)
     calibration = from_files.calibrate(found, model="lambert")

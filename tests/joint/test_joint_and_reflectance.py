@@ -41,6 +41,7 @@ def test_lights_that_err_as_much_as_pixels_do_widen_both_intervals_alike():
         np.testing.assert_allclose(one.interval_95, other.interval_95, rtol=2e-4)
 
 
+@pytest.mark.slow
 def test_the_reflectance_calibration_says_that_it_uses_no_flats():
     taken = seen(Sphere(), 0)
     flat = UniformLevels(*np.array([[900.0], [360.0], [500.0], [0.1]]), dark=np.array([False]))

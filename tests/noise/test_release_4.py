@@ -218,6 +218,7 @@ def test_a_spectrogram_has_the_variance_and_the_wave():
     assert profile(wave, 0).mean.shape == (400,)
 
 
+@pytest.mark.slow
 def test_a_bent_response_has_the_input_signal_to_noise_of_the_straight_one():
     light = np.linspace(50, 6000, 60)
     electrons = 0.5 * light

@@ -106,6 +106,7 @@ def check(kind, seed):
 @pytest.mark.parametrize(
     "kind", ["columns", *(pytest.param(k, marks=pytest.mark.slow) for k in ("quadrants", "mosaic"))]
 )
+@pytest.mark.slow
 def test_one_sensor_has_the_numbers_of_each_tap_and_predicts_it(kind):
     far, missed = check(kind, 1)
     assert np.abs(far).max() < 4

@@ -132,9 +132,10 @@ def test_a_seed_reaches_every_setting_and_the_fit_of_all(monkeypatch):
     monkeypatch.setattr(f"{across}.calibration.calibrate_settings", calibrate_settings)
     monkeypatch.setattr(f"{across}.section.sections", lambda calibration: ["whole"])
     monkeypatch.setattr("fitting.report.inputs.with_inputs", lambda section, *_: section)
+    rig = SimpleNamespace(camera=SimpleNamespace(sites=("",)))
     with reporting() as reporter:
         found = folders._noise_of_settings(
-            cast(Rig, None), reporter.step, lambda *_: {"sampling": None, "seed": 7}, ""
+            cast(Rig, rig), reporter.step, lambda *_: {"sampling": None, "seed": 7}, ""
         )
     assert found == ["whole"]
     assert seeds == [("low", 7), ("high", 7), ("all", 7)]

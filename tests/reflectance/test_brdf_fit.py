@@ -149,6 +149,7 @@ def test_why_a_model_of_far_larger_error_is_not_told_apart(calibration):
     assert "Worse than it" not in told
 
 
+@pytest.mark.slow
 def test_a_model_is_worse_where_only_the_size_of_its_excess_is_open(monkeypatch, calibration):
     """Without 70 degrees it errs 2.5 times as much, without another sqrt((3 * 0.25^2 + 2^2) / 4) /
     0.1 = 10.23 times: how far depends on one incidence, that it errs more does not. Five of five

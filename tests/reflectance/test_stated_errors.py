@@ -79,6 +79,7 @@ def turned_by_hand(observation, size, about):
 
 
 @pytest.mark.parametrize("about", [0, 1])
+@pytest.mark.sweep
 def test_a_turned_light_is_turned_back(fitted, about):
     """Its rig believes it within 3 times as much: what is left is what the fit calls uncertain."""
     observation, fit = fitted

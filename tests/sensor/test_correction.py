@@ -137,6 +137,7 @@ def test_what_it_refuses():
         js.correct(raw, jv.Sensor(gain=1.0), draws=jv.Sensor(offset=1.0))
 
 
+@pytest.mark.slow
 def test_a_filter_carries_the_errors_as_a_mean_does():
     """A box of 5 x 5 at one pixel is the mean over these 25; and so for one that is shared."""
     draws = jax.vmap(lambda x: replace(SIMPLE, gain=SIMPLE.gain * (1 + 0.01 * x)))
@@ -256,6 +257,7 @@ def test_stated_errors_are_those_of_frames_of_several_taps(kind, masters):
 
 
 @pytest.mark.parametrize("kind", TAPS)
+@pytest.mark.sweep
 def test_frames_of_several_taps_are_undone(kind):
     """Without noise exactly, in photons of one scale; with it, the moments of z of 100 frames."""
     plain = jv.Sensor(quantum_efficiency=0.5, gain=0.5, offset=100.0, read_noise=6.0)

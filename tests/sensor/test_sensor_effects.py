@@ -202,6 +202,7 @@ def test_moments_behind_a_curve_against_sums_over_counts(name):
     assert abs(naive - mean) > 1e-3  # the noise itself moves the mean
 
 
+@pytest.mark.slow
 def test_faint_light_behind_a_curve_is_summed_over_counts():
     curve = jv.Compression(0.3, electrons=20.0)
     sensor = jv.Sensor(

@@ -109,7 +109,7 @@ def test_every_source_at_once_has_the_mean_and_variances_of_the_formulae(frames)
     assert abs(measured / pattern.mean() - 1) < 0.12
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [0.0, 2000.0, 19_500.0, 20_500.0, 60_000.0])
 def test_clipping_by_well_and_converter(light):
     """Against frames: black clipped at 0 DN, a full well 200 e- below the ADC's end, and light

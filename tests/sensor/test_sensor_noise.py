@@ -405,6 +405,7 @@ def test_rows_and_columns_need_an_image():
 
 @pytest.mark.parametrize("law", [s.PoissonShotNoise(), s.FastPoissonShotNoise()])
 @pytest.mark.parametrize("mean", [5, 100])
+@pytest.mark.sweep
 def test_counts_of_narrow_and_whole_means_are_those_of_float32(law, mean):
     truth = count(KEY, jnp.full(500, mean, jnp.float32), law)
     for dtype in (jnp.float16, jnp.bfloat16, jnp.uint8, jnp.int32):
