@@ -280,8 +280,10 @@ def _with_article(noun: str) -> str:
 def check_key(name: str, value: Any, *, several: bool = True, absent: bool = True) -> None:
     """Raises `ValueError` unless `value` may be a random key, with `several` an array of keys, with
     `absent` None."""
-    if value is None and absent:
-        return
+    if value is None:
+        if absent:
+            return
+        raise ValueError(f"{name} must be a random key, got None; write jax.random.key(0).")
     got = in_short(value)
     if hasattr(value, "dtype") and hasattr(value, "shape"):
         typed = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
