@@ -1,4 +1,4 @@
-"""The choice of what a camera calls for.
+"""The choice of the effects that a camera needs.
 
 A linear camera comes first, with pixel noise and the noise that rows, columns or frames of the
 darks are seen to share. Where it misses the measurement (p < 0.1 %), or nearest neighbours are seen

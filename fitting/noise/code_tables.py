@@ -1,12 +1,11 @@
 """Tables of codes at levels of few electrons: which levels need them, and how frames give them.
 
 Where read noise is below about an electron, the histogram of the codes has a peak for each count of
-electrons, or is skew, and mean and variance lose most of what it tells. Pixels differ in their
-black (DSNU), which would blur the peaks: from each code the pixel's own black is subtracted, its
-mean over the dark frames of the same exposure. That mean's noise is known, and no law of the
-offsets is assumed. What is assumed is that the gains of pixels are alike to a fifth of the read
-noise over the electrons counted, which limits the light of the levels.
-"""
+electrons, or is skew. Mean and variance lose most of this information. Pixels differ in their black
+(DSNU), which would blur the peaks: from each code the pixel's own black is subtracted, its mean
+over the dark frames of the same exposure. That mean's noise is known, and no law of the offsets is
+assumed. What is assumed is that the gains of pixels are alike to a fifth of the read noise over the
+electrons counted, which limits the light of the levels."""
 
 from collections.abc import Callable, Sequence
 

@@ -148,7 +148,7 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
 
 
 def _converter(calibration: NoiseCalibration) -> list[str]:
-    """What the numbers say of the converter; unequal steps only where they move the read noise."""
+    """Findings on the converter. Unequal steps are named only if they move the read noise."""
     measurement = calibration.measurement
     converter = measurement.converter
     alike = measurement.bright.converter.step == measurement.dark.converter.step

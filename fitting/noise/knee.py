@@ -1,5 +1,5 @@
-"""Flats whose converter writes codes of a piecewise linear curve (companding): from a knee on, the
-signal rises by a share r of what it did.
+"""Flats whose converter writes codes of a piecewise linear curve (companding): above a knee, the
+slope of the signal is r times the slope below.
 
 With K DN an electron below the knee and s_k DN of signal at it, the variance of light is
 

@@ -490,7 +490,7 @@ def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseD
 def _log_density_of_tables(
     values: dict[str, Array], data: NoiseData, counted: CountedLevels
 ) -> Array:
-    """ln p of what the tables tell. The light of a level that is kept out is not known; gain and
+    """ln p of the tables of codes. The light of a level that is kept out is not known; gain and
     read noise remain those of all tables."""
     at = counted.levels
     light, lit, exposure = data.light[at], data.lit[at], data.exposure[at]

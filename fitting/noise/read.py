@@ -313,7 +313,7 @@ def _gaps(bright: Levels, dark: Levels) -> Float[Array, "levels darks"]:
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[Odd]], list[str]]:
-    """A rig without the frames whose heads speak against it; those of flats and of darks; and
+    """A rig without the frames whose heads contradict it; the left-out flats and darks; and
     remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
     stated = [

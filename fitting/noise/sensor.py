@@ -240,7 +240,7 @@ def _sensors(about: About, natural: np.ndarray, known: dict[str, np.ndarray]) ->
 
 
 def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
-    """One draw: of the parameters of the likelihood, and of what is known beside them."""
+    """One draw of the parameters of the likelihood, and of the other numbers of the sensor."""
     values = dict(zip(about.labels, natural, strict=True))
     gain, converter, scale = values["system_gain"], about.converter, about.full_scale
     step, origin = converter.step or 1.0, converter.origin

@@ -232,7 +232,7 @@ def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
-    """A parameter; of what grows with the charge, per electron."""
+    """A parameter. One that grows with the charge is per electron."""
     per_charge = (numbers.of("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
     return numbers.of(name) * per_charge
 

@@ -109,8 +109,8 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
 
 
 def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
-    """Refuses darks whose black level is not that of the flats: where these have no signal, by
-    their variance and by their light alike."""
+    """Refuses darks whose black level differs from that of the flats: the flats then have no
+    signal, both by their variance and by their light."""
     bright, dark = measurement.bright, measurement.dark
     levels = usable[np.asarray(bright.light)[usable] > 0]
     if len(levels) < FEWEST_FOR_BLACK:

@@ -17,7 +17,8 @@ Curve = Callable[[Any, Scalars], Scalars]
 
 
 class Stage(NamedTuple):
-    """What an effect has registered; `register` and `register_curve` describe the functions."""
+    """The functions that an effect has registered; `register` and `register_curve` describe the
+    functions."""
 
     charge: Callable[[Key | None, Any, Scalars], Scalars]
     moments: Callable[[Any, Any], Any] | None

@@ -366,7 +366,7 @@ def _unasked(sensor: Sensor, like: Counts) -> Scalars | None:
 
 
 def _shutter(sensor: Sensor) -> Scalar | None:
-    """The exposure time that is stated over that of the light; None where they are one."""
+    """The stated exposure time over the exposure time of the light, or None if they are equal."""
     if not isinstance(sensor.light_offset, ShutterOffset):
         return None
     assert sensor.exposure_time is not None
@@ -408,12 +408,12 @@ def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
 
 
 def _response(flat: Counts) -> Counts:
-    """Sensitivity of each pixel over that of the mean pixel, by the light in the flat."""
+    """Sensitivity of each pixel, relative to the mean pixel, from the light in the flat."""
     return flat / jnp.mean(flat, (-3, -2), keepdims=True)
 
 
 def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
-    """Electrons of light in the flat; None without one."""
+    """Electrons of light in the flat, or None without a flat."""
     if masters.flat is None:
         return None
     flat = _beside(masters.flat.mean.astype(raw.dtype), raw)

@@ -260,8 +260,8 @@ def _score(
 
 
 def _with_slopes(average: Scalars, *slopes: tuple[Scalars, Scalars]) -> Scalars:
-    """An average, differentiated by each parameter with its slope, and by what it is made of; those
-    of the pixels of a whole picture add up."""
+    """An average whose derivative with respect to each parameter is the given slope. Slopes of the
+    pixels of a picture add up."""
     along = average
     for slope, parameter in slopes:
         change = jax.lax.stop_gradient(slope) * parameter

@@ -70,7 +70,7 @@ def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -
 
     ISO 12232 rates a camera by the exposure H in lx s that just fills the range of its ADC, S = 78
     / H, which is as many times smaller as the gain is larger. Noise before the amplifier keeps its
-    electrons, so that in DN it grows too; the well keeps what it holds.
+    value in electrons, so it grows in DN. The well keeps its electrons.
 
     Args:
         sensor: as it is at `base_iso`.

@@ -189,7 +189,7 @@ def _found(
     high: Scalars,
 ) -> Scalars:
     """Where a rising curve takes a value between two places; beyond them it is a straight line.
-    Newton's steps, or bisection where they lead out of what is left."""
+    Newton's steps, or bisection where a step leaves the bracket."""
     held, seen, low, high = jax.lax.stop_gradient((effect, signal, low, high))
     low, high = jnp.broadcast_to(low, seen.shape), jnp.broadcast_to(high, seen.shape)
 

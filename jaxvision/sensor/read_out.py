@@ -52,8 +52,8 @@ def read_out_noise(
 ) -> Scalars | None:
     """Draws the sum of all noise that reading one frame adds.
 
-    A pixel lies in a tail, or has a trap, or not, so gradients by `tail_fraction` and by the
-    fraction of telegraph noise are 0; `read_out_variance` has those of the variance.
+    Whether a pixel lies in a tail or has a trap is drawn as yes or no. Gradients by `tail_fraction`
+    and by the fraction of telegraph noise are 0; `read_out_variance` has those of the variance.
 
     Args:
         key: random key of the frame.

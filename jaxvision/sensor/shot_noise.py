@@ -228,7 +228,7 @@ def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
 
 
 def _along_draw(drawn: Scalars, mean: Scalars) -> Scalars:
-    """A count with the slope 1/2 + N / (2 mean); 1 without light."""
+    """A count with the slope 1/2 + N / (2 mean), or 1 without light."""
     slope = divide(drawn + mean, 2 * mean, ~(mean <= smallest_divisor(mean.dtype)), otherwise=1)
     return with_gradient_of(jax.lax.stop_gradient(drawn), jax.lax.stop_gradient(slope) * mean)
 

@@ -21,7 +21,7 @@ ZERO_CELSIUS = 273.15  # K
 
 
 def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
-    """The pictures of what the settings differ in, drawn when asked for."""
+    """The figures that show how settings differ, drawn when they are requested."""
     gains = {setting.gain for setting in calibration.settings}
     found = []
     if len(gains) > 1:

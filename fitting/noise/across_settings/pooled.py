@@ -1,4 +1,4 @@
-"""What a die has once, whatever its gain: full well and fixed pattern, averaged over settings.
+"""Full well and fixed pattern, which do not depend on the gain, averaged over settings.
 
 The same pixels are seen at each setting, so that settings differ by temporal noise alone; how far n
 pixels stand for their population is added to the average once. Full well comes from the settings

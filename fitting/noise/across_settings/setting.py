@@ -48,7 +48,7 @@ class FramesOfSetting:
 
 @dataclass(frozen=True)
 class Told:
-    """What one setting tells: ln DN/e-, ln DN/photon, ln e-, e-/s; or DN/s, DN^2, DN^2/s."""
+    """Estimates of one setting: ln DN/e-, ln DN/photon, ln e-, e-/s; or DN/s, DN^2, DN^2/s."""
 
     names: tuple[str, ...]  # some of `TOLD`
     values: Float[np.ndarray, " quantities"]

@@ -1,1 +1,1 @@
-"""What a camera file says of frames, beside what these frames show."""
+"""The prediction of frames by a camera file, compared with the frames."""

@@ -1,4 +1,4 @@
-"""Frames beside what a camera predicts of them.
+"""Frames compared with the prediction of a camera.
 
 The camera alone predicts, by the moments of `jaxvision`; no fit knows of these frames, but for one
 number where their photons are not known: the rate of the light, which the means then give. With
@@ -124,7 +124,7 @@ def compare(
     light_error: float = 0.0,
     variance_error: float = 0.0,
 ) -> Comparison:
-    """What a camera predicts of a measurement, beside it.
+    """The prediction of a measurement by a camera, compared with the measurement.
 
     Args:
         best: the camera, light counted in photons per pixel.

@@ -385,7 +385,7 @@ class _Fit:
         return replace(found, values=values, rows=rows, columns=columns)
 
     def gain_of_scatter(self, place: int) -> float:
-        """By how much a scatter lowers -2 log likelihood, beside what was taken."""
+        """By how much a scatter lowers -2 log likelihood, given the effects already chosen."""
         logs = np.where(np.arange(len(SCATTERS)) == place, -np.inf, self._logs)
         return self._unrestricted(self._columns, logs) - self._unrestricted(
             self._columns, self._logs

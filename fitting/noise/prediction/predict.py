@@ -1,4 +1,4 @@
-"""What a camera predicts of later frames, and that of a calibration of its own."""
+"""The prediction of later frames by a camera, and of its own frames by a calibration."""
 
 import os
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ Camera = NoiseCalibration | Sensor | str | os.PathLike[str]
 
 @dataclass(frozen=True, repr=False)
 class Prediction(ShownInNotebooks):
-    """Frames beside what a camera predicts of them.
+    """Compare frames with the prediction of a camera.
 
     Attributes:
         camera: its name in sentences.

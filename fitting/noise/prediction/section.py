@@ -90,7 +90,7 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
 
 
 def explanations(prediction: Prediction) -> list[str]:
-    """What is missed, by which effect most likely; empty where nothing is."""
+    """The misses with their most likely effect; empty if there are none."""
     agreement = prediction.judged.agreement
     told = []
     far = {name: agreement[name] for name in prediction.judged.missed}

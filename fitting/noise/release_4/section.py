@@ -200,7 +200,7 @@ def _deviation(
     spread: Float[np.ndarray, " draws"] | float,
     method: str,
 ) -> Estimate:
-    """A standard deviation, with the draws of its variance; what they do not tell from 0 is a
+    """A standard deviation, with the draws of its variance. If they do not exclude 0, it is a
     limit."""
     drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
     ends = np.quantile(drawn, QUANTILES)

@@ -74,7 +74,7 @@ class Averages:
 
 @dataclass(frozen=True)
 class Stacks:
-    """A photon transfer with what its images tell; without images that of a table of sums.
+    """A photon transfer with its images, or a table of sums without images.
 
     Attributes:
         measurement: means and temporal variances of all pixels, as the standard has them.
