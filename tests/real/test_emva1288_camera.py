@@ -16,7 +16,7 @@ from fitting.noise.release_4.section import sections
 from fitting.noise.release_4.sheet import release_4_sheet
 from fitting.noise.release_4.stacks import read_stacks
 from fitting.noise.section import section as noise_section
-from jaxvision import read_sensor
+from jaxvision import read_camera, read_sensor
 
 
 @pytest.fixture(scope="module")
@@ -166,3 +166,10 @@ def test_the_written_camera_predicts_its_own_levels(calibration, measurement, tm
     assert {"compression", "light_scatter", "variance_scatter"} == {*named}
     assert "the mean is 1.69" in named["compression"]
     assert not any(one.is_missed for one in straight.missing[-1].after.values())
+
+
+@pytest.mark.slow
+def test_the_curve_that_the_published_sheet_lacks_is_named(measurement):
+    """The sheet is of a linear camera, and the measured response bends by 41 standard errors."""
+    prediction = predict(read_camera("emva1288").sensor, measurement)
+    assert any("a response that is not linear" in one.clause for one in prediction.missing)

@@ -19,7 +19,7 @@ from ...inference.formatting import format_with_error
 from .comparison import PARTS, Agreement, Comparison
 from .moments import Expected, noise
 
-MOST = 3  # effects that are named
+MOST = 4  # effects that are named
 PRICE = 15.0  # fall of -2 log likelihood that an effect must earn: once in 10,000 by chance
 REFINEMENTS = 3  # of the noise of the frames with an effect
 LEAST_SHARE = 10.0  # by which an effect may lower a variance, of which errors are made, at most
@@ -244,6 +244,11 @@ SCATTERS = (  # new at every level
 )
 
 
+# A linear camera that is calibrated on a curved response has other slopes, too: none of these
+# effects explains much without the others.
+TOGETHER = (("compression", "light"), ("compression", "gain"), ("compression", "gain", "light"))
+
+
 @dataclass(frozen=True)
 class Missing:
     """An effect that a camera lacks.
@@ -276,12 +281,25 @@ def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
     traces, found = traces_of(comparison), []
     fit = _Fit(comparison, traces)
     while len(found) < MOST and fit.is_missed:
-        tried = [one for one in CANDIDATES if one.key not in [named.key for named in found]]
-        gains = [fit.gain_of(one) for one in tried]
-        best = int(np.argmax(gains))
-        if gains[best] < PRICE:
+        left = {one.key: one for one in CANDIDATES}
+        for named in found:
+            left.pop(named.key, None)
+        tried = [(one,) for one in left.values()]
+        tried += [tuple(left[key] for key in keys) for keys in TOGETHER if left.keys() >= set(keys)]
+        gains = [fit.gain_of(*some) for some in tried]
+        earned = [gain - PRICE * len(some) for some, gain in zip(tried, gains, strict=True)]
+        best = int(np.argmax(earned))
+        if earned[best] < 0:
             break
-        found.append(fit.take(tried[best], gains[best]))
+        if len(tried[best]) == 1:
+            found.append(fit.take(tried[best][0], gains[best]))
+            continue
+        alone = {
+            one: gains[best] - fit.gain_of(*(other for other in tried[best] if other is not one))
+            for one in tried[best]
+        }
+        for one in sorted(alone, key=lambda one: -alone[one]):
+            found.append(fit.take(one, alone[one]))
     for place, scatter in enumerate(SCATTERS):
         gain = fit.gain_of_scatter(place) if scatter.key else 0.0
         if gain >= PRICE and fit.is_missed:
@@ -344,15 +362,16 @@ class _Fit:
         """Whether what was taken so far leaves more than chance."""
         return any(one.is_missed and one.ratio > 1 for one in self.agreement().values())
 
-    def gain_of(self, one: Candidate) -> float:
-        """By how much an effect lowers -2 log likelihood."""
-        shape = self._shape(one)
-        size = float(np.sqrt(np.sum(shape**2)))
-        if not size:
+    def gain_of(self, *some: Candidate) -> float:
+        """By how much effects together lower -2 log likelihood."""
+        shapes = np.array([self._shape(one) for one in some]).T
+        sizes = np.sqrt(np.sum(shapes**2, axis=0))
+        if not sizes.all():
             return -np.inf
-        columns = np.column_stack([self._columns, shape / size])
+        columns = np.column_stack([self._columns, shapes / sizes])
         logs = self._searched(columns)
-        if one.positive and self._sizes(columns, self._covariance(logs))[0][-1] < 0:
+        fitted = self._sizes(columns, self._covariance(logs))[0][-len(some) :]
+        if any(one.positive and size < 0 for one, size in zip(some, fitted, strict=True)):
             return -np.inf
         # Restricted likelihoods of other columns compare by what all lose to the same ones.
         return self._unrestricted(self._columns, self._logs) - self._unrestricted(columns, logs)
