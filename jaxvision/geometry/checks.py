@@ -52,7 +52,7 @@ def invalid(shape: Shape) -> list[str]:
             found += _no_direction(f"{kind}.normal", shape.normal)
         case Quad():
             area = np.cross(np.asarray(shape.edge_u), np.asarray(shape.edge_v))
-            longest = max(np.abs(shape.edge_u).max(), np.abs(shape.edge_v).max())
+            longest = np.abs(np.asarray([shape.edge_u, shape.edge_v])).max()
             if not np.linalg.norm(area) > np.finfo(area.dtype).eps * longest**2:
                 found.append(f"{kind}.edge_u and edge_v span no area.")
         case Box():
@@ -77,7 +77,8 @@ def coarse(shape: Shape) -> list[str]:
             place = np.asarray(shape.corner)
             size = max(np.linalg.norm(edge) for edge in (shape.edge_u, shape.edge_v))
         case Box():
-            place, size = np.asarray(shape.centre), float(2 * np.max(shape.half_extents))
+            place = np.asarray(shape.centre)
+            size = float(2 * np.asarray(shape.half_extents).max())
         case TriangleMesh():
             place = np.asarray(shape.vertices)
             size = float(np.ptp(place, axis=0).max())

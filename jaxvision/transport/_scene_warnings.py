@@ -29,7 +29,9 @@ def warn_of_scene(scene: Scene) -> None:
     for i, surface in enumerate(scene.surfaces):
         if not all(map(is_known, jax.tree.leaves(surface.material))):
             continue
-        if (reflected := _reflected(surface.material)) > 1 + _ROUNDING:
+        with jax.ensure_compile_time_eval():  # known values may occur inside a trace
+            reflected = _reflected(surface.material)
+        if reflected > 1 + _ROUNDING:
             warn_caller(
                 f"Scene.surfaces[{i}] reflects {reflected:.4g} times the light that it receives "
                 "along its normal, and light that bounces grows; give an albedo of at most 1 "

@@ -501,6 +501,27 @@ def test_no_radiosity_is_solved_for_albedos_above_1():
         jv.transport.radiosity.radiosity(bright, plan)
 
 
+def test_known_scenes_are_looked_at_inside_a_trace_too():
+    shapes = [
+        jv.Box([0, 0, 0], [1, 1, 1]),
+        jv.Sphere([3, 0, 0], 1),
+        jv.Disc([6, 0, 0], [0, 0, 1], 1),
+    ]
+    shapes += [jv.Disc([6, 0, 0], [0, 0, 1], 1), jv.Quad([9, 0, 0], [1, 0, 0], [0, 1, 0])]
+    for material, warned in ((GREY, 0), (jv.Phong([0.2], [0.9], 20.0), 0), (jv.Lambert([0.5]), 1)):
+        scene = jv.Scene([jv.Surface(shape, material) for shape in shapes], [LAMP])
+
+        @jax.jit
+        def seen(key, scene=scene):
+            ray = jv.Ray([0.0, 0, 4], [0.0, 0, -1])
+            return jv.path_radiance(key, scene, ray, method=Paths(1, 2)).radiance
+
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            assert np.isfinite(seen(jax.random.key(0))).all()
+        assert sum("times the light that it receives" in str(one.message) for one in said) == warned
+
+
 def test_shapes_far_from_the_origin_are_named_by_python_too():
     east = np.array([1e5, 1e5, 0])
     view = replace(BELOW, position=jnp.asarray(BELOW.position + east, jnp.float32))
