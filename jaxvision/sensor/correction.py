@@ -51,6 +51,8 @@ from .nonlinearity import charge_of_signal, signal_of_charge
 from .read_out import read_out_variance
 from .sampling import light_share
 
+FAR = 4.0  # standard deviations of the read-out noise below a full well that may be full
+
 Along = Literal["pixels", "rows", "columns", "frame", "all"]
 Kernel = Float[Array, "rows columns"]
 
@@ -295,7 +297,7 @@ def correct(
         shown = None if master is None else master.mean
         check_shape(f"correct: masters.{name}.mean", shown, raw.shape[-3:], advice=advice)
     check_shape("correct: masters.defects", masters.defects, raw.shape[-3:-1], advice=advice)
-    measured = raw
+    measured = raw = as_float(raw)  # codes are unsigned, and would wrap
     if masters.defects is not None:  # neighbours are unmixed from the mean of those around
         raw, masters = _filled(raw, masters.defects), _without_defects(masters, masters.defects)
     if sensor.own is not None:
@@ -318,14 +320,15 @@ def correct(
 
 
 def _unusable(sensor: Sensor, raw: Counts, masters: Masters) -> Bool[Array, "..."]:
-    """Defects, and numbers at the end of the converter's range or of a full well."""
+    """Defects, and numbers at the end of the converter's range or within noise of a full well."""
     bad = jnp.zeros(raw.shape, bool)
     if masters.defects is not None:
         bad = bad | _beside(masters.defects[..., None], raw)
     if sensor.bits is not None:
         bad = bad | (raw >= largest_number(sensor.bits))
     if sensor.full_well is not None:
-        bad = bad | (_charge(sensor, raw, None) >= sensor.full_well)
+        noise = jnp.sqrt(read_out_variance(sensor, shape=raw.shape, dtype=raw.dtype))
+        bad = bad | (_charge(sensor, raw, None) + FAR * noise >= sensor.full_well)
     return bad
 
 

@@ -83,6 +83,28 @@ def test_a_camera_without_noise_is_undone():
     assert np.abs(np.asarray(raw) - 100 - 0.25 * scene).max() > 100  # there was much to undo
 
 
+def test_codes_are_corrected_as_their_numbers():
+    """Unsigned numbers would wrap below the dark frame, and gains of taps be cut to integers."""
+    codes = np.array([[90, 130, 95, 140]] * 4, np.uint16)[..., None]
+    camera = jv.Sensor(gain=0.25, offset=100.0, bits=12)
+    taps = replace(camera, taps=jv.Taps(((0, 1),), gain=[0.9, 1.1], offset=[-2.0, 3.0]))
+    dark = js.Masters(dark=js.Master(np.full((4, 4, 1), 100.5), 4))
+    for sensor, masters in ((camera, dark), (taps, None), (taps, dark)):
+        seen, numbers = (js.correct(x, sensor, masters=masters) for x in (codes, codes * 1.0))
+        np.testing.assert_allclose(seen.image, numbers.image, rtol=1e-5)
+    found = js.correct(codes, camera, masters=dark).image
+    np.testing.assert_allclose(found, (codes - 100.5) / 0.25, rtol=1e-6)
+
+
+def test_a_frame_at_the_full_well_has_no_numbers():
+    """Read noise leaves half of its codes below the well."""
+    camera = jv.Sensor(read_noise=6.0, gain=0.25, offset=100.0, full_well=14_000.0, bits=12)
+    raw = jv.raw_image(jax.random.key(0), camera, jnp.full((32, 32, 1), 30_000.0))
+    assert np.isnan(js.correct(raw, camera).image).all()
+    dim = jv.raw_image(jax.random.key(0), camera, jnp.full((32, 32, 1), 13_000.0))
+    assert np.isfinite(js.correct(dim, camera).image).all()
+
+
 def test_dark_flat_and_defects_against_naive_numpy():
     rng = np.random.default_rng(2)
     raw, dark, flat = (
