@@ -60,10 +60,10 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
     predicts = f"{prediction.camera} alone predicts {levels}{kept} with chi-squares per degree of "
     if _scatter_alone(prediction):
         clauses = _joined([one.clause for one in prediction.missing])
-        strengths = _joined([f"{one.strength:.0f}" for one in prediction.missing])
+        falls = _joined([f"{one.strength**2:.0f}" for one in prediction.missing])
         told = [
-            f"The frames show {clauses}, {strengths} standard errors from none, which no camera "
-            f"file holds. Beside it {predicts[0].lower()}{predicts[1:]}freedom of "
+            f"The frames show {clauses}, which no camera file holds. It lowers -2 log likelihood "
+            f"by {falls}. Beside it {predicts[0].lower()}{predicts[1:]}freedom of "
             f"{_ratios(prediction.missing[-1].after)}; without it they are "
             f"{_ratios(judged.agreement)}."
         ]
@@ -99,7 +99,8 @@ def explanations(prediction: Prediction) -> list[str]:
     if less:
         told.append(
             f"The {_listed(less)} scatter less about the prediction than independent frames do "
-            f"({_chances(less)}): frames of a level may be copies or averages of each other."
+            f"({_chances(less)}): frames of a level may be copies or averages of each other, or a "
+            "stated error of the light is too large."
         )
     if not more or _scatter_alone(prediction):
         return told
@@ -107,9 +108,9 @@ def explanations(prediction: Prediction) -> list[str]:
     for one in prediction.missing:
         first = one is prediction.missing[0]
         told.append(
-            f"{'What explains it most likely is' if first else 'Beside that, there is'} "
-            f"{one.clause}: {one.strength:.0f} standard errors from none. With it the chi-squares "
-            f"are {_ratios(one.after)}."
+            f"{'What explains it most likely is' if first else 'Added to that:'} {one.clause}. It "
+            f"lowers -2 log likelihood by {one.strength**2:.0f}. With it the chi-squares are "
+            f"{_ratios(one.after)}."
         )
     left = prediction.missing[-1].after if prediction.missing else agreement
     if any(one.is_missed and one.ratio > 1 for one in left.values()):
