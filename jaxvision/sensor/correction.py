@@ -332,7 +332,7 @@ def _unusable(sensor: Sensor, raw: Counts, masters: Masters) -> Bool[Array, "...
     return bad
 
 
-def _times(x: Counts, factor: Scalars | None) -> Counts:
+def _times(x: Scalars, factor: Scalars | None) -> Scalars:
     """A product whose absent factor is 1."""
     return x if factor is None else x * factor
 
