@@ -388,8 +388,8 @@ class Camera(_Known):
 
 
 def _told_by_sensor(file: Path) -> dict[str, dict[str, float]]:
-    """What a sensor file tells of a camera, by the key whose absence asks for it; a standard
-    deviation is that of the draws beside the file."""
+    """The numbers of a camera in a sensor file, by the rig's key that they replace. Standard
+    deviations are those of the draws beside the file."""
     import numpy as np
 
     from jaxvision.files.cameras import read_sensor

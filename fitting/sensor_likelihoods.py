@@ -167,13 +167,13 @@ class SensorCounts(eqx.Module):
         P(c) = sum_n Poisson(n; mu) [Phi(z_n + 1 / (2 K sigma)) - Phi(z_n - 1 / (2 K sigma))],
         z_n  = (c - offset - K s(n)) / (K sigma)
 
-    Exact also below a read noise of half a DN, where the moments are not, and below an electron,
-    where a histogram of codes has a peak for each electron and its moments lose most of what it
-    tells. s(n) is n, or the sensor's nonlinearity; its light offset and the numbers of its taps
-    count. The sensor needs shot noise, read noise and gain. Differences between pixels (fixed
-    pattern) are no part of it, nor is a full well; read noise is taken as Gaussian. Electrons
-    within `reach` of those that contribute most are summed, which lie between the mean and the
-    code: the cost grows with the read noise in electrons.
+    It is exact at any read noise. Moments are not exact below a read noise of half a DN. Below an
+    electron, a histogram of codes has a peak for each electron, which its moments do not show. s(n)
+    is n, or the sensor's nonlinearity. Its light offset and its taps count. The sensor needs shot
+    noise, read noise and gain. Differences between pixels (fixed pattern) are no part of it, nor is
+    a full well; read noise is taken as Gaussian. Electrons within `reach` of those that contribute
+    most are summed, which lie between the mean and the code: the cost grows with the read noise in
+    electrons.
 
     Attributes:
         sensor: record, or the path of one among the problem's records.

@@ -12,10 +12,10 @@ K: DN per electron and R: DN per photon, both at zero signal; the means know R a
 better than the variances know K, so that these two, unlike K and the efficiency R / K, are hardly
 correlated. mu_p: photons per pixel; t: s. h: a compression behind the gain, X being the brightest
 level's signal. q: step of the converter, DN; q^2 / 12: rounding, counted once. Read noise enters
-behind the compression. C_00: of charges that repel each other (Astier 2019,
-`jaxvision.sensor.flat_covariances`), with a_00 = -beta K / X, so that beta is the share of the
-brightest level's variance that is lost, to first order; the shape of a is that of the measured
-covariances. kappa: share of a pixel's signal variance that
+behind the compression. C_00: the variance of a pixel whose charges repel each other (Astier
+2019, `jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so beta is to first order the
+share of its variance that the brightest level loses. The other a_ij have the relative sizes of the
+measured covariances. kappa: share of a pixel's signal variance that
 linear mixing with its neighbours takes. Neither loses any of the noise of sums over many pixels.
 
 The observed mean of L frames of n pixels is Normal with variance s^2 / (n L); the observed variance

@@ -176,7 +176,10 @@ def _render_tiles(
         for radiance in in_order(_tile, work, range(first, tiles), memory=PROGRAMS):
             partial.append(radiance)
             advance(partial.done, tiles)
-        rows = lambda: partial.rows(width, channels, height, at_once=ROWS)  # noqa: E731
+
+        def rows() -> Iterator[np.ndarray]:
+            return partial.rows(width, channels, height, at_once=ROWS)
+
         yield rows, _of_all(clock, tiles, tiles - first)
         partial.delete()
 
@@ -210,7 +213,10 @@ def _render_passes(
         spread = np.maximum(found[..., bands:] - found[..., :bands] ** 2, 0.0)
         found[..., bands:] = np.sqrt(spread / (passes - 1))
     picture = found.astype(np.float32)
-    rows = lambda: (picture[row : row + ROWS] for row in range(0, height, ROWS))  # noqa: E731
+
+    def rows() -> Iterator[np.ndarray]:
+        return (picture[row : row + ROWS] for row in range(0, height, ROWS))
+
     yield rows, _of_all(clock, passes, passes - first)
     partial.delete()
 

@@ -141,7 +141,7 @@ class Calibrated(Shown):
 
     @property
     def variance(self) -> Counts:
-        """(..., h, w, bands) of what is new in each frame: shot noise, read noise, rounding."""
+        """(..., h, w, bands), of the noise that is new in each frame: shot, read-out, rounding."""
         return self._sum(lambda part: not part.lasts)
 
     @property

@@ -378,7 +378,7 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
 
 
 @pytest.mark.parametrize("bits", [12, 16])
-@pytest.mark.sweep("16")
+@pytest.mark.sweep
 def test_dead_columns_rows_and_pixels_are_left_out(bits):
     """At 0, and stuck at the top code, in every frame."""
     rng = np.random.default_rng(12)

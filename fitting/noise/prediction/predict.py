@@ -84,7 +84,7 @@ def predict(
         chi-squares, and the effects that the camera lacks.
 
     Raises:
-        InputError: for what is no camera of one channel.
+        InputError: for what is no camera of one channel, and for frames of other bits.
 
     Example:
         >>> from fitting.noise import Camera, from_frames, predict
@@ -114,7 +114,9 @@ def predict(
         camera, draws = _read(Path(camera))
     if camera.taps is not None:
         camera, draws = _of_one_tap(name, camera, draws, measurement.site)
+        name = f"{name}, {measurement.site},"
     camera = _of_one_channel(name, camera)
+    _require_bits(name, camera, measurement)
     if draws is not None:
         draws = eqx.tree_at(_conversion, draws, None, is_leaf=lambda leaf: leaf is None)
     measurement = as_dtype(measurement, np.float64)
@@ -130,6 +132,18 @@ def predict(
         variance_error=0.0,
         missing=missing_effects(found),
     )
+
+
+def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
+    """Refuses frames whose numbers have another range than those of the camera."""
+    if camera.bits is None or measurement.full_scale is None:
+        return
+    bits, seen = float(camera.bits), float(np.log2(measurement.full_scale + 1))
+    if bits != seen:
+        raise InputError(
+            f"{name} has {bits:g} bits, and the frames {seen:g}; give frames of the same "
+            "converter, or state their bits."
+        )
 
 
 @in_double

@@ -28,6 +28,7 @@ def section(prediction: Prediction) -> Section:
     Returns:
         Findings, the table of chi-squares, and the picture of residuals.
     """
+    name = prediction.camera.rstrip(",")
     return Section(
         kind=KIND,
         title=TITLE,
@@ -35,7 +36,7 @@ def section(prediction: Prediction) -> Section:
         findings=findings(prediction),
         pictures=(picture(prediction),),
         tables=(table(prediction),),
-        about=f"{prediction.camera} and {len(prediction.judged.lit.lit)} levels of light and dark.",
+        about=f"{name} and {len(prediction.judged.lit.lit)} levels of light and dark.",
     )
 
 
@@ -160,7 +161,7 @@ def table(prediction: Prediction) -> Table:
         for name, one in comparison.agreement.items()
     ]
     return Table(
-        f"What {prediction.camera[:1].lower()}{prediction.camera[1:]} predicts",
+        f"Prediction of {prediction.camera[:1].lower()}{prediction.camera[1:].rstrip(',')}",
         ("quantity", "levels", "degrees of freedom", "χ² per degree", "p-value"),
         tuple(rows),
         "The camera alone predicts each level by the moments of its sensor; errors are those of "
