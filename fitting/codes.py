@@ -101,11 +101,7 @@ class Codes:
     _continuous: bool = False
 
     def add(self, frame: np.ndarray) -> None:
-        """One more frame.
-
-        Args:
-            frame: numbers as stored, not negative; NaN is passed over.
-        """
+        """One more frame."""
         values = np.asarray(frame, float).ravel()
         values = values[np.isfinite(values)]
         if not values.size or self._continuous:
@@ -177,14 +173,7 @@ class Codes:
 
 
 def converter_of(frames: Iterable[np.ndarray]) -> Converter:
-    """The grid on which the numbers of some frames lie.
-
-    Args:
-        frames: numbers as stored.
-
-    Returns:
-        The converter.
-    """
+    """The grid on which the numbers of some frames lie."""
     codes = Codes()
     for frame in frames:
         codes.add(frame)
@@ -193,13 +182,6 @@ def converter_of(frames: Iterable[np.ndarray]) -> Converter:
 
 def converter_in_words(converter: Converter, full_scale: float | None) -> list[str]:
     """A finding about a converter whose numbers are not 0, 1, 2 and so on.
-
-    Args:
-        converter: of some frames.
-        full_scale: their largest possible number, DN; None where unknown.
-
-    Returns:
-        Sentences.
 
     Example:
         >>> from fitting.codes import Converter, converter_in_words

@@ -18,12 +18,7 @@ class Copies:
         self._names: dict[bytes, list[str]] = {}
 
     def add(self, name: str, image: np.ndarray) -> None:
-        """Compares an image with those that were added before.
-
-        Args:
-            name: of the image.
-            image: DN, of any shape.
-        """
+        """Compares an image with those that were added before."""
         between = (image > image.min()) & (image < image.max())
         if between.mean() > LEAST_BETWEEN:
             digest = hashlib.blake2b(image.tobytes()).digest()
@@ -35,14 +30,7 @@ class Copies:
         return [names for names in self._names.values() if len(names) > 1]
 
     def refuse(self, folder: Path) -> None:
-        """Refuses images of equal numbers.
-
-        Args:
-            folder: of the images.
-
-        Raises:
-            InputError: naming two of them.
-        """
+        """Refuses images of equal numbers."""
         for first, second, *_ in self.found:
             raise InputError(
                 f"{folder / second}: is {first} in every pixel, so one is a copy of the other; "

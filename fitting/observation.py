@@ -30,20 +30,7 @@ MEMORY = Path("arrays")  # where messages say that images in memory lie
 def in_memory(
     images: Mapping[str, ArrayLike], *, called: Mapping[str, str] | None = None, **entries: Any
 ) -> tuple[Rig, Load]:
-    """A rig of images that are in memory, and how they are had by their paths.
-
-    Args:
-        images: arrays as an image file would hold them, by name.
-        called: what the caller calls a list that stands in the entries, by entry and key; None:
-            as the file does.
-        **entries: of the rig, as in its file; they name the images.
-
-    Returns:
-        The rig, and what to read its images by.
-
-    Raises:
-        InputError: for entries that no rig file may have.
-    """
+    """A rig of images that are in memory, and how they are had by their paths."""
     rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig", first=0, called=called)
     stored = {rig.path(n): _unmasked(n, image) for n, image in images.items()}
     return rig, stored.__getitem__
@@ -89,31 +76,13 @@ def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
 
 
 def require_as_many(what: str, given: Sized, as_: str, others: Sized) -> None:
-    """Refuses two lists that belong together but differ in length.
-
-    Args:
-        what: name of the first.
-        given: the first.
-        as_: name of the second.
-        others: the second.
-
-    Raises:
-        InputError: names both lengths.
-    """
+    """Refuses two lists that belong together but differ in length."""
     if len(given) != len(others):
         raise InputError(f"{len(given)} {what} for {len(others)} {as_}; give one for each.")
 
 
 def require_several_images(name: str, images: Sequence[ArrayLike]) -> None:
-    """Refuses a single image where a list of images is wanted, and a list of none.
-
-    Args:
-        name: of the argument.
-        images: as given.
-
-    Raises:
-        InputError: says what to give.
-    """
+    """Refuses a single image where a list of images is wanted, and a list of none."""
     if len(images) == 0:
         raise InputError(f"{name} is empty; give a list of images, (h, w) each.")
     if np.ndim(images[0]) < 2:
@@ -122,15 +91,7 @@ def require_several_images(name: str, images: Sequence[ArrayLike]) -> None:
 
 
 def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
-    """Refuses levels that are no list of two or more frames.
-
-    Args:
-        name: of the argument.
-        levels: as given.
-
-    Raises:
-        InputError: names the first of them, and says what to give.
-    """
+    """Refuses levels that are no list of two or more frames."""
     if len(levels) == 0:
         raise InputError(f"{name} is empty; give a list of levels, each a list of frames, (h, w).")
     for i, level in enumerate(levels):
@@ -151,21 +112,6 @@ def read_frame(
     path: Path, camera: Camera, *, load: Load = read_image, mask: np.ndarray | None = None
 ) -> np.ndarray:
     """Digital numbers of one image, of the camera's region alone where it has one.
-
-    Args:
-        path: of the image.
-        camera: whose bits the numbers must fit.
-        load: how an image is had by its path.
-        mask: (h, w) of the region, false where NaN and infinite numbers do no harm: they become 0;
-            None for nowhere.
-
-    Returns:
-        (h, w) or (h, w, 3) DN, float64, as stored.
-
-    Raises:
-        InputError: for non-finite, negative or too large numbers, for another number of channels,
-            for a region beyond the image, and for data of a depth that contradicts the camera's
-            `bits`.
 
     Example:
         >>> from pathlib import Path
@@ -245,19 +191,7 @@ def _refuse_other_lists(path: Path, camera: Camera, image: np.ndarray) -> None:
 
 
 def in_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
-    """The part of an image that the camera's region has.
-
-    Args:
-        image: (h, w, ...) of the whole frame.
-        camera: with or without a region.
-        path: of the image, for messages.
-
-    Returns:
-        The part; the image where the camera has no region.
-
-    Raises:
-        InputError: for a region that is not within the image.
-    """
+    """The part of an image that the camera's region has."""
     if camera.region is None:
         return image
     top, left, height, width = camera.region
@@ -272,20 +206,7 @@ def in_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
 def read_stack(
     rig: Rig, files: Sequence[str], *, load: Load = read_image, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Frames of one size.
-
-    Args:
-        rig: that names them.
-        files: names within the rig.
-        load: how an image is had by its path.
-        mask: as in `read_frame`.
-
-    Returns:
-        (frames, h, w) or (frames, h, w, 3) DN.
-
-    Raises:
-        InputError: for frames of different size, and as `read_frame` does.
-    """
+    """Frames of one size."""
     frames = [read_frame(rig.path(name), rig.camera, load=load, mask=mask) for name in files]
     for name, frame in zip(files, frames, strict=True):
         if frame.shape != frames[0].shape:
@@ -298,16 +219,6 @@ def read_stack(
 
 def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
     """Return the planes of one frame by name: its colours, or the sites of its repeated cell.
-
-    Args:
-        frame: (h, w) or (h, w, 3), of the camera's region where it has one.
-        camera: whose `pattern` says whether the frame is a mosaic, and `taps` where its amplifiers
-            repeat.
-
-    Returns:
-        `grey` for (h, w), `red green blue` for (h, w, 3), and for a Bayer mosaic its four sites
-        `red`, `green 1`, `green 2`, `blue`, each (h / 2, w / 2); of several amplifiers
-        `tap 0,1` and the like, as `Camera.sites` has them.
 
     Example:
         >>> from fitting.observation import split_channels
@@ -325,18 +236,7 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
 
 
 def one_site(camera: Camera) -> SiteCamera:
-    """The camera of images that `to_one_site` has levelled.
-
-    Args:
-        camera: whose sites may differ in black level, saturation, gain and read noise.
-
-    Returns:
-        With the mean black level and gain, the root mean square read noise, and the saturation of
-        the site that has least room above its black level.
-
-    Raises:
-        InputError: for gains or read noises by colour, and gains by site of gamma encoded files.
-    """
+    """The camera of images that `to_one_site` has levelled."""
     if isinstance(camera.gain, tuple) and camera.encoding is not None:
         raise InputError(
             "camera.gain lists several numbers, but the files are gamma encoded; give linear files."
@@ -365,15 +265,7 @@ def one_site(camera: Camera) -> SiteCamera:
 
 
 def to_one_site(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """An image whose sites all have the mean of their black levels and of their gains.
-
-    Args:
-        image: (h, w) or (h, w, 3) DN, of the camera's region.
-        camera: with numbers by site, or one of each.
-
-    Returns:
-        DN; the image itself where black level and gain are one number each.
-    """
+    """An image whose sites all have the mean of their black levels and of their gains."""
     if not isinstance(camera.black_level, tuple) and not isinstance(camera.gain, tuple):
         return image
     black, gain = np.zeros(image.shape), np.ones(image.shape)
@@ -398,20 +290,7 @@ def read_mask(
     shape: tuple[int, int] | None = None,
     load: Load = read_image,
 ) -> np.ndarray:
-    """A mask of pixels, of the camera's region alone where it has one.
-
-    Args:
-        path: of the image.
-        camera: with or without a region.
-        shape: (h, w) that it must have; None for any.
-        load: how an image is had by its path.
-
-    Returns:
-        (h, w), true where any channel of the image but alpha is non-zero.
-
-    Raises:
-        InputError: for another size, and for an alpha channel that varies.
-    """
+    """A mask of pixels, of the camera's region alone where it has one."""
     stored = in_region(load(path), camera, path)
     if stored.ndim == 3 and stored.shape[2] in (2, 4):  # its last channel is alpha
         if (stored[..., -1] != stored[0, 0, -1]).any():

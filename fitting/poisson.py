@@ -24,13 +24,6 @@ _REMAINDERS = [
 def log_poisson(n: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
     """ln P(N = n) of Poisson's distribution, without the digits that n ln mean - mean - ln n!
     loses (Loader 2000).
-
-    Args:
-        n: (...) counts, whole numbers.
-        mean: (...) electrons, > 0.
-
-    Returns:
-        (...) no unit; -inf for n < 0.
     """
     some = jnp.maximum(n, 1)
     few = jnp.asarray(_REMAINDERS, some.dtype)[jnp.minimum(some, 31).astype(jnp.int32) - 1]
@@ -49,13 +42,6 @@ def log_poisson_tails(
     They are computed from the incomplete gamma function. For many counts XLA's function has few
     digits or none. There, and in far tails of few counts, the saddle-point approximation is used
     (Barndorff-Nielsen's r*), with errors of 1e-6 in float32 and 1e-10 in float64.
-
-    Args:
-        n: (...) counts, whole numbers, at least 1.
-        mean: (...) electrons, > 0.
-
-    Returns:
-        Two arrays (...), no unit.
     """
     excess = mean - n
     eta = jnp.sign(excess) * jnp.sqrt(2 * poisson_deviance(n, -excess, mean) / n)

@@ -55,15 +55,6 @@ COLDEST = 100.0  # K, of a sensor; a smaller number is one of degrees Celsius
 def kelvin(temperature: float) -> float:
     """A sensor's temperature, refused where it is none in kelvin.
 
-    Args:
-        temperature: K.
-
-    Returns:
-        The same.
-
-    Raises:
-        ValueError: below the temperature of any camera.
-
     Example:
         >>> from fitting.rig import kelvin
         >>> print(kelvin(293.15))
@@ -618,15 +609,6 @@ class Rig(Entry):
 def load_rig(path: str | os.PathLike[str]) -> Rig:
     """Reads and checks a rig.
 
-    Args:
-        path: a folder with a `rig.toml`, or a rig file by name.
-
-    Returns:
-        The rig; no image is read.
-
-    Raises:
-        InputError: names the file, the entry and the remedy.
-
     Example:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
@@ -656,30 +638,12 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 def as_rig(given: Rig | str | os.PathLike[str]) -> Rig:
-    """A rig, read from its folder or file where it is not read yet.
-
-    Args:
-        given: a rig, or where `load_rig` finds it.
-
-    Returns:
-        The rig.
-
-    Raises:
-        InputError: as `load_rig` does.
-    """
+    """A rig, read from its folder or file where it is not read yet."""
     return given if isinstance(given, Rig) else load_rig(given)
 
 
 def require(rig: Rig, purpose: Purpose) -> None:
-    """Refuses a rig that lacks a section that a calibration needs.
-
-    Args:
-        rig: to check.
-        purpose: the calibration.
-
-    Raises:
-        InputError: names the first section that is missing.
-    """
+    """Refuses a rig that lacks a section that a calibration needs."""
     for section in NEEDED[purpose]:
         if not getattr(rig, section):
             heading = f"[{section}]" if section == "geometry" else f"[[{section}]]"
@@ -689,15 +653,7 @@ def require(rig: Rig, purpose: Purpose) -> None:
 
 
 def require_images(rig: Rig, purpose: Purpose) -> None:
-    """Refuses a rig if an image that a calibration needs does not exist; none is read.
-
-    Args:
-        rig: to check.
-        purpose: the calibration.
-
-    Raises:
-        InputError: names the first image that is missing.
-    """
+    """Refuses a rig if an image that a calibration needs does not exist; none is read."""
     for section in NEEDED[purpose]:
         entries = getattr(rig, section)
         for entry in [entries] if isinstance(entries, Geometry) else entries or ():

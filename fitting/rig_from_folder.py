@@ -97,17 +97,7 @@ class _Image:
 
 
 def write_rig(folder: Path) -> tuple[Path, FoundRig]:
-    """Writes the rig of a folder beside its images.
-
-    Args:
-        folder: of images, in it or one folder below.
-
-    Returns:
-        The path, and what was found.
-
-    Raises:
-        InputError: for a folder without images, or with a rig already.
-    """
+    """Writes the rig of a folder beside its images."""
     path = folder / RIG_FILE
     if path.exists():
         raise InputError(f"{path}: is there already; remove it to have it written anew.")
@@ -125,15 +115,6 @@ def rig_of(folder: Path) -> FoundRig:
     also distinguishes flats, darks and photographs. Times come from the files' heads, or from names
     such as `flat_8ms` and `scene_1-8s`; wavelengths in names, as in `chart_450nm`, separate stacks.
     An EXR or HDR file beside images of whole numbers is left out, and so are hidden files.
-
-    Args:
-        folder: of images, in it or one folder below.
-
-    Returns:
-        The rig and what it could not know.
-
-    Raises:
-        InputError: for a folder without images, or with a name that no rig can hold.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the one that holds the images.")

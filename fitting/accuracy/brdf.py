@@ -34,20 +34,7 @@ AWAY = 0.3  # of a logarithm: how far from the mode a search begins
 
 
 def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The knobs of a rig's reflectance.
-
-    Args:
-        rig: with `[[light]]` and `[geometry]`.
-        load: how an image is had by its path.
-
-    Returns:
-        By the knob's name, from a setting to a function of a seed that gives parameters in their
-        standard errors.
-
-    Raises:
-        InputError: for a rig that cannot be calibrated, and where every channel leaves something
-            open.
-    """
+    """The knobs of a rig's reflectance."""
     observation = read_reflectance_observation(rig, load=load)
     form = Form("phong")
     chosen = select(observation, held_out=False, form=form, minimum_cosine=0.0)

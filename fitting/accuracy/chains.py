@@ -44,30 +44,14 @@ class Density:
 
 
 def interval_ends(posterior: Posterior, density: Density) -> Float[np.ndarray, "ends parameters"]:
-    """Quantiles of a posterior's draws.
-
-    Args:
-        posterior: of the density.
-        density: whose mode and errors are zero and unit.
-
-    Returns:
-        Of the 95 and 68 % intervals and the middle, in standard errors from the mode.
-    """
+    """Quantiles of a posterior's draws."""
     ends = np.quantile(posterior.samples, ENDS, axis=0)
     vectors = unconstrained_numbers(density.space, ends)
     return (vectors - np.asarray(density.mode)) / density.errors
 
 
 def chain_knobs(density: Density) -> Mapping[str, Turn]:
-    """The knobs of a posterior.
-
-    Args:
-        density: to draw from.
-
-    Returns:
-        By the knob's name, from a setting to a function of a seed that gives ends of intervals in
-        standard errors.
-    """
+    """The knobs of a posterior."""
     about = (density.log_density, density.space, density.mode, density.covariance, density.args)
 
     def drawn(options: Emcee | Nuts | None) -> Compute:

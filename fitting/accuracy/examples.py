@@ -19,11 +19,7 @@ CYCLES = 3.7  # of a sine over the data: a likelihood of many optima
 
 
 def sine() -> Fitted:
-    """A sine of unknown frequency in noise, whose likelihood has many optima.
-
-    Returns:
-        The problem; data in the unit of their noise of 0.5.
-    """
+    """A sine of unknown frequency in noise, whose likelihood has many optima."""
     time = np.linspace(0, 1, 200)
     noise = 0.5 * np.random.default_rng(0).standard_normal(200)
     return Fitted(

@@ -33,19 +33,7 @@ FEWEST = 16  # pixels along a side of a part of an image
 
 
 def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The knobs of a rig's photon transfer.
-
-    Args:
-        rig: with `[[flat]]` and `[[dark]]`.
-        load: how an image is had by its path.
-
-    Returns:
-        By the knob's name, from a setting to a function of a seed that gives figures in their
-        standard errors.
-
-    Raises:
-        InputError: for a rig that cannot be calibrated.
-    """
+    """The knobs of a rig's photon transfer."""
     measurement = reduce_rig(rig, load=load)
     check(Path(rig.folder), measurement)
     calibration = calibrate(measurement)

@@ -22,19 +22,7 @@ PLACES = 64  # codes at which curves are compared
 
 
 def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The knobs of a rig's response.
-
-    Args:
-        rig: with `[[exposure]]`.
-        load: how an image is had by its path.
-
-    Returns:
-        By the knob's name, from a setting to a function of a seed that gives log exposures in
-        their standard errors.
-
-    Raises:
-        InputError: for a rig that cannot be calibrated.
-    """
+    """The knobs of a rig's response."""
     stack = read_exposure_stack(rig, load=load)
     channel = calibrate(stack).channels[0]
     plane, whole = channel.plane, channel.curve

@@ -33,17 +33,7 @@ FITS: Mapping[str, Purpose] = {
 
 
 def fits_of(rig: Rig) -> tuple[str, ...]:
-    """The fits that a rig names all entries of.
-
-    Args:
-        rig: from `load_rig`.
-
-    Returns:
-        Of "noise", "response" and "brdf"; no unit.
-
-    Raises:
-        InputError: for none.
-    """
+    """The fits that a rig names all entries of."""
     found = tuple(
         fit
         for fit, purpose in FITS.items()

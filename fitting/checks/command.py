@@ -28,18 +28,7 @@ KINDS = {
 def run(
     kind: str, simulations: int, kept: Path | None, reporter: Reporter, *, seed: int = 0
 ) -> Section:
-    """Checks every case of a kind.
-
-    Args:
-        kind: of fit, of `KINDS`.
-        simulations: fits of each case.
-        kept: folder in which fits are kept, so that another run goes on from them; None for none.
-        reporter: told of every fit.
-        seed: of every draw; those of one seed have nothing in common with those of another.
-
-    Returns:
-        Coverage of every case.
-    """
+    """Checks every case of a kind."""
     room, found = KINDS[kind], {}
     file = f"{kind}, {{}}, seed {seed}, {__version__}.npy"
     if kept is not None:

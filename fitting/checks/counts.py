@@ -72,16 +72,7 @@ def information(
 
 @in_double
 def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
-    """Draws tables, fits them and compares.
-
-    Args:
-        read_noise: e-.
-        simulations: how many.
-        seed: of the tables.
-
-    Returns:
-        The efficiency.
-    """
+    """Draws tables, fits them and compares."""
     truth = np.array([GAIN, read_noise, BLACK, *ELECTRONS])
     beyond = REACH * GAIN * read_noise
     codes = np.arange(np.floor(BLACK - beyond), np.ceil(BLACK + GAIN * 26 + beyond))

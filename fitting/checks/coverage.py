@@ -56,13 +56,6 @@ def coverage(
 ) -> tuple[Coverage, ...]:
     """Judges the places of the truth in the posteriors of many fits.
 
-    Args:
-        places: (simulations, parameters) u; NaN where a fit gave no interval.
-        names: of the parameters.
-
-    Returns:
-        One verdict a parameter.
-
     Example:
         >>> from fitting.checks.coverage import coverage
         >>> narrow = np.random.default_rng(0).beta(0.7, 0.7, size=(2000, 1))

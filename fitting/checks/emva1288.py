@@ -48,15 +48,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Where one sheet puts the truth.
-
-    Args:
-        camera: to simulate.
-        seed: of its frames.
-
-    Returns:
-        (figures,) cumulative probabilities of `NAMES`.
-    """
+    """Where one sheet puts the truth."""
     rng = np.random.default_rng(seed)
     dark, response = (
         _pattern(sizes, camera.degrees, rng) for sizes in (camera.offsets, camera.gains)

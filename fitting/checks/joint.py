@@ -49,15 +49,7 @@ CASES = {
 
 
 def photographed(lab: Lab, seed: int) -> Photographs:
-    """Photographs as a fit gets them.
-
-    Args:
-        lab: to simulate.
-        seed: of every draw.
-
-    Returns:
-        The observation.
-    """
+    """Photographs as a fit gets them."""
     rng = np.random.default_rng(seed)
     sphere, full = lab.sphere, 2.0**BITS - 1 - BLACK
     linear = np.maximum(GAIN * electrons(sphere, rng), 0)
@@ -82,18 +74,7 @@ def photographed(lab: Lab, seed: int) -> Photographs:
 
 
 def places(lab: Lab, seed: int) -> np.ndarray:
-    """Where one fit puts the truth.
-
-    Args:
-        lab: to simulate.
-        seed: of the photographs.
-
-    Returns:
-        (parameters,) cumulative probabilities of `NAMES`; NaN for what is known.
-
-    Raises:
-        InputError: where the fit prints no interval.
-    """
+    """Where one fit puts the truth."""
     found = calibrate(photographed(lab, seed), fit_gamma=lab.gamma != 1, seed=seed)
     if not found.posteriors:
         raise InputError("the data leave a parameter open.")

@@ -74,18 +74,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Where one fit puts the truth.
-
-    Args:
-        camera: to simulate.
-        seed: of its frames.
-
-    Returns:
-        (parameters,) cumulative probabilities of `NAMES`.
-
-    Raises:
-        InputError: where the fit has no maximum.
-    """
+    """Where one fit puts the truth."""
     posterior = calibrate(measured(camera, seed)).posterior
     found = places_in(posterior, camera.truth)
     if len(found) < len(NAMES):

@@ -140,15 +140,7 @@ CASES = {
 
 
 def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
-    """Simulate Poisson electrons and read noise, with errors of lights and pixels.
-
-    Args:
-        sphere: to photograph.
-        rng: of every draw.
-
-    Returns:
-        (lights, h, w) e-.
-    """
+    """Simulate Poisson electrons and read noise, with errors of lights and pixels."""
     lights = 1 + sphere.light_sd * rng.standard_normal((sphere.lights, 1, 1))
     pixels = 1 + sphere.prnu * rng.standard_normal((SIZE, SIZE))
     signal = sphere.signal
@@ -162,15 +154,7 @@ def electrons(sphere: Sphere, rng: np.random.Generator) -> np.ndarray:
 
 
 def photographs(sphere: Sphere, seed: int) -> np.ndarray:
-    """Poisson electrons, read noise, rounding and clipping.
-
-    Args:
-        sphere: to photograph.
-        seed: of every draw.
-
-    Returns:
-        (lights, h, w) DN.
-    """
+    """Poisson electrons, read noise, rounding and clipping."""
     rng = np.random.default_rng(seed)
     noisy = electrons(sphere, rng)
     black = sphere.black + sphere.black_sd * rng.standard_normal()
@@ -178,18 +162,7 @@ def photographs(sphere: Sphere, seed: int) -> np.ndarray:
 
 
 def places(sphere: Sphere, seed: int) -> np.ndarray:
-    """The position of the true values in the posterior of one fit.
-
-    Args:
-        sphere: to photograph.
-        seed: of the photographs.
-
-    Returns:
-        (parameters,) cumulative probabilities of `NAMES`.
-
-    Raises:
-        InputError: where the fit prints no interval.
-    """
+    """The position of the true values in the posterior of one fit."""
     observation, chosen, cells = sphere.observed
     dn = photographs(sphere, seed)[None][:, :, observation.rows, observation.columns]
     again = gather(replace(observation, dn=dn), chosen, channels=(0,))
@@ -217,14 +190,7 @@ def _turned(wi: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def directions(lights: int) -> np.ndarray:
-    """Unit vectors about the view, the same for equal numbers.
-
-    Args:
-        lights: how many.
-
-    Returns:
-        (lights, 3).
-    """
+    """Unit vectors about the view, the same for equal numbers."""
     rng = np.random.default_rng(0)
     z = rng.uniform(np.cos(np.radians(WIDEST)), 1, lights)
     azimuth = rng.uniform(0, 2 * np.pi, lights)

@@ -79,18 +79,7 @@ CASES = {
 
 
 def places(stack: Stack, seed: int) -> np.ndarray:
-    """Where one fit puts the truth.
-
-    Args:
-        stack: to photograph.
-        seed: of scene and photographs.
-
-    Returns:
-        (parameters,) cumulative probabilities of `NAMES`; NaN where the fit prints none.
-
-    Raises:
-        InputError: where no curve is found.
-    """
+    """Where one fit puts the truth."""
     images = photographs(stack, seed)
     camera = Camera(
         bits=8, black_level=stack.black, black_sd=stack.black_sd or None, saturation=255.0
@@ -106,13 +95,6 @@ def places(stack: Stack, seed: int) -> np.ndarray:
 def photographs(stack: Stack, seed: int) -> np.ndarray:
     """Simulate photographs with motion (if hand-held), Poisson electrons, read noise, clipping, the
     response, rounding and JPEG compression (if any).
-
-    Args:
-        stack: to photograph.
-        seed: of every draw.
-
-    Returns:
-        (exposures, h, w) uint16 codes.
     """
     rng = np.random.default_rng(seed)
     scene, frames, black = _scene(rng), [], _black(stack, seed)

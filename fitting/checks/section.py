@@ -19,16 +19,7 @@ def line(one: Coverage) -> str:
 
 
 def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: int) -> Section:
-    """Coverage of every case of a kind.
-
-    Args:
-        kind: of fit.
-        cases: coverage of every parameter, by case.
-        simulations: fits of each case.
-
-    Returns:
-        Findings and the table.
-    """
+    """Coverage of every case of a kind."""
     faults = tuple(
         f"{case}, {one.name}: {'; '.join(one.faults)}."
         for case, parameters in cases.items()

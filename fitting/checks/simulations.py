@@ -31,20 +31,6 @@ def simulated(
 ) -> Float[np.ndarray, "simulations parameters"]:
     """The places of the truth in the posteriors of many fits, on the workers of
     `jaxvision.cluster` where there are any.
-
-    Args:
-        simulate: a seed to the places, (parameters,); `InputError` from it counts as no interval.
-        count: of fits, with seeds from 0.
-        parameters: of each.
-        kept: where places are kept between runs, as many as were ever fitted; None for nowhere.
-        progress: called with (done, count).
-
-    Returns:
-        (simulations, parameters), NaN where a fit gave no interval.
-
-    Raises:
-        InputError: where the fits that are kept are not those of `simulate`, and where no fit
-            gave an interval, with the reason of the first.
     """
     rows = np.empty((0, parameters))
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
@@ -106,13 +92,6 @@ def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " para
 def places_in(posterior: Posterior, truth: Mapping[str, float]) -> dict[str, float]:
     """Cumulative probability of the truth in each parameter's posterior, as it is printed: a
     quantile of draws, or of Laplace's Gaussian or Student's t.
-
-    Args:
-        posterior: of scalars.
-        truth: natural values by name.
-
-    Returns:
-        Of the parameters that the posterior and the truth both have, by name.
     """
     labels = names(posterior.space)
     known = [(i, name) for i, name in enumerate(labels) if name in truth]

@@ -78,14 +78,6 @@ def calibrate_lab(
 
     The reflectance fit weighs its pixels with the gain and the read noise that photon transfer has
     just measured.
-
-    Args:
-        folder: of the lab.
-        step: context of one step, which gives a progress callback.
-        draws: the `sampling` and `seed` of a calibration, of (kind, progress).
-
-    Returns:
-        A section each.
     """
 
     def noise() -> Section:
@@ -144,13 +136,6 @@ def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
     """Compare every estimate that has a known truth with this truth.
 
     If the standard's estimate and the likelihood's use the same frames, only the latter is taken.
-
-    Args:
-        sections: of the calibrations.
-        truth: the lab was simulated with.
-
-    Returns:
-        The comparisons.
     """
     known = truths(truth)
     return [

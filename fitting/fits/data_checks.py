@@ -40,15 +40,7 @@ class DataCheck:
 def data_check(
     problem: Problem, vector: np.ndarray, checks: Misfit, *, explained: bool, seed: int
 ) -> DataCheck:
-    """Look at the data beside the best fit.
-
-    Args:
-        problem: that was fitted.
-        vector: (P,) the best fit, unconstrained.
-        checks: what its residuals show.
-        explained: whether a misfit is allowed for.
-        seed: of the data that are drawn.
-    """
+    """Look at the data beside the best fit."""
     data = on_host(problem.data, dtype=np.float64)
     there = np.ones(data.shape, bool) if problem.present is None else on_host(problem.present)
     known = data[there]

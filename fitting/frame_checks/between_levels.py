@@ -154,12 +154,6 @@ def _from_the_others(
     """How far each value is from a fit to all others, its standard deviation by how those scatter
     about that fit, and of how many degrees of freedom: of one value a level, the ratio is Student's
     t.
-
-    Args:
-        values: of each level.
-        design: what they may be made of.
-        scatter: (levels,) standard deviations, relative to each other.
-        least: (levels,) standard deviations of the values by chance, which they have at least.
     """
     q, _ = np.linalg.qr(design / scatter[:, None])
     weighted = (values.T / scatter).T.reshape(len(values), -1)

@@ -10,12 +10,6 @@ MEDIAN = 0.6745  # of the size of a normal deviate of standard deviation 1
 def usual_size(deviates: Sequence[float] | np.ndarray) -> float:
     """Robust standard deviation of normal deviates with mean 0, from their median. Fewer than half
     may be outliers.
-
-    Args:
-        deviates: any number of them.
-
-    Returns:
-        In their unit; 0 of none.
     """
     return float(np.median(np.abs(deviates))) / MEDIAN if len(deviates) else 0.0
 
@@ -25,11 +19,5 @@ def beyond_chance(count: int) -> float:
 
     Of few deviates the median is known poorly; quantiles of 4 to 100 deviates, 400,000 draws and
     more, follow 5 + 36 / n, or are up to a tenth smaller.
-
-    Args:
-        count: of the deviates.
-
-    Returns:
-        The factor.
     """
     return 5 + 36 / max(count, 1)

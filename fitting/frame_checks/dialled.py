@@ -17,14 +17,7 @@ LESS = 1 / 3  # of the scatter, that exact times must leave at most
 
 
 def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:
-    """Times of whole, half and third stops of which these may be the printed ones.
-
-    Args:
-        times: (n,) s, as stated.
-
-    Yields:
-        (n,) s each.
-    """
+    """Times of whole, half and third stops of which these may be the printed ones."""
     for parts in STOPS:
         exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)
         off = np.abs(exact / times - 1).max()
@@ -33,15 +26,7 @@ def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " 
 
 
 def worst_in_words(times: Float[np.ndarray, " n"], exact: Float[np.ndarray, " n"]) -> str:
-    """The time with the largest error.
-
-    Args:
-        times: (n,) s, as stated.
-        exact: (n,) s, as they would be.
-
-    Returns:
-        Such as "1/64 s for 1/60 s".
-    """
+    """The time with the largest error."""
     worst = int(np.argmax(np.abs(exact / times - 1)))
     return f"{_fraction(exact[worst])} s for {_fraction(times[worst])} s"
 

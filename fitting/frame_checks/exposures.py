@@ -21,20 +21,7 @@ UNLIKE, LIKE = 0.6, 0.9  # rank correlation of another scene at most, of one sce
 def odd_exposures(
     where: str | Path, frames: Sequence[Shown], times: ArrayLike, *, full_scale: float
 ) -> list[Odd]:
-    """Images of one still scene that show another one, or less light than a shorter image.
-
-    Args:
-        where: the images lie, for messages.
-        frames: with their codes.
-        times: (frames,) s.
-        full_scale: of the codes, DN.
-
-    Returns:
-        What does not belong.
-
-    Raises:
-        InputError: where half of the images would be left out.
-    """
+    """Images of one still scene that show another one, or less light than a shorter image."""
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
@@ -47,14 +34,7 @@ def odd_exposures(
 
 
 def blank_images(frames: Sequence[Shown]) -> list[Odd]:
-    """Images that are saturated, or of one code, throughout.
-
-    Args:
-        frames: with their codes.
-
-    Returns:
-        Those that show nothing.
-    """
+    """Images that are saturated, or of one code, throughout."""
     return [
         Odd((frame.name,), f"every pixel is {state}, which tells nothing of a scene")
         for frame in frames

@@ -55,16 +55,7 @@ class Odd:
 
 
 def shown(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> Shown:
-    """What is kept of a frame.
-
-    Args:
-        name: of the frame.
-        frame: (h, w) DN.
-        top: DN from which a pixel is saturated.
-
-    Returns:
-        The record.
-    """
+    """What is kept of a frame."""
     steps = [-(-size // SIDE) for size in frame.shape]
     sample = frame[steps[0] // 2 :: steps[0], steps[1] // 2 :: steps[1]].astype(np.float32)
     return Shown(
@@ -73,30 +64,14 @@ def shown(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> Shown:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names in a sentence, of many the first ones.
-
-    Args:
-        names: at least one.
-
-    Returns:
-        As "a, b and c".
-    """
+    """Names in a sentence, of many the first ones."""
     if len(names) > 4:
         return f"{', '.join(names[:3])} and {len(names) - 3} more"
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def refuse_half(where: str | Path, odd: Sequence[Odd], count: int) -> None:
-    """Asks the user to decide where half of the frames would be left out.
-
-    Args:
-        where: the frames lie, for the message.
-        odd: what does not belong.
-        count: of all frames.
-
-    Raises:
-        InputError: names the first frames and why they disagree.
-    """
+    """Asks the user to decide where half of the frames would be left out."""
     wrong = [one for one in odd if not one.spare]
     if 2 * sum(len(one.names) for one in wrong) >= count > 0:
         first = wrong[0]

@@ -35,18 +35,7 @@ class Stated:
 
 
 def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], list[str]]:
-    """Frames of one gain and temperature whose heads contradict the rig, or most of the others.
-
-    Args:
-        where: the frames lie, for messages.
-        frames: as the rig states them; what lies in no file, and what has no head, says nothing.
-
-    Returns:
-        What does not belong, and remarks on what heads say otherwise.
-
-    Raises:
-        InputError: where no ISO speed, gain, camera or aperture is that of most frames.
-    """
+    """Frames of one gain and temperature whose heads contradict the rig, or most of the others."""
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
     for group in (frames, *(list(own) for own in _grouped(frames))):

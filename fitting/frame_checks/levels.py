@@ -44,14 +44,6 @@ def odd_frames(
 ) -> list[Odd]:
     """Return the frames that differ from the others of their level, and the levels that differ from
     their neighbours.
-
-    Args:
-        levels: frames of each level.
-        light: (levels,) proportional to the light of each; of darks, their exposures.
-        black: (levels,) DN without light; None for darks, which have no light to compare.
-
-    Returns:
-        What does not belong; a level of which one frame would be left is named whole.
     """
     compared = ComparedLevels([list(level) for level in levels], np.asarray(light, float), black)
     for test in (_copies, _means, _unevenness, moved_frames, _noise):
@@ -84,16 +76,7 @@ def _parted(
     limit: float,
     from_expected: Callable[[], Float[np.ndarray, " frames"] | None],
 ) -> Bool[np.ndarray, " frames"] | None:
-    """Return the frames that differ; None if this cannot be determined.
-
-    Args:
-        distances: from the middle of the level; of two frames, from each other.
-        limit: beyond which a frame departs.
-        from_expected: distances from what other levels tell, None where they do not.
-
-    Returns:
-        True where a frame departs.
-    """
+    """Return the frames that differ; None if this cannot be determined."""
     far = distances > limit
     if 2 * far.sum() < len(far) or not far.any():
         return far

@@ -140,13 +140,6 @@ def from_the_end(
     """Whether draws pile up at an end of their range, so that the shortest interval begins there:
     their density at the end is at least that at the other end of such an interval. An equal-tailed
     interval never covers the end itself.
-
-    Args:
-        distance: (draws, ...) from the end, at least 0.
-        level: probability of the interval.
-
-    Returns:
-        (...) whether they do; and (...) how far the interval reaches.
     """
     reach = np.quantile(distance, level, axis=0)
     width = AT_AN_END * reach

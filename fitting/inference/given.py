@@ -22,18 +22,6 @@ LARGEST_SEED = 2**32 - 1  # that all generators take
 def plain_numbers(what: str, value: Any) -> Any:
     """An argument as an array of real numbers, or refused in a sentence that names it.
 
-    Args:
-        what: name of the argument.
-        value: as given; None in a list is a missing number.
-
-    Returns:
-        An array of NumPy or JAX; what is one already, with real numbers in this machine's byte
-        order, is not copied.
-
-    Raises:
-        InputError: for text, complex numbers, objects, rows of unequal length, and what
-            `plain_array` refuses.
-
     Example:
         >>> from fitting.inference.given import plain_numbers
         >>> plain_numbers("data", np.array([1, 2], ">f4")).dtype.isnative

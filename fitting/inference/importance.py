@@ -113,17 +113,7 @@ def gaussian_miss(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
 ) -> Float[np.ndarray, " parameters"]:
-    """How far the fall of a log density at two standard deviations differs from a Gaussian's.
-
-    Args:
-        log_density: module-level function of (vector, args).
-        mode: (P,) unconstrained.
-        covariance: (P, P) of the Gaussian.
-        args: data of `log_density`.
-
-    Returns:
-        (P,) of each parameter, the worse of both sides; infinite where the density is nowhere.
-    """
+    """How far the fall of a log density at two standard deviations differs from a Gaussian's."""
     steps = FAR * covariance / np.sqrt(np.diagonal(covariance))
     centre = np.asarray(mode, np.float64)
     points = np.concatenate([centre[None], centre + steps.T, centre - steps.T])

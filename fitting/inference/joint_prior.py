@@ -192,20 +192,7 @@ def posterior_prior(
     *,
     words: tuple[str, ...] = (),
 ) -> JointPrior:
-    """A posterior as a prior.
-
-    Args:
-        posterior: of Laplace's approximation, or draws.
-        shapes: of all its parameters by name, in the order of its space.
-        selection: names, patterns with `*`, or new names by old ones.
-        words: what a reader of the new fit should know.
-
-    Returns:
-        The prior.
-
-    Raises:
-        InputError: for a name that matches nothing, and a posterior that is not Gaussian.
-    """
+    """A posterior as a prior."""
     renamed, required = selected(selection, list(shapes))
     sizes = [int(np.prod(shape)) for shape in shapes.values()]
     parts = np.split(np.arange(len(posterior.space)), np.cumsum(sizes)[:-1])

@@ -13,14 +13,7 @@ T = TypeVar("T")
 
 
 def in_double(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function in double precision, for any setting of the caller.
-
-    Args:
-        function: takes no traced numbers.
-
-    Returns:
-        The same function of the same numbers; arguments that have no place raise `TypeError`.
-    """
+    """Return the function in double precision, for any setting of the caller."""
     parameters = signature(function).parameters.values()
     by_name = [one.name for one in parameters if one.kind is Parameter.KEYWORD_ONLY]
     placed = len(parameters) - len(by_name)
@@ -44,15 +37,7 @@ def in_double(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def refuse_word_of_command(function: Callable[..., object], given: Mapping[str, object]) -> None:
-    """Refuses `mcmc`, which the command has and no function, by what a function has instead.
-
-    Args:
-        function: that was called.
-        given: arguments by keyword.
-
-    Raises:
-        TypeError: where `mcmc` is among them.
-    """
+    """Refuses `mcmc`, which the command has and no function, by what a function has instead."""
     if "mcmc" in given and "mcmc" not in signature(function).parameters:
         raise TypeError(
             f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the command "

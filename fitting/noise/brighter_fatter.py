@@ -34,14 +34,7 @@ class AreaChanges:
 
 
 def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:
-    """a_00 and its standard error, per electron.
-
-    Args:
-        fit: with `brighter_fatter`.
-
-    Returns:
-        -beta K / X, with the error that beta and K have together.
-    """
+    """a_00 and its standard error, per electron."""
     labels = [parameter.name for parameter in fit.space]
     beta, gain = (float(fit.values[name]) for name in ("brighter_fatter", "system_gain"))
     scale = gain / float(fit.data.top_signal)
@@ -54,16 +47,7 @@ def own_area_change(fit: LikelihoodFit) -> tuple[float, float]:
 def fitted_area_changes(
     measurement: PhotonTransfer, usable: np.ndarray, fit: LikelihoodFit
 ) -> AreaChanges | None:
-    """The closed form of Astier et al. (2019) fitted to the covariances of all levels.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels of the fit.
-        fit: the chosen model, with `brighter_fatter`; gives a_00, K and the compression.
-
-    Returns:
-        The changes; None where the covariances are not known.
-    """
+    """The closed form of Astier et al. (2019) fitted to the covariances of all levels."""
     if not tell_of_neighbours(measurement):
         return None
     found, variances = above_dark(measurement.bright, measurement.dark)
@@ -79,14 +63,7 @@ def fitted_area_changes(
 
 
 def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
-    """mu of each level, and by how many DN one more electron is read there.
-
-    Args:
-        fit: a model.
-
-    Returns:
-        (levels,) electrons, and (levels,) DN.
-    """
+    """mu of each level, and by how many DN one more electron is read there."""
     values, data = fit.values, fit.data
     mu = jax.vmap(lambda *at: expected_electrons(values, data, *at))(
         data.light, data.lit, data.exposure
@@ -126,15 +103,7 @@ def _fitted(
 def fitted_kernel(
     measurement: PhotonTransfer, usable: np.ndarray
 ) -> Float[np.ndarray, "rows columns"]:
-    """The kernel whose area changes come nearest to the measured ones, for a_00 = -1.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels of the fit.
-
-    Returns:
-        Without unit; times -a_00 that of a `BrighterFatter`.
-    """
+    """The kernel whose area changes come nearest to the measured ones, for a_00 = -1."""
     around = copies()
     around[0, 0] = 1
     weight = np.sqrt(around)
@@ -150,16 +119,7 @@ def fitted_effect(
     values: dict[str, Array],
     top: Array | np.ndarray,
 ) -> BrighterFatter | None:
-    """The effect of a sensor.
-
-    Args:
-        kernel: for a_00 = -1; None where the camera shows none.
-        values: natural parameters by name.
-        top: X, DN.
-
-    Returns:
-        The effect; None where the camera shows none.
-    """
+    """The effect of a sensor."""
     if kernel is None or "brighter_fatter" not in values:
         return None
     change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top

@@ -291,15 +291,7 @@ def _likelihood_estimates(
 
 
 def widened(estimate: Estimate, unequal: float) -> Estimate:
-    """An estimate with the error that unequal gains of the pixels add to it.
-
-    Args:
-        estimate: of the sheet.
-        unequal: relative deviation of the gains, rms; 0 for none.
-
-    Returns:
-        The estimate; itself where it does not rest on the gain.
-    """
+    """An estimate with the error that unequal gains of the pixels add to it."""
     if not unequal or estimate.value is None or estimate.name not in ON_GAIN:
         return estimate
     error = float(np.hypot(estimate.standard_error or 0.0, unequal * abs(estimate.value)))
@@ -374,15 +366,5 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
 
 
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:
-    """A line of the sheet as an estimate, its intervals as the quantity asks for.
-
-    Args:
-        quantity: the line.
-        value: in its unit.
-        error: standard error.
-        method: of the estimate.
-
-    Returns:
-        The estimate.
-    """
+    """A line of the sheet as an estimate, its intervals as the quantity asks for."""
     return gaussian_estimate(quantity, value, error, method=method, log_scale=quantity.positive)

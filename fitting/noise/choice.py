@@ -49,12 +49,6 @@ CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
     """The random effects that the darks show about their own lines over exposure, beyond noise of
     pixels and noise that rows, columns or frames are seen to share.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        Their parameters.
     """
     dark = measurement.dark
     errors = sampling_errors(
@@ -83,19 +77,7 @@ def choose_model(
     trend: Drifting | None = None,
     sharing: bool = False,
 ) -> tuple[LikelihoodFit, LikelihoodFit]:
-    """The model that a camera calls for.
-
-    Args:
-        measurement: bright and dark levels.
-        within: the standard's ranges.
-        data: of the fit.
-        standard: the standard's sheet, from which fits start.
-        trend: of the flats from frame to frame; None without.
-        sharing: whether nearest neighbours are seen to covary.
-
-    Returns:
-        (linear camera, chosen model); the same fit twice where the linear camera does.
-    """
+    """The model that a camera calls for."""
     linear = fitted(base_space(measurement, within, offsets=data.offsets), data, standard)
     if linear.p_value >= MISFIT and not sharing:
         return linear, linear

@@ -28,15 +28,7 @@ PLACES = 8  # of the pixels' black between two codes, at most
 
 
 def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
-    """Bright levels whose codes are to be counted.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        Their indices, none where read noise is above `SUB_ELECTRON`; a sentence where it is below,
-        but codes cannot be used.
-    """
+    """Bright levels whose codes are to be counted."""
     none, usable = np.zeros(0, int), linear_levels(measurement)
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     matched = np.asarray(measurement.dark_of)[usable]
@@ -81,19 +73,7 @@ def code_tables(
     plane: Callable[[str], np.ndarray],
     live: Bool[np.ndarray, "h w"] | None,
 ) -> CodeTables:
-    """Counts the codes of some levels; reads their frames, and those of their darks, once more.
-
-    Args:
-        measurement: bright and dark levels.
-        levels: indices of the bright levels.
-        flats: names of the frames of each bright level.
-        darks: the same of each dark.
-        plane: (h, w) DN of a frame by its name.
-        live: (h, w) true where a pixel counts; None, or of another size, for all.
-
-    Returns:
-        The tables.
-    """
+    """Counts the codes of some levels; reads their frames, and those of their darks, once more."""
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     matched = np.asarray(measurement.dark_of)[levels]
     wander = 0.0

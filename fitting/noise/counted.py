@@ -126,14 +126,7 @@ def _light_of_tables(electrons: Array, inputs: dict[str, Array]) -> Array:
 
 
 def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
-    """The fit to the tables of a measurement.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        The fit; None without tables.
-    """
+    """The fit to the tables of a measurement."""
     tables = measurement.tables
     if tables is None:
         return None

@@ -55,16 +55,7 @@ def doubts(
     flats: Sequence[Sequence[Shown]],
     darks: Sequence[Sequence[Shown]],
 ) -> tuple[Doubt, ...]:
-    """What the levels of a series say against figures that rest on all of them.
-
-    Args:
-        measurement: bright and dark levels.
-        flats: frames of each bright level.
-        darks: frames of each dark level, in the order in which they were taken.
-
-    Returns:
-        Doubts.
-    """
+    """What the levels of a series say against figures that rest on all of them."""
     found = [_fading(measurement, darks), multiplied(measurement, flats, darks)]
     found.append(_averaged(measurement))
     found.append(_two_gains(measurement, flats))

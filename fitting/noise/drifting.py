@@ -35,15 +35,7 @@ class Drifting(NamedTuple):
 
 
 def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
-    """The drift of the flats, None where none is seen.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The drift.
-    """
+    """The drift of the flats, None where none is seen."""
     bright, dark = measurement.bright, measurement.dark
     if bright.trend is None or len(usable) < FEWEST_LEVELS:
         return None
@@ -66,14 +58,7 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
 
 
 def drifting_in_words(found: Drifting | None) -> list[str]:
-    """A sentence.
-
-    Args:
-        found: the drift.
-
-    Returns:
-        The sentence; none without a drift.
-    """
+    """A sentence."""
     if found is None:
         return []
     way = "grows" if found.share > 0 else "falls"

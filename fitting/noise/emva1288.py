@@ -119,12 +119,6 @@ def ranges(measurement: PhotonTransfer) -> Ranges:
 
     Without a saturation point the brightest usable level stands for it there, and no figure that
     needs saturation is given.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        The ranges.
     """
     bright = measurement.bright
     signal = np.asarray(_signal(statistics(measurement, None), measurement))
@@ -149,29 +143,13 @@ def ranges(measurement: PhotonTransfer) -> Ranges:
 
 
 def statistics(measurement: PhotonTransfer, saturation: Array | None) -> Statistics:
-    """The measured statistics of a sheet.
-
-    Args:
-        measurement: bright and dark levels.
-        saturation: light at saturation; None without.
-
-    Returns:
-        The statistics.
-    """
+    """The measured statistics of a sheet."""
     bright, dark = measurement.bright, measurement.dark
     return Statistics(bright.mean, bright.variance, dark.mean, dark.variance, saturation)
 
 
 def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
     """The standard's figures; those that the measurement cannot give are left out.
-
-    Args:
-        stats: means and variances.
-        measurement: of which light and exposures alone are used.
-        within: the standard's ranges.
-
-    Returns:
-        Figures by name, in the units of `QUANTITIES`.
 
     Source:
         EMVA Standard 1288, release 3.1.
@@ -208,22 +186,13 @@ def _dark_variance(
 
 
 def is_floored(measurement: PhotonTransfer, within: Ranges) -> bool:
-    """Whether the standard's floor stands in place of the dark noise, of which it is a bound.
-
-    Args:
-        measurement: bright and dark levels.
-        within: the standard's ranges.
-    """
+    """Whether the standard's floor stands in place of the dark noise, of which it is a bound."""
     found, _ = _dark_variance(statistics(measurement, None), measurement, within)
     return float(found) < least_dark_variance(measurement)
 
 
 def least_dark_variance(measurement: PhotonTransfer) -> float:
-    """The standard's floor of sigma_y.dark^2, DN^2.
-
-    Args:
-        measurement: whose converter has a step.
-    """
+    """The standard's floor of sigma_y.dark^2, DN^2."""
     converter = measurement.converter
     return max(LEAST_DARK_VARIANCE * converter.width**2, 1.2 * converter.rounding)
 
@@ -237,19 +206,7 @@ def derived_figures(
     photons_known: bool,
     converter: Converter,
 ) -> Sheet:
-    """What follows from gain, responsivity, dark noise and saturation.
-
-    Args:
-        gain: K, DN/e-.
-        responsivity: R, DN per unit of light.
-        dark_variance: sigma_y.dark^2, DN^2, above that of rounding.
-        saturation: light at saturation; None to leave out what needs it.
-        photons_known: whether light is counted in photons; what needs them is left out otherwise.
-        converter: that rounds.
-
-    Returns:
-        Figures by name.
-    """
+    """What follows from gain, responsivity, dark noise and saturation."""
     efficiency = responsivity / gain
     threshold = jnp.sqrt(dark_variance) / gain + 0.5
     figures = {
@@ -286,14 +243,6 @@ def linearity_errors(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Extreme relative deviations of the signal from the line that minimises the sum of (deviation
     / signal)^2.
-
-    Args:
-        light: (levels,).
-        signal: (levels,) DN above dark.
-        within: (levels,) the linearity range.
-
-    Returns:
-        (LE_min, LE_max) in per cent.
     """
     deviation = linearity_deviation(light, signal, within)
     return (
@@ -305,16 +254,7 @@ def linearity_errors(
 def linearity_deviation(
     light: Float[Array, " levels"], signal: Float[Array, " levels"], within: Bool[Array, " levels"]
 ) -> Float[Array, " levels"]:
-    """Deviation of each level from the linearity line.
-
-    Args:
-        light: (levels,).
-        signal: (levels,) DN above dark.
-        within: (levels,) the linearity range.
-
-    Returns:
-        (levels,) per cent of the line.
-    """
+    """Deviation of each level from the linearity line."""
     safe = jnp.where(within, signal, 1)
     offset, slope = line(light, signal, weights=jnp.where(within, 1 / safe**2, 0))
     expected = offset + slope * light

@@ -71,24 +71,12 @@ def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
 
 
 def is_impossible(calibration: NoiseCalibration) -> bool:
-    """Whether more electrons are counted than photons arrive.
-
-    Args:
-        calibration: of a camera.
-    """
+    """Whether more electrons are counted than photons arrive."""
     return calibration.efficiency is not None and calibration.efficiency > 1
 
 
 def is_no_sensor(calibration: NoiseCalibration) -> bool:
-    """Whether a sensor made from the calibration would not be the camera.
-
-    Args:
-        calibration: of a camera.
-
-    Returns:
-        True where more electrons are counted than photons arrive, frames were not raw or of two
-        gains, or no likelihood has a maximum.
-    """
+    """Whether a sensor made from the calibration would not be the camera."""
     return (
         calibration.likelihood is None
         or any("system_gain" in doubt.of for doubt in calibration.measurement.doubts)

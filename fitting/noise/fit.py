@@ -107,18 +107,7 @@ def noise_data(
     offsets: OffsetData | None = None,
     counted: CountedLevels | None = None,
 ) -> NoiseData:
-    """Bright levels and all darks in one row.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-        window: of the levels that need exact moments.
-        offsets: of the pixels, where rounding needs to know of them.
-        counted: the levels whose tables of codes count in place of their moments.
-
-    Returns:
-        The data of a fit.
-    """
+    """Bright levels and all darks in one row."""
     bright, dark = measurement.bright, measurement.dark
     index = jnp.asarray(usable)
 
@@ -156,16 +145,7 @@ def noise_data(
 def base_space(
     measurement: PhotonTransfer, within: Ranges, *, offsets: OffsetData | None = None
 ) -> ParameterSpace:
-    """The parameters of a linear camera.
-
-    Args:
-        measurement: whose light is counted in photons or in seconds.
-        within: whose number of dark exposures decides on a dark current.
-        offsets: of the pixels, whose spread is then one of them.
-
-    Returns:
-        The space.
-    """
+    """The parameters of a linear camera."""
     responsivity = RESPONSIVITY if measurement.photons_known else SIGNAL_RATE
     space = (SYSTEM_GAIN, responsivity, OFFSET, READ_NOISE)
     if offsets is not None:
@@ -174,16 +154,7 @@ def base_space(
 
 
 def start_vector(space: ParameterSpace, standard: Sheet, data: NoiseData) -> Float[Array, " p"]:
-    """Where a fit starts: the standard's figures, no compression, slight scatter.
-
-    Args:
-        space: the P parameters.
-        standard: the standard's sheet.
-        data: of the fit.
-
-    Returns:
-        (P,) unconstrained.
-    """
+    """Where a fit starts: the standard's figures, no compression, slight scatter."""
     dark = data.lit == 0
     gain = standard["system_gain"]
     responsivity = data.top_signal / jnp.max(data.light)
@@ -248,16 +219,7 @@ def _cost_without(
 
 
 def fit_space(space: ParameterSpace, data: NoiseData, standard: Sheet) -> NewtonSolution:
-    """The most likely vector of one model; pure, so cameras of equal structure can be vmapped.
-
-    Args:
-        space: the P parameters.
-        data: of the fit.
-        standard: the standard's sheet, from which the fit starts.
-
-    Returns:
-        Where the fit ended.
-    """
+    """The most likely vector of one model; pure, so cameras of equal structure can be vmapped."""
     start = start_vector(space, standard, data)
     if data.window is not None:
         start = _best_start(space, data, start)
@@ -298,21 +260,7 @@ def fitted(
     among: ParameterSpace = (),
     near: LikelihoodFit | None = None,
 ) -> LikelihoodFit:
-    """One model fitted and judged.
-
-    Args:
-        space: the P parameters.
-        data: of the fit.
-        standard: the standard's sheet, from which the fit starts.
-        among: a larger model, whose compiled program is used; empty for the model's own.
-        near: of the effects of `among` some more, fitted already; None starts from the standard.
-
-    Returns:
-        The fit.
-
-    Raises:
-        InputError: where no start has a likelihood.
-    """
+    """One model fitted and judged."""
     if among:
         solution, vector = _fit_among(among, space, data, standard, near)
         if near is not None and not bool(jnp.isfinite(solution.cost)):
@@ -336,16 +284,7 @@ def fitted(
 def fitted_without(
     fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"], standard: Sheet
 ) -> NewtonSolution:
-    """The same model fitted again, by the same compiled program, with some levels kept out.
-
-    Args:
-        fit: of all levels, from which the search starts.
-        left_out: (levels,) true for a level that is kept out.
-        standard: the standard's sheet.
-
-    Returns:
-        Where the fit ended.
-    """
+    """The same model fitted again, by the same compiled program, with some levels kept out."""
     kept = jnp.asarray(~left_out, fit.data.mean.dtype)
     data = eqx.tree_at(lambda data: data.kept, fit.data, kept)
     if fit.among:
@@ -354,15 +293,7 @@ def fitted_without(
 
 
 def observations(data: NoiseData) -> int:
-    """How many numbers are explained.
-
-    Args:
-        data: of a fit.
-
-    Returns:
-        A mean and a variance of each level, the covariances with neighbours of the bright ones
-        where they are known, and the spread of the pixels of the dark ones where it is fitted.
-    """
+    """How many numbers are explained."""
     of_neighbours = int(jnp.sum(data.lit)) if are_known(data.neighbours) else 0
     of_offsets = int(jnp.sum(data.lit == 0)) if data.offsets is not None else 0
     return 2 * data.mean.size + of_neighbours + of_offsets
@@ -381,15 +312,6 @@ def likelihood_sheet(
 ) -> Sheet:
     """The standard's figures from the likelihood's parameters, gain and responsivity at zero
     signal.
-
-    Args:
-        vector: (P,) unconstrained.
-        saturation: light at saturation; None without.
-        args: (space, data, levels of the linearity range).
-
-    Returns:
-        Figures by name. The linearity errors are those of the fitted curve, left out where it is
-        straight.
     """
     space, data, linearity = args
     values = named(space, vector)
@@ -414,14 +336,6 @@ def likelihood_sheet(
 
 
 def gain_drop(values: dict[str, Array], data: NoiseData) -> Array:
-    """1 - h'(X): by what fraction the gain falls from zero signal to the brightest level.
-
-    Args:
-        values: natural parameters by name.
-        data: for X.
-
-    Returns:
-        The fraction.
-    """
+    """1 - h'(X): by what fraction the gain falls from zero signal to the brightest level."""
     top = data.top_signal
     return 1 - jax.grad(lambda x: compressed(values, x, top))(top)

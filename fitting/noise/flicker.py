@@ -17,15 +17,7 @@ from .shared import Found, extra_lines, temporal_lines
 def extra_in_flats(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> dict[str, Found]:
-    """Noise that rows or columns share in flats beyond that of the darks.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        What is believed, by "rows" and "columns".
-    """
+    """Noise that rows or columns share in flats beyond that of the darks."""
     bright, dark = measurement.bright, measurement.dark
     if bright.shared is None or dark.shared is None:
         return {}
@@ -41,15 +33,7 @@ def extra_in_flats(
 
 
 def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
-    """The measurement whose flats have no more noise of rows and columns than the darks.
-
-    Args:
-        measurement: bright and dark levels.
-        flicker: as `extra_in_flats` finds it.
-
-    Returns:
-        With what was taken out of each variance, by which the means are less well known.
-    """
+    """The measurement whose flats have no more noise of rows and columns than the darks."""
     bright, dark = measurement.bright, measurement.dark
     if not flicker or bright.shared is None or dark.shared is None:
         return measurement
@@ -69,15 +53,7 @@ def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> P
 
 
 def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> list[str]:
-    """A sentence for each.
-
-    Args:
-        measurement: without the flicker.
-        flicker: that was taken out.
-
-    Returns:
-        The sentences.
-    """
+    """A sentence for each."""
     told = []
     bright = measurement.bright
     for axis, name in enumerate(("rows", "columns")):

@@ -28,13 +28,6 @@ def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
 
     Of a level of mu electrons the mean is E[min(N, W)], N being Gaussian of variance mu, which is
     solved for W.
-
-    Args:
-        calibration: with a likelihood.
-
-    Returns:
-        DN, and its standard error; None where no level has lost most of its shot noise, and where
-        it is the converter's range that ends.
     """
     if calibration.within.saturation is None or ends_at_full_scale(calibration):
         return None

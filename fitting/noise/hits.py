@@ -32,15 +32,7 @@ class Hits(NamedTuple):
 
 
 def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:
-    """Pixels that jump.
-
-    Args:
-        change: (h, w) from one frame to another of the same light, DN.
-        live: the pixels that count.
-
-    Returns:
-        The hits; None where there are none, or as many between them and the noise of the others.
-    """
+    """Pixels that jump."""
     stride = max(int(np.sqrt(change.size / SAMPLED)), 1)
     sample = change[::stride, ::stride][live.mask[::stride, ::stride]]
     if not sample.size:

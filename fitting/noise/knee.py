@@ -42,16 +42,7 @@ def knee_of(
     shot: Float[np.ndarray, " levels"],
     error: Float[np.ndarray, " levels"],
 ) -> Knee | None:
-    """The knee of a response of two slopes.
-
-    Args:
-        signal: (levels,) DN above black, of levels below saturation, in the order of their light.
-        shot: (levels,) variance by light alone, DN^2.
-        error: (levels,) its standard error, DN^2.
-
-    Returns:
-        The knee; None without.
-    """
+    """The knee of a response of two slopes."""
     known = (signal > 0) & (shot > 0) & (error < shot / 4)
     places = np.flatnonzero(known)
     s, v, e = signal[places], shot[places], error[places] / shot[places]

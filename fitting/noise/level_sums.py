@@ -116,9 +116,6 @@ class LevelSums:
         A frame whose light is larger by a share e_f has e_f P more at a pixel that differs by P
         from the mean. With s^2 the sum of e_f^2, of the frames' components sum_f (e_f / s) d_f
         loses s P; all others have none of it. P is taken from the average frame, noise and all.
-
-        Returns:
-            By which factor the variance of independent pixels is then too large.
         """
         if self._unlit is None:
             return 1.0

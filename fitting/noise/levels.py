@@ -190,27 +190,12 @@ def _clear_of_clipping(measurement: PhotonTransfer) -> np.ndarray:
 
 
 def saturated_level(measurement: PhotonTransfer) -> int | None:
-    """The standard's saturation point, where a fall of the variance is one and no knee.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        Index of the bright level; None without.
-    """
+    """The standard's saturation point, where a fall of the variance is one and no knee."""
     return None if measurement.knee is not None else saturation_index(measurement.bright)
 
 
 def saturation_index(levels: Levels) -> int | None:
-    """The standard's saturation point.
-
-    Args:
-        levels: bright ones.
-
-    Returns:
-        Index of the level of largest temporal variance; None where the variance does not fall
-        significantly behind it.
-    """
+    """The standard's saturation point."""
     variance = np.asarray(levels.variance)
     degrees = np.asarray(levels.pixels * (levels.frames - 1))
     peak = int(np.argmax(variance))
@@ -222,16 +207,7 @@ def saturation_index(levels: Levels) -> int | None:
 
 
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
-    """Bright levels that neither full well nor ADC has touched.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        Indices of the levels up to 95 % of the saturation signal and four standard deviations below
-        full scale, below a knee, and below the number from which another converter takes over
-        where four levels are.
-    """
+    """Bright levels that neither full well nor ADC has touched."""
     bright = measurement.bright
     mean, variance = np.asarray(bright.mean), np.asarray(bright.variance)
     usable = variance > 0

@@ -26,18 +26,7 @@ EXPOSURE_UNITS = {"exposure_s": 1.0, "exposure_ms": 1e-3, "exposure_us": 1e-6, "
 
 
 def read_table(file: Path, bits: int | None) -> PhotonTransfer:
-    """A photon transfer measurement from a CSV table.
-
-    Args:
-        file: with the columns that the module names.
-        bits: ADC bits as declared; None to infer them where the table saturates.
-
-    Returns:
-        The measurement.
-
-    Raises:
-        InputError: names the column or row that is missing or wrong.
-    """
+    """A photon transfer measurement from a CSV table."""
     columns = _columns(file)
     units = [name for name in EXPOSURE_UNITS if name in columns]
     if not units:

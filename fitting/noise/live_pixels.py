@@ -59,12 +59,7 @@ class LivePixels:
         return plane if self._all else np.where(self.mask, plane, self.mean(plane))
 
     def variance_shares(self) -> Float[np.ndarray, "4 3"]:
-        """What independent pixels, rows and columns of variance 1 add to variances of a frame.
-
-        Returns:
-            (4, 3) for pixels, rows and columns: to the variance about the frame's mean of a pixel,
-            of a row's mean and of a column's mean, each averaged; and to that of the frame's mean.
-        """
+        """What independent pixels, rows and columns of variance 1 add to variances of a frame."""
         counts = [of[of > 0].astype(float) for of in self._of_line]
         n, lines = float(self.count), [of.size for of in counts]
         inverse = [float(np.mean(1 / of)) for of in counts]
@@ -134,16 +129,6 @@ class DeadPixels:
 
 def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> DeadPixels | None:
     """Pixels that are dead, stuck or hot.
-
-    Args:
-        flats: (h, w) DN, of the brightest levels; empty where there are only darks, and a dead
-            pixel is one that is far from the others.
-        darks: (h, w) DN, of the longest exposure, two or more.
-
-    Returns:
-        The pixels; None where there are none. Dead and hot ones that are more than a tenth of all
-        are left, except in whole rows and columns at a border of the frame (optically black ones
-        and overscan).
 
     Example:
         >>> from fitting.noise.live_pixels import dead_pixels

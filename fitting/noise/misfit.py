@@ -6,27 +6,11 @@ MISFIT = 1e-3  # p-value below which a model is not believed
 
 
 def p_value(chi_square: float, degrees: float) -> float:
-    """How often chance alone gives a chi-square as large.
-
-    Args:
-        chi_square: of a fit.
-        degrees: of freedom; fewer than one count as one.
-
-    Returns:
-        Probability.
-    """
+    """How often chance alone gives a chi-square as large."""
     return float(chdtrc(max(degrees, 1), chi_square))
 
 
 def inflation(chi_square: float, degrees: float) -> float:
-    """Factor on a covariance for a misfit.
-
-    Args:
-        chi_square: of a fit.
-        degrees: of freedom.
-
-    Returns:
-        Chi-square per degree of freedom where it is beyond chance, else 1.
-    """
+    """Factor on a covariance for a misfit."""
     beyond = degrees > 0 and p_value(chi_square, degrees) < MISFIT
     return chi_square / degrees if beyond else 1.0

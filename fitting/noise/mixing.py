@@ -12,16 +12,7 @@ from .neighbours import PERIOD, Lags, above_dark, shares_of, tell_of_neighbours
 
 
 def mixed_shares(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """How the variance that mixing takes from a pixel is spread over the covariances.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        (lags, lags) shares that sum to 1 over all offsets, 0 at offset (0, 0); a quarter each of
-        the four nearest where covariances are not known.
-    """
+    """How the variance that mixing takes from a pixel is spread over the covariances."""
     bright, dark = measurement.bright, measurement.dark
     if not tell_of_neighbours(measurement):
         return shares_of(np.zeros(0), np.zeros((0,) * 3), np.zeros((0,) * 3))
@@ -35,13 +26,6 @@ def fitted_mixing(
 ) -> Mixing | None:
     """The mixing of a sensor: the kernel, even in both axes, whose autocorrelation the covariances
     of neighbours are.
-
-    Args:
-        shares: as `mixed_shares` gives them; None where the camera shows none.
-        values: natural parameters by name.
-
-    Returns:
-        The effect; None where the camera shows none.
     """
     if shares is None or "pixel_mixing" not in values:
         return None

@@ -164,16 +164,7 @@ class Residuals(eqx.Module):
 
 
 def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
-    """h(x), the compression behind the gain.
-
-    Args:
-        values: natural parameters by name; without `compression` h(x) = x.
-        x: signal, DN.
-        top: X, DN.
-
-    Returns:
-        h(x), DN.
-    """
+    """h(x), the compression behind the gain."""
     if "compression" not in values:
         return x
     loss = values["compression"] * x / top
@@ -185,18 +176,7 @@ def compressed(values: dict[str, Array], x: Array, top: Array) -> Array:
 def level_moments(
     values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
 ) -> Moments:
-    """The model at ONE level, away from the ends of the scale.
-
-    Args:
-        values: natural parameters by name.
-        data: for `top_signal` and the unit of light.
-        light: photons per pixel, or s.
-        lit: 1 for bright, 0 for dark.
-        exposure: s.
-
-    Returns:
-        Cumulants of the digital number.
-    """
+    """The model at ONE level, away from the ends of the scale."""
     gain, read = values["system_gain"], values["read_noise"]
     electrons = expected_electrons(values, data, light, lit, exposure)
     x = gain * electrons
@@ -213,15 +193,7 @@ def level_moments(
 
 
 def expected_neighbours(values: dict[str, Array], data: NoiseData) -> Float[Array, " levels"]:
-    """T, the sum of the covariances of all other pixels with one.
-
-    Args:
-        values: natural parameters by name.
-        data: levels.
-
-    Returns:
-        (levels,) DN^2.
-    """
+    """T, the sum of the covariances of all other pixels with one."""
 
     def at(light: Array, lit: Array, exposure: Array) -> Array:
         mu = expected_electrons(values, data, light, lit, exposure)
@@ -236,18 +208,7 @@ def expected_neighbours(values: dict[str, Array], data: NoiseData) -> Float[Arra
 def expected_electrons(
     values: dict[str, Array], data: NoiseData, light: Array, lit: Array, exposure: Array
 ) -> Array:
-    """mu at ONE level.
-
-    Args:
-        values: natural parameters by name.
-        data: for the unit of light.
-        light: photons per pixel, or s.
-        lit: 1 for bright, 0 for dark.
-        exposure: s.
-
-    Returns:
-        Electrons per pixel and exposure.
-    """
+    """mu at ONE level."""
     responsivity = values[RESPONSIVITY.name if data.photons_known else SIGNAL_RATE.name]
     if "light_offset" in values:
         light = light + lit * values["light_offset"]
@@ -260,14 +221,6 @@ def expected_electrons(
 def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
     """The model at all levels. Compile it: outside of a program JAX remembers every single `vmap`,
     which takes 3 kB.
-
-    Args:
-        values: natural parameters by name.
-        data: of which means and variances are not used.
-        light: (levels,) in place of the recorded one.
-
-    Returns:
-        Cumulants, (levels,) each.
     """
     moments = jax.vmap(lambda p, lit, t: level_moments(values, data, p, lit, t))(
         light, data.lit, data.exposure
@@ -306,15 +259,7 @@ def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -
 def log_likelihood_terms(
     values: dict[str, Array], data: NoiseData
 ) -> tuple[Float[Array, " levels"], Residuals]:
-    """Log density of each level's (mean, variance).
-
-    Args:
-        values: natural parameters by name.
-        data: means and variances to explain.
-
-    Returns:
-        (levels,) log densities, and the standardised residuals.
-    """
+    """Log density of each level's (mean, variance)."""
     n, frames = data.pixels, data.frames
     light_variance = None
     if "light_scatter" in values:
@@ -410,14 +355,6 @@ def log_density(
     A scatter has Jeffreys' prior of its own (`scatter_prior`): toward 0, where the likelihood
     levels off, a flat prior on its logarithm would leave the posterior improper; a flat one on
     itself would make intervals from few levels too wide.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        args: (space, data, weight); weight: on the log likelihood, the inverse of the factor by
-            which misfit inflates a covariance.
-
-    Returns:
-        ().
     """
     space, data, weight = args
     density = -weight * cost(vector, (space, data)) + log_prior(space, vector)
@@ -439,13 +376,6 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
     A scatter tau adds tau^2 a to the variance v of each level, so that its information is
     sum 2 tau^2 a^2 / (v + tau^2 a)^2: the prior is flat in ln tau where the scatter rules and
     falls as tau^2 where it drowns.
-
-    Args:
-        values: natural parameters by name.
-        data: of the fit.
-
-    Returns:
-        ().
 
     Source:
         Box & Tiao, "Bayesian Inference in Statistical Analysis", 1973, section 5.2.
@@ -469,15 +399,7 @@ def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
 
 
 def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData]) -> Array:
-    """Negative log likelihood, up to a constant.
-
-    Args:
-        vector: (parameters,) unconstrained.
-        args: (space, data).
-
-    Returns:
-        ().
-    """
+    """Negative log likelihood, up to a constant."""
     space, data = args
     values, counted = named(space, vector), data.counted
     terms, _ = log_likelihood_terms(values, data)
@@ -511,14 +433,6 @@ def _log_density_of_tables(
 
 
 def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:
-    """Natural values by name.
-
-    Args:
-        space: the P parameters.
-        vector: (P,) unconstrained.
-
-    Returns:
-        The values.
-    """
+    """Natural values by name."""
     natural = to_natural(space, vector)
     return {name: natural[i] for i, name in enumerate(names(space))}

@@ -26,16 +26,7 @@ def multiplied(
     flats: Sequence[Sequence[Shown]],
     darks: Sequence[Sequence[Shown]],
 ) -> Doubt | None:
-    """Whether dim flats are as skewed as multiplied electrons are.
-
-    Args:
-        measurement: bright and dark levels.
-        flats: frames of each bright level.
-        darks: frames of each dark level.
-
-    Returns:
-        The doubt; None where flats are too bright to tell, or are skewed as light is.
-    """
+    """Whether dim flats are as skewed as multiplied electrons are."""
     bright, dark = measurement.bright, measurement.dark
     if bright.spatial_variance is None or dark.spatial_variance is None:
         return None

@@ -46,14 +46,7 @@ class NeighbourData(eqx.Module):
 
 
 def are_known(around: NeighbourData | None) -> bool:
-    """Whether covariances of neighbouring pixels are among the data of a fit.
-
-    Args:
-        around: of the data.
-
-    Returns:
-        True where they are.
-    """
+    """Whether covariances of neighbouring pixels are among the data of a fit."""
     return around is not None and around.total is not None
 
 
@@ -71,18 +64,7 @@ class Neighbours:
         self._products += weight * self._sums(deviation)
 
     def covariances(self, total: np.ndarray, variance: float, lost: float, count: int) -> Lags:
-        """Covariances, the variance at offset (0, 0).
-
-        Args:
-            total: (h, w) sum of the frames as added, DN.
-            variance: of pixels, DN^2.
-            lost: variance of a frame's mean by the noise of its own pixels, DN^2.
-            count: of frames, the first among them.
-
-        Returns:
-            (lags, lags) DN^2, at offsets of 0, 1, ... rows and columns; `lost` where no two pixels
-            are so far apart.
-        """
+        """Covariances, the variance at offset (0, 0)."""
         found = (count * self._products - self._sums(total)) / (count * (count - 1))
         found = found / np.maximum(self._pairs, 1.0) + lost
         found[0, 0] = variance
@@ -108,15 +90,7 @@ def copies() -> Lags:
 
 
 def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
-    """Over how many pairs of pixels each covariance is averaged.
-
-    Args:
-        shape: rows and columns of a frame.
-        pixels: that count; of others, which are anywhere, a pair has none.
-
-    Returns:
-        (lags, lags).
-    """
+    """Over how many pairs of pixels each covariance is averaged."""
     rows, columns = (float(size) - np.arange(REACH + 1) for size in shape)
     both = np.outer(np.arange(REACH + 1) > 0, np.arange(REACH + 1) > 0)
     live = pixels / float(np.prod(shape))
@@ -124,15 +98,7 @@ def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
 
 
 def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances of bright levels less those that the darks have too.
-
-    Args:
-        bright: with covariances.
-        dark: with covariances.
-
-    Returns:
-        (levels, lags, lags) DN^2, and their variances by chance, DN^4.
-    """
+    """Covariances of bright levels less those that the darks have too."""
     assert bright.covariances is not None
     assert bright.shared is not None
     assert dark.covariances is not None
@@ -154,12 +120,6 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
 def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
     """Whether covariances are known and are those of pixels: noise that rows or columns share is a
     covariance too, larger than that of charges, and not the same in two frames; so is flicker.
-
-    Args:
-        measurement: bright and dark levels.
-
-    Returns:
-        True where they can be used.
     """
     bright, dark = measurement.bright, measurement.dark
     if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
@@ -170,13 +130,6 @@ def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
 def are_seen(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     """Whether nearest neighbours covary beyond chance, in proportion to the variance: the sum over
     all neighbours, which a fit explains, is known less well.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        False where covariances are not known.
     """
     if not tell_of_neighbours(measurement):
         return False
@@ -191,15 +144,7 @@ def are_seen(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
 
 
 def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
-    """The covariances of a measurement as a fit takes them.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        Of these levels and all darks.
-    """
+    """The covariances of a measurement as a fit takes them."""
     bright, dark = measurement.bright, measurement.dark
     terms = jnp.asarray(variance_terms(measured_shape(measurement, usable)))
     if not tell_of_neighbours(measurement):
@@ -219,17 +164,7 @@ def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> Neighbour
 def own_variance(
     values: dict[str, Array], around: NeighbourData | None, electrons: Array, top: Array
 ) -> Array:
-    """V(mu), the variance of the charges of pixels.
-
-    Args:
-        values: natural parameters by name; without `brighter_fatter` and `pixel_mixing` mu.
-        around: the series of C_00.
-        electrons: mu.
-        top: X, DN.
-
-    Returns:
-        Electrons^2.
-    """
+    """V(mu), the variance of the charges of pixels."""
     own = electrons
     if "brighter_fatter" in values and around is not None:
         change = -values["brighter_fatter"] * values["system_gain"] * electrons / top
@@ -238,15 +173,7 @@ def own_variance(
 
 
 def measured_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """a_ij / a_00 of a camera.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        (lags, lags), as of `shape_of`; where covariances are not known, as of `nearest`.
-    """
+    """a_ij / a_00 of a camera."""
     bright, dark = measurement.bright, measurement.dark
     if not tell_of_neighbours(measurement):
         return nearest()
@@ -290,15 +217,6 @@ def nearest() -> Lags:
 def shares_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
     """The shape of the covariances that grow in proportion to the signal, made smaller by chance
     as in `shape_of`.
-
-    Args:
-        signal: (levels,) x, DN.
-        found: (levels, lags, lags) covariances above dark, DN^2.
-        variances: by chance, DN^4.
-
-    Returns:
-        (lags, lags), 0 at offset (0, 0), which sum to 1 over all offsets; a quarter each of the
-        four nearest where none is seen.
     """
     even = -nearest()
     even[0, 0] = 0
@@ -333,12 +251,6 @@ def _powers_of(
 def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:
     """C_00 / mu in powers of a_00 mu: 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m, a taken m
     times (Astier et al. 2019).
-
-    Args:
-        shape: (lags, lags) a_ij / a_00.
-
-    Returns:
-        Coefficients, the highest power first.
     """
     lags = np.arange(-REACH, REACH + 1)
     around = np.zeros((PERIOD, PERIOD))

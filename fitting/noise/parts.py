@@ -33,14 +33,7 @@ class Part(NamedTuple):
 
 
 def sampling_variance(parts: Sequence[Part]) -> float:
-    """Variance of the sum of parts, sum 2 V_i^2 / nu_i.
-
-    Args:
-        parts: independent of each other.
-
-    Returns:
-        In the square of the parts' unit.
-    """
+    """Variance of the sum of parts, sum 2 V_i^2 / nu_i."""
     return sum(2 * part.variance**2 / part.degrees for part in parts)
 
 
@@ -48,15 +41,6 @@ def deviation_quantiles(
     variance: float, noise: float, parts: Sequence[Part], *, relative: float = 0.0
 ) -> Float[np.ndarray, "5"]:
     """Ends of the intervals of a variance's root.
-
-    Args:
-        variance: V.
-        noise: standard error of it without that of the parts, sigma.
-        parts: of V that are known from samples.
-        relative: standard error of the logarithm of what the root is divided by.
-
-    Returns:
-        (5,) the root's `QUANTILES`; the lower ends are 0 where V may be.
 
     Example:
         >>> from fitting.noise.parts import Part, deviation_quantiles

@@ -120,14 +120,7 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unequal_offsets(dark: Levels) -> tuple[Found, ...]:
-    """How unequal rows and columns of the darks are, of all levels together.
-
-    Args:
-        dark: levels without light.
-
-    Returns:
-        Variances of rows and of columns, DN^2; none where only pixels are known.
-    """
+    """How unequal rows and columns of the darks are, of all levels together."""
     shared, spatial = dark.shared, dark.spatial_variance
     if shared is None or spatial is None:
         return ()
@@ -136,14 +129,7 @@ def unequal_offsets(dark: Levels) -> tuple[Found, ...]:
 
 
 def _of_population(levels: Levels, of_die: float, noise: float, lines: Sequence[Found]) -> Spread:
-    """A variance over the pixels of a die, as that of their population.
-
-    Args:
-        levels: of which it is.
-        of_die: the variance.
-        noise: its error by temporal noise.
-        lines: the part of rows and of columns; nothing where only pixels are known.
-    """
+    """A variance over the pixels of a die, as that of their population."""
     n = float(levels.pixels)
     counts = () if levels.shared is None else levels.shared.shape
     parts = [
@@ -168,16 +154,7 @@ def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
 def unequal_gains(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], axis: int
 ) -> Found:
-    """How unequal the gains of rows (axis 0) or columns (axis 1) are, of all levels together.
-
-    Args:
-        measurement: bright and dark levels with `shared`.
-        usable: indices of the bright levels to use.
-        axis: which.
-
-    Returns:
-        The part of PRNU^2, no unit.
-    """
+    """How unequal the gains of rows (axis 0) or columns (axis 1) are, of all levels together."""
     bright, dark = measurement.bright, measurement.dark
     assert bright.shared is not None
     lines, across = np.asarray(bright.shared.shape)[[axis, 1 - axis]]
@@ -227,15 +204,7 @@ def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
 
 
 def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
-    """The standard's two levels: most frames first, then closest to half of saturation.
-
-    Args:
-        measurement: bright and dark levels.
-        within: the standard's ranges.
-
-    Returns:
-        The pattern.
-    """
+    """The standard's two levels: most frames first, then closest to half of saturation."""
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
@@ -262,15 +231,7 @@ def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVari
 def fitted_pattern(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> PatternVariance:
-    """The pattern by weighted least squares over all darks and many bright levels.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The pattern.
-    """
+    """The pattern by weighted least squares over all darks and many bright levels."""
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)

@@ -57,15 +57,6 @@ def residues(
 ) -> Float[np.ndarray, "2 5 residues"]:
     """Means by row and by column modulo 16, by place in a cell of 4 x 4, and by row and by column
     modulo 30.
-
-    Args:
-        average: (h, w) of the frames of a level, DN.
-        temporal: (h, w) variance, DN^2.
-        live: the pixels that count.
-
-    Returns:
-        Of both, NaN beyond 16; NaN of frames with fewer than 32 rows or columns, and modulo 30 of
-        fewer than 60.
     """
     found = np.full((2, 5, LONGER), np.nan)
     if min(average.shape) < 2 * RESIDUES:
@@ -99,14 +90,6 @@ def quarters(
     """Means over the quarters of a frame, top left, top right, bottom left, bottom right, and over
     the half of its pixels near its centre and the other half; then steps of the average from left
     to right and from top to bottom at the middle, and how rare each is by chance.
-
-    Args:
-        average: (h, w) of the frames of a level, DN.
-        temporal: (h, w) variance, DN^2.
-        live: the pixels that count.
-
-    Returns:
-        Of both; NaN of frames of one row or column, and of steps in small frames.
     """
     (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:
@@ -173,15 +156,7 @@ class Periodic:
 def periodic_structure(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Periodic, ...]:
-    """Rows, columns, cells and halves that differ, beyond chance and by enough to matter.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        What was found.
-    """
+    """Rows, columns, cells and halves that differ, beyond chance and by enough to matter."""
     bright, dark = measurement.bright, measurement.dark
     if bright.residues is None or dark.residues is None or not len(usable):
         return ()
@@ -346,9 +321,6 @@ def _gains_of_parts(
 def taps_of(found: tuple[Periodic, ...]) -> tuple[int, int] | str | None:
     """What `camera.taps` should have been for pixels that differ, None where nothing differs that
     taps describe.
-
-    Args:
-        found: as `periodic_structure` has it.
     """
     periods = {one.where: one.period for one in found if one.period}
     if "mosaic" in periods:
@@ -359,27 +331,14 @@ def taps_of(found: tuple[Periodic, ...]) -> tuple[int, int] | str | None:
 
 
 def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
-    """Relative deviation, rms, of the gains of all classes.
-
-    Args:
-        found: as `periodic_structure` has it.
-    """
+    """Relative deviation, rms, of the gains of all classes."""
     return float(np.sqrt(sum(one.unequal**2 for one in found)))
 
 
 def periodic_in_words(
     found: tuple[Periodic, ...], gain: float, *, apart: bool = False
 ) -> list[str]:
-    """A sentence or two for each.
-
-    Args:
-        found: as `periodic_structure` has it.
-        gain: K of all pixels, DN/e-.
-        apart: whether what differs was calibrated apart.
-
-    Returns:
-        The sentences.
-    """
+    """A sentence or two for each."""
     told = []
     for one in found:
         if one.where == "mosaic":

@@ -14,15 +14,7 @@ FEWEST_LEVELS = 6
 def printed_times_in_words(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """A sentence where the times of the flats are printed ones.
-
-    Args:
-        measurement: whose light is counted in seconds.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The sentence; none where exact times do not explain the light better.
-    """
+    """A sentence where the times of the flats are printed ones."""
     times = np.asarray(measurement.bright.exposure)[usable]
     dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
     signal = np.asarray(measurement.bright.mean)[usable] - dark

@@ -111,23 +111,7 @@ def window_for(
     known_spread: Float[np.ndarray, " levels"] | None = None,
     widest: float = WIDEST,
 ) -> Window:
-    """Weights for levels of given means.
-
-    Args:
-        levels: (levels,) their indices.
-        mean: (levels,) DN.
-        deviation: largest standard deviation among them, DN.
-        read_noise: about as large, DN.
-        spread: about that of the pixels' offsets, DN; 0 where all are alike.
-        known_spread: (levels,) beside that which is fitted, DN^2; None for none.
-        widest: spread beyond which it does not matter.
-
-    Returns:
-        The window.
-
-    Raises:
-        InputError: for a window that memory does not hold.
-    """
+    """Weights for levels of given means."""
     again = np.pad(np.arange(len(levels)), (0, -len(levels) % PADDED), mode="edge")
     levels, mean = np.asarray(levels)[again], mean[again]
     known_spread = np.zeros(len(levels)) if known_spread is None else known_spread[again]
@@ -179,19 +163,7 @@ def quantised_moments(
     *,
     spread: Float[Array, ""] | None = None,
 ) -> QuantisedMoments:
-    """First four cumulants of the digital number at ONE level (vmap it over the window).
-
-    Args:
-        electrons: expected, e-.
-        gain: DN/e-.
-        read_noise: e- rms.
-        offset: DN.
-        window: of that level.
-        spread: standard deviation of the pixels' offsets, DN; None where they are alike.
-
-    Returns:
-        The moments.
-    """
+    """First four cumulants of the digital number at ONE level (vmap it over the window)."""
     frequencies = window.cosine.shape[-1]
     u = 2 * jnp.pi * jnp.arange(frequencies, dtype=gain.dtype) / window.size
     # cos - 1 as -2 sin^2 of half the angle: nothing cancels where u is small.

@@ -37,15 +37,7 @@ GROWS = 0.7  # share of what noise gains over black that must be in proportion t
 def block_products(
     deviation: Float[np.ndarray, "h w"], live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Mean product of a pixel and the one below it (to the right of it), by row (column) modulo 8.
-
-    Args:
-        deviation: (h, w) DN, 0 where a pixel does not count.
-        live: the pixels that count.
-
-    Returns:
-        DN^2; NaN of frames of fewer than 16 rows or columns.
-    """
+    """Mean product of a pixel and the next below (to the right), by row (column) modulo 8."""
     found = np.full((2, BLOCK), np.nan)
     if min(deviation.shape) >= 2 * BLOCK:
         for own, products, pairs in zip(
@@ -72,14 +64,6 @@ def combs(
     JPEG rounds the cosine transform of each block of 8 x 8 pixels to multiples of a step of its
     table. Pixels are then rounded to whole numbers, which leaves the mean of cos(2 pi c / q) at
     exp(-pi^2 / (6 q^2)); of raw numbers that scatter by more than a step it is 0.
-
-    Args:
-        frame: (h, w) DN.
-        corner: row and column of its first pixel in the file.
-
-    Returns:
-        By step, row and column of the coefficient; NaN where a coefficient scatters too little to
-        tell, of the mean of a block, and of frames smaller than four blocks.
     """
     found = np.full((len(STEPS), BLOCK, BLOCK), np.nan)
     own = frame[-corner[0] % BLOCK :, -corner[1] % BLOCK :]
@@ -104,15 +88,7 @@ def combs(
 
 
 def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float:
-    """Variance of pixels by differences of neighbours, which uneven light does not raise.
-
-    Args:
-        average: (h, w) of frames, DN.
-        live: the pixels that count.
-
-    Returns:
-        DN^2; NaN where no two neighbours count.
-    """
+    """Variance of pixels by differences of neighbours, which uneven light does not raise."""
     found = []
     for axis in (0, 1):
         if average.shape[axis] > 1:
@@ -128,15 +104,7 @@ def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float
 def processing_in_words(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """What shows that frames are not raw.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        Sentences.
-    """
+    """What shows that frames are not raw."""
     lossy = measurement.lossy
     if not lossy:
         return [*_compressed(measurement, usable), *_denoised(measurement, usable)]
@@ -148,15 +116,7 @@ def processing_in_words(
 
 
 def is_compressed(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> bool:
-    """Whether noise ends at the borders of blocks, or blocks were rounded.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        True where it does.
-    """
+    """Whether noise ends at the borders of blocks, or blocks were rounded."""
     return bool(_compressed(measurement, usable))
 
 

@@ -89,19 +89,7 @@ class Reduced:
 
 
 def reduce_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> PhotonTransfer:
-    """Reduces all frames of a rig, one frame in memory at a time.
-
-    Args:
-        rig: with `[[flat]]` and `[[dark]]`.
-        channel: site of a Bayer mosaic; empty for the first green.
-        load: how an image is had by its path.
-
-    Returns:
-        The measurement, unchecked.
-
-    Raises:
-        InputError: for frames that do not belong together.
-    """
+    """Reduces all frames of a rig, one frame in memory at a time."""
     return reduced_rig(rig, channel=channel, load=load).measurement
 
 
@@ -188,19 +176,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
 
 
 def reduce_darks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Levels:
-    """Reduces the darks of a rig alone.
-
-    Args:
-        rig: with `[[dark]]`.
-        channel: site of a Bayer mosaic; empty for the first green.
-        load: how an image is had by its path.
-
-    Returns:
-        Levels without light, in the order of their exposure.
-
-    Raises:
-        InputError: for frames that do not belong together.
-    """
+    """Reduces the darks of a rig alone."""
     rig, odd, _ = _without_odd_heads(rig)
     channel = channel or _first_site(rig.camera)
     entries = _pooled(rig.dark)

@@ -7,30 +7,12 @@ from jaxtyping import Array, Float
 
 
 def through_origin(x: Array, y: Array, within: Array) -> Float[Array, ""]:
-    """Least-squares slope of y = b x.
-
-    Args:
-        x: (levels,).
-        y: (levels,).
-        within: (levels,) those that enter.
-
-    Returns:
-        b.
-    """
+    """Least-squares slope of y = b x."""
     return jnp.sum(jnp.where(within, x * y, 0)) / jnp.sum(jnp.where(within, x * x, 0))
 
 
 def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Array]:
-    """The weighted least-squares line.
-
-    Args:
-        x: (points,).
-        y: (points,).
-        weights: (points,), inverse variances; None for equal ones.
-
-    Returns:
-        (intercept, slope).
-    """
+    """The weighted least-squares line."""
     weights = jnp.ones_like(x) if weights is None else weights
     total = jnp.sum(weights)
     centre_x, centre_y = jnp.sum(weights * x) / total, jnp.sum(weights * y) / total
@@ -40,31 +22,14 @@ def line(x: Array, y: Array, *, weights: Array | None = None) -> tuple[Array, Ar
 
 
 def surprise(chi2: Array, degrees: Array) -> Array:
-    """The p-value of a chi-square.
-
-    Args:
-        chi2: any shape.
-        degrees: of freedom, of the same shape.
-
-    Returns:
-        Of the same shape; 1 without degrees of freedom.
-    """
+    """The p-value of a chi-square."""
     free = jnp.maximum(degrees, 1)
     return jnp.where(degrees > 0, gammaincc(free / 2, chi2 / 2), 1)
 
 
 @jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Chi-square of points about their own weighted line, or mean where they lie at one place.
-
-    Args:
-        x: (points,).
-        y: (points,).
-        variances: (points,) of y.
-
-    Returns:
-        (chi-square, degrees of freedom).
-    """
+    """Chi-square of points about their own weighted line, or mean where they lie at one place."""
     weights = 1 / variances
     one_place = jnp.all(x == x[0])
     mean = jnp.sum(weights * y) / jnp.sum(weights)
@@ -77,15 +42,6 @@ def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
 
 
 def chi_square(missed: Array, variances: Array, used: Array) -> Array:
-    """Sum of squared residuals over their variances.
-
-    Args:
-        missed: (levels,).
-        variances: (levels,); a residual without variance counts as it is.
-        used: (levels,) those that enter.
-
-    Returns:
-        The sum.
-    """
+    """Sum of squared residuals over their variances."""
     safe = jnp.where(used & (variances > 0), variances, 1)
     return jnp.sum(jnp.where(used, missed**2 / safe, 0))

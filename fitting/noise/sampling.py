@@ -25,18 +25,7 @@ class SamplingErrors(eqx.Module):
 def sampling_errors(
     levels: Levels, shot_variance: Array, gain: Array, *, shared: SharedNoise | None = None
 ) -> SamplingErrors:
-    """Sampling (co)variances of mean and variance over n pixels and L frames.
-
-    Args:
-        levels: of either kind.
-        shot_variance: (levels,) DN^2, the part that is Poisson and so skew: kappa_3 = K var,
-            kappa_4 = K^2 var.
-        gain: K, DN/e-.
-        shared: noise of rows, columns or frames; None without.
-
-    Returns:
-        The (co)variances.
-    """
+    """Sampling (co)variances of mean and variance over n pixels and L frames."""
     shot = jnp.maximum(shot_variance, 0)
     n, frames = levels.pixels, levels.frames
     mean = levels.variance / (n * frames)

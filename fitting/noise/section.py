@@ -40,14 +40,7 @@ KIND, TITLE = "noise", "Camera noise by photon transfer"
 
 
 def section(calibration: NoiseCalibration) -> Section:
-    """A calibrated camera as its reader sees it.
-
-    Args:
-        calibration: of the camera.
-
-    Returns:
-        Estimates by both methods, findings, tables and pictures.
-    """
+    """A calibrated camera as its reader sees it."""
     likelihood = calibration.likelihood
     predicted = None if is_no_sensor(calibration) else predict_own_frames(calibration)
     of_fit = {}
@@ -96,16 +89,7 @@ def section(calibration: NoiseCalibration) -> Section:
 def sections_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera
 ) -> list[Section]:
-    """The sites of a mosaic, or the taps of several amplifiers, one section each.
-
-    Args:
-        calibrations: by the name of the site.
-        camera: whose sites they are.
-
-    Returns:
-        The sections; the first compares them all, and writes the one sensor of all where each has
-        one.
-    """
+    """The sites of a mosaic, or the taps of several amplifiers, one section each."""
     found = []
     for site, calibration in calibrations.items():
         own, word = section(calibration), site.replace(" ", "_").replace(",", "_")

@@ -39,14 +39,6 @@ def fitted_sensor(
     shape in every draw. Exposure is the median of the flats', so that light is a rate, photons per
     pixel and second. Where the numbers of the frames are multiples of a step, as left-aligned ones
     are, the sensor gives the converter's own codes.
-
-    Args:
-        calibration: of the camera, with an efficiency of at most 1.
-        left_out: (levels,) true for those of the likelihood's levels, bright ones and darks, that
-            the same model is to be fitted without; None for none.
-
-    Returns:
-        The best fit; and the same with a leading axis of draws at every number.
     """
     return best_and_draws(sensors_of(drawn_numbers(calibration, left_out=left_out)))
 
@@ -119,12 +111,7 @@ def sensors_of(numbers: Numbers) -> Sensor:
 
 @in_double
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
-    """Writes the sensor of a calibration, its draws beside it.
-
-    Args:
-        calibration: of the camera.
-        path: ending in .toml.
-    """
+    """Writes the sensor of a calibration, its draws beside it."""
     best, draws = fitted_sensor(calibration)
     about = "Fitted by photon transfer; light is photons per pixel and second."
     converter = calibration.measurement.converter
@@ -147,15 +134,7 @@ def _fitted_without(
 def mode_without(
     calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"]
 ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "parameters parameters"]]:
-    """The fit of the same model without some levels.
-
-    Args:
-        calibration: of the camera.
-        left_out: (levels,) true for those of the likelihood's levels that it is fitted without.
-
-    Returns:
-        The mode and its covariance, unconstrained.
-    """
+    """The fit of the same model without some levels."""
     chosen = calibration.chosen
     solution = fitted_without(chosen, left_out, calibration.standard.values)
     covariance = chosen.inflation * np.linalg.inv(np.asarray(solution.information))

@@ -61,17 +61,7 @@ class Setting:
 
 
 def by_setting(rig: Rig) -> dict[Setting, Rig]:
-    """The flats and darks of a rig, one rig for each gain and temperature.
-
-    Args:
-        rig: with `[[flat]]` and `[[dark]]`.
-
-    Returns:
-        Rigs, in the order of gain and temperature.
-
-    Raises:
-        InputError: where some entries state what others do not.
-    """
+    """The flats and darks of a rig, one rig for each gain and temperature."""
     flats, darks = _by_setting(rig, rig.flat), _by_setting(rig, rig.dark)
     settings = {*flats, *darks}
     for name, word in (("gain", "iso (or gain_db)"), ("temperature", "temperature")):
@@ -104,15 +94,7 @@ def _by_setting(rig: Rig, entries: tuple[Level, ...]) -> dict[Setting, list[Leve
 
 
 def require_one_setting(rig: Rig, remedy: str) -> None:
-    """Refuses flats and darks of several gains or temperatures.
-
-    Args:
-        rig: that may have them.
-        remedy: what to do, as a clause.
-
-    Raises:
-        InputError: names the settings.
-    """
+    """Refuses flats and darks of several gains or temperatures."""
     settings = list(by_setting(rig))
     if len(settings) > 1:
         told = "; ".join(setting.label for setting in settings)

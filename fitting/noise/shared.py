@@ -50,15 +50,7 @@ class SharedVariance(eqx.Module):
 def shared_variance(
     of_levels: Float[np.ndarray, "5 levels"], shape: tuple[int, ...]
 ) -> SharedVariance:
-    """The record of what `Moments` gives of each level.
-
-    Args:
-        of_levels: (5, levels) rows, columns, fixed rows, fixed columns, frames, DN^2.
-        shape: of a frame.
-
-    Returns:
-        The record.
-    """
+    """The record of what `Moments` gives of each level."""
     rows, columns, fixed_rows, fixed_columns, frames = (jnp.asarray(row) for row in of_levels)
     size = jnp.asarray(shape, float)
     return SharedVariance(rows, columns, fixed_rows, fixed_columns, frames, size)
@@ -114,17 +106,7 @@ def _deviate(ratio: float, degrees: float, beneath: float = MOST_DEGREES) -> flo
 def temporal_lines(
     shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray, axis: int
 ) -> Found:
-    """The temporal noise of rows (axis 0) or columns (axis 1), of all levels together.
-
-    Args:
-        shared: of the levels.
-        variance: (levels,) of pixels, DN^2.
-        frames: (levels,) how many.
-        axis: which.
-
-    Returns:
-        The variance.
-    """
+    """The temporal noise of rows (axis 0) or columns (axis 1), of all levels together."""
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.rows if axis == 0 else shared.columns)
     expected, degrees = variance / across, (frames - 1) * max(lines - 1, 1.0)
@@ -138,18 +120,7 @@ def extra_lines(
     of_dark: tuple[np.ndarray, np.ndarray],
     axis: int,
 ) -> Found:
-    """The temporal noise of rows (axis 0) or columns (axis 1) that flats have beyond their darks.
-
-    Args:
-        bright: of the flats.
-        dark: of the darks.
-        of_bright: (levels,) variance of pixels, DN^2, and how many frames, of the flats.
-        of_dark: the same of the darks.
-        axis: which.
-
-    Returns:
-        The variance of the level that shows it most plainly, and the significance of all.
-    """
+    """Temporal noise of rows (axis 0) or columns (axis 1) that flats have beyond darks."""
     unlit = temporal_lines(dark, *of_dark, axis)
     if not unlit.error:
         return NOTHING
@@ -173,16 +144,7 @@ def extra_lines(
 def believed_lines(
     shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
 ) -> list[tuple[float, float]]:
-    """The temporal noise that rows or columns share, where it is believed.
-
-    Args:
-        shared: of the darks; None where only sums over the pixels are known.
-        variance: (levels,) of pixels, DN^2.
-        frames: (levels,) how many.
-
-    Returns:
-        Variance (DN^2) and how many lines, of rows, of columns, or of neither.
-    """
+    """The temporal noise that rows or columns share, where it is believed."""
     if shared is None:
         return []
     of = np.asarray(variance), np.asarray(frames)
@@ -194,16 +156,7 @@ def believed_lines(
 def shared_noise(
     shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
 ) -> SharedNoise | None:
-    """The noise that rows, columns or frames share, as far as it is believed.
-
-    Args:
-        shared: of the darks; None where only sums over the pixels are known.
-        variance: (levels,) of pixels, DN^2.
-        frames: (levels,) how many.
-
-    Returns:
-        What it adds to errors; None where nothing is believed.
-    """
+    """The noise that rows, columns or frames share, as far as it is believed."""
     if shared is None:
         return None
     lines = believed_lines(shared, variance, frames)
@@ -225,18 +178,7 @@ def fixed_lines(
     frames: np.ndarray,
     axis: int,
 ) -> Found:
-    """The unevenness of rows or columns that stays, of all levels together.
-
-    Args:
-        shared: of the levels.
-        spatial: (levels,) variance of the average frames, DN^2.
-        variance: (levels,) temporal, of pixels, DN^2.
-        frames: (levels,) how many.
-        axis: which.
-
-    Returns:
-        The variance.
-    """
+    """The unevenness of rows or columns that stays, of all levels together."""
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.fixed_rows if axis == 0 else shared.fixed_columns)
     of_lines = max(temporal_lines(shared, variance, frames, axis).variance, 0.0)
@@ -259,16 +201,6 @@ def one_pattern(
     as it was measured from those frames. Of levels weighted by w the error is
 
         sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
-
-    Args:
-        values: (levels,) estimates of it.
-        own: a.
-        passing: (levels,) b.
-        frames: (levels,) L.
-        lines: how many.
-
-    Returns:
-        The variance.
     """
     told = own + passing > 0
     if lines < 2 or not told.any():
@@ -290,16 +222,7 @@ def one_pattern(
 def drift(
     shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray
 ) -> Found:
-    """The wandering of whole frames, of all levels together.
-
-    Args:
-        shared: of the levels.
-        variance: (levels,) of pixels, DN^2.
-        frames: (levels,) how many.
-
-    Returns:
-        The variance.
-    """
+    """The wandering of whole frames, of all levels together."""
     shape, degrees = np.asarray(shared.shape), frames - 1
     lines = [
         np.maximum(np.asarray(values), 0) / count
@@ -319,15 +242,6 @@ def _pooled(
     """Mean of excesses over what independent pixels give, each weighted by its degrees of freedom
     over what it exceeds, as the ratio is that judges them: what is believed is above zero. Levels
     whose frames are all alike tell nothing.
-
-    Args:
-        values: (levels,) excesses, DN^2.
-        expected: (levels,) what they exceed, DN^2.
-        degrees: (levels,) of the two together.
-        beneath: (levels,) of `expected`.
-
-    Returns:
-        The variance.
     """
     told = expected > 0
     if not told.any():

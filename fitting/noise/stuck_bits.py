@@ -43,12 +43,6 @@ class StuckBit(NamedTuple):
 def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
     """Bits that are stuck in some columns, rows or sites of a cell of 2 x 2.
 
-    Args:
-        frames: (h, w) numbers of one size, the first two of one level of light.
-
-    Returns:
-        What was found; nothing where numbers are no whole ones.
-
     Example:
         >>> from fitting.noise.stuck_bits import stuck_bits
         >>> frames = np.random.default_rng(0).normal(900, 20, (4, 50, 60)).round()

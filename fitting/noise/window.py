@@ -42,17 +42,7 @@ def usual_moments_error(
     frames: Float[np.ndarray, " levels"],
     pixels: float,
 ) -> LeftOut:
-    """By how much the usual moments miss those of the rounded, clipped signal at most.
-
-    Args:
-        mean: (levels,) codes.
-        variance: (levels,) temporal, codes^2.
-        frames: (levels,) of each level.
-        pixels: of a frame.
-
-    Returns:
-        The bound, over all levels.
-    """
+    """By how much the usual moments miss those of the rounded, clipped signal at most."""
     own = np.maximum(variance - ROUNDING, 0)
     decay = np.exp(-2 * np.pi**2 * HARMONICS**2 * own[:, None])
     of_mean = (decay / (np.pi * HARMONICS)).sum(1)
@@ -70,15 +60,7 @@ def usual_moments_error(
 
 
 def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> LeftOut:
-    """What clipped black and rounding do beyond the usual moments, at most.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The bound, over all levels of a fit.
-    """
+    """What clipped black and rounding do beyond the usual moments, at most."""
     data, converter = noise_data(measurement, usable), measurement.converter
     if not converter.step:
         return LeftOut(NAME, None, 0.0)
@@ -90,30 +72,13 @@ def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
 def needed_window(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Window | None, tuple[LeftOut, ...]]:
-    """The exact moments that clipped black or fine read noise call for.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The window, None where no fit can tell the usual moments from them; and what is then left
-        out, with its bound.
-    """
+    """The exact moments that clipped black or fine read noise call for."""
     gone = negligible([usual_moments(measurement, usable)])
     return (None if gone else window_of(measurement, usable)), gone
 
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
-    """The exact moments of the darks, and of the levels that clipping or rounding may affect.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The window.
-    """
+    """The exact moments of the darks, and of the levels that clipping or rounding may affect."""
     data, converter = noise_data(measurement, usable), measurement.converter
     mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
     mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
@@ -145,15 +110,7 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
 def offset_data(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> OffsetData | None:
-    """How the pixels of the darks differ.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-
-    Returns:
-        The data; None where only sums over the pixels are known, or temporal noise hides it.
-    """
+    """How the pixels of the darks differ."""
     dark = measurement.dark
     if dark.spatial_variance is None or measurement.bright.spatial_variance is None:
         return None

@@ -27,14 +27,6 @@ def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[M
     Amplitudes are per unit of the intensity that the rig states: sr^-1 (no unit for normalised
     lobes) where that is the digital number, above black, of a surface that faces the light and
     reflects 1 sr^-1.
-
-    Args:
-        model: of the fit, Lambert's where no highlight was seen.
-        index: of refraction, of clear facets.
-        posterior: of its parameters, others among them.
-
-    Returns:
-        The best fit; and the same with a leading axis of draws at every number.
     """
     labels = names(posterior.space)
     wanted = ["diffuse"] if model == "lambert" else ["diffuse", shape_of(model).name]
@@ -59,15 +51,7 @@ def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[M
 def material_files(
     fitted: dict[str, tuple[Model, float, Posterior]],
 ) -> dict[str, Callable[[Path], None]]:
-    """What writes the materials of a calibration.
-
-    Args:
-        fitted: model, index of refraction and posterior by channel.
-
-    Returns:
-        By the name of its file a function of its path, `material` for a single grey channel and
-        `material_red` and the like for colours, which may differ in the shape of their lobes.
-    """
+    """What writes the materials of a calibration."""
     return {
         "material" if channel == "grey" else f"material_{channel}": partial(_write, *of_channel)
         for channel, of_channel in fitted.items()

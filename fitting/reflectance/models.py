@@ -168,10 +168,6 @@ def log_range(model: Model) -> tuple[float, float]:
 def is_searched(model: Model, shape: float) -> bool:
     """Whether a shape lies where it is searched. Beyond, predictions hardly change with it: a
     search that ends there has found a plateau, no optimum. A body without roughness is Lambert's.
-
-    Args:
-        model: any but Lambert's.
-        shape: natural.
     """
     low, high = shape_range(model)
     return shape <= high and (low <= shape or not has_lobe(model))
@@ -180,36 +176,14 @@ def is_searched(model: Model, shape: float) -> bool:
 def unit_brdf(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """f_r of unit amplitude.
-
-    Args:
-        model: any but Lambert's.
-        shape: natural.
-        wi: (n,) components, unit, local, toward the light.
-        wo: (n,) components, unit, local, toward the viewer.
-        index: of refraction, of clear facets.
-
-    Returns:
-        (n,) sr^-1 per amplitude.
-    """
+    """f_r of unit amplitude."""
     return _over_pairs(evaluate, model, shape, wi, wo, index)
 
 
 def unit_shading(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """What unit amplitude makes of the irradiance on a surface that faces the light.
-
-    Args:
-        model: any but Lambert's.
-        shape: natural.
-        wi: (n,) components, unit, local, toward the light.
-        wo: (n,) components, unit, local, toward the viewer.
-        index: of refraction, of clear facets.
-
-    Returns:
-        (n,).
-    """
+    """What unit amplitude makes of the irradiance on a surface that faces the light."""
     return _over_pairs(shading, model, shape, wi, wo, index)
 
 

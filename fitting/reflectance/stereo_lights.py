@@ -55,17 +55,7 @@ def solved(
     readings: Float[np.ndarray, "lights pixels"],
     weights: Float[np.ndarray, "lights pixels"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted least squares of each pixel.
-
-    Args:
-        rows: (lights, 3) irradiance times unit direction.
-        readings: (lights, pixels).
-        weights: (lights, pixels), 0 for those that do not count.
-
-    Returns:
-        (pixels, 3) g and (pixels, 3, 3) the inverse of the normal matrix; NaN where the lights that
-        count do not determine g.
-    """
+    """Weighted least squares of each pixel."""
     products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
     matrix = (weights.T @ products).reshape(-1, 3, 3)
     sizes = np.linalg.eigvalsh(matrix)
@@ -81,16 +71,7 @@ def common_departure(
     readings: Float[np.ndarray, "lights pixels"],
     counts: Bool[np.ndarray, "lights pixels"],
 ) -> Common | None:
-    """Factors of the lights, or an offset, that all pixels ask for.
-
-    Args:
-        rows: (lights, 3) irradiance times unit direction.
-        readings: (lights, pixels).
-        counts: (lights, pixels) those between the limits.
-
-    Returns:
-        The factors or the offset, whichever explains more; None where neither is seen.
-    """
+    """Factors of the lights, or an offset, that all pixels ask for."""
     mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
     told = (counts.sum(axis=0) > 3) & (mean > 0)
     if told.sum() < FEWEST:

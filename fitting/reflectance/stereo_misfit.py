@@ -110,17 +110,7 @@ def departures(
     readings: Float[np.ndarray, "lights h w"],
     counts: Bool[np.ndarray, "lights h w"],
 ) -> Departures:
-    """Covariance of g that allows for departures from Lambert's law.
-
-    Args:
-        rows: (lights, 3) E l.
-        directions: (lights, 3) unit.
-        readings: (lights, h, w).
-        counts: (lights, h, w) the readings of the fit.
-
-    Returns:
-        Weights, covariance, noise and size.
-    """
+    """Covariance of g that allows for departures from Lambert's law."""
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
     used = counted.sum(axis=0)
     g, inverse = solved(rows, flat, counted.astype(float))
@@ -338,15 +328,7 @@ def _radius(
 
 
 def shared_squares(residuals: np.ndarray, counts: np.ndarray) -> float:
-    """Share of the residuals' squares that neighbouring pixels have in common; 0 within chance.
-
-    Args:
-        residuals: (lights, h, w) of least squares.
-        counts: (lights, h, w) the readings of the fit.
-
-    Returns:
-        The share, at most 1.
-    """
+    """Share of the residuals' squares that neighbouring pixels have in common; 0 within chance."""
     product = square = pairs = freedom = 0.0
     for axis in (1, 2):
         one, other = (np.moveaxis(a, axis, 0) for a in (residuals, counts))

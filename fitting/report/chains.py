@@ -25,16 +25,7 @@ LONGEST_TAIL = 0.75  # drawn beyond the 95 % interval, in its widths: more than 
 def corner_figure(
     posteriors: Mapping[str, Posterior], truth: Mapping[tuple[str, str], float]
 ) -> Figure:
-    """Every pair of parameters with 68 and 95 % regions.
-
-    Args:
-        posteriors: of the same parameters, by channel. Several are drawn over each other, as per
-            cent of each one's medians, but for parameters that may be 0: these in their unit.
-        truth: what a simulation started from, by (name, channel).
-
-    Returns:
-        The figure.
-    """
+    """Every pair of parameters with 68 and 95 % regions."""
     with warnings.catch_warnings():  # it imports ArviZ, if installed, which announces its changes
         warnings.simplefilter("ignore", FutureWarning)
         import corner
@@ -137,13 +128,6 @@ def write_chains(
     there are several posteriors, channel. Channels are of one length: of chains that ended at
     different steps the last draws are kept, as many as the shortest has. A parameter that a channel
     does not have is NaN in it.
-
-    Args:
-        path: of the file, replaced once it is complete.
-        posteriors: by name.
-        arrays: shapes of parameters whose numbers stand one by one in the posteriors, by name; each
-            becomes one variable with dimensions of its own.
-        data: columns of numbers, each record of them a group of its own.
     """
     import xarray
 

@@ -13,14 +13,7 @@ OF_TAPS = "0.5", "tab:orange", "tab:purple", "tab:cyan"
 
 
 def colour_of(channel: str) -> str:
-    """The colour of a channel: of `red tap 0,1` that of red, of taps alone one each.
-
-    Args:
-        channel: a name as `Camera.channels` has it.
-
-    Returns:
-        A colour as matplotlib knows it.
-    """
+    """The colour of a channel: of `red tap 0,1` that of red, of taps alone one each."""
     colour, _, place = channel.partition("tap ")
     if colour:
         return OF_CHANNEL[colour.strip()]

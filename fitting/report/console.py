@@ -43,14 +43,7 @@ def print_section(console: Console, section: Section) -> None:
 
 
 def section_text(section: Section) -> str:
-    """Estimates and findings of a calibration, as `print` shows them.
-
-    Args:
-        section: of a report.
-
-    Returns:
-        Lines, without the end of the last.
-    """
+    """Estimates and findings of a calibration, as `print` shows them."""
     plain = {"highlight": False, "color_system": None, "force_jupyter": False}
     console = Console(file=io.StringIO(), width=PLAIN_WIDTH, **plain)
     with console.capture() as printed:
@@ -84,13 +77,6 @@ def plain_tables(content: Table, width: int) -> list[RichTable]:
     """A results table as it stands, its caption under it: in parts where it is too wide, each
     beginning with the columns of names. Cells wrap between words; no word is cut where a part of a
     single column fits.
-
-    Args:
-        content: of a section.
-        width: columns of the console.
-
-    Returns:
-        The parts.
     """
     rows = [[format_cell(cell) for cell in row] for row in content.rows]
     texts = [*zip(content.columns, *rows, strict=True)]

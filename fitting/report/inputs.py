@@ -26,17 +26,7 @@ DISPLAY_GAMMA = 2.2
 def with_inputs(
     section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
 ) -> Section:
-    """A section that lists the images of its rig, and the keys of it that made no difference.
-
-    Args:
-        section: of a calibration.
-        rig: whose images it used.
-        purpose: of the calibration.
-        fit_gamma: whether the encoding exponent was fitted.
-
-    Returns:
-        The section.
-    """
+    """A section that lists the images of its rig, and the keys of it that made no difference."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)
     found = (*section.findings, *idle, *_whole_region(rig, inputs[0].files[0]))
@@ -53,16 +43,7 @@ def _whole_region(rig: Rig, name: str) -> tuple[str, ...]:
 
 
 def inputs_of(rig: Rig, purpose: Purpose) -> tuple[Input, ...]:
-    """The images of a rig that a calibration uses.
-
-    Args:
-        rig: whose images exist.
-        purpose: the calibration.
-
-    Returns:
-        One a level, an exposure or a light, in the order of the rig; some with a picture, which is
-        read when a report draws it.
-    """
+    """The images of a rig that a calibration uses."""
     entries = [
         entry
         for section in NEEDED[purpose]
@@ -108,15 +89,7 @@ def _setting(name: str, value: Any) -> str:
 
 
 def small_picture(rig: Rig, name: str) -> str | None:
-    """An image of a rig at the size of a thumbnail.
-
-    Args:
-        rig: with the camera, whose black and clip level become black and white.
-        name: of the image.
-
-    Returns:
-        A PNG, base64-encoded; None if the image cannot be read any more.
-    """
+    """An image of a rig at the size of a thumbnail."""
     import matplotlib.image
 
     try:

@@ -10,14 +10,7 @@ NOTHING = 1e-6  # s.d., below which digits say nothing
 
 
 def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:
-    """Errors that were too small to matter, with upper bounds on their effect.
-
-    Args:
-        channels: by name, what was left out of each.
-
-    Returns:
-        One table, without the columns that no row fills, or none where nothing was left out.
-    """
+    """Errors that were too small to matter, with upper bounds on their effect."""
     rows = tuple(
         (name, own.name, own.size, own.bound if own.bound >= NOTHING else f"below {NOTHING:g}")
         for name, gone in channels

@@ -36,14 +36,7 @@ def _section_of(calibration: ShownInNotebooks) -> Section:
 
 
 def section_html(section: Section) -> str:
-    """The estimates and findings of a section.
-
-    Args:
-        section: of a report.
-
-    Returns:
-        HTML.
-    """
+    """The estimates and findings of a section."""
     found = sheet(section)
     shown = [row for _, block in found.blocks for row in block]
     units = any(row.unit for row in shown)  # gamma alone has none

@@ -37,16 +37,7 @@ def versions() -> dict[str, str]:
 
 
 def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any]) -> str:
-    """Results as JSON text: estimates with units and intervals, findings, tables, settings.
-
-    Args:
-        sections: of the report.
-        seed: that drew every sample.
-        settings: of the command.
-
-    Returns:
-        The text; what is not determined is null, with its reason.
-    """
+    """Results as JSON text: estimates with units and intervals, findings, tables, settings."""
     parts = ("kind", "title", "estimates", "findings", "tables", "settings", "inputs")
     content = {
         "created": _now(),
@@ -59,15 +50,7 @@ def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any])
 
 
 def as_html(sections: Sequence[Section], *, title: str) -> str:
-    """The report as one HTML page with its pictures inside.
-
-    Args:
-        sections: of the report.
-        title: of the page.
-
-    Returns:
-        The page.
-    """
+    """The report as one HTML page with its pictures inside."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -88,20 +71,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
 def write_report(
     folder: Path, sections: Sequence[Section], *, title: str, seed: int, settings: dict[str, Any]
 ) -> list[Path]:
-    """Writes a report, and the draws of its posteriors.
-
-    Args:
-        folder: made if needed.
-        sections: of the report.
-        title: of the page.
-        seed: that drew every sample.
-        settings: of the command.
-
-    Returns:
-        Paths of `report.html`, `results.json`, for each section with posteriors
-        `<kind>_chains.nc`, for each name of its data `<name>.csv`, and for each of its records
-        `<name>.toml` with draws beside it.
-    """
+    """Writes a report, and the draws of its posteriors."""
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []

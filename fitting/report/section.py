@@ -126,33 +126,11 @@ class Section:
     failure: str = ""
 
     def estimate(self, name: str, *, method: str = "", group: str = "") -> Estimate:
-        """The first estimate of a name.
-
-        Args:
-            name: of the quantity.
-            method: of the estimate; empty for any.
-            group: of the estimate, as a colour channel; empty for any.
-
-        Returns:
-            The estimate.
-
-        Raises:
-            KeyError: if there is none.
-        """
+        """The first estimate of a name."""
         return find(self.estimates, name, method=method, group=group)
 
     def figure(self, name: str) -> "Figure":
-        """A picture, drawn.
-
-        Args:
-            name: of the picture, one of `pictures`.
-
-        Returns:
-            The figure.
-
-        Raises:
-            InputError: for a name that is none.
-        """
+        """A picture, drawn."""
         drawn = {picture.name: picture.drawn for picture in self.pictures}
         if name not in drawn:
             raise InputError(

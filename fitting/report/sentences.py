@@ -34,13 +34,6 @@ class Finding(NamedTuple):
 def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
     """The sentences of a table that a calibration calls for.
 
-    Args:
-        table: in the order in which they are read.
-        calibration: given to every condition.
-
-    Returns:
-        The sentences with their numbers.
-
     Example:
         >>> from fitting.report.sentences import Finding, said
         >>> def above(x):
@@ -64,15 +57,7 @@ def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
 
 
 def said_once(findings: Sequence[str]) -> tuple[str, ...]:
-    """Sentences that differ in the channel before their colon and in numbers alone, as one.
-
-    Args:
-        findings: such as "red: 290 samples are saturated." and "blue: 12 samples are saturated."
-
-    Returns:
-        The findings in the order of their first mention, such as "Red / blue: 290 / 12 samples are
-        saturated."
-    """
+    """Sentences that differ in the channel before their colon and in numbers alone, as one."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for finding in findings:
         labelled = _LABELLED.fullmatch(finding)

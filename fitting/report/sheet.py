@@ -70,14 +70,7 @@ class Sheet:
 
 
 def sheet(section: Section) -> Sheet:
-    """The table of a section's estimates.
-
-    Args:
-        section: with estimates.
-
-    Returns:
-        One row a quantity. Columns are channels; methods, where one channel has several.
-    """
+    """The table of a section's estimates."""
     found = section.estimates
     places = [(one.name, one.group) for one in found]
     several = len(set(places)) < len(places)

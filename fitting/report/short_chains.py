@@ -5,16 +5,7 @@ from .section import Section
 
 
 def without_short_chains(section: Section, *, kept: bool) -> Section:
-    """Return a section, without the results of chains that are too short.
-
-    Args:
-        section: whose posteriors are to be reported.
-        kept: whether the chains are, so that the same command goes on from them.
-
-    Returns:
-        The section; of one with a chain that is too short, why it has no results, with the steps
-        that are missing.
-    """
+    """Return a section, without the results of chains that are too short."""
     short = [(group, one) for group, one in section.posteriors.items() if one.missing_steps]
     if not short:
         return section

@@ -14,17 +14,7 @@ OF_PHOTONS = "pixel_pitch", "wavelength"
 
 
 def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, ...]:
-    """What of a rig makes no difference to a calibration.
-
-    Args:
-        rig: that was calibrated.
-        kind: of the calibration, as its section has it.
-        fit_gamma: whether the encoding exponent was fitted.
-
-    Returns:
-        One sentence a reason, for the keys that the rig gives; of `date` and `temperature`, which
-        studies use, and of sections and keys that tell other calibrations nothing, there is none.
-    """
+    """What of a rig makes no difference to a calibration."""
     found = [*REASONS[kind](rig), *_sites(rig, kind)]
     if fit_gamma:
         found.append((_camera(GAMMA), "the encoding exponent was fitted"))

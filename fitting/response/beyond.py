@@ -51,18 +51,7 @@ def extrapolated(
     covariance: Float[np.ndarray, "bins bins"],
     seen: Bool[np.ndarray, " bins"],
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, "bins bins"]]:
-    """The curve with the family's prediction at codes below and above the seen ones.
-
-    Args:
-        bins: of codes.
-        log_exposure: (bins,) measured.
-        covariance: (bins, bins) of it.
-        seen: (bins,).
-
-    Returns:
-        The curve and its covariance, as they are where too few codes were seen to go on from. A
-        code beyond has the covariance of the last code seen, and what is added on the way.
-    """
+    """The curve with the family's prediction at codes below and above the seen ones."""
     places = np.flatnonzero(seen)
     if len(places) < FEWEST:
         return log_exposure, covariance

@@ -235,16 +235,7 @@ def _first_that_fits(
 
 
 def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndarray, "h w *rgb"]]:
-    """Radiance maps by group.
-
-    Args:
-        calibration: of a stack.
-
-    Returns:
-        float32, relative: (h, w, 3) for colour, (h / 2, w / 2, 3) for a mosaic (its greens
-        averaged), (h, w) for grey. A colour that could not be calibrated is NaN. Pixels of several
-        taps stand side by side, each tap scaled to the first of its colour.
-    """
+    """Radiance maps by group."""
     images = {}
     for group in dict.fromkeys(channel.plane.group for channel in calibration.channels):
         of_colour: dict[str, list[ChannelResponse]] = {}

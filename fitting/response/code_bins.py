@@ -43,12 +43,6 @@ class CodeBins:
     def pace(self, codes: Float[np.ndarray, " codes"]) -> Float[np.ndarray, " codes"]:
         """Ticks for each DN of a clock in which measured curves are about equally rough all along:
         1 / z + sqrt(F) / (F - z)^1.5, F being full scale (z counted from black).
-
-        Args:
-            codes: DN, above black.
-
-        Returns:
-            Of the same shape.
         """
         z = codes - self.black
         full = self.edges[-1] - self.black + 0.5
@@ -73,18 +67,6 @@ def code_bins(
 ) -> CodeBins:
     """Bins of codes: one per code up to a number; beyond, bins of equal width in sqrt(DN - black),
     which follow shot noise.
-
-    Args:
-        bits: of the codes.
-        black: DN without light.
-        clip: DN from which a code is saturated.
-        count: most bins.
-        step: DN between neighbouring codes: 16 of 12 bits at the upper end of 16.
-        origin: DN of a code, less than a step.
-        black_sd: DN, with which black is known; 0 for exactly.
-
-    Returns:
-        The bins.
     """
     first = int(np.floor((black - origin) / step)) + 1
     last = min(int(np.ceil((clip - origin) / step)), (2**bits - 1 - origin) // step) - 1

@@ -60,19 +60,7 @@ def pair_statistics(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> PairStatistics:
-    """A and b from all pixels, a chunk at a time.
-
-    Args:
-        codes: (exposures, pixels) DN.
-        classes: (pixels,) rows of the rule's tables.
-        log_t: (exposures,) log exposure times.
-        bins: of codes.
-        rule: of the weights.
-        means: (bins,) of the curve at which the rule weighs.
-
-    Returns:
-        The statistics.
-    """
+    """A and b from all pixels, a chunk at a time."""
     (every,) = statistics_of_parts(codes, classes, [slice(None)], log_t, bins, rule, means)
     return every
 
@@ -90,18 +78,6 @@ def statistics_of_parts(
 
     The score of a set takes the scale of the noise, and which codes lie next to one another, from
     all sets: a few pixels would not know.
-
-    Args:
-        codes: (exposures, pixels) DN.
-        classes: (pixels,) rows of the rule's tables.
-        parts: places of each set's pixels.
-        log_t: (exposures,) log exposure times.
-        bins: of codes.
-        rule: of the weights.
-        means: (bins,) of the curve at which the rule weighs.
-
-    Returns:
-        The statistics of each.
     """
     every = []
     for part in parts:
@@ -139,14 +115,7 @@ def _statistics(
 
 
 def total(parts: Sequence[PairStatistics]) -> PairStatistics:
-    """The statistics of several sets of pixels together.
-
-    Args:
-        parts: one or more, of one curve.
-
-    Returns:
-        Their sum.
-    """
+    """The statistics of several sets of pixels together."""
     return PairStatistics(
         matrix=np.sum([part.matrix for part in parts], axis=0),
         score=np.sum([part.score for part in parts], axis=0),

@@ -141,12 +141,6 @@ class ResponseCurve:
 def slope_error(noise: NoiseModel) -> float:
     """Relative error of the slope of a curve, and of gamma, that correcting for a relative variance
     may be.
-
-    Args:
-        noise: of the pixels.
-
-    Returns:
-        Its standard deviation.
     """
     return DOUBTFUL * noise.relative
 
@@ -158,13 +152,6 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
     The size comes from the errors of simulated stacks with S-shaped and sRGB responses: .01 at 2
     1/4 stops, .038 at three. For a smoother curve this error is smaller, in proportion to the
     prior's 1 / sqrt(smoothness).
-
-    Args:
-        exposures: (exposures,) s.
-        smoothness: of the curve; a pure gamma leaves no room for a ripple.
-
-    Returns:
-        ln X.
     """
     steps = np.diff(np.unique(np.log(exposures)))
     steps = steps[steps > SAME]

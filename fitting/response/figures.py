@@ -135,13 +135,6 @@ def radiance_figure(
 ) -> Figure:
     """The map of each group beside its middle exposure alone, first at the map's white and then
     brightened, so that its shadows are seen. Both are radiance, drawn by one curve.
-
-    Args:
-        calibration: of a stack.
-        images: radiance maps by group, one at least.
-
-    Returns:
-        The figure.
     """
     shown = list(images.items())[:MOST_MAPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]

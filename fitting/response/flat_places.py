@@ -34,15 +34,7 @@ APART = 0.5  # of the mean activity, its deviation at a code, from which it show
 
 
 def in_register(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
-    """Whether the classes of steepness are about as quiet: twice the noise is misregistration.
-
-    Args:
-        noises: of the classes of steepness; None for one that was given up.
-        rounding: variance of ln X at mid-scale that the interval of a code adds.
-
-    Returns:
-        Whether they are.
-    """
+    """Whether the classes of steepness are about as quiet: twice the noise is misregistration."""
     if any(noise is None for noise in noises):
         return False
     at = np.zeros(1)  # mid-scale
@@ -57,18 +49,7 @@ def to_flat_places(
     log_t: Float[np.ndarray, " exposures"],
     bins: CodeBins,
 ) -> Solution:
-    """A solution with the contribution of busy places subtracted.
-
-    Args:
-        found: of all pixels.
-        cells: statistics of each tile, of each class of places in it.
-        activity: (classes,) local variance of ln code.
-        log_t: (exposures,) log exposure times.
-        bins: of codes.
-
-    Returns:
-        The solution, its means and their covariance changed where busy places tell another curve.
-    """
+    """A solution with the contribution of busy places subtracted."""
     size, phi = len(found.means), found.used.design_effect
     each = [[equations_of(cell, log_t, found.basis) for cell in tile] for tile in cells]
     matrices = [np.sum([cell.matrix for cell in kind], axis=0) for kind in zip(*each, strict=True)]

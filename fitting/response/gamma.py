@@ -144,19 +144,7 @@ def fit_gamma(
     sampling: Emcee | None = None,
     seed: int = 0,
 ) -> GammaFit:
-    """The gamma that explains the pixels behind a response curve.
-
-    Args:
-        curve: with the sufficient statistics of its pixels.
-        label: of the channel in the results.
-        black_sd: DN, standard deviation of the black level.
-        exposure_sd: relative error of the exposures that is known beforehand.
-        sampling: draw (gamma, tau) by emcee; None to integrate over tau exactly.
-        seed: of every draw.
-
-    Returns:
-        The fit.
-    """
+    """The gamma that explains the pixels behind a response curve."""
     column = log_code_means(curve)
     dispersion = _dispersion(curve, column)
     gone = without_effect(
@@ -206,30 +194,14 @@ def fit_gamma(
 
 
 def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndarray, " bins"]:
-    """Mean of ln(code - black) over each bin of codes, less that of the middle bin.
-
-    Args:
-        curve: with its bins.
-        shift: DN that black lies above where the curve has it.
-
-    Returns:
-        (bins,).
-    """
+    """Mean of ln(code - black) over each bin of codes, less that of the middle bin."""
     ends = np.log(np.maximum(curve.bins.edges - curve.bins.black - shift, 1e-3))
     means = (ends[1:] + ends[:-1]) / 2
     return means - means[len(means) // 2]
 
 
 def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
-    """Gamma for a known shutter error.
-
-    Args:
-        sums: of the pixels.
-        tau: rms of the error of ln t.
-
-    Returns:
-        Mean and variance of gamma, and the log evidence for that tau.
-    """
+    """Gamma for a known shutter error."""
     free = sums.td.size
     if sums.known is not None:
         tau = jnp.hypot(tau, sums.known)
@@ -252,15 +224,7 @@ def given_shutter(sums: GammaSums, tau: Float[Array, ""]) -> GivenShutter:
 
 
 def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[Array, ""]:
-    """Log posterior density of (ln gamma, ln tau), flat in gamma, up to a constant.
-
-    Args:
-        vector: (2,) unconstrained.
-        sums: of the pixels.
-
-    Returns:
-        ().
-    """
+    """Log posterior density of (ln gamma, ln tau), flat in gamma, up to a constant."""
     gamma, tau = to_natural(SPACE, vector)
     given = given_shutter(sums, tau)
     miss = (gamma - given.mean) ** 2 / given.variance

@@ -33,17 +33,7 @@ def moved_exposures(
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
 ) -> list[Odd]:
-    """Exposures that show the scene at another place than most.
-
-    Args:
-        names: of the images.
-        frames: (h, w) or (h, w, channels) codes each, in the order of their exposures.
-        full_scale: of the codes, DN.
-        cell: rows and columns after which colours repeat.
-
-    Returns:
-        What does not lie where most lie, with its shift in pixels.
-    """
+    """Exposures that show the scene at another place than most."""
     if len({np.shape(frame) for frame in frames}) != 1:
         return []  # refused where they are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only

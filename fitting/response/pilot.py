@@ -64,19 +64,6 @@ def fit_pilot(
     The smoothness has two fixed points if the residual of the score's corrections looks like a
     bend. The last pass starts from both sides, and takes the smoother curve unless the images
     clearly support the other.
-
-    Args:
-        codes: (exposures, pixels) DN, of some pixels.
-        classes: (pixels,).
-        log_t: (exposures,) log exposure times.
-        bins: coarse.
-        least_error: lowest tau.
-
-    Returns:
-        The pilot.
-
-    Raises:
-        InputError: where no class is left, or no pixel that two exposures show above the noise.
     """
     x = bins.log_codes
     means, binned = x - x[bins.middle], bins.lookup[codes]
@@ -115,17 +102,7 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Observations beyond one a pixel: what a curve is known from.
-
-    Args:
-        statistics: of any pixels.
-
-    Returns:
-        Their number.
-
-    Raises:
-        InputError: where there are none.
-    """
+    """Observations beyond one a pixel: what a curve is known from."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)
@@ -133,15 +110,7 @@ def degrees_of_freedom(statistics: PairStatistics) -> float:
 
 
 def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
-    """Bin means made rising, at least a third as fast as a linear response would.
-
-    Args:
-        means: (bins,).
-        bins: of codes.
-
-    Returns:
-        (bins,).
-    """
+    """Bin means made rising, at least a third as fast as a linear response would."""
     floor = bins.log_codes / SLOWEST
     return np.maximum.accumulate(means - floor) + floor
 
@@ -149,16 +118,7 @@ def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarra
 def on_bins(
     means: Float[np.ndarray, " bins"], bins: CodeBins, other: CodeBins
 ) -> Float[np.ndarray, " others"]:
-    """Bin means of a curve on other bins.
-
-    Args:
-        means: (bins,).
-        bins: theirs.
-        other: bins to have them on.
-
-    Returns:
-        (others,).
-    """
+    """Bin means of a curve on other bins."""
     spline = CubicSpline(bins.log_codes, means)
     return spline(other.log_codes)
 
@@ -174,15 +134,6 @@ def fit_noise(
     The noise model is fitted to squared residuals in cells of predicted log exposure, by
     non-negative least squares. Residuals are clipped at three standard deviations of their cell,
     and the known variance of the code intervals is subtracted.
-
-    Args:
-        seen: observations under a curve.
-        of_class: (pixels,), which belong to the class.
-        log_t: (exposures,) log exposure times.
-        means: (bins,) of the curve.
-
-    Returns:
-        The model.
     """
     used = (seen.weights > 0) & of_class
     predicted = (seen.log_irradiance + log_t[:, None])[used]

@@ -24,14 +24,6 @@ class NoiseModel:
 def noise_variance(
     noise: NoiseModel, log_exposure: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, " points"]:
-    """Variance that noise gives the logarithm of an exposure.
-
-    Args:
-        noise: of the pixels.
-        log_exposure: (points,).
-
-    Returns:
-        (points,).
-    """
+    """Variance that noise gives the logarithm of an exposure."""
     inverse = np.exp(-log_exposure)
     return noise.relative + noise.shot * inverse + noise.read * inverse**2

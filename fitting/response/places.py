@@ -98,15 +98,7 @@ def _around(image: np.ndarray) -> np.ndarray:
 def equal_classes(
     values: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
 ) -> Int[np.ndarray, " pixels"]:
-    """Classes of steepness or activity, equally full of the pixels that count.
-
-    Args:
-        values: (pixels,).
-        counted: (pixels,).
-
-    Returns:
-        (pixels,) 0 (flattest) to `CLASSES` - 1.
-    """
+    """Classes of steepness or activity, equally full of the pixels that count."""
     edges = np.quantile(values[counted], np.arange(1, CLASSES) / CLASSES)
     return np.digitize(values, edges).astype(np.int32)
 
@@ -114,15 +106,7 @@ def equal_classes(
 def tiles_of(
     rows: Int[np.ndarray, " pixels"], columns: Int[np.ndarray, " pixels"]
 ) -> list[Int[np.ndarray, " tile"]]:
-    """Tiles of a picture: its pixels halved again and again along the longer side.
-
-    Args:
-        rows: (pixels,).
-        columns: (pixels,).
-
-    Returns:
-        Places of each tile's pixels, equally many to one.
-    """
+    """Tiles of a picture: its pixels halved again and again along the longer side."""
     tiles = [np.arange(len(rows))]
     while len(tiles) < TILES:
         tiles = [half for tile in tiles for half in _halves(tile, rows, columns)]

@@ -55,16 +55,6 @@ def merge(
     """The radiance map of codes, the exposure times being trusted as given.
 
     What looks like an offset of the shutter may be a slight misfit of the curve.
-
-    Args:
-        codes: (exposures, ...) DN.
-        exposures: (exposures,) s, ascending.
-        curve: of the response.
-        signed: whether noise may carry radiance below 0, as it does where black is measured; else
-            the least is that of the darkest code.
-
-    Returns:
-        float32 maps of the pixels' shape.
     """
     flat = codes.reshape(len(exposures), -1)
     count = flat.shape[1]
@@ -104,14 +94,7 @@ def _merge(
 
 
 def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
-    """X of every code, at black 0 and below it negative.
-
-    Args:
-        curve: of the response.
-
-    Returns:
-        (codes,) relative exposure.
-    """
+    """X of every code, at black 0 and below it negative."""
     bins = curve.bins
     away = np.arange(bins.full_scale + 1) - bins.black
     near, log_z = np.abs(away) > 0, np.log(bins.centres - bins.black)

@@ -292,15 +292,6 @@ def floor_level(
 ) -> float:
     """Black level read off the pixels whose code stays within one step while the exposure grows at
     least eightfold.
-
-    Args:
-        codes: (exposures, h, w) DN.
-        exposures: (exposures,) s, ascending.
-        camera: for its clip level.
-        step: DN between neighbouring codes.
-
-    Returns:
-        DN; 0 where there are too few such pixels.
     """
     longer = np.flatnonzero(exposures >= LONGER * exposures[0])
     if not len(longer):
@@ -326,15 +317,6 @@ def ceiling_level(
     exposure grows by 1.9 at least.
 
     Sensors saturate at codes that vary from pixel to pixel, so it is nearly the lowest of them.
-
-    Args:
-        codes: (exposures, h, w) DN.
-        exposures: (exposures,) s, ascending.
-        camera: for its full scale.
-        step: DN between neighbouring codes.
-
-    Returns:
-        DN; full scale where there are too few such pixels.
     """
     shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
     if not len(shorter):

@@ -84,15 +84,7 @@ class Repeats:
 
 
 def over_tiles(found: Solution, bins: CodeBins) -> Repeats | None:
-    """The jackknife over tiles.
-
-    Args:
-        found: solution with the equations of its tiles.
-        bins: of codes.
-
-    Returns:
-        The departures; None for a single tile.
-    """
+    """The jackknife over tiles."""
     if len(found.equations) < 2:
         return None
     tiles, phi = found.equations, found.used.design_effect
@@ -116,22 +108,7 @@ def over_exposures(
     bins: CodeBins,
     fraction: float,
 ) -> tuple[Repeats | None, HeldOut | None]:
-    """The jackknife over exposures, and how well each is predicted without it.
-
-    Args:
-        codes: (exposures, pixels) DN, a sample.
-        classes: (pixels,).
-        log_t: (exposures,) log exposure times.
-        coarse: bins of the pilot.
-        pilot: its curve and weights.
-        hyper: of the whole fit.
-        bins: of the whole fit.
-        fraction: of all pixels that the sample is.
-
-    Returns:
-        Both, the jackknife over the bins of the whole fit; None for the jackknife with fewer than
-        five exposures, for both with fewer than three.
-    """
+    """The jackknife over exposures, and how well each is predicted without it."""
     if len(log_t) < FEWEST_PREDICTING:
         return None, None
 
@@ -170,15 +147,6 @@ def widened(
     the shutter's errors, whatever their size (`shutter.py`); correlations stay. Degrees of freedom
     of the repeats are Satterthwaite's: one less than tiles, two less than exposures (a factor and
     an exponent are lost), none counted for what pixels explain.
-
-    Args:
-        covariance: (bins, bins) that pixels and prior give.
-        shutter: its common exponent, tau mixed.
-        tiles: their jackknife; None for one tile.
-        exposures: theirs; None for too few.
-
-    Returns:
-        Covariance and (bins,) degrees of freedom.
     """
     parts = []
     if tiles is not None:

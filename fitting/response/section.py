@@ -21,14 +21,7 @@ UNKNOWN = 1e6  # factor by which a curve may err at a code of which nothing is k
 
 
 def section(calibration: ResponseCalibration) -> Section:
-    """The report section of a calibrated response.
-
-    Args:
-        calibration: of a stack.
-
-    Returns:
-        Estimates, findings, tables and pictures.
-    """
+    """The report section of a calibrated response."""
     estimates: list[Estimate] = []
     for channel, shape in zip(calibration.channels, shapes(calibration.channels), strict=True):
         estimates += _gamma_estimates(channel, shape)
@@ -58,16 +51,7 @@ def section(calibration: ResponseCalibration) -> Section:
 
 
 def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
-    """The curves whole, one row a code and channel.
-
-    Args:
-        channels: with their curves.
-
-    Returns:
-        channel; code, DN; exposure, relative to mid-scale, with its standard error and its 95 %
-        band, 0 to infinity where it is wider than a factor of UNKNOWN both ways; and whether pixels
-        were seen there or the prior extrapolates.
-    """
+    """The curves whole, one row a code and channel."""
     curves = [channel.curve for channel in channels]
     labels = [channel.plane.label or "grey" for channel in channels]
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])

@@ -57,12 +57,6 @@ class Shape:
 def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
     """Codes by which a departure is judged: between 5 and 95 % of the range, where the curve is
     known to 5 % and pixels to 10 %.
-
-    Args:
-        curve: measured.
-
-    Returns:
-        (bins,).
     """
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
@@ -73,31 +67,14 @@ def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
 def largest_departure(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """The largest departure among the codes that are judged.
-
-    Args:
-        curve: measured.
-        departure: (bins,) in ln exposure.
-
-    Returns:
-        (|departure|, code) where it is largest; NaN where no code counts.
-    """
+    """The largest departure among the codes that are judged."""
     return largest(curve, departure, judged_codes(curve))
 
 
 def largest(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"], counted: Bool[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """The largest departure among some codes.
-
-    Args:
-        curve: measured.
-        departure: (bins,) in ln exposure.
-        counted: (bins,), which codes.
-
-    Returns:
-        (|departure|, code) where it is largest; NaN where no code counts.
-    """
+    """The largest departure among some codes."""
     counted = counted & np.isfinite(departure)
     if not counted.any():
         return float("nan"), float("nan")
@@ -106,26 +83,12 @@ def largest(
 
 
 def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
-    """Standard error of a departure, with what noise leaves of second order.
-
-    Args:
-        curve: measured.
-
-    Returns:
-        (bins,) ln exposure.
-    """
+    """Standard error of a departure, with what noise leaves of second order."""
     return np.hypot(curve.standard_error, curve.pixel_noise**2)
 
 
 def shapes(channels: Sequence[ChannelResponse]) -> list[Shape]:
-    """The shape of each channel, all judged together.
-
-    Args:
-        channels: of one calibration.
-
-    Returns:
-        One a channel.
-    """
+    """The shape of each channel, all judged together."""
     chance = CHANCE / max(len(channels), 1)
     return [_shape(channel.curve, channel.gamma.departure, chance) for channel in channels]
 

@@ -62,13 +62,6 @@ class Shutter:
 def prior_of(shown: int, *, stated: float = 0.0) -> LogNormal:
     """The prior on tau, or on the error in addition to a stated one. If no error is visible, the
     prior alone determines the interval. It is then narrower, near the errors of real cameras.
-
-    Args:
-        shown: how many errors show.
-        stated: rms of what is known of them beforehand.
-
-    Returns:
-        The prior.
     """
     if stated > STEADIEST:
         return LogNormal(median=BEYOND * stated, log_sd=BEYOND_LOG_SD)
@@ -80,16 +73,7 @@ def over_tau(
     information: Float[np.ndarray, "shown shown"],
     known: float,
 ) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, " grid"]]:
-    """The posterior of tau.
-
-    Args:
-        score: (shown,) of the images on errors of 0; the information times what they show.
-        information: (shown, shown) of the images on the errors.
-        known: tau that is known beforehand, in quadrature beneath the unknown one.
-
-    Returns:
-        (grid,) tau and (grid,) weights.
-    """
+    """The posterior of tau."""
     low, high = TABULATED
     log_tau = np.linspace(np.log(low), np.log(high), GRID)
     tau = np.hypot(np.exp(log_tau), known)

@@ -109,12 +109,6 @@ def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
 
     It sums squared increments of the local exponent dg / d ln(z - black), per tick of the bins'
     clock.
-
-    Args:
-        bins: of codes.
-
-    Returns:
-        (bins, bins).
     """
     increments = _increments(bins)
     return increments.T @ increments
@@ -134,12 +128,6 @@ def _increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
     """Orthonormal basis of the shutter errors that the data can show: those orthogonal to a common
     factor and to a common exponent.
-
-    Args:
-        log_t: (exposures,) log exposure times.
-
-    Returns:
-        (exposures, exposures - 2).
     """
     absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
     return np.linalg.svd(absorbed)[0][:, 2:]
@@ -154,19 +142,7 @@ def solve(
     least_error: float = STEADIEST,
     rounds: int = 1,
 ) -> Solution:
-    """MacKay's fixed point: each hyperparameter becomes (well determined parameters) / (energy).
-
-    Args:
-        tiles: statistics of sets of pixels that err together.
-        log_t: (exposures,) log exposure times.
-        bins: of codes.
-        start: hyperparameters of the first round.
-        least_error: lowest tau, what is known of the shutter.
-        rounds: how often it is solved at most; fewer where the smoothness settles.
-
-    Returns:
-        The last round's solution.
-    """
+    """MacKay's fixed point: each hyperparameter becomes (well determined parameters) / (energy)."""
     basis = shutter_basis(log_t)
     equations = tuple(equations_of(tile, log_t, basis) for tile in tiles)
     matrix = np.sum([tile.matrix for tile in equations], axis=0)
@@ -242,18 +218,7 @@ def _from_another_black(
 def inverse(
     normal: Float[np.ndarray, "unknowns unknowns"], bins: CodeBins
 ) -> Float[np.ndarray, "unknowns unknowns"]:
-    """Inverse of a matrix of normal equations, g = 0 being held at mid-scale.
-
-    Args:
-        normal: of (g, free shutter errors).
-        bins: of codes.
-
-    Returns:
-        Of its shape.
-
-    Raises:
-        InputError: where it is singular.
-    """
+    """Inverse of a matrix of normal equations, g = 0 being held at mid-scale."""
     held = normal.copy()
     held[bins.middle, bins.middle] += normal.trace() / len(bins.centres)
     try:
@@ -270,16 +235,7 @@ def equations_of(
     log_t: Float[np.ndarray, " exposures"],
     basis: Float[np.ndarray, "exposures free"],
 ) -> Equations:
-    """Normal equations of (bin means of g, free shutter errors).
-
-    Args:
-        statistics: of any pixels.
-        log_t: (exposures,) log exposure times.
-        basis: of the free shutter errors.
-
-    Returns:
-        The equations.
-    """
+    """Normal equations of (bin means of g, free shutter errors)."""
     size = len(statistics.score) - len(log_t)
     curve, errors = slice(0, size), slice(size, None)
     mixed, times = statistics.matrix[curve, errors], statistics.matrix[errors, errors]
@@ -317,13 +273,6 @@ def at_centres(
     black), those lie a half apart about the mean of u, from which the centre departs a little:
 
         g(centre) = mean + g' (u(centre) - mean of u) - g'' half^2 / 2.
-
-    Args:
-        means: (bins, ...).
-        bins: of codes.
-
-    Returns:
-        Of the same shape.
     """
     u = bins.log_codes
     half = np.log(bins.edges[1:] - bins.black) - u

@@ -79,13 +79,6 @@ class Observations:
 def hat_rule(bins: CodeBins, *, classes: int = 1) -> WeightRule:
     """Weights by the observed code, highest at mid-scale and falling to both ends (Debevec &
     Malik's hat, squared).
-
-    Args:
-        bins: of codes.
-        classes: of pixels, all weighted alike.
-
-    Returns:
-        The rule.
     """
     height = np.minimum(bins.centres - bins.black, bins.edges[-1] - bins.centres)
     hat = height / height.max()
@@ -99,16 +92,7 @@ def noise_rule(
     *,
     coarsest: float = np.inf,
 ) -> WeightRule:
-    """Weights by the predicted exposure under a curve and a noise model for each class.
-
-    Args:
-        noises: of the classes; None for one whose pixels are left out.
-        means: (bins,) of the curve, rising.
-        coarsest: rounding that no noise dithers, in ln X, up to which codes are used.
-
-    Returns:
-        The rule.
-    """
+    """Weights by the predicted exposure under a curve and a noise model for each class."""
     grid = np.linspace(means[0], means[-1], 4 * len(means))
     absent = np.zeros(len(means)), *(np.zeros(len(grid) + 2) for _ in range(4))
     rows = [absent if n is None else _of_class(n, means, grid, coarsest) for n in noises]
@@ -122,12 +106,6 @@ def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
     The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with the
     period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with little
     noise had half of their codes outside the band. Exposures far apart need all codes.
-
-    Args:
-        log_t: (exposures,) log exposure times.
-
-    Returns:
-        ln X.
     """
     return COARSEST if np.diff(np.sort(log_t)).max() < APART else np.inf
 
@@ -172,12 +150,6 @@ def undithered(
 
     -1/12 for s = 0. With at least half an interval of noise this effect vanishes, and rounding is
     an independent error (Widrow and Kollar, "Quantization Noise", 2008).
-
-    Args:
-        variance: (points,) of the noise, in squares of the interval.
-
-    Returns:
-        (points,) from 1 without noise to 0.
     """
     squares = np.arange(1, HARMONICS + 1)[:, None] ** 2
     decay = np.exp(-2 * np.pi**2 * squares * variance) / squares
@@ -193,20 +165,7 @@ def observe(
     *,
     screened: bool = True,
 ) -> Observations:
-    """Weights and residuals of the linked among some pixels.
-
-    Args:
-        binned: (exposures, pixels) bins; -1 is unusable.
-        classes: (pixels,) rows of the rule's tables.
-        log_t: (exposures,) log exposure times.
-        means: (bins,) of the curve.
-        rule: of the weights.
-        screened: leave out pixels with a residual beyond five standard deviations, once a curve is
-            known.
-
-    Returns:
-        The observations.
-    """
+    """Weights and residuals of the linked among some pixels."""
     by_each = means[binned] - log_t[:, None]
     rough = rule.by_bin.ravel()[np.maximum(binned, 0) + classes * len(means)]
     weights = np.where(binned >= 0, rough, 0)
@@ -239,16 +198,7 @@ def cells_of(
     log_exposure: Float[np.ndarray, "*exposures pixels"],
     classes: Int[np.ndarray, " pixels"],
 ) -> Int[np.ndarray, "*exposures pixels"]:
-    """Cells of a rule's tables, flattened, that hold given log exposures.
-
-    Args:
-        rule: with tables.
-        log_exposure: of pixels (last axis).
-        classes: (pixels,).
-
-    Returns:
-        Of the same shape as `log_exposure`.
-    """
+    """Cells of a rule's tables, flattened, that hold given log exposures."""
     assert rule.weight is not None
     count = rule.weight.shape[1]
     position = (log_exposure - rule.start) / rule.step + 1.5
@@ -258,14 +208,6 @@ def cells_of(
 def weighted_mean(
     weights: Float[np.ndarray, "exposures pixels"], values: Float[np.ndarray, "exposures pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """Mean over exposures.
-
-    Args:
-        weights: (exposures, pixels).
-        values: (exposures, pixels).
-
-    Returns:
-        (pixels,); 0 where all weights are.
-    """
+    """Mean over exposures."""
     total = weights.sum(axis=0)
     return (weights * values).sum(axis=0) / np.where(total > 0, total, 1)

@@ -69,14 +69,7 @@ class Drift:
 
 
 def compared(found: xr.Dataset) -> tuple[Compared, ...]:
-    """Compare every quantity with those of the other cameras.
-
-    Args:
-        found: from `table`.
-
-    Returns:
-        One for each quantity and channel that two cameras have, in the quantity's unit.
-    """
+    """Compare every quantity with those of the other cameras."""
     result = []
     for quantity, channel, unit, cameras, x, errors in _quantities(found):
         median = float(np.median(x))
@@ -93,15 +86,7 @@ def compared(found: xr.Dataset) -> tuple[Compared, ...]:
 
 
 def drifts(found: xr.Dataset) -> tuple[Drift, ...]:
-    """Quantities that change with date or temperature more than chance does.
-
-    Args:
-        found: from `table`; cameras without date or temperature are left out.
-
-    Returns:
-        Those whose slope differs from 0, at a chance of one in a hundred that any of them does
-        without a cause; slopes a year or a kelvin.
-    """
+    """Quantities that change with date or temperature more than chance does."""
     dates = [str(date) for date in found["date"].values]
     days = [datetime.date.fromisoformat(d).toordinal() / YEAR if d else np.nan for d in dates]
     axes = {"year": np.array(days), "K": found["temperature"].values}

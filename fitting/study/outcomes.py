@@ -104,15 +104,6 @@ class Settings:
 def digest_of(path: Path) -> str:
     """Return a digest that identifies the data of a folder: from its rig file, and from names,
     sizes and parts at the beginning, in the middle and at the end of all its images.
-
-    Args:
-        path: of the rig.
-
-    Returns:
-        Hexadecimal digits.
-
-    Raises:
-        InputError: for a rig that cannot be read.
     """
     rig = load_rig(path)
     found = hashlib.sha256(rig.model_dump_json(exclude={"folder"}).encode())
@@ -124,17 +115,7 @@ def digest_of(path: Path) -> str:
 
 
 def frames_of(path: Path) -> frozenset[str]:
-    """What tells the images of a folder from others, whatever their names and the rest of the rig.
-
-    Args:
-        path: of the rig.
-
-    Returns:
-        Hexadecimal digits of each image that is there, with the region of it that is used.
-
-    Raises:
-        InputError: for a rig that cannot be read.
-    """
+    """Fingerprint the images of a folder, whatever their names and the rest of the rig."""
     rig = load_rig(path)
     region = repr(rig.camera.region).encode()
     files = (file for file in _images(rig) if file.is_file())
@@ -156,34 +137,14 @@ def _excerpt(file: Path) -> bytes:
 
 
 def changed_at(path: Path) -> int:
-    """When the newest image of a folder was written.
-
-    Args:
-        path: of the rig.
-
-    Returns:
-        ns since 1970.
-
-    Raises:
-        InputError: for a rig that cannot be read.
-    """
+    """When the newest image of a folder was written."""
     return max(
         (file.stat().st_mtime_ns for file in _images(load_rig(path)) if file.exists()), default=0
     )
 
 
 def memory_of(path: Path) -> float:
-    """Estimate the memory for calibrating a folder: its programs, and several copies of its images.
-
-    Args:
-        path: of the rig.
-
-    Returns:
-        Bytes.
-
-    Raises:
-        InputError: for a rig that cannot be read.
-    """
+    """Bytes that calibrating a folder takes: its programs and several copies of its images."""
     files = [file for file in _images(load_rig(path)) if file.exists()]
     return PROGRAMS + _LARGER + _COPIES * sum(file.stat().st_size for file in files)
 
@@ -195,15 +156,7 @@ def _images(rig: Rig) -> list[Path]:
 
 
 def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
-    """Everything that an outcome depends on.
-
-    Args:
-        settings: of the study.
-        folder: whose outcome.
-
-    Returns:
-        Words and numbers, for JSON.
-    """
+    """Everything that an outcome depends on."""
     return {
         **asdict(settings),
         "digest": folder.digest,
@@ -213,15 +166,7 @@ def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
 
 
 def remembered(settings: Settings, folder: Folder) -> Outcome | None:
-    """The calibration of an earlier run on the same data, or None; what failed is tried again.
-
-    Args:
-        settings: of the study.
-        folder: whose outcome.
-
-    Returns:
-        The outcome.
-    """
+    """The calibration of an earlier run on the same data, or None; what failed is tried again."""
     try:
         found = json.loads((folder.out / REMEMBERED).read_text())
         outcome = _read(found["outcome"]) if found["key"] == key_of(settings, folder) else None
@@ -234,16 +179,6 @@ def remembered(settings: Settings, folder: Folder) -> Outcome | None:
 def calibrated(settings: Settings, folder: Folder) -> Outcome:
     """Calibrates a folder, writes its report, and remembers the outcome. A folder that cannot be
     calibrated gives an outcome that says why.
-
-    Args:
-        settings: of the study.
-        folder: to calibrate.
-
-    Returns:
-        The outcome.
-
-    Raises:
-        InputError: where the folder holds other data here than where the study was started.
     """
     try:
         digest, rig = digest_of(folder.path), load_rig(folder.path)

@@ -15,29 +15,13 @@ COLUMNS = ("value", "standard_error", "low_95", "high_95")
 
 
 def label(estimate: Estimate) -> str:
-    """The name of a quantity with how it was estimated.
-
-    Args:
-        estimate: of the quantity.
-
-    Returns:
-        Words.
-    """
+    """The name of a quantity with how it was estimated."""
     name = estimate.name.replace("_", " ")
     return f"{name} ({estimate.method})" if estimate.method else name
 
 
 def table(outcomes: Sequence[Outcome]) -> xr.Dataset:
-    """The results of all folders.
-
-    Args:
-        outcomes: one a folder.
-
-    Returns:
-        `value`, `standard_error`, `low_95`, `high_95` by (camera, channel, quantity), in the `unit`
-        of the quantity and NaN where there is none; of each camera `findings`, `failed`, `date` and
-        `temperature` in K.
-    """
+    """The results of all folders."""
     found = {
         (outcome.camera, one.group, label(one)): one
         for outcome in outcomes
@@ -76,11 +60,6 @@ def table(outcomes: Sequence[Outcome]) -> xr.Dataset:
 
 
 def write_table(path: Path, found: xr.Dataset) -> None:
-    """Writes the table as NetCDF, which `xarray.open_dataset` reads.
-
-    Args:
-        path: of the file.
-        found: from `table`, in its units.
-    """
+    """Writes the table as NetCDF, which `xarray.open_dataset` reads."""
     with replaced_on_success(path) as whole:
         found.to_netcdf(whole, engine="h5netcdf")

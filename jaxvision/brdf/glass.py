@@ -97,11 +97,7 @@ def _bound(x: Ends[Glass]) -> Reflection:
 
 
 def _from_file(*, index: Annotated[float, POSITIVE] = 1.5, **fields: Any) -> Glass:
-    """Smooth glass.
-
-    Args:
-        index: refractive index.
-    """
+    """Smooth glass."""
     return Glass(index, **fields)
 
 

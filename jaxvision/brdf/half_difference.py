@@ -142,11 +142,7 @@ def evaluate(material: HalfDifferenceTable, wi: Direction, wo: Direction) -> Col
 
 
 def _from_file(*, file: Measured) -> Material:
-    """A measured BRDF.
-
-    Args:
-        file: `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL).
-    """
+    """A measured BRDF."""
     from .measured import tabulate_sampler
 
     return tabulate_sampler(file) if isinstance(file, HalfDifferenceTable) else file

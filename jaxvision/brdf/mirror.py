@@ -48,11 +48,7 @@ def _bound(x: Ends[Mirror]) -> Reflection:
 
 
 def _from_file(*, reflectance: Colour | float = 1.0) -> Mirror:
-    """A smooth mirror.
-
-    Args:
-        reflectance: (bands,) no unit.
-    """
+    """A smooth mirror."""
     return Mirror(reflectance)
 
 

@@ -132,11 +132,7 @@ def _bound(x: Ends[OrenNayar]) -> Reflection:
 
 
 def _from_file(*, sigma: Annotated[float, NOT_NEGATIVE], **fields: Any) -> OrenNayar:
-    """A rough diffuse surface.
-
-    Args:
-        sigma: degrees, standard deviation of the slopes of the facets.
-    """
+    """A rough diffuse surface."""
     return OrenNayar(sigma=np.radians(sigma), **fields)
 
 

@@ -357,15 +357,7 @@ def _from_file(
     interface: None = None,
     **fields: Any,
 ) -> TorranceSparrow:
-    """A surface of microfacets, which reflect everything unless `eta` or `f0` is given.
-
-    Args:
-        specular: factor on the specular part, no unit.
-        roughness: alpha, or one for each of two axes, no unit.
-        eta: refractive index of a dielectric or, with `k`, of a metal.
-        k: extinction coefficient of a metal, no unit.
-        f0: reflectance along the normal (Schlick), no unit.
-    """
+    """A surface of microfacets, which reflect everything unless `eta` or `f0` is given."""
     if f0 is not None and eta is not None:
         raise ValueError("give either eta (with k for a metal) or f0.")
     if k is not None and eta is None:

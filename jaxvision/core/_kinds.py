@@ -19,15 +19,7 @@ class Table(NamedTuple):
 
 
 def table_for(record: type, word: str | None, from_file: Callable[..., Any] | None) -> Table | None:
-    """The table of a kind; None for the word "", of a kind that no file holds.
-
-    Args:
-        record: the class of the kind.
-        word: its word in files; None: the name of the class in snake case, without "Light".
-        from_file: what makes the record of other keys than its fields. Its arguments by name are
-            the keys, its docstring says what they mean, and as `**fields` it takes all other
-            fields; an argument of type None takes a field away.
-    """
+    """The table of a kind; None for the word "", of a kind that no file holds."""
     if word is None:
         name = record.__name__.removesuffix("Light") or record.__name__
         word = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

@@ -14,17 +14,7 @@ print_by_name(globals(), "Points")
 
 
 def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) -> Scalars:
-    """The curve between the first and the last point.
-
-    Args:
-        x: (...) from the first input to the last, in the unit of the inputs.
-        inputs: (points,) ascending, at least two.
-        outputs: (points,) in any unit.
-        slopes: (points,) of `monotone_slopes`.
-
-    Returns:
-        (...) in the unit of the outputs.
-    """
+    """The curve between the first and the last point."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     width = (inputs[1:] - inputs[:-1])[k]
     t = (x - inputs[k]) / width

@@ -34,15 +34,7 @@ def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
 
 
 def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
-    """Electrons that photons free in the pixel that sees most of them, behind all filters.
-
-    Args:
-        sensor: its fields by name, None where they are gone.
-        photons: (bands,) per pixel.
-
-    Returns:
-        As many electrons, of the same time.
-    """
+    """Electrons that photons free in the pixel that sees most of them, behind all filters."""
     electrons = photons
     with np.errstate(invalid="ignore"):  # 0 of inf: nothing is known
         for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
@@ -55,15 +47,7 @@ def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
 
 
 def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Electrons that the light offset frees at most beside the light, or takes away.
-
-    Args:
-        sensor: its fields by name, None where they are gone.
-        irradiance: (bands,) W m^-2, or photons s^-1 per pixel.
-
-    Returns:
-        Electrons per exposure, >= 0.
-    """
+    """Electrons that the light offset frees at most beside the light, or takes away."""
     match sensor["light_offset"]:
         case None:
             return 0.0

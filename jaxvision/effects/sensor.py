@@ -58,19 +58,7 @@ _ASSUMES = {
 def sensor_stage(
     sensor: Ends[Sensor], irradiance: np.ndarray, *, shape: tuple[int, int]
 ) -> tuple[tuple[Row, ...], Response]:
-    """The rows of a sensor, and its response to a change of light.
-
-    Args:
-        sensor: at both ends of what may change.
-        irradiance: (bands,) W m^-2, the supremum over all pixels; inf if none is known.
-        shape: (rows, columns) of pixels.
-
-    Returns:
-        A row for each effect that is present, with bounds in DN; and the response.
-
-    Raises:
-        ValueError: for a sensor with traced numbers, or of another number of bands than the light.
-    """
+    """The rows of a sensor, and its response to a change of light."""
     refuse_tracers(sensor)
     light = np.asarray(irradiance, float)
     arriving = jax.ShapeDtypeStruct((*shape, *light.shape), jnp.result_type(float))
@@ -103,12 +91,6 @@ def dark_noise(pixel: Pixel) -> float:
     """Noise of a pixel in the dark, temporal and pattern, with rounding: the least of all.
 
     Pixels with defects or traps are not counted in: they are noisier.
-
-    Args:
-        pixel: the sensor.
-
-    Returns:
-        DN rms.
     """
     conversion, column = pixel.low("conversion_prnu"), pixel.low("column_prnu")
     dark = pixel.counted_dark

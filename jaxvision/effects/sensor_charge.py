@@ -116,14 +116,6 @@ def on_charge(name: str, pixel: Pixel) -> Bound:
 def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:
     """The largest share of a packet that is not read in its place, and the largest sum of shares
     of other packets that is.
-
-    Args:
-        transfer: the inefficiencies and the length of the trail.
-        shape: (rows, columns).
-
-    Returns:
-        (lost, gained), no unit; rows and columns are passed one after the other, so that both are
-        bounded by the extremes of each.
     """
     serial = transfer.serial_inefficiency
     rows = shares_along(float(transfer.inefficiency), shape[0], transfer.trail)
@@ -138,14 +130,6 @@ def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray
     The packet of place i is transferred i + 1 times and left behind k times with the binomial
     probability C(i + k, k) (1 - e)^(i + 1) e^k. Charge that is left behind `trail` times or more is
     read `trail` places behind.
-
-    Args:
-        inefficiency: e, no unit.
-        size: places.
-        trail: places over which a packet is followed.
-
-    Returns:
-        Two arrays (size,), no unit.
     """
     row = np.arange(size)
     share = (1 - inefficiency) ** (row + 1)

@@ -204,15 +204,7 @@ def _from_file(
     up: Float[Array, "3"] = (0.0, 0.0, 1.0),  # type: ignore[assignment]
     toward: Float[Array, "3"] = (1.0, 0.0, 0.0),  # type: ignore[assignment]
 ) -> EnvironmentMap:
-    """Distant light from all directions: a picture or a constant.
-
-    Args:
-        file: a latitude-longitude EXR or HDR with as many bands as the scene.
-        radiance: (bands,) W m^-2 sr^-1, the same from all directions, instead of a file.
-        scale: factor on the radiance, no unit.
-        up: direction of the top of the picture.
-        toward: direction of its middle column.
-    """
+    """Distant light from all directions: a picture or a constant."""
     from .environment_tables import environment_map
 
     if (file is None) == (radiance is None):

@@ -63,10 +63,6 @@ def timed() -> Iterator[Clock]:
 def relative_error(rows: Iterable[np.ndarray], bands: int) -> float | None:
     """The rms standard error over the rms radiance, of all pixels and bands with finite numbers;
     None for a picture without light. `--accuracy` has the same norm.
-
-    Args:
-        rows: (rows, w, 2 bands) each: the radiance, then its standard error.
-        bands: how many there are.
     """
     light, squares = 0.0, 0.0
     for block in rows:

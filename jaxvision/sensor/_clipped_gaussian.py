@@ -155,13 +155,6 @@ def in_narrow_window(width: Scalars, offset: Scalars) -> tuple[Scalars, Scalars]
     in it is the series S(m) - phi(m) (x - He_1(m) x^2 / 2! + He_2(m) x^3 / 3! - ...), and
 
         E[u] = int S du,   E[u^2] = 2 int u S du.
-
-    Args:
-        width: (...) w, in standard deviations.
-        offset: (...) m, in standard deviations.
-
-    Returns:
-        (...) and (...), no unit.
     """
     m, half = offset, width / 2
     even, odd = jnp.ones_like(m), m  # He_{2k-2} and He_{2k-1}

@@ -13,20 +13,7 @@ from ._draws import Shape, check_image
 def of_taps(
     values: Float[Array, " taps"], taps: Taps, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """A number of each tap as a map of the pixels.
-
-    Args:
-        values: (taps,) in any unit.
-        taps: the pattern.
-        shape: (..., h, w, bands) of the image.
-        dtype: floating dtype of the result.
-
-    Returns:
-        (h, w, 1) in the unit of the values, with as many axes as the shape.
-
-    Raises:
-        ValueError: the shape is not that of an image.
-    """
+    """A number of each tap as a map of the pixels."""
     check_image("Sensor.taps", shape)
     height, width = shape[-3:-1]
     tile = np.asarray(taps.pattern)

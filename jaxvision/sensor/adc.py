@@ -52,15 +52,7 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
 
 @takes_numbers
 def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
-    """Electrons after gain and offset: K electrons + offset.
-
-    Args:
-        sensor: the sensor; `gain` (DN per electron), `offset` (DN) and `taps` are used.
-        electrons: (...) electrons; (..., h, w, bands) with taps.
-
-    Returns:
-        (...) DN, neither rounded nor clipped.
-    """
+    """Electrons after gain and offset: K electrons + offset."""
     gain = total_gain(sensor, shape=electrons.shape, dtype=electrons.dtype)
     signal = electrons if gain is None else electrons * gain
     if sensor.offset is not None:
@@ -74,12 +66,5 @@ def amplified(sensor: Sensor, electrons: Scalars) -> Scalars:
 
 @takes_numbers
 def largest_number(bits: Scalar) -> Scalar:
-    """The largest DN of an ADC, 2^bits - 1.
-
-    Args:
-        bits: () number of bits, no unit.
-
-    Returns:
-        () DN.
-    """
+    """The largest DN of an ADC, 2^bits - 1."""
     return jnp.round(exp2(bits)) - 1

@@ -122,17 +122,6 @@ def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer)
     over the packets n and their shares p. As with Gaussian shot noise, a row that expects few
     electrons can become negative. The gradient of its mean square is unbiased but where no packet
     holds an electron, where it is 0.
-
-    Args:
-        key: random key of the frame.
-        electrons: (..., h, w, bands) whole electrons per packet.
-        transfer: the inefficiencies and the length of the trail.
-
-    Returns:
-        (..., h, w, bands) electrons, of mean 0.
-
-    Raises:
-        ValueError: `key` is None, or `electrons` is not an image.
     """
     draw = gaussian(key, Frame.TRANSFER, electrons.shape, electrons.dtype)
     return safe_sqrt(_random_variance(electrons, transfer)) * draw
@@ -169,29 +158,13 @@ def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -
 
     over the packets of mean n and their shares p; for Poisson packets it equals the mean that is
     read.
-
-    Args:
-        mean: (..., h, w, bands) electrons, mean of each packet.
-        variance: (..., h, w, bands) electrons^2, variance of each packet.
-        transfer: the inefficiencies and the length of the trail.
-
-    Returns:
-        (..., h, w, bands) electrons^2.
     """
     return _random_variance(mean, transfer) + transferred_variance(variance, transfer)
 
 
 @takes_numbers
 def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Variance of transferred electrons that move in fixed shares.
-
-    Args:
-        variance: (..., h, w, bands) electrons^2 of each packet, independent from pixel to pixel.
-        transfer: the inefficiencies and the length of the trail.
-
-    Returns:
-        (..., h, w, bands) electrons^2.
-    """
+    """Variance of transferred electrons that move in fixed shares."""
     read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, weight=_squared)
     if transfer.serial_inefficiency is None:
         return read

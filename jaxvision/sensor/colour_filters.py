@@ -40,31 +40,12 @@ def bayer(phase: str) -> Pattern:
 
 
 def as_pattern(pattern: Pattern | str) -> Pattern:
-    """A pattern, which may be named by the phase of a Bayer mosaic.
-
-    Args:
-        pattern: rows of band indices, or one of `BAYER_PHASES`, in capitals or not.
-
-    Returns:
-        Rows of band indices, no unit.
-
-    Raises:
-        ValueError: an unknown phase.
-    """
+    """A pattern, which may be named by the phase of a Bayer mosaic."""
     return as_tile(pattern)
 
 
 def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pattern") -> None:
-    """Checks that a pattern tiles the plane with the bands 0 to its largest, all present.
-
-    Args:
-        pattern: rows of band indices.
-        bands: number of bands of the picture, to be matched; None for any.
-        name: of the pattern, for messages.
-
-    Raises:
-        ValueError: the pattern is not such a tile.
-    """
+    """Checks that a pattern tiles the plane with the bands 0 to its largest, all present."""
     check_tile(name, pattern, bands=bands)
 
 
@@ -72,17 +53,6 @@ def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, 
     """For each band of the pattern, the pixels of a picture that measure it.
 
     Composed from rows and columns, so that a compiled program stores no mask of every pixel.
-
-    Args:
-        pattern: rows of band indices, or one of `BAYER_PHASES`.
-        height: of the picture in pixels.
-        width: of the picture in pixels.
-
-    Returns:
-        One (height, width) mask for each band, no unit.
-
-    Raises:
-        ValueError: the pattern does not tile the plane.
     """
     pattern = as_pattern(pattern)
     check_pattern(pattern)

@@ -29,15 +29,7 @@ SHOWN = 3  # settings of which missing effects are named
 
 @in_double
 def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
-    """What the camera of all settings predicts of levels kept out of its fit.
-
-    Args:
-        calibration: of a camera that a sensor can be made of.
-
-    Returns:
-        A prediction for each setting with light; of all its levels, which the fit has seen, where
-        they are too few to keep some out.
-    """
+    """What the camera of all settings predicts of levels kept out of its fit."""
     parts = [
         (setting, own, levels_kept_out(own))
         for setting, own in zip(calibration.settings, calibration.calibrations, strict=True)

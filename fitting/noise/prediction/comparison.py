@@ -124,21 +124,7 @@ def compare(
     light_error: float = 0.0,
     variance_error: float = 0.0,
 ) -> Comparison:
-    """The prediction of a measurement by a camera, compared with the measurement.
-
-    Args:
-        best: the camera, light counted in photons per pixel.
-        draws: of it, with a leading axis at every number; None where it has none.
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-        shown: (levels,) which of these and of all darks are compared; None for all.
-        fitted: whether the camera was fitted to these levels.
-        light_error: relative, by which the light of a level is off.
-        variance_error: relative, by which variances scatter for reasons that are not known.
-
-    Returns:
-        The comparison.
-    """
+    """The prediction of a measurement by a camera, compared with the measurement."""
     errors = {"light_error": light_error, "variance_error": variance_error}
     lit, levels = levels_of(measurement, usable, **errors)
     shown = np.ones(lit.lit.size, bool) if shown is None else shown

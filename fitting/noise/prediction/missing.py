@@ -267,14 +267,7 @@ class Missing:
 
 
 def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
-    """The effects whose lack explains what a camera misses.
-
-    Args:
-        comparison: of the camera with frames.
-
-    Returns:
-        The effects, that which explains most first; none where nothing is missed.
-    """
+    """The effects whose lack explains what a camera misses."""
     agreement = comparison.agreement
     if all(one.ratio <= 1 for one in agreement.values() if one.is_missed):
         return ()
@@ -308,14 +301,7 @@ def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
 
 
 def traces_of(comparison: Comparison) -> Traces:
-    """What the shapes of effects are made of.
-
-    Args:
-        comparison: of a camera with frames.
-
-    Returns:
-        The parts, for the best estimate of the camera.
-    """
+    """What the shapes of effects are made of."""
     found, lit = comparison.found, np.asarray(comparison.lit.lit)
     amount = np.asarray(comparison.lit.light)
     return Traces(

@@ -126,17 +126,7 @@ class Frames:
 def levels_of(
     measurement: PhotonTransfer, usable: np.ndarray, *, light_error: float, variance_error: float
 ) -> tuple[Lit, Frames]:
-    """The usable bright levels and all darks in one row.
-
-    Args:
-        measurement: bright and dark levels.
-        usable: indices of the bright levels to use.
-        light_error: relative, by which the light of a level is off, beside what was rounded.
-        variance_error: relative, by which variances scatter for reasons that are not known.
-
-    Returns:
-        What lit them, and their statistics.
-    """
+    """The usable bright levels and all darks in one row."""
     bright, dark = measurement.bright, measurement.dark
     darks = dark.mean.size
 
@@ -177,16 +167,7 @@ def levels_of(
 def expected(
     sensors: Sensor, lit: Lit, *, neighbours: bool
 ) -> Float[np.ndarray, "draws quantities levels"]:
-    """The quantities, in the sensor's codes, clear of the ends of the scale.
-
-    Args:
-        sensors: a sensor with a leading axis at every number.
-        lit: the levels.
-        neighbours: whether covariances are asked for.
-
-    Returns:
-        (draws, quantities, levels).
-    """
+    """The quantities, in the sensor's codes, clear of the ends of the scale."""
     return np.asarray(_expected(sensors, lit, neighbours=neighbours))
 
 
@@ -223,15 +204,7 @@ def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
 
 @compiled_briefly
 def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
-    """Electrons of each level, codes of one more electron, and codes of light e times as much.
-
-    Args:
-        sensor: one.
-        lit: the levels.
-
-    Returns:
-        (levels,) three times.
-    """
+    """Electrons of each level, codes of one more electron, and codes of light e times as much."""
 
     def one(at: Lit) -> tuple[Array, Array, Array]:
         def both(more: Array) -> tuple[Array, Array]:
@@ -247,16 +220,7 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
 
 
 def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np.ndarray:
-    """Which levels the ends of the scale, the well or coarse rounding change.
-
-    Args:
-        sensor: one.
-        values: its quantities, codes.
-        electrons: (levels,) mean charge.
-
-    Returns:
-        (levels,) true where `clipped_moments` are needed.
-    """
+    """Which levels the ends of the scale, the well or coarse rounding change."""
     mean, deviation = values[0], np.sqrt(np.maximum(values[1], 0))
     near = np.zeros(mean.shape, bool)
     if sensor.bits is not None:
@@ -269,15 +233,7 @@ def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np
 
 
 def clipped(sensor: Sensor, lit: Lit) -> Float[np.ndarray, "2 levels"]:
-    """Mean and variance near the ends of the scale, averaged over the offsets of the pixels.
-
-    Args:
-        sensor: one.
-        lit: the levels.
-
-    Returns:
-        Codes and their square.
-    """
+    """Mean and variance near the ends of the scale, averaged over the offsets of the pixels."""
     return np.asarray(_clipped(sensor, lit))
 
 

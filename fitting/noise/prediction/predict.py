@@ -150,12 +150,6 @@ def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> Non
 def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
     """What the camera of a calibration, written and read back, predicts of its own frames: of
     levels that a second fit of the same model was kept from, where there are enough, and of all.
-
-    Args:
-        calibration: that a sensor can be made of.
-
-    Returns:
-        The comparison.
     """
     errors = scatters(calibration)
     whole = _compared(calibration, None, errors)
@@ -176,14 +170,7 @@ def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
 
 
 def scatters(calibration: NoiseCalibration) -> dict[str, float]:
-    """What no camera file holds: relative scatter of the light and of variances over levels.
-
-    Args:
-        calibration: with a likelihood.
-
-    Returns:
-        `light_error` and `variance_error`, 0 where none was found.
-    """
+    """What no camera file holds: relative scatter of the light and of variances over levels."""
     values = calibration.chosen.values
     return {
         "light_error": float(values.get("light_scatter", 0.0)),
@@ -192,15 +179,7 @@ def scatters(calibration: NoiseCalibration) -> dict[str, float]:
 
 
 def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"] | None:
-    """Every second level of light, with the darks that are of no other level.
-
-    Args:
-        calibration: with a likelihood.
-
-    Returns:
-        (levels,) of the likelihood's levels, bright ones and darks; None where the rest would be
-        too few for the fit.
-    """
+    """Every second level of light, with the darks that are of no other level."""
     measurement, chosen = calibration.measurement, calibration.chosen
     bright, darks = len(calibration.usable), measurement.dark.mean.size
     curve = {"compression", "compression_2", "light_offset"} & {*names(chosen.space)}
@@ -232,28 +211,12 @@ def _compared(
 def written(
     calibration: NoiseCalibration, *, kept_out: Bool[np.ndarray, " levels"] | None = None
 ) -> tuple[Sensor, Sensor | None]:
-    """The sensor of a calibration, written to a file and read back.
-
-    Args:
-        calibration: that a sensor can be made of.
-        kept_out: (levels,) of the likelihood's levels that it is fitted without; None for none.
-
-    Returns:
-        The best fit, and draws.
-    """
+    """The sensor of a calibration, written to a file and read back."""
     return reread(*fitted_sensor(calibration, left_out=kept_out))
 
 
 def reread(best: Sensor, draws: Sensor) -> tuple[Sensor, Sensor | None]:
-    """A sensor and its draws as a file of them gives them back.
-
-    Args:
-        best: the best fit.
-        draws: of it.
-
-    Returns:
-        The best fit, and as many draws as a prediction uses.
-    """
+    """A sensor and its draws as a file of them gives them back."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "sensor.toml"
         write_sensor(best, file, draws=draws)

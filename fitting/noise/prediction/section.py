@@ -20,14 +20,7 @@ BAND = 2  # standard errors
 
 
 def section(prediction: Prediction) -> Section:
-    """A prediction as a section of a report.
-
-    Args:
-        prediction: of frames.
-
-    Returns:
-        Findings, the table of chi-squares, and the picture of residuals.
-    """
+    """A prediction as a section of a report."""
     name = prediction.camera.rstrip(",")
     return Section(
         kind=KIND,
@@ -41,14 +34,7 @@ def section(prediction: Prediction) -> Section:
 
 
 def findings(prediction: Prediction) -> tuple[str, ...]:
-    """What a prediction has to say, in sentences.
-
-    Args:
-        prediction: of frames.
-
-    Returns:
-        How well each quantity is predicted, and what the camera lacks.
-    """
+    """What a prediction has to say, in sentences."""
     judged = prediction.judged
     lit = int(np.sum(np.asarray(judged.lit.lit)))
     dark = judged.lit.lit.size - lit
@@ -147,14 +133,7 @@ def _joined(words: list[str]) -> str:
 
 
 def table(prediction: Prediction) -> Table:
-    """The chi-squares of a prediction.
-
-    Args:
-        prediction: of frames.
-
-    Returns:
-        A row for each quantity and group of levels.
-    """
+    """The chi-squares of a prediction."""
     rows = [
         (name, label, one.degrees, one.ratio, one.p_value)
         for comparison, label in zip(prediction.comparisons, prediction.labels, strict=True)

@@ -84,15 +84,7 @@ def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:
 
 
 def outliers(image: Float[np.ndarray, "h w"]) -> tuple[Outliers, ...]:
-    """How many pixels lie beyond 3, 4 and 5 standard deviations.
-
-    Args:
-        image: DN.
-
-    Returns:
-        One for each; the deviations are in units of the middle 68 %, which a few outliers do not
-        widen.
-    """
+    """How many pixels lie beyond 3, 4 and 5 standard deviations."""
     away = np.abs(image - np.median(image)).ravel()
     sd = float(np.quantile(away, 0.6827))
     found = []

@@ -60,14 +60,7 @@ class General:
 
 
 def slopes(light: Float[np.ndarray, " levels"]) -> Float[np.ndarray, "levels levels"]:
-    """What the signals of the levels count in the slope at each of them.
-
-    Args:
-        light: (levels,) ascending; the signal without light, 0, is a further point.
-
-    Returns:
-        (levels, levels) the slopes are its product with the signals.
-    """
+    """What the signals of the levels count in the slope at each of them."""
     points = np.concatenate([[0.0], light])
     found = np.zeros((len(light), len(points)))
     for i, at in enumerate(light):
@@ -82,17 +75,7 @@ def slopes(light: Float[np.ndarray, " levels"]) -> Float[np.ndarray, "levels lev
 def general(
     stacks: Stacks, within: Ranges, shared: SharedNoise | None, rng: np.random.Generator
 ) -> General:
-    """Signal to noise of the measured response.
-
-    Args:
-        stacks: levels, with spatial variances or without.
-        within: the ranges of release 4.
-        shared: noise of rows, columns or frames of the darks; None without.
-        rng: of the draws.
-
-    Returns:
-        Curves, figures and their draws.
-    """
+    """Signal to noise of the measured response."""
     measurement = stacks.measurement
     bright, dark = measurement.bright, measurement.dark
     lights, variances = np.asarray(bright.light), np.asarray(bright.variance)

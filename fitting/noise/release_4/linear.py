@@ -19,14 +19,6 @@ from ..quantities import NEED_PHOTONS
 def figures(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
     """The figures of release 4 Linear; those that the measurement cannot give are left out.
 
-    Args:
-        stats: means and variances.
-        measurement: of which light and exposures alone are used.
-        within: the ranges of release 4.
-
-    Returns:
-        By name, in the units of `QUANTITIES`.
-
     Source:
         EMVA Standard 1288, release 4.0 Linear (2021).
     """

@@ -40,15 +40,7 @@ class Profile(NamedTuple):
 
 
 def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
-    """Power along an axis of an image, mean over the other.
-
-    Args:
-        image: DN.
-        axis: 1 for the horizontal, 0 for the vertical spectrogram.
-
-    Returns:
-        The spectrogram.
-    """
+    """Power along an axis of an image, mean over the other."""
     length = image.shape[axis]
     transform = np.fft.rfft(image - image.mean(), axis=axis) / np.sqrt(length)
     power = np.mean(np.abs(transform) ** 2, axis=1 - axis)
@@ -59,14 +51,6 @@ def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
 
 
 def profile(image: Float[np.ndarray, "h w"], axis: int) -> Profile:
-    """The middle line along an axis, and mean, least and most of all lines.
-
-    Args:
-        image: DN.
-        axis: 1 for the horizontal, 0 for the vertical profile.
-
-    Returns:
-        The profile.
-    """
+    """The middle line along an axis, and mean, least and most of all lines."""
     lines = image if axis == 1 else image.T
     return Profile(lines[len(lines) // 2], lines.mean(axis=0), lines.min(axis=0), lines.max(axis=0))

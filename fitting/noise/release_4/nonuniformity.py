@@ -89,15 +89,7 @@ def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows column
 
 
 def split(image: Float[np.ndarray, "h w"], rest: float) -> Split:
-    """The standard's spatial variances of an average frame.
-
-    Args:
-        image: DN, filtered or not.
-        rest: temporal variance that the average keeps, sigma^2 / L, DN^2.
-
-    Returns:
-        The variances, DN^2; below 0 where noise makes them so.
-    """
+    """The standard's spatial variances of an average frame."""
     (rows, columns), away = image.shape, image - image.mean()
     total = float(np.mean(away**2)) - rest
     col = float(np.mean(away.mean(axis=0) ** 2)) - rest / rows
@@ -114,19 +106,7 @@ def drawn(
     loss: Loss,
     rng: np.random.Generator,
 ) -> dict[str, Float[np.ndarray, "draws 2 2"]]:
-    """Covariances between the dark and the bright pattern, as the averages allow.
-
-    Args:
-        dark: average frame without light, DN.
-        bright: average frame with light, filtered as it is, DN.
-        rest: temporal variance that each average keeps, DN^2.
-        of_rest: standard error of these, DN^2.
-        loss: of the filter.
-        rng: of the draws.
-
-    Returns:
-        Of the fields of `Split`, DN^2.
-    """
+    """Covariances between the dark and the bright pattern, as the averages allow."""
     away = np.stack([dark - dark.mean(), bright - bright.mean()])
     of_rows, of_columns = away.mean(axis=2), away.mean(axis=1)
     own = away - of_rows[:, :, None] - of_columns[:, None, :]

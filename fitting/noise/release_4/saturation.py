@@ -43,15 +43,7 @@ class Numbers:
 
 
 def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges, bool]:
-    """The ranges of release 4.
-
-    Args:
-        measurement: bright and dark levels, of ascending light.
-        numbers: of the bright levels; None where unknown.
-
-    Returns:
-        The ranges, and whether the saturation point is that of release 4.
-    """
+    """The ranges of release 4."""
     within = emva1288.ranges(measurement)
     if numbers is None or measurement.full_scale is None:
         return within, False

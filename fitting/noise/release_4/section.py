@@ -50,14 +50,7 @@ LEAK = 0.1  # of a part, from which noise of rows and columns that the average k
 
 
 def section(sheet: Release4) -> Section:
-    """*Linear* and *General* as one section, for a notebook.
-
-    Args:
-        sheet: of a camera.
-
-    Returns:
-        Figures of both, by their method.
-    """
+    """*Linear* and *General* as one section, for a notebook."""
     linear, general = sections(sheet)
     return replace(
         linear,
@@ -70,14 +63,7 @@ def section(sheet: Release4) -> Section:
 
 
 def sections(sheet: Release4) -> list[Section]:
-    """The sheet of release 4 as sections of a report.
-
-    Args:
-        sheet: of a camera.
-
-    Returns:
-        *Linear*, with the nonuniformities, and *General*: figures, findings, tables and pictures.
-    """
+    """The sheet of release 4 as sections of a report."""
     stacks = sheet.stacks
     settings = {"release": "4.0", "seed of the draws": sheet.seed}
     of_images, frames = (), {}

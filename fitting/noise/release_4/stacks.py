@@ -119,19 +119,7 @@ def read_stacks(
 
 
 def reduce_stacks(rig: Rig, *, channel: str = "", load: Load = read_image) -> Stacks:
-    """Reduces all frames of a rig, one frame in memory at a time.
-
-    Args:
-        rig: with `[[flat]]` and `[[dark]]`.
-        channel: site of a Bayer mosaic; empty for the first green.
-        load: how an image is had by its path.
-
-    Returns:
-        The statistics.
-
-    Raises:
-        InputError: for frames that do not belong together.
-    """
+    """Reduces all frames of a rig, one frame in memory at a time."""
     reduced = reduced_rig(rig, channel=channel, load=load)
     check(rig.folder, reduced.measurement)
     top = reduced.measurement.full_scale

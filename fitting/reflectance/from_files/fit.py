@@ -303,18 +303,7 @@ def fit_model(
     index: float,
     matt: ModelFit | None = None,
 ) -> ModelFit:
-    """Fits one model to all samples and, for testing, with each incidence left out.
-
-    Args:
-        measured: samples of one material.
-        model: to fit.
-        objective: to minimise.
-        index: of refraction, of the clear facets of Torrance-Sparrow.
-        matt: Lambert's fits of the same objective, where they are known.
-
-    Returns:
-        The fits.
-    """
+    """Fits one model to all samples and, for testing, with each incidence left out."""
     if model == "lambert" or objective == "cosine":
         matt = None
     elif matt is None:

@@ -56,13 +56,7 @@ Angle = Annotated[float, Range(0, float(np.nextafter(180, 0)), above=True)]
 
 
 def _box(*, centre: Point, half_extents: Point, rotation: Axes | None = None) -> Box:
-    """A box.
-
-    Args:
-        centre: m.
-        half_extents: m, > 0, half of each side.
-        rotation: rows are the axes of its sides in the world; absent for the world's axes.
-    """
+    """A box."""
     return Box(centre, half_extents, rotation=_checked_axes(rotation))
 
 
@@ -78,20 +72,7 @@ def _mesh(
     flip: bool = False,
     primitive: tuple[Whole, Whole] | None = None,
 ) -> Shape:
-    """Triangles from a file. Points are scaled, then rotated, then moved; or mapped by `matrix`.
-
-    Args:
-        file: OBJ, PLY, GLB or another format that trimesh reads.
-        scale: m per unit of the file, 1 by default.
-        rotation: rows are the file's axes in the world.
-        position: m, added to every point.
-        matrix: three rows of four numbers, an affine map of the file's points to m in the world,
-            instead of scale, rotation and position.
-        smooth: shade with normals interpolated between vertices.
-        flip: turn the surface inside out.
-        primitive: of a glTF file the numbers of a mesh and of a primitive in it, from 0; absent:
-            the whole file.
-    """
+    """Triangles from a file. Points are scaled, then rotated, then moved; or mapped by `matrix`."""
     placed = {"scale": scale, "rotation": rotation, "position": position}
     placed = {name: value for name, value in placed.items() if value is not None}
     if matrix is not None and placed:
@@ -119,14 +100,7 @@ def beside_shape(
     emission: Colour | None = None,
     two_sided: bool = False,
 ) -> dict[str, Any]:
-    """The keys of a table `[[surface]]` besides its shape.
-
-    Args:
-        name: for messages.
-        material: NAME of a `[material.NAME]`; absent for a black surface that emits.
-        emission: W m^-2 sr^-1 from its front.
-        two_sided: both sides are fronts.
-    """
+    """The keys of a table `[[surface]]` besides its shape."""
     if material is None and emission is None:
         raise InputError("give a material, an emission or both.")
     return {"material": material, "emission": emission, "two_sided": two_sided}
@@ -142,14 +116,7 @@ def beside_camera(
     up: Point = (0.0, 0.0, 1.0),  # type: ignore[assignment]
     resolution: tuple[Count, Count],
 ) -> dict[str, Any]:
-    """The keys of a table `[camera]` of any kind.
-
-    Args:
-        position: m.
-        target: m, the point at which the camera looks.
-        up: direction of the top of the picture.
-        resolution: (rows, columns) pixels.
-    """
+    """The keys of a table `[camera]` of any kind."""
     forward = np.subtract(target, position)
     if not forward.any():
         raise InputError("position and target are one point; move one of them.")
@@ -161,11 +128,7 @@ def beside_camera(
 
 
 def _orthographic(resolution: tuple[int, int], *, width: Size, **placed: Any) -> Orthographic:
-    """Parallel projection.
-
-    Args:
-        width: m of the scene across the picture.
-    """
+    """Parallel projection."""
     return Orthographic(pixel_pitch=width / resolution[1], resolution=resolution, **placed)
 
 
@@ -181,13 +144,6 @@ def _pinhole(
 ) -> Pinhole:
     """Central projection, with `field_of_view`, or `focal_length` and `pixel_pitch`, or the
     `matrix` of an OpenCV calibration.
-
-    Args:
-        field_of_view: degrees across the width of the picture.
-        focal_length: m.
-        pixel_pitch: m.
-        matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels.
-        distortion: k1, k2, p1, p2, k3 as OpenCV orders them, with a matrix.
     """
     sizes = (focal_length, pixel_pitch)
     if matrix is not None:
@@ -217,15 +173,7 @@ def _thin_lens(
     blades: Count | None = None,
     **placed: Any,
 ) -> ThinLens:
-    """Central projection through a lens.
-
-    Args:
-        focal_length: m.
-        pixel_pitch: m.
-        f_number: no unit.
-        focus_distance: m; absent for focus at infinity.
-        blades: of the iris, at least 3; absent for a round aperture.
-    """
+    """Central projection through a lens."""
     return ThinLens(
         focal_length=focal_length,
         pixel_pitch=pixel_pitch,
@@ -248,11 +196,7 @@ VIEWS: dict[str, Callable[..., View]] = {
 
 
 def beside_light(*, name: str | None = None) -> None:
-    """The keys of a table `[[light]]` of any kind.
-
-    Args:
-        name: for messages.
-    """
+    """The keys of a table `[[light]]` of any kind."""
 
 
 def light_tables() -> dict[str, Table]:
