@@ -2,8 +2,9 @@
 
     python notebooks/refresh.py [--shrink-only] [NOTEBOOK ...]
 
-Without names all notebooks are executed, one after the other. A stored picture of more than its
-share of 210 kB, which are 280 kB as text, becomes a JPEG. It needs the `notebooks` extra.
+Without names all notebooks are executed, one after the other. The outputs that a notebook stores
+take at most 300 kB together. A plot becomes a PNG with a palette, another picture a JPEG. It needs
+the `notebooks` extra.
 """
 
 import argparse
@@ -14,41 +15,64 @@ import subprocess
 import sys
 from pathlib import Path
 
-from PIL import Image
+from PIL import Image, ImageChops, ImageStat
 
 HERE = Path(__file__).parent
-TOGETHER = 210_000  # bytes of all pictures of a notebook, before base64
-QUALITIES = (85, 75, 65)  # of a JPEG, tried before it becomes narrower
-NARROWEST = 750  # pixels
+TOGETHER = 298_000  # characters of all outputs of a notebook
+# quality and greatest width of a JPEG in pixels, tried in this order
+STEPS = ((85, 1100), (75, 1000), (65, 900), (60, 800), (55, 750), (50, 700), (45, 650), (40, 600))
+PALETTE_ERROR = 1.5  # greatest RMS error of a palette, codes of 255
 
 
-def as_jpeg(png: bytes, most: int) -> bytes:
-    """The picture as a JPEG of at most so many bytes: coarser first, then narrower by tenths."""
-    picture = Image.open(io.BytesIO(png)).convert("RGB")
-    width, height = picture.size
-    while True:
-        part = picture.resize((width, round(height * width / picture.width)), Image.LANCZOS)
-        for quality in QUALITIES:
+def with_palette(picture: Image.Image) -> bytes | None:
+    """The picture as a PNG of few colours, or None where they change it or a JPEG is smaller."""
+    for colours in (64, 256):
+        indexed = picture.quantize(colours, dither=Image.Dither.NONE)
+        difference = ImageStat.Stat(ImageChops.difference(picture, indexed.convert("RGB")))
+        if max(difference.rms) <= PALETTE_ERROR:
             found = io.BytesIO()
-            part.save(found, "JPEG", quality=quality, optimize=True)
-            if len(found.getvalue()) <= most:
-                return found.getvalue()
-        if 0.9 * width < NARROWEST:
-            return found.getvalue()
-        width = round(0.9 * width)
+            indexed.save(found, "PNG", optimize=True)
+            small = found.getvalue()
+            return small if len(small) <= len(as_jpeg(picture, *STEPS[3])) else None
+    return None
+
+
+def as_jpeg(picture: Image.Image, quality: int, widest: int) -> bytes:
+    narrow = picture.copy()
+    narrow.thumbnail((widest, picture.height), Image.Resampling.LANCZOS)
+    found = io.BytesIO()
+    narrow.save(found, "JPEG", quality=quality, optimize=True)
+    return found.getvalue()
+
+
+def stored(data: bytes) -> dict[str, str]:
+    """The bytes of a picture as an entry of a notebook's output."""
+    kind = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"
+    return {kind: base64.b64encode(data).decode()}
 
 
 def shrink(notebook: Path) -> None:
-    """Shrink every stored picture of a notebook in place."""
+    """Shrink the stored pictures of a notebook in place, until its outputs are small enough."""
     content = json.loads(notebook.read_text(encoding="utf-8"))
     outputs = [output for cell in content["cells"] for output in cell.get("outputs", [])]
     shown = [output["data"] for output in outputs if "data" in output]
-    most = TOGETHER // max(sum("image/png" in data for data in shown), 1)
-    for data in shown:
-        png = base64.b64decode("".join(data.get("image/png", "")))
-        if len(png) > most:
-            data["image/jpeg"] = base64.b64encode(as_jpeg(png, most)).decode()
-            del data["image/png"]
+    pictures = [data for data in shown if {"image/png", "image/jpeg"} & data.keys()]
+    sources = [
+        base64.b64decode("".join(data.pop("image/png", None) or data.pop("image/jpeg")))
+        for data in pictures
+    ]
+    other = len(json.dumps(outputs, ensure_ascii=False))
+    opened = [Image.open(io.BytesIO(source)).convert("RGB") for source in sources]
+    plots = [with_palette(picture) for picture in opened]
+    for step in STEPS:
+        small = [
+            min(source, plot or as_jpeg(picture, *step), key=len)
+            for source, plot, picture in zip(sources, plots, opened, strict=True)
+        ]
+        if other + sum(4 * len(picture) // 3 for picture in small) <= TOGETHER:
+            break
+    for data, picture in zip(pictures, small, strict=True):
+        data.update(stored(picture))
     text = json.dumps(content, indent=1, ensure_ascii=False)
     notebook.write_text(text + "\n", encoding="utf-8")
 
