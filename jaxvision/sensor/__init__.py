@@ -11,10 +11,10 @@ closed form, `expectation` estimates expectations of anything else, and `shutter
 scene over the exposure. A parameter of the sensor that is None is not traced. `Sensor` and the
 records of its effects are in `jaxvision.scene`.
 
-A draw is differentiated along itself, counts included, rounding as if it were not there, and
-clipping has gradient 0: means and mean squares of raw data have unbiased gradients at every light
-level where the noise exceeds a DN. Each stage says what its gradient leaves out; the page
-"Gradients of noise" has the figures.
+Counts are differentiated along the draw, and rounding has slope 1. Clipping has gradient 0.
+Gradients of means and mean squares of raw data are therefore unbiased where the noise exceeds 1 DN.
+Each stage names the terms that its gradient neglects. The page "Gradients of noise" has the
+figures.
 """
 
 from ..core.lazy_names import names_of

@@ -1,13 +1,13 @@
-"""Moments of a standard Gaussian variable Z clipped at one end, or to a narrow window, that keep
-their digits where the textbook forms are differences of nearly equal numbers.
+"""Moments of a standard Gaussian variable Z that is clipped at one end or to a narrow window. They
+keep full precision where the textbook forms subtract nearly equal numbers.
 
 With a = |t| and the density phi, the integrals of the tail are
 
     E[max(Z - a, 0)]   = phi(a) A(a) / (1 + a)^2
     E[max(Z - a, 0)^2] = phi(a) 2 B(a) / (1 + a)^3
 
-where A and B go from about 1 at 0 to 1 at infinity: Chebyshev expansions in (a - 4) / (a + 4),
-computed with 60 digits and cut off below 1e-17. Slopes are closed forms.
+A and B go from about 1 at 0 to 1 at infinity. They are Chebyshev expansions in (a - 4) / (a + 4),
+computed with 60 digits and truncated below 1e-17. Slopes are closed forms.
 """
 
 from math import factorial
@@ -136,23 +136,24 @@ def _rare(t: Scalars) -> tuple[Scalars, Scalars]:
 
 
 def density(a: Scalars) -> Scalars:
-    """exp(-a^2 / 2) / sqrt(2 pi), with what the rounding of a^2 loses."""
+    """exp(-a^2 / 2) / sqrt(2 pi), corrected for the rounding error of a^2."""
     square, one = a * a, jnp.ones_like(a)
     lost = jax.lax.stop_gradient(difference_of_products(a, a, square, one))
     return jnp.exp(-square / 2) * (1 - lost / 2) / float(np.sqrt(2 * np.pi))
 
 
 def is_narrow(width: Scalars, offset: Scalars) -> Bool[Array, "..."]:
-    """Whether `in_narrow_window` holds for a window of that width and offset."""
+    """Whether `in_narrow_window` is accurate for a window of that width and offset."""
     return width * jnp.maximum(offset, 1) < (0.5 if width.dtype == jnp.float64 else 1.0)
 
 
 def in_narrow_window(width: Scalars, offset: Scalars) -> tuple[Scalars, Scalars]:
-    """Mean and variance of Z clipped to [offset - width / 2, offset + width / 2], from its lower
-    end and in units of its width.
+    """Mean and variance of Z clipped to [offset - width / 2, offset + width / 2], measured from the
+    lower end in units of the width.
 
-    The window is narrow (`is_narrow`) and its middle, m >= 0, above the mean: the survival function
-    in it is the series S(m) - phi(m) (x - He_1(m) x^2 / 2! + He_2(m) x^3 / 3! - ...), and
+    The window is narrow (`is_narrow`), and its middle m >= 0 lies above the mean. In the window the
+    survival function is the series S(m) - phi(m) (x - He_1(m) x^2 / 2! + He_2(m) x^3 / 3! - ...),
+    and
 
         E[u] = int S du,   E[u^2] = 2 int u S du.
     """

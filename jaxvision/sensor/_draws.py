@@ -1,10 +1,10 @@
 """Random numbers for pixels: a hash of (pixel, use) under the key, computed where it is used.
 
-`jax.random` stores its bits before they are used, and rolls threefry's rounds into a loop that XLA
-fuses with nothing; unrolled, a Gaussian for each of 12 megapixels takes half the time. The words
-are those of Threefry-2x32-20 (Salmon et al., "Parallel Random Numbers: As Easy as 1, 2, 3", SC
-2011), so a pixel's draw depends on the key, its place and its use, not on which other effects the
-sensor has.
+`jax.random` stores its bits before they are used, and XLA cannot fuse its loop over the rounds of
+threefry with other work. The unrolled hash takes half the time for a Gaussian draw in each of 12
+megapixels. The bits are those of Threefry-2x32-20 (Salmon et al., "Parallel Random Numbers: As Easy
+as 1, 2, 3", SC 2011). The draw of a pixel depends on the key, its place and its use, and not on the
+other effects of the sensor.
 """
 
 from enum import IntEnum
@@ -27,7 +27,7 @@ _PARITY = 0x1BD11BDA
 
 
 class Frame(IntEnum):
-    """Uses whose draws change in each frame."""
+    """Uses whose draws are new in each frame."""
 
     SHOT = 0
     READ = 1
@@ -41,7 +41,8 @@ class Frame(IntEnum):
 
 
 class Die(IntEnum):
-    """Uses whose draws stay with a camera; they differ from a frame's even under the same key."""
+    """Uses whose draws stay with a camera. They differ from the draws of a frame even under the
+    same key."""
 
     PRNU = 8
     DSNU = 9
@@ -72,13 +73,13 @@ def gaussian(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) 
 
 
 def uniform(key: Key | None, use: Frame | Die, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """Draws uniform in (0, 1] of that shape, no unit, with full relative precision near 0; in
-    float32 where the dtype is narrower, which would round them to 0 or 1."""
+    """Draws that are uniform in (0, 1] with full relative precision near 0, no unit. They are
+    float32 where the dtype is narrower, because that dtype would round them to 0 or 1."""
     return tail_probability(words(key, use, shape), at_least_single(dtype))
 
 
 def at_least_single(dtype: DTypeLike) -> jnp.dtype:
-    """The dtype that random bits are counted in: 2^32 is beyond float16."""
+    """The dtype in which random bits are counted. 2^32 is beyond float16."""
     return jnp.dtype(dtype if jnp.dtype(dtype).itemsize >= 4 else jnp.float32)
 
 
@@ -154,8 +155,8 @@ def upper_quantile(bits: Words, dtype: DTypeLike) -> Scalars:
 
 
 def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
-    """1/2 less `tail_probability(bits)`, and what that is away from the nearer of 0 and 1; both
-    keep their digits near 0.
+    """1/2 - `tail_probability(bits)`, and its distance from the nearer of 0 and 1. Both are
+    computed without cancellation.
     """
     above = bits < jnp.uint32(2**31)
     nearer = jnp.where(above, bits, ~bits)
@@ -165,7 +166,7 @@ def from_middle(bits: Words, dtype: DTypeLike) -> tuple[Scalars, Scalars]:
 
 
 def words(key: Key | None, use: Frame | Die, shape: Shape) -> Words:
-    """32 random bits for each entry of `shape`; two uses share one hash, which yields two words."""
+    """32 random bits for each entry of `shape`. Two uses share one hash, which yields two words."""
     seed = seed_of(needed(key, use))
     place = jax.lax.iota(jnp.uint32, int(np.prod(shape))).reshape(shape)
     return threefry(seed, place, jnp.uint32(use // 2))[use % 2]

@@ -1,5 +1,5 @@
-"""Sensor effects on charge: what each record of `Sensor.own`, `Sensor.mixing` and
-`Sensor.nonlinearity` does."""
+"""Registry of sensor effects on charge: the functions for each record of `Sensor.own`,
+`Sensor.mixing` and `Sensor.nonlinearity`."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -37,10 +37,10 @@ def register(
     moments: Callable[[Any, Any], Any] | None = None,
     bound: Bound | None = None,
 ) -> None:
-    """Makes an effect on charge known to sensors, and with it to camera files and `effects`.
+    """Register an effect on charge with sensors, and with it with camera files and `effects`.
 
-    It acts on what the pixels hold, behind full wells and charge transfer and before anything is
-    read. In camera files it is a table `[[sensor.own]]` with its name as `kind`.
+    It acts on the charge of the pixels after full wells and charge transfer, and before the
+    read-out. In camera files it is a table `[[sensor.own]]` with its name as `kind`.
 
     Args:
         effect: the class of the record.
@@ -70,10 +70,10 @@ def register_curve(
     slopes: Callable[[Ends], tuple[float, float]] | None = None,
     inverse: Curve | None = None,
 ) -> None:
-    """Makes an effect known that acts on each pixel by itself and draws nothing: a `Nonlinearity`.
+    """Register an effect that acts on each pixel separately and draws nothing: a `Nonlinearity`.
 
-    Its moments follow from the derivatives of the curve, to the second order of the noise in the
-    mean and to the first in the variance.
+    Its moments follow from the derivatives of the curve, to second order in the noise for the mean
+    and to first order for the variance.
 
     Args:
         effect: the class of the record.
@@ -107,7 +107,7 @@ def register_curve(
 
 
 def _through(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
-    """Moments behind a curve: g + g'' v / 2 and g'^2 v."""
+    """Mean g + g'' v / 2 and variance g'^2 v behind a curve g."""
     mean, one = moments.mean, jnp.ones_like(moments.mean)
 
     def slope(x: Scalars) -> Scalars:
@@ -120,7 +120,7 @@ def _through(curve: Callable[[Scalars], Scalars], moments: Any) -> Any:
 
 
 def stage_of(effect: SensorEffect) -> Stage:
-    """What an effect has registered.
+    """The functions that an effect has registered.
 
     Args:
         effect: any registered effect.
@@ -143,13 +143,13 @@ def stage_of(effect: SensorEffect) -> Stage:
 
 
 def on_charge(sensor: Sensor) -> tuple[SensorEffect, ...]:
-    """All effects on the charge that is there, in their order."""
+    """All effects on charge that the sensor has, in their order."""
     last = (sensor.mixing, sensor.nonlinearity)
     return (*(sensor.own or ()), *(effect for effect in last if effect is not None))
 
 
 def affected(key: Key | None, effects: tuple[SensorEffect, ...], electrons: Scalars) -> Scalars:
-    """The electrons after all effects, each with a key of its own."""
+    """The electrons after all effects; each effect draws with its own key."""
     for i, effect in enumerate(effects):
         own = None if key is None else jax.random.fold_in(key, 0x0E00 + i)
         electrons = stage_of(effect).charge(own, effect, electrons)
@@ -157,7 +157,8 @@ def affected(key: Key | None, effects: tuple[SensorEffect, ...], electrons: Scal
 
 
 def moments_after(effects: tuple[SensorEffect, ...], moments: Any) -> Any:
-    """Mean and variance after all effects; `ValueError` for one that has registered none."""
+    """Mean and variance after all effects; `ValueError` for an effect without registered
+    moments."""
     for effect in effects:
         own = stage_of(effect).moments
         if own is None:

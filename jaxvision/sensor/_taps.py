@@ -1,4 +1,4 @@
-"""Amplifiers and sites of a mosaic: the number of each pixel's tap."""
+"""Amplifiers (taps) and sites of a mosaic: the number of each pixel's tap."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ from ._draws import Shape, check_image
 def of_taps(
     values: Float[Array, " taps"], taps: Taps, *, shape: Shape, dtype: DTypeLike
 ) -> Scalars:
-    """A number of each tap as a map of the pixels."""
+    """A map of the pixels from one number for each tap."""
     check_image("Sensor.taps", shape)
     height, width = shape[-3:-1]
     tile = np.asarray(taps.pattern)
@@ -38,7 +38,8 @@ def factored(
 
 
 def total_gain(sensor: Sensor, *, shape: Shape, dtype: DTypeLike) -> Scalars | None:
-    """DN per electron, () or (h, w, 1) with the taps' own; None where it is 1."""
+    """The gain in DN per electron, () or (h, w, 1) with the gains of the taps; None where it is
+    1."""
     if sensor.taps is None or sensor.taps.gain is None:
         return sensor.gain
     gain = jnp.ones((), dtype) if sensor.gain is None else sensor.gain

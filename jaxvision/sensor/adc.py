@@ -16,8 +16,8 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
     """Converts electrons to digital numbers: gain, offset, then rounding and clipping by the ADC.
 
     Gradients pass through rounding as if it were the identity, and are 0 where the signal is
-    clipped. With Gaussian noise of s DN rms before it, the slope of the mean is then off by at most
-    2 exp(-2 pi^2 s^2): 1.4 % at half a DN, 5e-9 at one. Without noise the true slope is 0.
+    clipped. With Gaussian noise of s DN rms before rounding, the slope of the mean has an error of
+    at most 2 exp(-2 pi^2 s^2): 1.4 % at half a DN, 5e-9 at one. Without noise the true slope is 0.
 
     Args:
         sensor: the sensor; `column_prnu`, `gain`, `offset`, `taps` and `bits` are used.

@@ -1,17 +1,18 @@
-"""Charge that moves the borders of pixels while it gathers: the brighter-fatter effect.
+"""The brighter-fatter effect: collected charge moves the borders of pixels during the exposure.
 
-Q: electrons held, I: electrons that arrive over the exposure, K: the kernel, phi = K * Q. Over the
-border of neighbours p and q flows (I_p + I_q) (phi_p - phi_q) / 2, and
+Q denotes the electrons held, I the electrons that arrive over the exposure, K the kernel, and phi =
+K * Q. Across the border of neighbours p and q flows (I_p + I_q) (phi_p - phi_q) / 2, and
 
     dQ_p / dt = I_p + sum over the four q of (I_p + I_q) (phi_q - phi_p) / 2,     t from 0 to 1.
 
-In even light, with a = Laplacian of K and mu = I, charges that are counted have the covariances
+In even light, with a = Laplacian of K and mu = I, Poisson charges have the covariances
 
     C(k) = (exp(2 a(k) mu) - 1) / (2 a(k)) = mu + a mu^2 + (2/3) (a*a) mu^3 + (1/3) (a*a*a) mu^4 ...
 
-in Fourier space: equation 20 of Astier et al. (A&A 629 A36, 2019) with b = 0. The variance flattens
-with light by a_00 mu^2, neighbours' covariances grow with its square, and, as the sum of a is 0,
-variance and covariances add up to mu. A pattern of sensitivities is smoothed: its variance becomes
+in Fourier space: equation 20 of Astier et al. (A&A 629 A36, 2019) with b = 0. The variance falls
+below mu by a term in a_00 mu^2, and the covariances of neighbours grow with mu^2. The sum of a is
+0, so variance and covariances add up to mu. A pattern of sensitivities is smoothed: its variance
+becomes
 
     p(k)^2 mu^2 ((exp(a(k) mu) - 1) / (a(k) mu))^2.
 """
@@ -52,7 +53,7 @@ def gathered(
     shot_noise: ShotNoise | None = None,
     full_well: Scalar | None = None,
 ) -> Counts:
-    """Electrons that pixels gather while their charge turns away what comes later.
+    """Electrons that pixels collect while their charge repels later electrons.
 
     Args:
         key: random key of the frame; may be None without `shot_noise`.
@@ -91,7 +92,7 @@ def _in_parts(
     shot_noise: ShotNoise | None,
     full_well: Scalar | None,
 ) -> Counts:
-    """The charges after so many parts of the exposure."""
+    """The charges after the given number of steps of the exposure."""
     arriving = electrons / parts
 
     def part(i: Array, held: Counts) -> Counts:
@@ -107,7 +108,7 @@ def _in_parts(
 
 @takes_numbers
 def area_changes(kernel: Quadrant) -> Float[Array, "_ _"]:
-    """By what share an electron changes the area of the pixels around it: a_ij, K's Laplacian.
+    """The relative change of the area of surrounding pixels per electron: a_ij, the Laplacian of K.
 
     Args:
         kernel: (rows, columns) per electron, at offsets of 0, 1, ... rows and columns.
@@ -131,10 +132,11 @@ def area_changes(kernel: Quadrant) -> Float[Array, "_ _"]:
 
 @takes_numbers
 def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, "..."]:
-    """Covariances of the charges of neighbouring pixels in even light, electrons being counted.
+    """Covariances of the charges of neighbouring pixels in even light, for Poisson charges.
 
-    The closed form at the top of `jaxvision.sensor.brighter_fatter` on a sensor of 32 x 32 pixels
-    without borders, by 20 terms of its series: to 1e-10 of mu up to sum |a| mu = 2.
+    The closed form at the top of `jaxvision.sensor.brighter_fatter` is summed on a sensor of 32 x
+    32 pixels without borders, with 20 terms of its series. It is accurate to 1e-10 of mu up to sum
+    |a| mu = 2.
 
     Args:
         area_change: (rows, columns) per electron, a at offsets of 0, 1, ... rows and columns, at
@@ -162,7 +164,7 @@ def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, 
 
 @takes_numbers
 def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
-    """Variance of the charges of pixels in even light, electrons being counted.
+    """Variance of the charges of pixels in even light, for Poisson charges.
 
     Args:
         effect: the kernel.
@@ -177,7 +179,7 @@ def flat_variance(effect: BrighterFatter, electrons: Scalars) -> Scalars:
 
 @takes_numbers
 def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
-    """By what factor the variance of a pattern of sensitivities is smaller in even light.
+    """The factor by which the variance of a pattern of sensitivities is reduced in even light.
 
     Args:
         effect: the kernel.
@@ -191,12 +193,12 @@ def smoothed_pattern(effect: BrighterFatter, electrons: Scalars) -> Scalars:
 
 
 def _of_counts(m: int) -> float:
-    """Of (exp(2 y) - 1) / (2 y) in powers of y."""
+    """Power series of (exp(2 y) - 1) / (2 y)."""
     return 2**m / factorial(m + 1)
 
 
 def _of_patterns(m: int) -> float:
-    """Of ((exp y - 1) / y)^2."""
+    """Power series of ((exp y - 1) / y)^2."""
     return (2 ** (m + 2) - 2) / factorial(m + 2)
 
 
@@ -205,7 +207,7 @@ def _held(size: Scalar, electrons: Scalars) -> Scalars:
 
 
 def _drift(arriving: Counts, potential: Counts) -> Counts:
-    """What each pixel gains from its four neighbours, of as much as arrives."""
+    """The charge that each pixel gains from its four neighbours, per arriving charge."""
     gained = jnp.zeros_like(arriving)
     for axis in (-3, -2):
         before = (slice(None),) * (arriving.ndim + axis)
@@ -222,8 +224,8 @@ def _unfolded(kernel: Quadrant) -> Float[Array, "_ _"]:
 
 
 def _series(area_change: Quadrant, weight: Callable[[int], float]) -> tuple[Scalar, list[Quadrant]]:
-    """S = sum |a|, and the coefficients of sum over m of weight(m) mu^m (a * ... * a), a taken m
-    times, in powers of S mu, the highest first."""
+    """S = sum |a|, and the coefficients of sum over m of weight(m) mu^m (a * ... * a) with m
+    factors a, in powers of S mu, highest first."""
     rows, columns = area_change.shape
     if max(rows, columns) > PERIOD // 2:
         raise ValueError(
@@ -253,5 +255,5 @@ def _cosines(lags: int, dtype: DTypeLike) -> tuple[Array, Array]:
 
 
 def _copies(lags: int) -> Float[np.ndarray, " lags"]:
-    """How many offsets have that size."""
+    """The number of offsets of that size."""
     return np.where(np.arange(lags) == 0, 1.0, 2.0)

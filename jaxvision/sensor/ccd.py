@@ -1,7 +1,7 @@
-"""Charge on its way through a CCD: overfull wells, and charge that transfers leave behind.
+"""Charge in a CCD: overfull wells, and charge that transfers leave behind.
 
-All quantities are electrons. The read-out lies before row 0, and that of the serial register before
-column 0, so the packet of row i is transferred i + 1 times.
+All quantities are electrons. The read-out is next to row 0, and the output of the serial register
+next to column 0. The packet of row i is therefore transferred i + 1 times.
 """
 
 from collections.abc import Callable
@@ -25,10 +25,10 @@ Shares = Float[Array, " size"]  # of the packets of all rows, no unit
 def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
     """Electrons after overfull wells have spilled along their columns.
 
-    Of the charge above `full_well`, the share `blooming` spills: half up and half down the column.
-    Each further full well on the way passes on the same share, until the charge finds room or
-    reaches the end of the column, where it is drained. Charge that moves down is placed first. With
-    `blooming` = 1 electrons are lost only at the ends of columns.
+    The share `blooming` of the charge above `full_well` spills, half up and half down the column.
+    Each further full well passes on the same share. The charge moves until it finds room or is
+    drained at the end of the column. Charge that moves down is placed first. With `blooming` = 1,
+    electrons are lost only at the ends of columns.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -60,8 +60,8 @@ def bloomed(electrons: Counts, full_well: Scalar, blooming: Scalar) -> Counts:
 def _flow(
     level: Counts, spilt: Counts, full_well: Scalar, blooming: Scalar, *, upwards: bool
 ) -> Counts:
-    """Fills each row from the one before it up to the full well; the rest and its own spill flow
-    on.
+    """Fill each row from the previous one up to the full well; the excess and the row's own spill
+    flow on.
     """
 
     def row(coming, state):
@@ -77,17 +77,17 @@ def _flow(
 
 @takes_numbers
 def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """Electrons as they are read after imperfect transfers along columns and the serial register.
+    """Electrons that are read after imperfect transfers along columns and the serial register.
 
-    Each transfer leaves the share eps of a packet to the next one. Of the packet of row i, the
-    expected share
+    Each transfer leaves the share eps of a packet to the next one. The expected share of the packet
+    of row i
 
         C(j, i) (1 - eps)^(i + 1) eps^(j - i)
 
-    is therefore read in row j >= i. Packets are followed over `trail` rows; the last of them
-    receives all the charge that falls that far behind or further, so nothing is lost except behind
-    the last row. The lag is nearly a Poisson variable of mean eps i: at a mean of 0.3 rows the
-    share beyond 8 rows is 4e-11; at 3 rows it is 4e-3, which calls for a longer trail.
+    is read in row j >= i. Packets are followed over `trail` rows. The last of these rows receives
+    all charge that falls at least as far behind, so charge is lost only behind the last row. The
+    lag is nearly a Poisson variable of mean eps i. At a mean of 0.3 rows, the share beyond 8 rows
+    is 4e-11. At 3 rows it is 4e-3, and a longer trail is needed.
 
     Args:
         electrons: (..., h, w, bands) electrons per packet.
@@ -116,19 +116,19 @@ def transferred(electrons: Counts, transfer: ChargeTransfer) -> Counts:
 
 @takes_numbers
 def transfer_noise(key: Key | None, electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """The random part of charge transfer, to be added to `transferred` of whole electrons.
+    """The random part of charge transfer, which is added to `transferred` of whole electrons.
 
-    Each electron is left behind or not, independently: a Gaussian draw of variance sum n p (1 - p)
-    over the packets n and their shares p. As with Gaussian shot noise, a row that expects few
-    electrons can become negative. The gradient of its mean square is unbiased but where no packet
-    holds an electron, where it is 0.
+    Each electron is left behind at random and independently. The result is a Gaussian draw of
+    variance sum n p (1 - p) over the packets n and their shares p. As with Gaussian shot noise, a
+    row with few expected electrons can become negative. The gradient of its mean square is
+    unbiased, except where no packet holds an electron. There it is 0.
     """
     draw = gaussian(key, Frame.TRANSFER, electrons.shape, electrons.dtype)
     return safe_sqrt(_random_variance(electrons, transfer)) * draw
 
 
 def _random_variance(electrons: Counts, transfer: ChargeTransfer) -> Counts:
-    """sum n p (1 - p), as positive terms: with p s for p, n p (s (1 - s) + s^2 (1 - p))."""
+    """sum n p (1 - p), written as positive terms: with p s for p, n p (s (1 - s) + s^2 (1 - p))."""
     eps, serial, trail = transfer.inefficiency, transfer.serial_inefficiency, transfer.trail
     of_rows = _trailing(electrons, eps, trail, axis=-3, weight=_random)
     if serial is None:
@@ -152,11 +152,11 @@ def _random(share: Shares, rest: Shares) -> Shares:
 
 @takes_numbers
 def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Variance of transferred electrons that move one by one.
+    """Variance of transferred electrons that move independently.
 
         sum n p (1 - p) + var p^2
 
-    over the packets of mean n and their shares p; for Poisson packets it equals the mean that is
+    over the packets of mean n and their shares p. For Poisson packets it equals the mean that is
     read.
     """
     return _random_variance(mean, transfer) + transferred_variance(variance, transfer)
@@ -164,7 +164,7 @@ def counted_variance(mean: Counts, variance: Counts, transfer: ChargeTransfer) -
 
 @takes_numbers
 def transferred_variance(variance: Counts, transfer: ChargeTransfer) -> Counts:
-    """Variance of transferred electrons that move in fixed shares."""
+    """Variance of transferred electrons if each packet splits in fixed shares."""
     read = _trailing(variance, transfer.inefficiency, transfer.trail, axis=-3, weight=_squared)
     if transfer.serial_inefficiency is None:
         return read
@@ -192,10 +192,10 @@ def _trailing(
 def _shares(
     inefficiency: Scalar, size: int, trail: int, like: Counts
 ) -> list[tuple[Shares, Shares]]:
-    """For each lag of k rows, the share of the packet of row i that is read there, and the rest of
-    the packet. By recursion: C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k. The last lag takes
-    all that is left, but at least its own share, which keeps its digits where the difference from 1
-    has none.
+    """For each lag of k rows, the share of the packet of row i that is read there, and the
+    remainder of the packet. It uses the recursion C(i + k, k) / C(i + k - 1, k - 1) = (i + k) / k.
+    The last lag takes the remainder, but at least its own share, because the difference from 1
+    loses all digits there.
     """
     row = jnp.arange(size, dtype=like.dtype)
     kept = (row + 1) * log1p(-inefficiency)

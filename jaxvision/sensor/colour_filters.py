@@ -1,9 +1,9 @@
 """Colour filter arrays: which band each pixel of a mosaic sensor measures.
 
-A pattern is rows of band indices, ((0, 1), (1, 2)) for red-green over green-blue: static and
-hashable. Its tile is repeated from the first pixel of the picture down and to the right; the last
-tiles may be cut. Bands are 0, 1, ... without a gap, each somewhere in the tile. Pictures are in any
-unit, which they keep. Every other pattern is a `ValueError`.
+A pattern is a tuple of rows of band indices, such as ((0, 1), (1, 2)) for red-green over
+green-blue. It is static and hashable. The tile is repeated from the first pixel of the picture down
+and to the right. The last tiles may be incomplete. Bands are 0, 1, ... without a gap, and each
+occurs in the tile. Pictures may have any unit. Any other pattern is a `ValueError`.
 """
 
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ def bayer(phase: str) -> Pattern:
 
 
 def as_pattern(pattern: Pattern | str) -> Pattern:
-    """A pattern, which may be named by the phase of a Bayer mosaic."""
+    """A pattern from its rows or from the name of a Bayer phase."""
     return as_tile(pattern)
 
 
@@ -50,9 +50,9 @@ def check_pattern(pattern: Pattern, *, bands: int | None = None, name: str = "pa
 
 
 def sites(pattern: Pattern | str, height: int, width: int) -> tuple[Bool[Array, "h w"], ...]:
-    """For each band of the pattern, the pixels of a picture that measure it.
+    """For each band of the pattern, the mask of the pixels that measure it.
 
-    Composed from rows and columns, so that a compiled program stores no mask of every pixel.
+    It is composed of rows and columns, so that a compiled program stores no mask of every pixel.
     """
     pattern = as_pattern(pattern)
     check_pattern(pattern)

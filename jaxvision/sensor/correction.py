@@ -1,12 +1,12 @@
-"""Raw numbers back to light: what the camera did is undone, and how well is known.
+"""Raw numbers back to light: undo the effects of the camera, and state the error of the result.
 
     light = (unmixed(g^-1((raw - black) / K)) - dark) / flat
 
-The error of a corrected frame is a sum of parts, each an amplitude times standard draws that are
-new in each pixel, each row, each column or each frame, or the same in all pixels; a small kernel
-spreads it where neighbours were unmixed. Shot noise, read noise and rounding are new in each frame.
-Errors of master frames, unequal pixels and the uncertainty of the camera's own numbers are the same
-in all frames, so they cancel in part where two frames are subtracted.
+The error of a corrected frame is a sum of parts. Each part is an amplitude times standard Gaussian
+draws, which are independent for each pixel, row, column or frame, or the same in all pixels. If
+neighbours were unmixed, a small kernel spreads the part. Shot noise, read noise and rounding are
+new in each frame. Errors of master frames, unequal pixels and the uncertainty of the camera's
+parameters are the same in all frames. They cancel in part in the difference of two frames.
 """
 
 from collections.abc import Callable
@@ -80,7 +80,7 @@ class Master(Shown):
 
 
 class Masters(Shown):
-    """Frames by which others are corrected, of the same exposure time.
+    """Frames for correcting others, of the same exposure time.
 
     Attributes:
         dark: without light: black level, dark current and the offset of each pixel; or None.
@@ -122,7 +122,7 @@ class Part(Shown):
 
 
 class Calibrated(Shown):
-    """A frame without its camera, and the parts of its error.
+    """A corrected frame, and the parts of its error.
 
     Attributes:
         image: (..., h, w, bands) electrons of light that a pixel of mean sensitivity frees, or
@@ -141,23 +141,24 @@ class Calibrated(Shown):
 
     @property
     def variance(self) -> Counts:
-        """(..., h, w, bands), of the noise that is new in each frame: shot, read-out, rounding."""
+        """Variance of the noise that is new in each frame, (..., h, w, bands): shot noise, read-out
+        and rounding."""
         return self._sum(lambda part: not part.lasts)
 
     @property
     def total_variance(self) -> Counts:
-        """(..., h, w, bands) of all parts: by how much a pixel is off the light."""
+        """Variance of the total error of a pixel, (..., h, w, bands), the sum of all parts."""
         return self._sum(lambda part: True)
 
     @property
     def shared(self) -> Float[Array, "factors ..."]:
-        """(factors, ..., h, w, bands): how far one standard deviation along each principal axis of
-        the camera's numbers moves all pixels together."""
+        """The shift of all pixels by one standard deviation along each principal axis of the
+        camera's parameters, (factors, ..., h, w, bands)."""
         found = [_spread(part.amplitude, part.kernel) for part in self.parts if part.along == "all"]
         return jnp.stack(found) if found else jnp.zeros((0, *self.image.shape))
 
     def mean(self, where: Bool[Array, "h w"] | None = None) -> Moments:
-        """The mean of a patch and its variance, with all that pixels share.
+        """The mean of a patch and its variance, with the errors that its pixels share.
 
         Args:
             where: (h, w) which pixels count, or None for all; NaN never count.
@@ -175,7 +176,7 @@ class Calibrated(Shown):
         return Moments(value, sum(variances, jnp.zeros_like(value)))
 
     def filtered(self, kernel: Kernel) -> "Calibrated":
-        """The frame after a convolution, border "mirror", with the covariances that it makes.
+        """The frame after a convolution with border "mirror", with the resulting covariances.
 
         Args:
             kernel: (rows, columns) no unit.
@@ -188,7 +189,7 @@ class Calibrated(Shown):
         return Calibrated(convolve(self.image, kernel), tuple(parts))
 
     def __sub__(self, other: "Calibrated") -> "Calibrated":
-        """The difference of two frames of one camera: what lasts in both cancels."""
+        """The difference of two frames of one camera. Errors that both share cancel."""
         lasting = {part.name: part for part in other.parts if part.lasts}
         parts = [part for part in other.parts if not part.lasts]
         for part in self.parts:
@@ -213,14 +214,14 @@ def _spread(picture: Counts, kernel: Kernel | None) -> Counts:
 
 
 def _both(first: Kernel | None, second: Kernel | None) -> Kernel | None:
-    """The kernel of two, one after the other."""
+    """The kernel of two convolutions in sequence."""
     if first is None or second is None:
         return second if first is None else first
     return convolve2d(first, second)
 
 
 def _variance(part: Part) -> Counts:
-    """Of each pixel; amplitudes are taken as even over the reach of the kernel."""
+    """Variance of each pixel; amplitudes are taken as constant over the reach of the kernel."""
     kernel = part.kernel
     if part.along in ("frame", "all") or kernel is None:
         return _spread(part.amplitude, kernel) ** 2
@@ -259,9 +260,9 @@ def correct(
     """Undoes a camera: black level, gain, non-linearity, mixing, charge transfer, brighter-fatter
     effect, dark current, flat field, crosstalk, smear and light offset.
 
-    Charge transfer and the brighter-fatter effect are undone to the first order. Without a master
-    the pixels' differences stay in the image, as parts of its error of the size that the sensor
-    states. Banding counts as noise of rows.
+    Charge transfer and the brighter-fatter effect are undone to first order. Without a master, the
+    differences between pixels stay in the image. Their size, as the sensor states it, is a part of
+    the error. Banding counts as row noise.
 
     Args:
         raw: (..., h, w, bands) DN; (..., h, w, 1) of a mosaic. Leading axes are frames.
@@ -320,7 +321,8 @@ def correct(
 
 
 def _unusable(sensor: Sensor, raw: Counts, masters: Masters) -> Bool[Array, "..."]:
-    """Defects, and numbers at the end of the converter's range or within noise of a full well."""
+    """Defects, and pixels at the end of the converter's range or within the noise of a full
+    well."""
     bad = jnp.zeros(raw.shape, bool)
     if masters.defects is not None:
         bad = bad | _beside(masters.defects[..., None], raw)
@@ -333,7 +335,7 @@ def _unusable(sensor: Sensor, raw: Counts, masters: Masters) -> Bool[Array, "...
 
 
 def _times(x: Scalars, factor: Scalars | None) -> Scalars:
-    """A product whose absent factor is 1."""
+    """A product in which an absent factor is 1."""
     return x if factor is None else x * factor
 
 
@@ -342,7 +344,7 @@ def _both_of(one: Scalars | None, other: Scalars | None) -> Scalars | None:
 
 
 def _image(sensor: Sensor, raw: Counts, masters: Masters, flat: Counts | None) -> Counts:
-    """Electrons of light that a pixel of mean sensitivity frees."""
+    """Photoelectrons in a pixel of mean sensitivity."""
     light = _without_dark(sensor, _charge(sensor, raw, masters.dark))
     light = light if flat is None else light / _response(flat)
     if sensor.crosstalk is not None:
@@ -360,7 +362,7 @@ def _without_dark(sensor: Sensor, charge: Counts) -> Counts:
 
 
 def _unasked(sensor: Sensor, like: Counts) -> Scalars | None:
-    """Electrons of a light offset in photons; None without."""
+    """Photoelectrons of a light offset that is stated in photons; None without one."""
     if sensor.light_offset is None or isinstance(sensor.light_offset, ShutterOffset):
         return None
     colours = sensor.colour_filter
@@ -411,12 +413,12 @@ def _signal(sensor: Sensor, raw: Counts, dark: Master | None) -> Counts:
 
 
 def _response(flat: Counts) -> Counts:
-    """Sensitivity of each pixel, relative to the mean pixel, from the light in the flat."""
+    """Sensitivity of each pixel relative to the mean pixel, from the flat."""
     return flat / jnp.mean(flat, (-3, -2), keepdims=True)
 
 
 def _flat(sensor: Sensor, masters: Masters, raw: Counts) -> Counts | None:
-    """Electrons of light in the flat, or None without a flat."""
+    """Photoelectrons in the flat, or None without a flat."""
     if masters.flat is None:
         return None
     flat = _beside(masters.flat.mean.astype(raw.dtype), raw)
@@ -433,7 +435,7 @@ def _without_defects(masters: Masters, defects: Bool[Array, "h w"]) -> Masters:
 
 
 def _filled(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
-    """Defects filled with the mean of the usable pixels around them, within 5 x 5."""
+    """Fill defects with the mean of the usable pixels around them, within 5 x 5."""
     good = jnp.broadcast_to(~_beside(defects[..., None], raw), raw.shape)
     around = jnp.ones((5, 5), raw.dtype)
     mean = convolve(jnp.where(good, raw, 0), around) / jnp.maximum(
@@ -443,7 +445,7 @@ def _filled(raw: Counts, defects: Bool[Array, "h w"]) -> Counts:
 
 
 def _parts(sensor: Sensor, raw: Counts, masters: Masters, expected: Counts | None) -> list[Part]:
-    """All parts but those of the camera's own numbers, electrons."""
+    """All parts of the error except those of the camera's parameters, electrons."""
     of = {"shape": raw.shape, "dtype": raw.dtype}
     flat = _flat(sensor, masters, raw)
     response = None if flat is None else _response(flat)
@@ -523,7 +525,7 @@ def _hum(sensor: Sensor) -> Scalar | float:
 
 
 def _slope(sensor: Sensor, charge: Counts) -> Counts:
-    """By how much the signal rises with the charge."""
+    """The derivative of the signal with respect to the charge."""
     curve = sensor.nonlinearity
     assert curve is not None
     one = jnp.ones_like(charge)
@@ -595,7 +597,7 @@ def _cross(share: Scalar) -> Kernel:
 
 
 def _inverse(kernel: Kernel) -> Float[Array, "height width"]:
-    """The kernel that undoes another, cut beyond 8 pixels."""
+    """The kernel that inverts another, truncated at 8 pixels."""
     rows, columns = kernel.shape
     wide = jnp.zeros((_PERIOD, _PERIOD), kernel.dtype).at[:rows, :columns].set(kernel)
     wide = jnp.roll(wide, (-(rows // 2), -(columns // 2)), (0, 1))

@@ -1,4 +1,4 @@
-"""Dark current in electrons per second and pixel over temperature in K."""
+"""Dark current, electrons per second and pixel, as a function of temperature in K."""
 
 import jax.numpy as jnp
 

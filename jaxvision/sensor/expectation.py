@@ -1,7 +1,7 @@
-"""Expectations over what a pixel draws, with slopes in what the draws are made of.
+"""Expectations over the draws of a pixel, with slopes with respect to the parameters of the draws.
 
-A draw has no derivative; an expectation has. Three estimators of the slope of E[f(X)] from draws,
-each the mean over the draws. Of Poisson counts N of mean m, by m:
+A draw has no derivative, but an expectation has. There are three estimators of the slope of
+E[f(X)], each a mean over draws. For Poisson counts N, with respect to the mean m:
 
     pathwise          f'(N) (1/2 + N / (2 m)), as `count` is differentiated: unbiased for
                       polynomials up to the second degree, not beyond (by 1/2 for N^3); blind to a
@@ -11,7 +11,8 @@ each the mean over the draws. Of Poisson counts N of mean m, by m:
                       for any f, also of a whole picture to one number; its variance grows like 1/m
                       in faint light, and with the number of pixels
 
-Of a reading X = m + s Z with Gaussian noise, which an ADC rounds and clips, by m and by s:
+For a reading X = m + s Z with Gaussian noise, rounded and clipped by an ADC, with respect to m and
+s:
 
     pathwise          f'(X) and f'(X) Z: unbiased for a continuous f, clipping among them; blind to
                       steps
@@ -20,13 +21,13 @@ Of a reading X = m + s Z with Gaussian noise, which an ADC rounds and clips, by 
                       any f of each pixel alone
     score             (f(X) - b) Z / s and (f(X) - b) (Z^2 - 1) / s: unbiased for any f
 
-Of a defect that a pixel has with chance p (B = 1), dead, hot or a trap, by p:
+For a defect that a pixel has with chance p (B = 1; dead, hot or a trap), with respect to p:
 
     pathwise          0: a pixel has it or not
     measure_valued    f(1) - f(0): unbiased for any f of each pixel alone
     score             (f(B) - b) (B - p) / (p (1 - p)): unbiased for any f
 
-Expected images need no draw: `expected_signal`, `signal_variance` and `clipped_moments` have the
+Expected images need no draw. `expected_signal`, `signal_variance` and `clipped_moments` have the
 slopes of their closed forms. Sources: Mohamed et al., "Monte Carlo Gradient Estimation in Machine
 Learning", JMLR 21 (2020); for the difference of counts, Last & Penrose, Lectures on the Poisson
 Process (2017), section 19.1.
@@ -58,10 +59,10 @@ def expected_of_count(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """E[f(N)] of Poisson counts by a mean over draws; its gradient is the estimator's.
+    """E[f(N)] of Poisson counts, the mean over draws. Its gradient is that of the chosen estimator.
 
-    Gradients also reach what `function` closes over. Second derivatives in the mean are not those
-    of the expectation.
+    The variables that `function` closes over get gradients, too. Second derivatives in the mean are
+    not those of the expectation.
 
     Args:
         key: random key.
@@ -113,11 +114,11 @@ def expected_of_reading(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """E[f(X)] of readings with Gaussian noise by a mean over draws; its gradient is the
-    estimator's. f may round and clip, as an ADC does.
+    """E[f(X)] of readings with Gaussian noise, the mean over draws. Its gradient is that of the
+    chosen estimator. `function` may round and clip, as an ADC does.
 
-    Gradients also reach what `function` closes over. Second derivatives are not those of the
-    expectation.
+    The variables that `function` closes over get gradients, too. Second derivatives are not those
+    of the expectation.
 
     Args:
         key: random key.
@@ -166,7 +167,7 @@ def expected_of_reading(
 
 
 def _one_sided(key: Key, mean: Scalars) -> tuple[Scalars, Scalars]:
-    """Draws of Rayleigh's distribution, and of Maxwell's with a sign of its own."""
+    """Draws of Rayleigh's distribution, and of Maxwell's with a random sign."""
     flat, deep, sign = jax.random.split(jax.random.fold_in(key, 1), 3)
     rayleigh = jnp.sqrt(jax.random.chisquare(flat, 2, shape=mean.shape, dtype=mean.dtype))
     maxwell = jnp.sqrt(jax.random.chisquare(deep, 3, shape=mean.shape, dtype=mean.dtype))
@@ -182,11 +183,11 @@ def expected_of_defect(
     estimator: str = "measure_valued",
     draws: int = 2,
 ) -> Float[Array, "..."]:
-    """E[f(B)] of pixels that have a defect, B = 1, with a chance, else B = 0, by a mean over draws;
-    its gradient is the estimator's.
+    """E[f(B)] of pixels that have a defect (B = 1) with a given chance, else B = 0, the mean over
+    draws. Its gradient is that of the chosen estimator.
 
-    Gradients also reach what `function` closes over. Second derivatives are not those of the
-    expectation.
+    The variables that `function` closes over get gradients, too. Second derivatives are not those
+    of the expectation.
 
     Args:
         key: random key.
@@ -254,7 +255,7 @@ def _values(
 def _score(
     values: Float[Array, "draws ..."], scores: Float[Array, "draws ..."]
 ) -> Float[Array, "..."]:
-    """The slopes by the parameter of each pixel."""
+    """The score estimator of the slope for the parameter of each pixel."""
     others = (values.sum(0, keepdims=True) - values) / (len(values) - 1)
     return jax.vmap(jnp.multiply)(values - others, scores).mean(0)
 

@@ -2,8 +2,8 @@
 
 Irradiance is in W m^-2, or in photons per second and pixel where the sensor has no
 `photon_conversion`; photons and electrons are counted per pixel and exposure. Smear and crosstalk
-act here, before electrons are counted: each electron moves independently, so the charge that
-arrives from elsewhere is Poisson too and only its expectation changes.
+act before electrons are counted. Each electron moves independently, so charge from other pixels is
+Poisson, too, and only the expectation changes.
 """
 
 from dataclasses import replace
@@ -42,7 +42,7 @@ print_by_name(globals(), "Light", "Counts")
 def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) -> Spectrum:
     """Photons per second and pixel: lambda E A / (h c).
 
-    Times the exposure time it is mu_p of EMVA 1288.
+    Multiplied by the exposure time it is mu_p of EMVA 1288.
 
     Args:
         irradiance: (..., bands) W m^-2.
@@ -66,11 +66,11 @@ def photon_rate(irradiance: Spectrum, wavelength: Scalars, pixel_area: Scalars) 
 
 @takes_numbers
 def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -> Sensor:
-    """The sensor at another ISO setting: its gain grows in proportion.
+    """The sensor at another ISO setting, with a gain in proportion.
 
-    ISO 12232 rates a camera by the exposure H in lx s that just fills the range of its ADC, S = 78
-    / H, which is as many times smaller as the gain is larger. Noise before the amplifier keeps its
-    value in electrons, so it grows in DN. The well keeps its electrons.
+    ISO 12232 rates a camera by the exposure H in lx s that just fills the range of its ADC: S = 78
+    / H. A gain twice as large halves H. Noise before the amplifier keeps its value in electrons, so
+    it grows in DN. The full well keeps its value in electrons.
 
     Args:
         sensor: as it is at `base_iso`.
@@ -131,7 +131,7 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
 
 
 def _freed(sensor: Sensor, photons: Spectrum) -> Counts:
-    """Electrons that photons free, behind all filters."""
+    """Photoelectrons behind all filters."""
     electrons = photons
     if sensor.infrared_cut is not None:
         electrons = electrons * _over_bands("Sensor.infrared_cut", sensor.infrared_cut, electrons)
@@ -172,7 +172,7 @@ def expected_charge(sensor: Sensor, irradiance: Light) -> Counts:
 
 @takes_numbers
 def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
-    """Electrons counted by each pixel of a mosaic sensor.
+    """Electrons that each pixel of a mosaic sensor counts.
 
     Args:
         colour_filter: transmissions of the colours and their pattern.
@@ -207,7 +207,7 @@ def filtered(colour_filter: ColourFilter, electrons: Image) -> Counts:
 def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
     """Electrons after crosstalk: each pixel gives a share to each of its four neighbours.
 
-    As much comes back over the border as leaves, so no electrons are lost.
+    The same amount returns over the border of the image, so no electrons are lost.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -236,7 +236,7 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
 
 @takes_numbers
 def smeared(electrons: Counts, smear: Scalars) -> Counts:
-    """Electrons after the frame has been shifted along its columns through the light.
+    """Electrons after the frame has been shifted along its columns under light.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -311,7 +311,7 @@ def _over_bands(name: str, x: Scalars, like: Spectrum) -> Scalars:
 
 
 def _of_an_rgb_picture(shape: tuple[int, ...], bands: int) -> str:
-    """What to do with a picture of three bands before a sensor of others."""
+    """The error message's advice for a picture of three bands and a sensor of other bands."""
     if shape[-1:] != (3,) or bands == 3:
         return ""
     return (

@@ -1,8 +1,8 @@
-"""Differences between pixels that stay with a camera, drawn from the key of its die.
+"""Fixed differences between the pixels of a camera, drawn from the key of its die.
 
-Every function returns an array that broadcasts against (..., h, w, bands) electrons; those for rows
-and columns need such an image. Sensitivities are relative, offsets in electrons, dark rates in e-
-s^-1. Each raises `ValueError` where it draws and `die_key` is None.
+Every function returns an array that broadcasts against (..., h, w, bands) electrons. The functions
+for rows and columns need such an image. Sensitivities are relative, offsets in electrons, dark
+rates in e- s^-1. A function that draws raises `ValueError` if `die_key` is None.
 """
 
 import jax.numpy as jnp
@@ -32,8 +32,8 @@ def sensitivity(
 ) -> Scalars | None:
     """Response of each pixel relative to the mean pixel: max(1 + PRNU, 0), and 0 for dead pixels.
 
-    A pixel is dead or not, so the gradient by `dead_pixels` is 0; that of an average die is in
-    `expected_signal` and `pattern_variance`.
+    Whether a pixel is dead is drawn, so the gradient with respect to `dead_pixels` is 0.
+    `expected_signal` and `pattern_variance` have the gradient of an average die.
 
     Args:
         die_key: random key of the die.
@@ -69,9 +69,9 @@ def hot_rates(
 ) -> Scalars:
     """Excess dark current of each pixel: 0 in most, exponentially distributed in hot pixels.
 
-    Dead and hot pixels are drawn from the two ends of one uniform number, so that no pixel is both
-    while the two fractions add up to at most 1. The place of the number within its end decides how
-    hot a pixel is: the excess begins at 0, so that gradients by fraction and rate are unbiased.
+    Dead and hot pixels are drawn from the two ends of one uniform number, so no pixel is both if
+    the two fractions add up to at most 1. The position of the number within its end sets the
+    excess, which begins at 0. Gradients with respect to fraction and rate are therefore unbiased.
 
     Args:
         die_key: random key of the die.

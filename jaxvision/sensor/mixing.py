@@ -1,11 +1,11 @@
-"""Electrons that neighbours share after they were counted: a linear filter behind the noise.
+"""Mixing of counted electrons between neighbours: a linear filter after the shot noise.
 
-Of independent pixels of variance v a kernel w leaves
+Independent pixels of variance v have after a kernel w
 
     variance     v sum w^2
     covariance   v sum w(k) w(k + lag)
 
-and the sum over all lags stays v, as the sum of w is 1.
+The sum over all lags stays v, because w sums to 1.
 """
 
 from typing import Any
@@ -26,7 +26,7 @@ from .exposure import Counts
 
 @takes_numbers
 def mixed(electrons: Counts, mixing: Mixing) -> Counts:
-    """Electrons after mixing; what leaves over the border of the image comes back.
+    """Electrons after mixing; electrons that leave over the border of the image return.
 
     Args:
         electrons: (..., h, w, bands) electrons.
@@ -49,7 +49,8 @@ def mixed(electrons: Counts, mixing: Mixing) -> Counts:
 
 @takes_numbers
 def even_mixing(share: Scalar) -> Mixing:
-    """The mixing of the four nearest neighbours alike that takes a share of a pixel's variance.
+    """The mixing with four equal nearest neighbours that reduces a pixel's variance by a given
+    share.
 
     Args:
         share: () of the variance, 1 - sum kernel^2, below 4/5, no unit.
@@ -69,7 +70,7 @@ def even_mixing(share: Scalar) -> Mixing:
 
 
 def _moments(mixing: Mixing, moments: Any) -> Any:
-    """Of independent pixels; beyond the border lie others of the same variance."""
+    """Moments for independent pixels; pixels beyond the border have the same variance."""
     check_image("Sensor.mixing", moments.mean.shape)
     square = mixing.kernel.astype(moments.mean.dtype) ** 2
     return moments._replace(
@@ -78,8 +79,8 @@ def _moments(mixing: Mixing, moments: Any) -> Any:
 
 
 def _bound(ends: Ends[Mixing], electrons: float) -> tuple[float, float]:
-    """S = sum |w| over the neighbours: the mean moves by no more than S of the largest charge, and
-    its rms neither."""
+    """S = sum |w| over the neighbours, which bounds the change of the mean and of its rms relative
+    to the largest charge."""
     low, high = (np.asarray(end.kernel, float) for end in ends)
     largest = np.maximum(np.abs(low), np.abs(high))
     middle = tuple(size // 2 for size in largest.shape)

@@ -1,13 +1,13 @@
-"""Expectation and variance of raw data in closed form, without a random draw. In DN and DN^2.
+"""Expectation and variance of raw data in closed form, without a random draw, in DN and DN^2.
 
     mean     mu_y  = K (eta mu_p + mu_d) + offset
     variance var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12      (temporal)
     pattern  s_y^2 = K^2 ((PRNU eta mu_p)^2 + DSNU^2)                 (from pixel to pixel)
 
-and every further source of the sensor beside these. Differences between the pixels of a die (dead,
-hot and trapping pixels, columns) enter the mean and the temporal variance as averages over dies.
-Under the brighter-fatter effect variances are those of even light of each pixel's own mean.
-Blooming has no closed form and is left out.
+Every further source of the sensor adds its term. Differences between the pixels of a die (dead, hot
+and trapping pixels, columns) enter mean and temporal variance as averages over dies. Under the
+brighter-fatter effect, variances are those of even light at each pixel's mean. Blooming has no
+closed form and is neglected.
 """
 
 from dataclasses import replace
@@ -98,7 +98,7 @@ def signal_variance(sensor: Sensor, irradiance: Light) -> Counts:
 
         var_y = K^2 (eta mu_p + mu_d + sigma_read^2) + 1/12
 
-    Rounding adds 1/12 DN^2 once, which holds where the other noise exceeds about half a DN.
+    Rounding adds 1/12 DN^2 once, which is accurate if the other noise exceeds about half a DN.
 
     Args:
         sensor: the sensor.
@@ -178,12 +178,13 @@ def neighbour_covariances(
 ) -> Float[Array, "... lags lags"]:
     """Temporal covariances of a pixel with its neighbours in even light, before clipping.
 
-    Charges that repel each other and electrons that neighbours share correlate pixels; so does
-    noise of rows, columns and frames. At an offset of i rows and j columns stand row_noise^2 if i =
-    0, column_noise^2 if j = 0, frame_noise^2, and (a^2 / 2) cos(2 pi i / period) of banding.
+    Pixels are correlated by the brighter-fatter effect, by mixing, and by noise of rows, columns
+    and frames. At an offset of i rows and j columns the noise adds row_noise^2 if i = 0,
+    column_noise^2 if j = 0, frame_noise^2, and (a^2 / 2) cos(2 pi i / period) of banding.
 
-    Charge transfer is taken to leave packets independent, as it does Poisson's. Differences between
-    pixels enter as averages over dies, neighbours are of the same tap.
+    Charge transfer is assumed to leave packets independent, which is exact for Poisson packets.
+    Differences between pixels enter as averages over dies. Neighbours are assumed to have the same
+    tap.
 
     Args:
         sensor: the sensor.
@@ -240,7 +241,8 @@ def neighbour_covariances(
 
 @takes_numbers
 def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
-    """Signal-to-noise ratio of one pixel: its signal above dark over its temporal noise, unclipped.
+    """Signal-to-noise ratio of one pixel: the signal above dark over the temporal noise, before
+    clipping.
 
         SNR = eta mu_p / sqrt(eta mu_p + mu_d + sigma_read^2 + 1 / (12 K^2))
 
@@ -274,12 +276,12 @@ def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
 def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     """Mean and temporal variance of raw data that a full well and the range of the ADC clip.
 
-    Below 20 electrons, Poisson's counts are summed one by one (not under the brighter-fatter
-    effect, poor charge transfer, or unequal gains). Elsewhere the clipped variable is taken as
-    Gaussian: exact for Gaussian noise; for Poisson noise the mean is off by less than 0.07 of the
-    noise's rms over sqrt(electrons at the clipping level). Rounding of noise below 1 DN is exact;
-    of more it adds 1/12 DN^2. Smooth in every parameter of a noisy sensor, with gradients that fall
-    to 0 beyond saturation.
+    Below 20 electrons the sum over Poisson counts is explicit, except under the brighter-fatter
+    effect, poor charge transfer, or unequal gains. Elsewhere the clipped variable is taken as
+    Gaussian, which is exact for Gaussian noise. For Poisson noise the error of the mean is less
+    than 0.07 of the noise's rms over sqrt(electrons at the clipping level). Rounding is exact for
+    noise below 1 DN. For larger noise it adds 1/12 DN^2. The result is smooth in every parameter of
+    a noisy sensor, and its gradients fall to 0 beyond saturation.
 
     Args:
         sensor: the sensor; `full_well` and `bits` clip.
@@ -363,7 +365,7 @@ def _are_crossed(low: Scalar, high: Scalar) -> bool:
 def _at_one_end(
     mean: Scalars, sigma: Scalars, clipped: Scalars, *, low: Scalar | None, high: Scalar | None
 ) -> tuple[Scalars, Scalars]:
-    """Mean and variance of a Gaussian variable clipped at one end, or at none."""
+    """Mean and variance of a Gaussian variable clipped at one end or not at all."""
     if low is not None:
         sign, end = 1, low
     elif high is not None:
@@ -380,10 +382,10 @@ def _at_both_ends(
 ) -> tuple[Scalars, Scalars]:
     """Mean and variance of a Gaussian variable clipped to [low, high].
 
-    The clipped variable is low + sigma (A - B) with A = max(Z + p, 0), B = max(Z - q, 0), where p
-    and q are the distances of the mean from the ends in standard deviations; where B > 0, A is
-    B + p + q. The nearer end is taken as the low one. Noise much wider than the window has its own
-    series, as here everything would cancel.
+    The clipped variable is low + sigma (A - B) with A = max(Z + p, 0) and B = max(Z - q, 0). Here p
+    and q are the distances of the mean from the ends in standard deviations, and A is B + p + q
+    where B > 0. The nearer end is taken as the low one. Noise much wider than the window has its
+    own series, because these terms would cancel.
     """
     p, q = _inside(mean, sigma, low, 1), _inside(mean, sigma, high, -1)
     moved = clipped + sigma * (tail_mean(_outside(p)) - tail_mean(_outside(q)))
@@ -408,7 +410,7 @@ def _at_both_ends(
 
 
 def _inside(mean: Scalars, sigma: Scalars, end: Scalar, sign: int) -> Scalars:
-    """How far inside an end the mean lies, in standard deviations; `sign` 1 for the low end."""
+    """Distance of the mean inside an end, in standard deviations; `sign` is 1 for the low end."""
     clips = ~jnp.isinf(end)
     return jnp.where(clips, sign * (mean - jnp.where(clips, end, 0)) / sigma, _FAR)
 
@@ -448,8 +450,8 @@ def _read(sensor: Sensor, charge: Moments) -> Moments:
 
 
 def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
-    """By how much mixing leaves more variance to charges that repel each other, whose neighbours
-    are correlated, than to independent ones; no unit."""
+    """The relative excess of variance after mixing for charges that repel each other, compared with
+    independent charges. Neighbours of repelling charges are correlated."""
     assert sensor.mixing is not None
     assert sensor.brighter_fatter is not None
     lit, kernel = mean > 0, sensor.mixing.kernel.astype(mean.dtype)
@@ -459,7 +461,7 @@ def _repelled_share(sensor: Sensor, mean: Scalars) -> Scalars:
 
 
 def _of_charges(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars, Covariances]:
-    """Mean of the charges that are there behind mixing, and their covariances, electrons^2."""
+    """Mean of the charges after mixing, and their covariances, electrons^2."""
     charge = _charge(sensor, irradiance)
     mean, variance = _passed_on(sensor, charge)
     size = reach + _farthest(sensor)
@@ -474,14 +476,14 @@ def _of_charges(sensor: Sensor, irradiance: Light, reach: int) -> tuple[Scalars,
 
 
 def _offsets(reach: int, like: Scalars) -> tuple[Array, Array, Array]:
-    """Whether an offset is 0, and how many rows and columns it has, behind the axes of an array."""
+    """Whether an offset is 0, and its rows and columns, with axes for broadcasting."""
     along = np.indices((reach + 1, reach + 1)).reshape(2, *(1,) * like.ndim, reach + 1, reach + 1)
     rows, columns = (jnp.asarray(x, like.dtype) for x in along)
     return (rows == 0) & (columns == 0), rows, columns
 
 
 def _farthest(sensor: Sensor) -> int:
-    """By how many pixels two pixels may lie apart that share electrons of a third."""
+    """The largest distance, in pixels, of two pixels that share electrons of a third."""
     return 0 if sensor.mixing is None else max(sensor.mixing.kernel.shape) - 1
 
 
@@ -496,7 +498,7 @@ def _repelled(effect: BrighterFatter, electrons: Scalars, reach: int) -> Covaria
 def _mixed(
     kernel: Float[Array, "rows columns"], found: Covariances, reach: int
 ) -> Float[Array, "... kept kept"]:
-    """Covariances after mixing, of those before it, which reach further."""
+    """Covariances after mixing, from those before it, which extend further."""
     shared = correlate2d(kernel, kernel, mode="full")  # sum w(k) w(k + lag)
     shared = (shared + shared[:, ::-1]) / 2
     lags = np.arange(reach + 1)
@@ -506,7 +508,7 @@ def _mixed(
 
 
 def _passed_on(sensor: Sensor, charge: Moments) -> Moments:
-    """Moments of the electrons behind charge transfer."""
+    """Moments of the electrons after charge transfer."""
     if sensor.charge_transfer is None:
         return charge
     mean, variance = charge
@@ -516,13 +518,13 @@ def _passed_on(sensor: Sensor, charge: Moments) -> Moments:
 
 
 def _acted(sensor: Sensor, charge: Moments) -> Moments:
-    """Moments of the electrons behind all effects on the charge that is there."""
+    """Moments of the electrons after all effects on charge."""
     return moments_after(on_charge(sensor), charge)
 
 
 def _over_counts(sensor: Sensor, mean: Scalars) -> Moments:
-    """Moments of the raw numbers of Poisson's counts of that mean, below FAINT: sums over counts,
-    about the number of the mean."""
+    """Moments of the raw numbers for Poisson counts of a mean below FAINT, summed over counts near
+    the mean."""
     about = _converted(sensor, _read(sensor, Moments(mean, jnp.zeros_like(mean)))).mean
     about = jax.lax.stop_gradient(about)
 
@@ -545,8 +547,8 @@ def _over_counts(sensor: Sensor, mean: Scalars) -> Moments:
 
 
 def _converted(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> Moments:
-    """Moments of the numbers of the ADC, DN. Without noise rounding counts as 1/12 DN^2, but for
-    electrons of one count, whose number is known."""
+    """Moments of the numbers of the ADC, DN. Without noise, rounding counts as 1/12 DN^2, except
+    for electrons of one count, whose code is known."""
     if sensor.bits is None:
         return _signal(sensor, read)
     analogue = _signal(replace(sensor, bits=None), read)
@@ -560,8 +562,8 @@ def _converted(sensor: Sensor, read: Moments, *, of_one_count: bool = False) -> 
 
 
 def _rounded(analogue: Moments, fine: Bool[Array, "..."], high: Scalar) -> Moments:
-    """Moments of Gaussian noise of less than 1 DN rms, rounded to whole numbers from 0 to `high`:
-    with P_c = P(x > c + 1/2), the mean is sum P_c and the mean square sum (2 c + 1) P_c."""
+    """Moments of Gaussian noise of less than 1 DN rms, rounded to whole numbers from 0 to `high`.
+    With P_c = P(x > c + 1/2), the mean is sum P_c and the mean square sum (2 c + 1) P_c."""
     noisy = fine & (analogue.variance > 0)
     sigma = jnp.sqrt(jnp.where(noisy, analogue.variance, 1))
     base = jax.lax.stop_gradient(jnp.floor(analogue.mean)) - ROUNDED

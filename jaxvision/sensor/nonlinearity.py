@@ -1,7 +1,8 @@
-"""Curves from the charge of a pixel to its signal, their inverses and slopes. All in electrons.
+"""Curves from the charge of a pixel to its signal, their inverses and slopes. All quantities are in
+electrons. The signal is the charge that gives the same reading in a linear sensor with the same
+gain at 0.
 
-A signal is what a linear sensor of the same gain at 0 would have to hold to be read alike. Every
-curve goes straight on beyond the charges at which it is known.
+Every curve continues as a straight line beyond the charges at which it is known.
 """
 
 from collections.abc import Callable
@@ -25,7 +26,7 @@ _STEPS = 30  # of a search: bisection alone leaves 1e-9 of an interval, Newton's
 
 @takes_numbers
 def signal_of_charge(nonlinearity: Nonlinearity, electrons: Scalars) -> Scalars:
-    """The signal that a charge is read as.
+    """The signal for a charge.
 
     Args:
         nonlinearity: the curve.
@@ -50,7 +51,7 @@ def signal_of_charge(nonlinearity: Nonlinearity, electrons: Scalars) -> Scalars:
 
 @takes_numbers
 def charge_of_signal(nonlinearity: Nonlinearity, signal: Scalars) -> Scalars:
-    """The charge that is read as a signal: the inverse of `signal_of_charge`.
+    """The charge for a signal: the inverse of `signal_of_charge`.
 
     Args:
         nonlinearity: the curve.
@@ -99,8 +100,8 @@ def _expanded(effect: Compression, signal: Scalars) -> Scalars:
 
 
 def _slopes_of_compression(ends: Ends[Compression]) -> tuple[float, float]:
-    """1 - 2 c u - 3 d u^2 over u in [0, 1]: largest and least at an end, or where it turns; linear
-    in c and d."""
+    """The smallest and the largest value of 1 - 2 c u - 3 d u^2 over u in [0, 1], at an end or at
+    the vertex; linear in c and d."""
     found = []
     for c in (float(end.first) for end in ends):
         for d in (0.0 if end.second is None else float(end.second) for end in ends):
@@ -116,14 +117,15 @@ register_curve(Compression, curve=_compressed, slopes=_slopes_of_compression, in
 
 
 def _interpolated(x: Scalars, inputs: Scalars, outputs: Scalars) -> Scalars:
-    """Straight lines between the entries, and on beyond them."""
+    """Linear interpolation between the entries, and linear extrapolation beyond them."""
     k = jnp.clip(jnp.searchsorted(inputs, x, side="right") - 1, 0, inputs.shape[0] - 2)
     slopes = jnp.diff(outputs) / jnp.diff(inputs)
     return outputs[k] + slopes[k] * (x - inputs[k])
 
 
 def _chords(ends: Ends[Any]) -> tuple[float, float]:
-    """The least and the largest slope between two entries, each of which may be at either end."""
+    """The smallest and the largest slope between two entries, with each entry at either end of its
+    range."""
     low, high = (np.asarray(end.signal, float) for end in ends)
     first, last = (np.asarray(end.electrons, float) for end in ends)
     shortest, longest = first[1:] - last[:-1], last[1:] - first[:-1]
@@ -161,8 +163,9 @@ def _smooth_inverse(curve: ResponseSpline, signal: Scalars) -> Scalars:
 
 
 def _slopes_of_spline(ends: Ends[ResponseSpline]) -> tuple[float, float]:
-    """Of a cubic between two points, its slope is a parabola: extreme at an end or where it turns.
-    Where a number is free, a monotone cubic rises at most three times as fast as its chord."""
+    """Smallest and largest slope of a cubic segment. The slope is a parabola, extreme at an end or
+    at its vertex. Where a parameter is free, a monotone cubic rises at most three times as fast as
+    its chord."""
     low = ends.low
     free = any(not np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, ends), strict=True))
     if free:
@@ -188,8 +191,8 @@ def _found(
     low: Scalars,
     high: Scalars,
 ) -> Scalars:
-    """Where a rising curve takes a value between two places; beyond them it is a straight line.
-    Newton's steps, or bisection where a step leaves the bracket."""
+    """The place at which a rising curve takes a value, between two places; beyond them the curve is
+    a straight line. It takes Newton steps, or bisects where a step leaves the bracket."""
     held, seen, low, high = jax.lax.stop_gradient((effect, signal, low, high))
     low, high = jnp.broadcast_to(low, seen.shape), jnp.broadcast_to(high, seen.shape)
 

@@ -1,9 +1,9 @@
-"""Irradiance to raw data, read from top to bottom; a step whose parameter is None is not traced.
+"""Irradiance to raw data, in the order of the steps. A step whose parameter is None is not traced.
 
-Elementwise on arrays (..., bands) of any shape, so a whole image is one call and one loop over its
-pixels; effects between pixels, rows or columns need an image (..., h, w, bands). Leading axes are
-more pixels of the same exposure: each draws its own numbers, whereas the draws of rows and columns
-are shared along them. Frames of one die are a `vmap` over keys.
+Functions act elementwise on arrays (..., bands) of any shape, so an image is one call and one loop
+over its pixels. Effects between pixels, rows or columns need an image (..., h, w, bands). Leading
+axes are more pixels of the same exposure. Each pixel has its own draws, and the draws of rows and
+columns are shared along these axes. For several frames of one die, use `vmap` over keys.
 """
 
 import jax.numpy as jnp
@@ -28,14 +28,15 @@ def collect(
 ) -> Counts:
     """Draws the electrons read from each pixel in one exposure.
 
-    Each electron is left behind by a charge transfer, or not, at random. A Poisson packet thinned
-    in this way stays Poisson, so transfers act on the expectation before it is counted. Where a
-    full well cuts the packets in between, or charges have repelled each other, transfers act on the
-    charge that is there and add the noise of this selection.
+    At each charge transfer an electron is left behind at random. A Poisson packet thinned in this
+    way stays Poisson, so transfers act on the expectation before the count. If a full well clips
+    the packets or charges have repelled each other, transfers act on the charge itself, and the
+    noise of this selection is added.
 
-    Gradients are those of the draw (see `count`): unbiased for means and mean squares, but for a
-    full well of w electrons that cuts Poisson counts of mean m. Charge beyond it has no slope, and
-    that of the mean is too small by (1 - m / w) P(N = w - 1) / 4, at most 0.0007 for w = 100.
+    Gradients are those of the draw (see `count`). They are unbiased for means and mean squares,
+    except with a full well of w electrons that clips Poisson counts of mean m. Charge beyond the
+    well has no slope, and the slope of the mean is too small by (1 - m / w) P(N = w - 1) / 4, at
+    most 0.0007 for w = 100.
 
     Args:
         key: random key of the frame, for all that changes from frame to frame; may be None if the
@@ -110,7 +111,8 @@ def collect(
 
 
 def _surely_full(mean: Counts, full_well: Scalar) -> Counts:
-    """The mean, at most what `count` draws where that is twice the well: it is full either way."""
+    """The mean, limited so that `count` draws at most twice the well: the well is full in either
+    case."""
     return jnp.where(full_well <= MOST_ELECTRONS / 2, jnp.minimum(mean, MOST_ELECTRONS), mean)
 
 

@@ -52,8 +52,9 @@ def read_out_noise(
 ) -> Scalars | None:
     """Draws the sum of all noise that reading one frame adds.
 
-    Whether a pixel lies in a tail or has a trap is drawn as yes or no. Gradients by `tail_fraction`
-    and by the fraction of telegraph noise are 0; `read_out_variance` has those of the variance.
+    Whether a pixel belongs to the tail or has a trap is drawn. Gradients with respect to
+    `tail_fraction` and the fraction of telegraph noise are therefore 0; `read_out_variance` has
+    those of the variance.
 
     Args:
         key: random key of the frame.
@@ -97,7 +98,7 @@ def read_out_noise(
 def read_out_variance(
     sensor: Sensor, *, dtype: DTypeLike, shape: Shape | None = None
 ) -> Scalar | Scalars:
-    """Variance of `read_out_noise` in one pixel of a frame, averaged over the places of pixels.
+    """Variance of `read_out_noise` in one pixel of a frame, averaged over all pixels.
 
     Args:
         sensor: the sensor.
@@ -140,7 +141,7 @@ def read_out_variance(
 
 
 def _rms_of_each(key: Key | None, sensor: Sensor, shape: Shape, dtype: DTypeLike) -> Scalars | None:
-    """Reset and read noise as one Gaussian: their variances add, and one draw serves both."""
+    """Reset and read noise as one Gaussian: their variances add, and one draw is enough."""
     match sensor.read_noise:
         case HeavyTailedReadNoise(rms=rms, tail_rms=tail, tail_fraction=fraction):
             in_tail = uniform(key, Frame.READ_TAIL, shape, dtype) <= fraction
@@ -162,7 +163,7 @@ def _telegraph(
     shape: Shape,
     dtype: DTypeLike,
 ) -> Scalars:
-    """The state of each trap after the read-out less its state before: two bits of a word."""
+    """The state of each trap after the read-out minus its state before, from two bits of a word."""
     trapped = uniform(die_key, Die.TRAP, shape, dtype) <= telegraph.fraction
     states = (words(key, Frame.TELEGRAPH, shape) >> 30).astype(jnp.int32)
     jump = (states >> 1) - (states & 1)
@@ -170,7 +171,7 @@ def _telegraph(
 
 
 def _hum(key: Key | None, banding: Banding, shape: Shape, dtype: DTypeLike) -> Scalars:
-    """An offset that oscillates over the rows, of random phase."""
+    """An offset that oscillates over the rows with a random phase."""
     check_image("Sensor.banding", shape)
     rows = jnp.arange(shape[-3], dtype=dtype).reshape(*(1,) * (len(shape) - 3), -1, 1, 1)
     phase = uniform(key, Frame.BANDING, (), dtype).astype(dtype)

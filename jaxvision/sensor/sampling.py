@@ -1,7 +1,7 @@
 """The pixel's aperture: a square, sqrt(fill factor) of the pitch wide, that averages irradiance.
 
 Its MTF is a sinc in each direction. A narrow aperture passes more contrast above the Nyquist
-frequency, which returns as aliases; a full one attenuates it. A microlens widens the aperture.
+frequency, which appears as aliases. A full aperture attenuates it. A microlens widens the aperture.
 Irradiance in W m^-2 or any other unit; frequencies in cycles per pixel pitch.
 """
 
@@ -41,7 +41,7 @@ def pixel_means(
 ) -> Float[Array, "*batch rows columns bands"]:
     """Mean irradiance over the active area of each pixel.
 
-    Each sample stands for its cell.
+    Each sample represents its cell of the pixel.
 
     Args:
         irradiance: (..., h oversampling, w oversampling, bands) W m^-2, sampled
@@ -75,7 +75,7 @@ def pixel_means(
 
 @takes_numbers
 def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
-    """Contrast that the pixel's aperture leaves of a grating along rows or columns: sinc(width f).
+    """Contrast of a grating along rows or columns behind the pixel's aperture: sinc(width f).
 
     Args:
         aperture: the pixel's aperture.
@@ -94,7 +94,7 @@ def aperture_mtf(aperture: PixelAperture, frequency: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def _sinc(x: Scalars) -> Scalars:
-    """sin(pi x) / (pi x), which keeps its digits beside its zeros."""
+    """sin(pi x) / (pi x), accurate near its zeros."""
     least = smallest_divisor(x.dtype)
     away = jnp.maximum(jnp.abs(x), least / 2)
     sine, _ = sine_cosine(away / 2)
@@ -103,8 +103,8 @@ def _sinc(x: Scalars) -> Scalars:
 
 @_sinc.defjvp
 def _sinc_jvp(primals, tangents):
-    """(cos(pi x) - sinc(x)) / x; near 0, where that cancels, the series
-    -pi^2 x / 3 (1 - z / (2 5) (1 - z / (4 7) (...))) of z = (pi x)^2."""
+    """(cos(pi x) - sinc(x)) / x. Near 0 this cancels, and the series -pi^2 x / 3 (1 - z / (2 5) (1
+    - z / (4 7) (...))) in z = (pi x)^2 is used."""
     (x,), (change,) = primals, tangents
     size = jnp.abs(x)
     z = jnp.square(jnp.pi * jnp.minimum(size, 0.6))
@@ -118,7 +118,7 @@ def _sinc_jvp(primals, tangents):
 
 
 def _cell_weights(aperture: PixelAperture) -> Float[Array, " n"]:
-    """Share of the aperture's width in each cell across a pixel; they add up to 1."""
+    """Share of the aperture's width in each cell across a pixel; the shares add up to 1."""
     n = aperture.oversampling
     width = safe_sqrt(light_share(aperture))
     edges = jnp.linspace(-0.5, 0.5, n + 1, dtype=width.dtype)

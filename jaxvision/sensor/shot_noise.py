@@ -1,11 +1,11 @@
-"""Counting electrons: Poisson draws, exact or by inversion, or Gaussian draws.
+"""Electron counts: Poisson draws, exact or by inversion, or Gaussian draws.
 
-Up to a mean of 10 both Poisson samplers sum the distribution. Above, the exact one rejects
-proposals (Hörmann, "The transformed rejection method for generating Poisson random variables",
-Insurance: Mathematics and Economics 12 (1993), PTRS). Its test takes the probability of a count n
-from n - mu by Loader's form ("Fast and Accurate Computation of Binomial Probabilities", 2000), of
-which no term is larger than its result: n ln mu - mu - ln n! loses 30 bits at a mean of 1e9, and
-`jax.random.poisson`, which uses it in float32, has a wrong variance from 2e5 on.
+Up to a mean of 10 both Poisson samplers sum the distribution. Above, the exact one uses rejection
+(Hörmann, "The transformed rejection method for generating Poisson random variables", Insurance:
+Mathematics and Economics 12 (1993), PTRS). It computes the probability of a count n from n - mu by
+Loader's form ("Fast and Accurate Computation of Binomial Probabilities", 2000), in which no term is
+larger than the result. The usual n ln mu - mu - ln n! loses 30 bits at a mean of 1e9.
+`jax.random.poisson` uses it in float32, and its variance is wrong from a mean of 2e5 on.
 
 The fast sampler turns one uniform number into a count by the inverse of the Poisson distribution.
 Up to a mean of 10 the distribution is summed; above, its inverse is an expansion in z, the Gaussian
@@ -15,14 +15,15 @@ cumulative distribution function", ACM TOMS 42 (2016), Q_N2):
     x = mu + sqrt(mu) z + (1/3 + z^2/6) - (z/36 + z^3/72) / sqrt(mu)
         + (-8/405 + 7 z^2/810 + z^4/270) / mu,         N = floor(x)
 
-A count is differentiated along the draw, as if its deviation from the mean grew like the noise:
+A count is differentiated along the draw, as if its deviation from the mean grew in proportion to
+the noise:
 
     N(m) = m + (N - m_0) sqrt(m / m_0),    dN/dm = 1/2 + N / (2 m)
 
-On average the slope is 1, and that of N^2 is 2 m + 1: gradients of first and second moments are
-unbiased at every light level. Those of N^3 are too large by 1/2 (of 3 m^2 + 6 m + 1), and the slope
-of one draw has the variance 1 / (4 m), so that faint light needs many pixels. For expected images
-use `expected_signal` and `signal_variance`, whose gradients have no noise.
+The expected slope is 1, and the expected slope of N^2 is 2 m + 1, so gradients of first and second
+moments are unbiased at every light level. The slope of N^3 is too large by 1/2 (of 3 m^2 + 6 m +
+1). The slope of one draw has the variance 1 / (4 m), so faint light needs many pixels. For expected
+images use `expected_signal` and `signal_variance`, whose gradients have no noise.
 """
 
 import jax
@@ -59,13 +60,13 @@ SUMMED_COUNTS = 38  # P(N >= 38) is 4e-11 at a mean of 10, below the smallest un
 def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
     """Draws the electrons counted in each pixel.
 
-    `PoissonShotNoise` has the Poisson distribution: its cumulative probabilities are right to 3e-6
-    at every mean up to 2^31, in float32 too. `FastPoissonShotNoise` differs from it in total
-    variation by less than 2e-6 up to a mean of 10 and 1.4e-4 just above, falling to 2e-5 from 1000
-    on; its mean is right to 1e-6, its variance to 3e-4. Counts above 2^24 are rounded to the
-    nearest number of float32 where that is the dtype. All are differentiated along the draw, by 1/2
-    + N / (2 mean), which leaves the slopes of first and second moments unbiased; its variance is 1
-    / (4 mean).
+    With `PoissonShotNoise` the cumulative probabilities are accurate to 3e-6 at every mean up to
+    2^31, also in float32. `FastPoissonShotNoise` differs from it in total variation by less than
+    2e-6 up to a mean of 10. Just above 10 the difference is 1.4e-4, and it falls to 2e-5 from 1000
+    on. The relative error of the mean is at most 1e-6, that of the variance 3e-4. In float32,
+    counts above 2^24 are rounded to the nearest number. Counts are differentiated along the draw,
+    with slope 1/2 + N / (2 mean). The slopes of first and second moments are unbiased, and the
+    slope's variance is 1 / (4 mean).
 
     Args:
         key: random key of the frame.
@@ -106,7 +107,7 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
 
 
 def _check_countable(mean: Scalars) -> None:
-    """Refuses means beyond what Poisson draws are right for, where they are known."""
+    """Refuse means beyond the range of the Poisson draws, if they are known."""
     if is_known(mean) and (beyond := np.asarray(mean) > MOST_ELECTRONS).any():
         raise ValueError(
             f"mean must be at most {MOST_ELECTRONS:.0f} electrons for Poisson draws, got "
@@ -116,7 +117,7 @@ def _check_countable(mean: Scalars) -> None:
 
 
 def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
-    """A Poisson draw of each mean; `bits`: 32 uniform ones for each entry."""
+    """A Poisson draw for each mean, from 32 uniform bits for each entry."""
     few = mean < SUMMED_MEAN
     summed = _summed_inverse(tail_probability(bits, mean.dtype), jnp.where(few, mean, 0))
     many = (mean >= SUMMED_MEAN) & (mean <= MOST_ELECTRONS)
@@ -125,9 +126,9 @@ def _exact_poisson(key: Key, bits: Words, mean: Scalars) -> Scalars:
 
 @one_program
 def _by_rejection(key: Key, mean: Scalars, done: Bool[Array, "..."]) -> Scalars:
-    """Poisson draws of means of at least 10; the whole part of the mean where that is `done`.
+    """Poisson draws for means of at least 10; the whole part of the mean where `done` is true.
 
-    Counts are drawn as their distance from the whole part of the mean, and tested by float32.
+    A count is drawn as its distance from the whole part of the mean, and tested in float32.
     """
     seed = seed_of(key)
     place = jax.lax.iota(jnp.uint32, mean.size).reshape(mean.shape)
@@ -167,13 +168,13 @@ def _accepted(
     b: Scalars,
     inverse_alpha: Scalars,
 ) -> Bool[Array, "..."]:
-    """Whether a proposal passes, with `bits` for its chance."""
+    """Whether a proposal is accepted, with `bits` for its chance."""
     height = tail_probability(bits, mean.dtype) * inverse_alpha / (a / (edge * edge) + b)
     return height <= _poisson_probability(steps - part, mean)
 
 
 def _poisson_probability(excess: Scalars, mean: Scalars) -> Scalars:
-    """P(N = mean + excess) by Loader's form at one count more: P(n) = P(n + 1) (n + 1) / mean."""
+    """P(N = mean + excess) by Loader's form at the next count: P(n) = P(n + 1) (n + 1) / mean."""
     n = jnp.maximum(mean + (excess + 1), 1)
     size = jnp.exp(-poisson_deviance(n, excess + 1, mean) - stirling_remainder(n))
     return size * jnp.sqrt(n / (2 * np.pi)) / mean
@@ -185,7 +186,7 @@ _ARCTANH = {4: [1 / k for k in (9, 7, 5, 3)], 8: [1 / k for k in range(17, 1, -2
 
 @takes_numbers
 def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
-    """n ln(n / mean) - excess without the digits that its terms lose: Loader's D_0.
+    """n ln(n / mean) - excess without cancellation: Loader's D_0.
 
     Args:
         n: (...) counts, at least 1.
@@ -203,8 +204,8 @@ def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
 
 @takes_numbers
 def stirling_remainder(n: Scalars) -> Scalars:
-    """ln n! - (n + 1/2) ln n + n - ln(2 pi) / 2, no unit, by its continued fraction: to 1e-5 at
-    n = 1 and 1e-13 from 30 counts on."""
+    """ln n! - (n + 1/2) ln n + n - ln(2 pi) / 2, no unit, by its continued fraction. The error is
+    1e-5 at n = 1 and 1e-13 from 30 counts on."""
     fraction = n
     for term in (22999 / 22737, 195 / 371, 53 / 210, 1 / 30):
         fraction = n + term / fraction
@@ -213,7 +214,7 @@ def stirling_remainder(n: Scalars) -> Scalars:
 
 def _inverse_poisson(bits: Words, mean: Scalars) -> Scalars:
     """The count that a Poisson variable of that `mean` exceeds with a probability of at most (bits
-    + 1/2) / 2^32; `bits`: 32 uniform ones for each entry.
+    + 1/2) / 2^32, from 32 uniform bits for each entry.
     """
     few = mean < SUMMED_MEAN
     many = jnp.where(few, SUMMED_MEAN, mean)
@@ -234,8 +235,8 @@ def _along_draw(drawn: Scalars, mean: Scalars) -> Scalars:
 
 
 def _summed_inverse(probability: Scalars, mean: Scalars) -> Scalars:
-    """How many of the survival functions P(N > 0), P(N > 1), ... exceed `probability`; each is
-    summed from its small end, so that rare counts keep their digits.
+    """The number of survival functions P(N > 0), P(N > 1), ... that exceed `probability`. Each is
+    summed from its small end, so that the probabilities of rare counts are accurate.
     """
     terms = [mean * jnp.exp(-mean)]
     for n in range(2, SUMMED_COUNTS):

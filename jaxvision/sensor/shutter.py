@@ -1,11 +1,11 @@
-"""When each row is exposed, and the average of a moving scene over that time.
+"""The exposure of each row over time, and the average of a moving scene over it.
 
 Times in s; weights have no unit. The time from the first row's opening to the last row's closing is
 cut into equal slots. The scene is evaluated in the middle of each slot, and a row weights each slot
-by the part that lies within its own exposure. Of a slot that a row covers in part, it sees the
-middle of that part: between the middles of two slots the scene changes linearly, so that what grows
-linearly is averaged exactly by every row. Slots as long as an exposure or longer begin earlier and
-end later, for their first and last middles to be those of the first and the last row. A global
+by the part that lies within its own exposure. For a slot that a row covers in part, the scene in
+the middle of that part is interpolated linearly between the middles of two slots. A linear change
+is averaged exactly for every row. Slots as long as an exposure or longer begin earlier and end
+later, so that the first and the last middle fall on those of the first and the last row. A global
 shutter opens all rows at time 0.
 """
 
