@@ -1,5 +1,5 @@
-"""Charges that repel each other, as a calibrated camera shows them: a_00 from its variances and
-covariances together, a_ij of the neighbours from their covariances, and the kernel of a sensor."""
+"""The brighter-fatter effect of a calibrated camera: a_00 from variances and covariances, a_ij of
+the neighbours from their covariances, and the kernel for a sensor."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ STEPS = 6  # of Gauss and Newton; the model is nearly linear
 
 @dataclass(frozen=True)
 class AreaChanges:
-    """By what share one electron changes the areas of pixels.
+    """The relative change of pixel areas per electron.
 
     Attributes:
         values: (lags, lags) a_ij per electron, at offsets of 0, 1, ... rows and columns.
@@ -63,7 +63,7 @@ def fitted_area_changes(
 
 
 def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
-    """mu of each level, and by how many DN one more electron is read there."""
+    """mu of each level, and the DN per additional electron there."""
     values, data = fit.values, fit.data
     mu = jax.vmap(lambda *at: expected_electrons(values, data, *at))(
         data.light, data.lit, data.exposure
@@ -76,7 +76,8 @@ def electrons_and_steps(fit: LikelihoodFit) -> tuple[Array, np.ndarray]:
 def _fitted(
     own: Array, mu: Array, found: Array, variances: Array, *, mixing: bool
 ) -> tuple[Array, Array]:
-    """a_ij with a_00 held, and their errors; beside them a share of mu at each offset, if mixed."""
+    """a_ij at fixed a_00, and their errors. If pixels are mixed, a term linear in mu is fitted at
+    each offset."""
     size = (REACH + 1) ** 2 - 1
     weight = 1 / jnp.sqrt(variances)
 
@@ -103,7 +104,7 @@ def _fitted(
 def fitted_kernel(
     measurement: PhotonTransfer, usable: np.ndarray
 ) -> Float[np.ndarray, "rows columns"]:
-    """The kernel whose area changes come nearest to the measured ones, for a_00 = -1."""
+    """The kernel with a_00 = -1 whose area changes fit the measured ones best."""
     around = copies()
     around[0, 0] = 1
     weight = np.sqrt(around)
@@ -119,7 +120,7 @@ def fitted_effect(
     values: dict[str, Array],
     top: Array | np.ndarray,
 ) -> BrighterFatter | None:
-    """The effect of a sensor."""
+    """The effect as a record of a sensor."""
     if kernel is None or "brighter_fatter" not in values:
         return None
     change = jnp.maximum(values["brighter_fatter"], 0) * values["system_gain"] / top

@@ -1,9 +1,9 @@
 """Calibration of a camera's noise from photon transfer: the EMVA 1288 sheet, twice.
 
-Once by the standard's own regressions (`emva1288`), once by maximum likelihood (`model`),
-which weighs every level by what it knows, notices where the camera is not linear, and then reports
-gain and efficiency at zero signal. Every figure has a standard error and intervals; what the
-measurement cannot give says why.
+The first sheet uses the standard's regressions (`emva1288`), the second maximum likelihood
+(`model`). The likelihood weights every level by its precision. It detects a nonlinear camera, and
+then gives gain and efficiency at zero signal. Every figure has a standard error and intervals. A
+figure that the measurement cannot give has the reason in its place.
 """
 
 from dataclasses import dataclass, replace
@@ -54,7 +54,7 @@ _evaluated = compiled_briefly(evaluate)
 
 @dataclass(frozen=True)
 class Likelihood:
-    """What maximum likelihood tells of a camera.
+    """The maximum-likelihood results for a camera.
 
     Attributes:
         linear: the fit of a linear camera.
@@ -116,24 +116,25 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def chosen(self) -> LikelihoodFit:
-        """The fit of the model that the camera calls for; `InputError` likewise."""
+        """The fit of the chosen model; `InputError` where it has no maximum."""
         return self._of_likelihood().chosen
 
     @property
     def posterior(self) -> Posterior:
-        """Of the chosen model; `InputError` likewise."""
+        """The posterior of the chosen model; `InputError` where it has no maximum."""
         return self._of_likelihood().posterior
 
     @property
     def gain(self) -> float:
-        """K, DN/e-, as the table shows it: the likelihood's, or the standard's without that."""
+        """K, DN/e-, as the table shows it: from the likelihood, or from the standard if that
+        failed."""
         told = self.shown.get("system_gain")
         of_standard = float(self.standard.values["system_gain"])
         return of_standard if told is None or told.value is None else told.value
 
     @property
     def unequal(self) -> float:
-        """Relative deviation, rms, of the gains of pixels that `periodic` tells apart."""
+        """Relative rms deviation of the gains of the pixel classes in `periodic`."""
         return unequal_gains_of(self.periodic)
 
     @property
@@ -146,9 +147,9 @@ class NoiseCalibration(ShownInNotebooks):
 
     @property
     def efficiency(self) -> float | None:
-        """Electrons per photon, above 1 where something is wrong: as the table shows them, or at
-        the posterior's mode, of which a sensor is made, where that alone is above 1. None where
-        photons are not known."""
+        """Electrons per photon, the table's value. If only the value at the posterior mode exceeds
+        1, which means an error in the input, that value is returned, because the sensor uses it.
+        None if photons are not known."""
         if not self.measurement.photons_known:
             return None
         if self.likelihood is None:
@@ -230,7 +231,7 @@ def calibrate(
 
 
 def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> NoiseCalibration:
-    """A calibration whose chosen model has these terms, too, by Laplace where it had not."""
+    """The calibration with these terms added to the chosen model, by Laplace if it lacked them."""
     chosen, likelihood = calibration.chosen, calibration.likelihood
     lacking = tuple(term for term in terms if term not in chosen.space)
     if not lacking or likelihood is None:
@@ -241,7 +242,7 @@ def refitted(calibration: NoiseCalibration, terms: tuple[Parameter, ...]) -> Noi
 
 
 def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternVariance:
-    """The pattern with the offsets that the likelihood finds where rounding distorts them."""
+    """The pattern with the likelihood's DSNU, where rounding distorts the measured one."""
     labels = names(posterior.space)
     if OFFSET_SPREAD.name not in labels:
         return pattern
@@ -254,8 +255,8 @@ def _behind_rounding(pattern: PatternVariance, posterior: Posterior) -> PatternV
 
 
 def _posterior(fit: LikelihoodFit, sampling: Emcee | None, seed: int) -> Posterior:
-    """Of the chosen model; about the mode of the posterior itself where a scatter is in it, which
-    has a prior."""
+    """The posterior of the chosen model. If the model has a scatter, which has a prior, it is taken
+    about the posterior mode."""
     args = fit.space, fit.data, jnp.asarray(1 / fit.inflation)
     vector, covariance = fit.solution.vector, fit.inflation * fit.covariance
     if any(name in SCATTERS for name in names(fit.space)):
@@ -291,7 +292,7 @@ def _likelihood_estimates(
 
 
 def widened(estimate: Estimate, unequal: float) -> Estimate:
-    """An estimate with the error that unequal gains of the pixels add to it."""
+    """An estimate whose error includes the effect of unequal gains of the pixels."""
     if not unequal or estimate.value is None or estimate.name not in ON_GAIN:
         return estimate
     error = float(np.hypot(estimate.standard_error or 0.0, unequal * abs(estimate.value)))
@@ -300,15 +301,15 @@ def widened(estimate: Estimate, unequal: float) -> Estimate:
 
 
 def finest_read_noise(fit: LikelihoodFit) -> float:
-    """Read noise below which the shape of the rounding tells its limit alone, e-; 0 where it is
-    not asked."""
+    """The read noise, in e-, below which the data give only a limit because of rounding; 0 if not
+    needed."""
     if fit.data.window is None:
         return 0.0
     return FINEST_READ_NOISE * fit.data.converter.step / float(fit.values["system_gain"])
 
 
 def _with_limits(sheet: tuple[Estimate, ...], fit: LikelihoodFit) -> tuple[Estimate, ...]:
-    """The sheet, a read noise that the converter hides in its place a limit."""
+    """The sheet, with a limit in place of a read noise that the converter hides."""
     finest, found = finest_read_noise(fit), []
     for one in sheet:
         low, high = one.interval_95 or (0.0, 0.0)
@@ -353,8 +354,8 @@ def _sheets(vectors: Array, lights: Array | None, args: tuple) -> Sheet:
 
 
 def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) -> float:
-    """What the standard's regression makes of the fitted curves: K of the model's own means and
-    variances."""
+    """The gain that the standard's regression gives for the means and variances of the fitted
+    model."""
     predicted = eqx.filter_jit(predicted_moments)
     moments = predicted(fit.values, fit.data, fit.data.light)
     unlit_data = eqx.tree_at(lambda data: data.lit, fit.data, jnp.zeros_like(fit.data.lit))
@@ -366,5 +367,5 @@ def _standard_gain_of(fit: LikelihoodFit, within: Ranges, usable: np.ndarray) ->
 
 
 def sheet_estimate(quantity: Quantity, value: float, error: float, method: str) -> Estimate:
-    """A line of the sheet as an estimate, its intervals as the quantity asks for."""
+    """A line of the sheet as an estimate, with the kind of intervals that the quantity needs."""
     return gaussian_estimate(quantity, value, error, method=method, log_scale=quantity.positive)

@@ -1,13 +1,13 @@
 """The choice of the effects that a camera needs.
 
-A linear camera comes first, with pixel noise and the noise that rows, columns or frames of the
-darks are seen to share. Where it misses the measurement (p < 0.1 %), or nearest neighbours are seen
-to share what they hold (which means and variances need not show), what the darks alone show, a
-wandering black level or variances that scatter more than that noise can, joins. Fitted with it are
-random errors of the light, a compression of one or two terms, an offset of the light, and, where
-the black level drifts from frame to frame, its wander from level to level: each stays only if it
-earns its parameter by Schwarz' criterion (BIC), a squared Wald ratio above the logarithm of the
-number of observations, and is no chance of one in a hundred.
+The first model is a linear camera with pixel noise and the detected noise of rows, columns or
+frames of the darks. Further effects are tried if it misses the measurement (p < 0.1 %), or if
+nearest neighbours covary, which means and variances need not show. The effects that the darks alone
+show (a drifting black level, or excess scatter of the variances) are added. The candidates are
+random errors of the light, a compression of one or two terms, an offset of the light, and a drift
+of the black level from level to level. A candidate is kept if its squared Wald ratio exceeds the
+logarithm of the number of observations (Schwarz' criterion, BIC) and if such a ratio occurs by
+chance in fewer than one of a hundred cameras.
 """
 
 from functools import partial
@@ -47,8 +47,8 @@ CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 
 
 def dark_scatter(measurement: PhotonTransfer) -> ParameterSpace:
-    """The random effects that the darks show about their own lines over exposure, beyond noise of
-    pixels and noise that rows, columns or frames are seen to share.
+    """The random effects in the darks about their own lines over exposure, beyond noise of pixels,
+    rows, columns and frames.
     """
     dark = measurement.dark
     errors = sampling_errors(
@@ -77,7 +77,7 @@ def choose_model(
     trend: Drifting | None = None,
     sharing: bool = False,
 ) -> tuple[LikelihoodFit, LikelihoodFit]:
-    """The model that a camera calls for."""
+    """Choose the model for a camera."""
     linear = fitted(base_space(measurement, within, offsets=data.offsets), data, standard)
     if linear.p_value >= MISFIT and not sharing:
         return linear, linear
@@ -114,7 +114,7 @@ def _reduced(
     standard: Sheet,
     sharing: bool,
 ) -> LikelihoodFit:
-    """The fit without the candidates that do not pay for themselves, the weakest left out first."""
+    """The fit without the candidates that fail the criterion, with the weakest dropped first."""
     while unearned := _unearned(fit, candidates, sharing):
         space = tuple(p for p in fit.space if p is not unearned)
         fit = fitted(space, fit.data, standard, among=whole, near=fit)
@@ -122,7 +122,8 @@ def _reduced(
 
 
 def _may_be_drift(fit: LikelihoodFit, trend: Drifting | None) -> bool:
-    """Whether light that drifts over the flats as within their levels bends the curve as much."""
+    """Whether drift of the light between flats, at the rate seen within levels, could explain the
+    curvature."""
     if trend is None or not any(p in fit.space for p in CURVE):
         return False
     # Means depart by half of what the slope does, and darks in between take as long again.
@@ -139,8 +140,8 @@ def _drifts(measurement: PhotonTransfer) -> bool:
 def _unearned(
     fit: LikelihoodFit, candidates: tuple[Parameter, ...], sharing: bool
 ) -> Parameter | None:
-    """The weakest candidate in the model that does not pay for itself; the second term of the
-    compression before the first."""
+    """The weakest candidate that fails the criterion; the second term of the compression before the
+    first."""
     ratios = {}
     labels = names(fit.space)
     vector, information = np.asarray(fit.solution.vector), np.asarray(fit.solution.information)
@@ -161,12 +162,12 @@ def _unearned(
 
 
 def _price(fit: LikelihoodFit, parameter: Parameter, sharing: bool) -> float:
-    """The squared Wald ratio that earns a parameter its place: Schwarz', and beyond that what comes
-    about by chance once in a hundred cameras, since errors do not know of the choice. What
-    neighbours share moves the gain by as many errors: once in a thousand, or once in twenty where
-    nearest neighbours are seen to covary, so that one of its two forms is there. A scatter of m
-    lights about a curve of q terms is most likely too small by (m - q) / m, and uncertain, so
-    that a term of the curve then has to pass Fisher's F."""
+    """The squared Wald ratio that a parameter needs: Schwarz' value, or more if chance exceeds that
+    once in a hundred cameras, because errors do not include the choice. Mixing or repulsion of
+    neighbours changes the gain by as many standard errors. It needs the ratio of one in a thousand
+    cameras, or one in twenty if nearest neighbours significantly covary and one of the two forms is
+    present. The scatter of m lights about a curve of q terms is underestimated by (m - q) / m and
+    uncertain, so a term of the curve must then pass Fisher's F test."""
     price = float(np.log(observations(fit.data)))
     if parameter.transform == "log":
         return price

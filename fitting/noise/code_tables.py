@@ -1,11 +1,13 @@
-"""Tables of codes at levels of few electrons: which levels need them, and how frames give them.
+"""Tables of codes at levels of few electrons: the choice of the levels, and the counts from their
+frames.
 
-Where read noise is below about an electron, the histogram of the codes has a peak for each count of
-electrons, or is skew. Mean and variance lose most of this information. Pixels differ in their black
-(DSNU), which would blur the peaks: from each code the pixel's own black is subtracted, its mean
-over the dark frames of the same exposure. That mean's noise is known, and no law of the offsets is
-assumed. What is assumed is that the gains of pixels are alike to a fifth of the read noise over the
-electrons counted, which limits the light of the levels."""
+With a read noise below about one electron, the histogram of the codes has a peak for each count
+of electrons, or is skew. Mean and variance lose most of this information. The black levels of
+pixels differ (DSNU), which would blur the peaks. The pixel's own black level, its mean over the
+dark frames of the same exposure, is therefore subtracted from each code. The noise of that mean
+is known, and no distribution of the offsets is assumed. The gains of pixels are assumed to agree
+within a fifth of the read noise over the counted electrons, which limits the light of the
+levels."""
 
 from collections.abc import Callable, Sequence
 
@@ -28,7 +30,7 @@ PLACES = 8  # of the pixels' black between two codes, at most
 
 
 def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
-    """Bright levels whose codes are to be counted."""
+    """The bright levels whose codes are counted."""
     none, usable = np.zeros(0, int), linear_levels(measurement)
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     matched = np.asarray(measurement.dark_of)[usable]
@@ -73,7 +75,7 @@ def code_tables(
     plane: Callable[[str], np.ndarray],
     live: Bool[np.ndarray, "h w"] | None,
 ) -> CodeTables:
-    """Counts the codes of some levels; reads their frames, and those of their darks, once more."""
+    """Count the codes of some levels, which reads their frames and darks again."""
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     matched = np.asarray(measurement.dark_of)[levels]
     wander = 0.0

@@ -1,11 +1,11 @@
-"""The fit to tables of codes at levels of few electrons, by the exact law of a code.
+"""The fit to tables of codes at levels of few electrons, with the exact distribution of a code.
 
     c = black + K (n + sigma_d z) rounded,   n ~ Poisson(mu_l)
 
-of each level l, with one gain and read noise, and a black of each dark: what its dark frames leave
-uncertain in all pixels together. The fit is a `Problem` under `SensorCounts`; what it tells is a
-Gaussian in the logarithms of K, sigma_d and mu_l, which takes the place of these levels' moments in
-the likelihood of photon transfer.
+for each level l, with one gain and read noise. Each dark has a black level, whose error from its
+dark frames is common to all pixels. The fit is a `Problem` under `SensorCounts`. Its result is a
+Gaussian in the logarithms of K, sigma_d and mu_l, which replaces the moments of these levels in the
+likelihood of photon transfer.
 """
 
 from dataclasses import dataclass
@@ -53,8 +53,8 @@ class CodeFit:
     misfit: Misfit | None = None
 
     def among(self, usable: Int[np.ndarray, " usable"]) -> CountedLevels | None:
-        """For the likelihood of photon transfer, whose bright levels are `usable`; None where it is
-        not used."""
+        """The result in the form for the likelihood of photon transfer with the bright levels
+        `usable`; None where it is not used."""
         if self.failures:
             return None
         place = np.searchsorted(usable, self.levels)
@@ -66,7 +66,7 @@ class CodeFit:
 def counts_problem(
     measurement: PhotonTransfer, tables: CodeTables
 ) -> tuple[Problem, dict[str, np.ndarray]]:
-    """The problem of the tables, and where its search starts: at what the moments say."""
+    """The problem of the tables, and its starting point from the moments."""
     bright, dark, converter = measurement.bright, measurement.dark, measurement.converter
     levels, level = np.unique(np.asarray(tables.level), return_inverse=True)
     darks, of = np.unique(np.asarray(tables.dark), return_inverse=True)
@@ -155,8 +155,9 @@ def fitted_tables(measurement: PhotonTransfer) -> CodeFit | None:
 
 
 def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
-    """Of each dark, DN of dark current by the line of their means over exposure; 0 of too few
-    exposures, where its electrons count as read noise, as in the likelihood of the moments."""
+    """The dark signal of each dark in DN, from the line of their means over exposure. With too
+    few exposures it is 0, and its electrons count as read noise, as in the likelihood of the
+    moments."""
     dark = measurement.dark
     exposure, mean = np.asarray(dark.exposure), np.asarray(dark.mean)
     if len(np.unique(exposure)) < TREND:
@@ -168,8 +169,8 @@ def _dark_signal(measurement: PhotonTransfer) -> np.ndarray:
 def _frames_in_common(
     measurement: PhotonTransfer, tables: CodeTables, read_noise: float, log_gain: float
 ) -> float:
-    """By how much variances grow since all flats of a pixel share the error of its black: of F
-    flats whose codes correlate by rho, the squares correlate by rho^2."""
+    """The factor on variances because all flats of a pixel share the error of its black level. If
+    the codes of F flats have correlation rho, their squares have rho^2."""
     step, most = measurement.converter.step, 1.0
     own = (read_noise * np.exp(log_gain)) ** 2 + measurement.converter.rounding
     for d in np.unique(np.asarray(tables.dark)):

@@ -1,12 +1,12 @@
-"""Series of flats and darks that one camera in one state did not make, by their levels.
+"""Checks of a series of levels for frames that do not come from one camera in one state.
 
 multiplied  skewed flats of an EMCCD, whose variance over signal is no gain (`multiplied`)
 averaged    fractions in the darks alone, or in the flats alone, whose noise is then too small
 afterglow   darks that fade in the order in which they were taken, in proportion to the flats of
-            their level: what a flat left behind, no dark current
-two gains   variance over signal that is one number up to a level, and another from there on
-two modes   the same of the variance without light alone: another gain of the darks, or an exposure
-            from which on the camera subtracts a dark frame of its own
+            their level: persistence of the flats, not dark current
+two gains   variance over signal that is constant up to a level, and another constant from there on
+two modes   the same for the variance of the darks alone: another gain of the darks, or an exposure
+            from which the camera subtracts a dark frame of its own
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ OF_DARK_NOISE = (
 
 
 class _Step(NamedTuple):
-    """Where a quantity changes from one number to another.
+    """A level at which a quantity changes from one constant to another.
 
     Attributes:
         place: of the first level of the second.
@@ -55,7 +55,7 @@ def doubts(
     flats: Sequence[Sequence[Shown]],
     darks: Sequence[Sequence[Shown]],
 ) -> tuple[Doubt, ...]:
-    """What the levels of a series say against figures that rest on all of them."""
+    """The doubts that the levels of a series raise about figures that use all of them."""
     found = [_fading(measurement, darks), multiplied(measurement, flats, darks)]
     found.append(_averaged(measurement))
     found.append(_two_gains(measurement, flats))
@@ -65,7 +65,7 @@ def doubts(
 
 
 def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Doubt | None:
-    """Darks that fall by a share of the flats of their exposure from frame to frame."""
+    """Darks that decrease from frame to frame in proportion to the flats of their exposure."""
     dark, matched = measurement.dark, np.asarray(measurement.dark_of)
     signal = np.asarray(measurement.bright.mean) - np.asarray(dark.mean)[matched]
     there = [i for i in range(len(darks)) if (matched == i).any()]
@@ -107,7 +107,7 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Do
 
 
 def _averaged(measurement: PhotonTransfer) -> Doubt | None:
-    """Flats or darks, not both, whose numbers are no whole ones."""
+    """Flats or darks, not both, with fractional numbers."""
     bright, dark = (levels.converter.step for levels in (measurement.bright, measurement.dark))
     if bright == dark:
         return None
@@ -128,7 +128,7 @@ def _averaged(measurement: PhotonTransfer) -> Doubt | None:
 
 
 def _step(values: Float[np.ndarray, " levels"], errors: np.ndarray) -> _Step | None:
-    """Two groups of neighbours, each of one value; None without."""
+    """Two groups of neighbouring levels with one value each; None if there are none."""
     best, found = np.inf, None
     for place in range(2, len(values) - 1):
         parts = values[:place], values[place:]

@@ -1,5 +1,5 @@
 """Flats whose signal drifts in one direction from frame to frame, as while a lamp or a camera warms
-up. What drifts within levels drifts between them too, where it looks like a curved response.
+up. A drift within levels continues between them, where it resembles a curved response.
 """
 
 from typing import NamedTuple
@@ -30,12 +30,12 @@ class Drifting(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Relative change over all flats, were they taken one after another."""
+        """Relative change over all flats if they were taken in sequence."""
         return self.share * (self.frames - 1)
 
 
 def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Drifting | None:
-    """The drift of the flats, None where none is seen."""
+    """The drift of the flats, or None if it is not significant."""
     bright, dark = measurement.bright, measurement.dark
     if bright.trend is None or len(usable) < FEWEST_LEVELS:
         return None
@@ -58,7 +58,7 @@ def drifting(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) ->
 
 
 def drifting_in_words(found: Drifting | None) -> list[str]:
-    """A sentence."""
+    """The finding on a drift."""
     if found is None:
         return []
     way = "grows" if found.share > 0 else "falls"

@@ -14,9 +14,9 @@
 
 Percentages are of the saturation signal. The sheet is a pure function of the measured means and
 variances, so each figure's standard error follows from their sampling covariance by the delta
-method. Where a quantity scatters about its own regression more than pixel noise can (p < 1 %), its
-variances are multiplied by chi-square per degree of freedom (Birge 1932): the regressions stay the
-standard's, the errors tell of the scatter.
+method. If a quantity scatters about its own regression more than pixel noise allows (p < 1 %), its
+variances are multiplied by chi-square per degree of freedom (Birge 1932). The regressions stay
+those of the standard, and the errors include the scatter.
 
 Decibels are 20 log10. Usable bits are log2 of the dynamic range.
 """
@@ -46,7 +46,7 @@ Sheet = dict[str, Float[Array, ""]]
 
 
 class Ranges(eqx.Module):
-    """Which bright levels enter what.
+    """The bright levels that enter each regression.
 
     Attributes:
         sensitivity: (levels,) those of responsivity and gain.
@@ -64,7 +64,7 @@ class Ranges(eqx.Module):
 
 
 class Statistics(eqx.Module):
-    """What the sheet is a function of.
+    """The statistics from which the sheet is computed.
 
     Attributes:
         bright_mean: (levels,) DN.
@@ -117,8 +117,8 @@ class Evaluation(eqx.Module):
 def ranges(measurement: PhotonTransfer) -> Ranges:
     """The standard's ranges of a measurement.
 
-    Without a saturation point the brightest usable level stands for it there, and no figure that
-    needs saturation is given.
+    Without a saturation point the brightest usable level takes its place, and figures that need
+    saturation are not given.
     """
     bright = measurement.bright
     signal = np.asarray(_signal(statistics(measurement, None), measurement))
@@ -149,7 +149,7 @@ def statistics(measurement: PhotonTransfer, saturation: Array | None) -> Statist
 
 
 def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
-    """The standard's figures; those that the measurement cannot give are left out.
+    """The standard's figures; figures that the measurement cannot give are left out.
 
     Source:
         EMVA Standard 1288, release 3.1.
@@ -179,14 +179,14 @@ def sheet(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> She
 def _dark_variance(
     stats: Statistics, measurement: PhotonTransfer, within: Ranges
 ) -> tuple[Array, Array | float]:
-    """sigma_y.dark^2 without exposure, and how it grows with it."""
+    """sigma_y.dark^2 at zero exposure, and its slope over exposure."""
     if within.dark_exposures > 2:
         return line(measurement.dark.exposure, stats.dark_variance)
     return stats.dark_variance[0], 0.0
 
 
 def is_floored(measurement: PhotonTransfer, within: Ranges) -> bool:
-    """Whether the standard's floor stands in place of the dark noise, of which it is a bound."""
+    """Whether the dark noise is at the standard's floor and therefore only a bound."""
     found, _ = _dark_variance(statistics(measurement, None), measurement, within)
     return float(found) < least_dark_variance(measurement)
 
@@ -206,7 +206,7 @@ def derived_figures(
     photons_known: bool,
     converter: Converter,
 ) -> Sheet:
-    """What follows from gain, responsivity, dark noise and saturation."""
+    """The figures that follow from gain, responsivity, dark noise and saturation."""
     efficiency = responsivity / gain
     threshold = jnp.sqrt(dark_variance) / gain + 0.5
     figures = {
@@ -321,7 +321,8 @@ def _sampling(
     gain: Array,
     shared: SharedNoise | None,
 ) -> tuple[tuple[SamplingErrors, SamplingErrors], Misfit]:
-    """Sampling errors of (bright, dark), inflated block by block where the regressions say so."""
+    """Sampling errors of (bright, dark), inflated for each block whose regression has a significant
+    misfit."""
     shot = _shot_variance(stats, measurement)
     bright = sampling_errors(measurement.bright, shot, gain, shared=shared)
     unlit = jnp.zeros_like(stats.dark_mean)

@@ -23,7 +23,7 @@ POINTS = 300  # of a drawn curve
 
 
 def noise_pictures(calibration: NoiseCalibration) -> tuple[Picture, ...]:
-    """The four pictures, drawn when asked for."""
+    """The four figures, drawn on request."""
     return (
         Picture(
             "photon_transfer",
@@ -232,7 +232,7 @@ def _two_panels() -> tuple[Figure, Axes, Axes]:
 
 
 def _above_dark(calibration: NoiseCalibration) -> tuple[np.ndarray, np.ndarray]:
-    """(mean, variance) of the bright levels less those of their darks."""
+    """(mean, variance) of the bright levels minus those of their darks."""
     bright, dark = calibration.measurement.bright, calibration.measurement.dark
     own = calibration.measurement.dark_of
     return (
@@ -248,7 +248,7 @@ def _mask(calibration: NoiseCalibration) -> np.ndarray:
 
 
 def _faintest(calibration: NoiseCalibration) -> float:
-    """Light of SNR about one half."""
+    """Light at an SNR of about one half."""
     values = calibration.standard.values
     threshold = float(values["threshold_electrons"] * values["system_gain"])
     _, moments, unlit = _model_curve(calibration, spacing="even")
@@ -259,8 +259,8 @@ def _faintest(calibration: NoiseCalibration) -> float:
 def _model_curve(
     calibration: NoiseCalibration, *, spacing: str = "log", faintest: float | None = None
 ) -> tuple[np.ndarray, Moments, Moments]:
-    """(light, moments of the chosen model there, and without light), at the median exposure and
-    without the light offset, which belongs to the bench."""
+    """(light, moments of the chosen model there, and without light), at the median exposure. The
+    light offset is left out, because it belongs to the bench."""
     fit = calibration.chosen
     data = fit.data
     bright = np.asarray(data.light)[np.asarray(data.lit) > 0]

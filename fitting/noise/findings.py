@@ -1,4 +1,4 @@
-"""What a noise calibration has to say, in sentences: misfit first, then what was done about it."""
+"""The findings of a noise calibration: a misfit first, then its consequences."""
 
 from dataclasses import replace
 
@@ -71,12 +71,12 @@ def _shown(calibration: NoiseCalibration, name: str) -> tuple[float, float]:
 
 
 def is_impossible(calibration: NoiseCalibration) -> bool:
-    """Whether more electrons are counted than photons arrive."""
+    """Whether the quantum efficiency exceeds 1."""
     return calibration.efficiency is not None and calibration.efficiency > 1
 
 
 def is_no_sensor(calibration: NoiseCalibration) -> bool:
-    """Whether a sensor made from the calibration would not be the camera."""
+    """Whether a sensor made from the calibration would not describe the camera."""
     return (
         calibration.likelihood is None
         or any("system_gain" in doubt.of for doubt in calibration.measurement.doubts)
@@ -96,7 +96,7 @@ def _processing(calibration: NoiseCalibration) -> list[str]:
 
 
 def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
-    """What was found, without the blocks of a compression and what resizing repeats."""
+    """The periodic structure without the blocks of a compression and the repeats of resizing."""
     blocks = is_compressed(calibration.measurement, calibration.usable)
     return tuple(
         one for one in calibration.periodic if not (blocks and BLOCK % (one.period or 3) == 0)
@@ -104,14 +104,14 @@ def _periodic(calibration: NoiseCalibration) -> tuple[Periodic, ...]:
 
 
 def periodic_findings(calibration: NoiseCalibration, *, apart: bool = False) -> list[str]:
-    """Sentences on rows, columns, cells and parts of the frame that differ; `apart`: which were
-    then calibrated each by itself."""
+    """Findings on rows, columns, cells and parts of the frame that differ. `apart` names those that
+    were calibrated separately."""
     return periodic_in_words(_periodic(calibration), calibration.gain, apart=apart)
 
 
 def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None:
-    """`camera.taps` by which the pixels of a calibration are to be calibrated apart; None where
-    they are alike, or where frames are not raw."""
+    """The value of `camera.taps` for a camera whose pixels need separate calibrations; None if they
+    agree, or if frames are not raw."""
     if calibration.measurement.site is not None or is_no_sensor(calibration):
         return None
     return taps_of(_periodic(calibration))
@@ -136,7 +136,7 @@ def _efficiency(calibration: NoiseCalibration) -> list[str]:
 
 
 def _converter(calibration: NoiseCalibration) -> list[str]:
-    """Findings on the converter. Unequal steps are named only if they move the read noise."""
+    """Findings on the converter. Unequal steps are named only if they change the read noise."""
     measurement = calibration.measurement
     converter = measurement.converter
     alike = measurement.bright.converter.step == measurement.dark.converter.step
@@ -173,7 +173,7 @@ def _of_likelihood(calibration: NoiseCalibration) -> list[str]:
 
 
 def _counted(calibration: NoiseCalibration) -> list[str]:
-    """Whether tables of codes took the place of moments, and what it gained."""
+    """Whether tables of codes replaced moments, and by how much the errors decreased."""
     counted = calibration.counted
     if counted is None or calibration.likelihood is None:
         return []
@@ -244,7 +244,7 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
 
 
 def _neighbours(calibration: NoiseCalibration) -> list[str]:
-    """What variances lose to charges that repel each other, and to mixing with neighbours."""
+    """The reduction of variances by the brighter-fatter effect and by mixing with neighbours."""
     chosen, told = calibration.chosen, []
     if "brighter_fatter" in chosen.values:
         share, error = _shown(calibration, "brighter_fatter")
@@ -318,7 +318,8 @@ def _light_offset(calibration: NoiseCalibration) -> list[str]:
 
 
 def _by_the_dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
-    """Whether the other levels, about a line of signal over light, show no offset of the light."""
+    """Whether only the dimmest level shows an offset of the light: the others lie on a line of
+    signal over light through the origin."""
     bright = measurement.bright
     light = np.asarray(bright.light if measurement.photons_known else bright.exposure)[usable]
     dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
@@ -442,7 +443,7 @@ def _saturation(calibration: NoiseCalibration) -> list[str]:
 
 
 def _glow(calibration: NoiseCalibration) -> list[str]:
-    """Darks that are smoothly uneven, the more so the longer they are exposed."""
+    """Darks with a smooth unevenness that grows with exposure."""
     dark = calibration.measurement.dark
     if dark.local_pattern is None or dark.spatial_variance is None:
         return []
@@ -510,7 +511,7 @@ def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
 
 
 def _shared(calibration: NoiseCalibration) -> list[str]:
-    """What rows and columns of the darks share, in electrons."""
+    """Noise that rows and columns of the darks share, in electrons."""
     dark = calibration.measurement.dark
     if dark.shared is None:
         return []
@@ -555,7 +556,8 @@ def _drift(calibration: NoiseCalibration) -> list[str]:
 
 
 def _with_interval(found: Found) -> str:
-    """The root of a variance that a few frames tell, of as many degrees as its error says."""
+    """The square root of a variance from a few frames, with an interval from its degrees of
+    freedom."""
     part = Part(found.variance, 2 * (found.variance / found.error) ** 2)
     low, _, value, _, high = deviation_quantiles(found.variance, 0.0, [part])
     return f"{value:.3g} (95 %: {low:.3g} to {high:.3g})"

@@ -183,9 +183,9 @@ def _fit_among(
     standard: Sheet,
     near: LikelihoodFit | None,
 ) -> tuple[NewtonSolution, Array]:
-    """The most likely vector of a model that lacks some effects of a larger one, found by the
-    larger one's program, with their sizes held at none: models that are tried in turn are compiled
-    once. Also the vector of the larger one."""
+    """The most likely vector of a model that lacks some effects of a larger one. The program of the
+    larger model finds it with the sizes of these effects fixed at none, so that all candidate
+    models share one compilation. It also returns the vector of the larger model."""
     lacking = jnp.asarray([parameter not in space for parameter in whole])
     start = start_vector(whole, standard, data)
     none = jnp.asarray([0.0 if p.transform == "identity" else LOG_NONE for p in whole])
@@ -211,8 +211,8 @@ def _fit_among(
 def _cost_without(
     vector: Float[Array, " p"], args: tuple[ParameterSpace, NoiseData, Array, Array]
 ) -> Array:
-    """`cost` with some effects held at none; each costs half of the square of its own vector, so
-    that the Hessian stays regular."""
+    """`cost` with some effects fixed at none. Each contributes half the square of its own vector,
+    so that the Hessian stays regular."""
     space, data, lacking, none = args
     held = jnp.where(lacking, none, vector)
     return cost(held, (space, data)) + jnp.sum(jnp.where(lacking, (vector - none) ** 2, 0)) / 2
@@ -228,8 +228,9 @@ def fit_space(space: ParameterSpace, data: NoiseData, standard: Sheet) -> Newton
 
 @eqx.filter_jit
 def _best_start(space: ParameterSpace, data: NoiseData, start: Array) -> Array:
-    """The most likely of a few read noises and black levels. Clipped or hardly dithered darks have
-    several optima: a wide noise about the middle of a code, a fine one near its edge."""
+    """The most likely of several starting read noises and black levels. Clipped or hardly dithered
+    darks have several optima: a large noise about the middle of a code, and a small one near its
+    edge."""
     labels = names(space)
     noise, black = labels.index(READ_NOISE.name), labels.index(OFFSET.name)
     largest = 2 * jnp.sqrt(jnp.max(jnp.where(data.lit == 0, data.variance, 0)))
@@ -260,7 +261,7 @@ def fitted(
     among: ParameterSpace = (),
     near: LikelihoodFit | None = None,
 ) -> LikelihoodFit:
-    """One model fitted and judged."""
+    """Fit one model and test it."""
     if among:
         solution, vector = _fit_among(among, space, data, standard, near)
         if near is not None and not bool(jnp.isfinite(solution.cost)):
@@ -284,7 +285,7 @@ def fitted(
 def fitted_without(
     fit: LikelihoodFit, left_out: Bool[np.ndarray, " levels"], standard: Sheet
 ) -> NewtonSolution:
-    """The same model fitted again, by the same compiled program, with some levels kept out."""
+    """The same model fitted by the same compiled program without some levels."""
     kept = jnp.asarray(~left_out, fit.data.mean.dtype)
     data = eqx.tree_at(lambda data: data.kept, fit.data, kept)
     if fit.among:
@@ -293,7 +294,7 @@ def fitted_without(
 
 
 def observations(data: NoiseData) -> int:
-    """How many numbers are explained."""
+    """The number of observations."""
     of_neighbours = int(jnp.sum(data.lit)) if are_known(data.neighbours) else 0
     of_offsets = int(jnp.sum(data.lit == 0)) if data.offsets is not None else 0
     return 2 * data.mean.size + of_neighbours + of_offsets
@@ -310,7 +311,7 @@ def likelihood_sheet(
     saturation: Float[Array, ""] | None,
     args: tuple[ParameterSpace, NoiseData, Bool[Array, " levels"]],
 ) -> Sheet:
-    """The standard's figures from the likelihood's parameters, gain and responsivity at zero
+    """The standard's figures from the likelihood's parameters, with gain and responsivity at zero
     signal.
     """
     space, data, linearity = args
@@ -336,6 +337,6 @@ def likelihood_sheet(
 
 
 def gain_drop(values: dict[str, Array], data: NoiseData) -> Array:
-    """1 - h'(X): by what fraction the gain falls from zero signal to the brightest level."""
+    """1 - h'(X): the relative decrease of the gain from zero signal to the brightest level."""
     top = data.top_signal
     return 1 - jax.grad(lambda x: compressed(values, x, top))(top)

@@ -1,6 +1,6 @@
-"""Noise that rows or columns of the flats share beyond those of the darks, as light has it that
-flickers while a shutter rolls. No model knows of it, and in a variance it passes for light's; the
-analysis of variance that finds it takes it out again, row by row, so that the rest is pixels' own.
+"""Noise shared by rows or columns in flats beyond that of the darks, as from flickering light under
+a rolling shutter. No model includes it, and in a variance it looks like shot noise. The analysis of
+variance that detects it also removes it, row by row, which leaves the noise of the pixels.
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ def extra_in_flats(
 
 
 def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> PhotonTransfer:
-    """The measurement whose flats have no more noise of rows and columns than the darks."""
+    """The measurement with flats whose row and column noise is reduced to that of the darks."""
     bright, dark = measurement.bright, measurement.dark
     if not flicker or bright.shared is None or dark.shared is None:
         return measurement
@@ -53,7 +53,7 @@ def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> P
 
 
 def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> list[str]:
-    """A sentence for each."""
+    """One finding for each."""
     told = []
     bright = measurement.bright
     for axis, name in enumerate(("rows", "columns")):

@@ -1,4 +1,4 @@
-"""Photon transfer from frames in memory: the measurement that a rig of the same frames gives."""
+"""Photon transfer from frames in memory: the same measurement as from a rig with these frames."""
 
 from collections.abc import Sequence
 
@@ -100,7 +100,7 @@ def _rig_of(
     camera: Camera,
     dark_exposures: Sequence[float] | None,
 ) -> tuple[Rig, Load]:
-    """The rig of frames in memory, and what loads them."""
+    """The rig for frames in memory, and the function that loads them."""
     require_frames("flats", flats)
     require_frames("darks", darks)
     exposures = each("exposures", exposures)

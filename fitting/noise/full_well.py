@@ -1,4 +1,4 @@
-"""How many electrons a pixel holds, where flats fill it before the converter's range ends."""
+"""The full well in electrons, from flats that fill it before the end of the converter's range."""
 
 import numpy as np
 from scipy.optimize import root_scalar
@@ -26,7 +26,7 @@ def ends_at_full_scale(calibration: NoiseCalibration) -> bool:
 def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
     """The full well times the gain at zero signal, from the levels whose wells are full.
 
-    Of a level of mu electrons the mean is E[min(N, W)], N being Gaussian of variance mu, which is
+    A level of mu electrons has the mean E[min(N, W)] with N Gaussian of variance mu, which is
     solved for W.
     """
     if calibration.within.saturation is None or ends_at_full_scale(calibration):
@@ -60,7 +60,7 @@ def full_well(calibration: NoiseCalibration) -> tuple[float, float] | None:
 
 
 def _well_of(held: float, mean: float) -> float:
-    """W of E[min(N, W)] = held, N being Gaussian of this mean and variance."""
+    """W of E[min(N, W)] = held, with N Gaussian of this mean and variance."""
     sigma = np.sqrt(mean)
 
     def missed(well: float) -> float:

@@ -1,7 +1,8 @@
-"""Pixels that jump in one frame, as where cosmic rays hit: no noise of light or of the read-out.
+"""Pixels with outliers in single frames, such as hits by cosmic rays.
 
-A few such pixels of a frame outweigh the noise of all others in a variance. They stand apart from
-these; noise that has a tail, as of few electrons, multiplied ones or warm pixels, does not.
+A few such pixels can outweigh the noise of all others in a variance. They are separate from the
+distribution of the others. A noise distribution with a tail, as from few electrons, multiplied
+electrons or warm pixels, is continuous.
 """
 
 from typing import NamedTuple
@@ -18,7 +19,7 @@ SAMPLED = 100_000  # pixels by which the usual change is told
 
 
 class Hits(NamedTuple):
-    """Pixels that jump between two frames, and what stands in.
+    """Outlying pixels between two frames, and their replacement values.
 
     Attributes:
         up: (h, w) true where the second frame is the brighter one.
@@ -32,7 +33,7 @@ class Hits(NamedTuple):
 
 
 def hits(change: Float[np.ndarray, "h w"], live: LivePixels) -> Hits | None:
-    """Pixels that jump."""
+    """The outlying pixels."""
     stride = max(int(np.sqrt(change.size / SAMPLED)), 1)
     sample = change[::stride, ::stride][live.mask[::stride, ::stride]]
     if not sample.size:

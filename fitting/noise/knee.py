@@ -6,8 +6,8 @@ With K DN an electron below the knee and s_k DN of signal at it, the variance of
     K s                        below,
     r K (s - (1 - r) s_k)      above:
 
-at the knee it falls to r^2 of what it was, as at a full well, but then it rises again. The light
-itself does not enter, so that a lamp that flickers between levels neither hides nor makes a knee.
+At the knee it falls to r^2 of its value, as at a full well, and then rises again. The light itself
+is not used, so a lamp that flickers between levels neither hides nor imitates a knee.
 """
 
 from typing import NamedTuple

@@ -29,7 +29,7 @@ class Unlit(NamedTuple):
 
 
 class LevelStatistics(NamedTuple):
-    """Of the frames of one level, as `Levels` holds them of all, and what is kept of each frame."""
+    """The statistics of one level, as `Levels` has them for all, and a summary of each frame."""
 
     mean: float
     variance: float
@@ -49,8 +49,8 @@ class LevelStatistics(NamedTuple):
 
 
 class LevelSums:
-    """Sums over the frames of a level. Deviations from the first frame keep S2 and S1^2 small:
-    little cancels in their difference.
+    """Sums over the frames of a level. They use deviations from the first frame, so that S2 and
+    S1^2 are small and their difference keeps its precision.
 
     Args:
         first: (h, w) frame, DN.
@@ -111,11 +111,12 @@ class LevelSums:
         self._blocks += weight * block_products(deviation, self.live)
 
     def _without_flicker(self, average: np.ndarray) -> float:
-        """Takes out what a lamp that flickers makes of the unevenness of its light.
+        """Remove the effect of a flickering lamp on the unevenness of its light.
 
-        A frame whose light is larger by a share e_f has e_f P more at a pixel that differs by P
-        from the mean. With s^2 the sum of e_f^2, of the frames' components sum_f (e_f / s) d_f
-        loses s P; all others have none of it. P is taken from the average frame, noise and all.
+        A frame with a relative excess e_f of light exceeds the mean by e_f P at a pixel that
+        differs by P from the mean. With s^2 the sum of e_f^2, the component sum_f (e_f / s) d_f of
+        the frames contains s P, and all components orthogonal to it contain none. P is taken from
+        the average frame, including its noise.
         """
         if self._unlit is None:
             return 1.0

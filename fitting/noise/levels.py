@@ -7,8 +7,8 @@ numbers and of their squares,
     variance  s^2 = (L S2 - S1^2) / (L (L - 1))          averaged over the pixels
     spatial   s^2_measured = variance of S1 / L over the pixels
 
-so that all frames of a level count, and a fixed pattern cancels from the temporal variance. DN is
-the digital number; exposures are seconds; light is counted in photons per pixel and exposure.
+All frames of a level count, and a fixed pattern cancels in the temporal variance. DN is the digital
+number; exposures are seconds; light is counted in photons per pixel and exposure.
 """
 
 from typing import NamedTuple
@@ -85,14 +85,14 @@ class Levels(eqx.Module):
 
     @property
     def unsteady(self) -> Float[Array, " levels"] | None:
-        """Variance of a frame's mean by `flicker`, DN^2."""
+        """Variance of a frame's mean because of `flicker`, DN^2."""
         if self.flicker is None or self.shared is None:
             return None
         return jnp.sum(self.flicker / self.shared.shape[:, None], axis=0)
 
 
 class Doubt(NamedTuple):
-    """What the frames of a series say against some figures, which are then not given.
+    """A contradiction in the frames, and the figures that are therefore not given.
 
     Attributes:
         of: names of the figures.
@@ -106,10 +106,11 @@ class Doubt(NamedTuple):
 
 
 class CodeTables(eqx.Module):
-    """How often each code occurs at levels of few electrons, in codes beyond the pixel's own black.
+    """How often each code occurs at levels of few electrons, counted from the pixel's own black
+    level.
 
-    A pixel's black is its mean over the dark frames; pixels of one table have about the same place
-    of it between two codes.
+    A pixel's black level is its mean over the dark frames. The black levels of one table's pixels
+    lie at about the same position between two codes.
 
     Attributes:
         level: (tables,) index of the bright level.
@@ -166,7 +167,8 @@ class PhotonTransfer(eqx.Module):
 
     @property
     def knee(self) -> Knee | None:
-        """Where the response bends to a second slope, below full scale; None where it does not."""
+        """The knee at which the response changes to a second slope, below full scale; None if there
+        is none."""
         bright, matched = self.bright, np.asarray(self.dark_of)
         clear = _clear_of_clipping(self)
         signal = np.asarray(bright.mean) - np.asarray(self.dark.mean)[matched]
@@ -177,12 +179,12 @@ class PhotonTransfer(eqx.Module):
 
 
 def finer(bright: Levels, dark: Levels) -> Converter:
-    """The grid on which the numbers of both lie."""
+    """The common grid of the numbers of both."""
     return min(bright.converter, dark.converter, key=lambda one: one.step)
 
 
 def _clear_of_clipping(measurement: PhotonTransfer) -> np.ndarray:
-    """Levels four standard deviations below full scale."""
+    """Levels at least four standard deviations below full scale."""
     mean, variance = np.asarray(measurement.bright.mean), np.asarray(measurement.bright.variance)
     if measurement.full_scale is None:
         return np.ones(mean.shape, bool)
@@ -190,7 +192,7 @@ def _clear_of_clipping(measurement: PhotonTransfer) -> np.ndarray:
 
 
 def saturated_level(measurement: PhotonTransfer) -> int | None:
-    """The standard's saturation point, where a fall of the variance is one and no knee."""
+    """The standard's saturation point, if the decrease of the variance is not a knee."""
     return None if measurement.knee is not None else saturation_index(measurement.bright)
 
 
@@ -207,7 +209,7 @@ def saturation_index(levels: Levels) -> int | None:
 
 
 def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
-    """Bright levels that neither full well nor ADC has touched."""
+    """Bright levels below the effects of full well and ADC range."""
     bright = measurement.bright
     mean, variance = np.asarray(bright.mean), np.asarray(bright.variance)
     usable = variance > 0
@@ -224,7 +226,7 @@ def linear_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " usable"]:
 
 
 def _of_one_converter(measurement: PhotonTransfer) -> np.ndarray:
-    """Levels below the number from which another converter takes over."""
+    """Levels below the number at which another converter takes over."""
     bright, top = measurement.bright, measurement.converter.coarse_from
     if top is None:
         return np.ones(bright.mean.shape, bool)

@@ -1,10 +1,10 @@
 """A photon transfer measurement from a CSV table: one row per level, bright and dark at the same
 exposure.
 
-Columns: `photons_per_pixel`; one of `exposure_s`, `_ms`, `_us`, `_ns`; the four moments
+The columns are `photons_per_pixel`; one of `exposure_s`, `_ms`, `_us`, `_ns`; the four moments
 `mean_bright_DN`, `var_bright_DN2`, `mean_dark_DN`, `var_dark_DN2`, or the sums `bright_sum` (of S1
 over the pixels), `bright_pvar` (of L (L S2 - S1^2)), `dark_sum`, `dark_pvar`; `frames` (L, default
-2); and `pixels`, unless sums and means together give it. Lines that start with # are skipped.
+2); and `pixels`, which sums and means together may replace. Lines that start with # are skipped.
 """
 
 import csv
@@ -140,8 +140,8 @@ def _pixels(file: Path, columns: dict[str, np.ndarray], frames: np.ndarray) -> i
 def _moments(
     file: Path, columns: dict[str, np.ndarray], frames: np.ndarray, pixels: int
 ) -> tuple[np.ndarray, ...]:
-    """(bright mean, bright variance, dark mean, dark variance) of each row; from sums where there
-    are sums, being exact."""
+    """(bright mean, bright variance, dark mean, dark variance) of each row, from the sums if there
+    are any, because these are exact."""
     if not any(name in columns for name in COUNT_COLUMNS):
         return tuple(_column(file, columns, name) for name in MOMENT_COLUMNS)
     sums = [_column(file, columns, name) for name in COUNT_COLUMNS]
@@ -152,8 +152,8 @@ def _moments(
 def _refuse_deviations(
     file: Path, mean: np.ndarray, variance: np.ndarray, unlit: np.ndarray, of_dark: np.ndarray
 ) -> None:
-    """Refuses standard deviations in place of variances: their squares are in proportion to the
-    signal, and they are not."""
+    """Refuse standard deviations in a column of variances: their squares are proportional to the
+    signal, but they are not."""
     signal = mean - unlit
     seen = (signal > 0) & (variance > of_dark) & (mean <= mean[np.argmax(variance)])
     if seen.sum() < FEWEST_FOR_POWER or np.ptp(np.log(signal[seen])) < np.log(LIGHTS):
@@ -173,7 +173,8 @@ def _refuse_deviations(
 def _depth(
     file: Path, bits: int | None, mean: np.ndarray, variance: np.ndarray
 ) -> tuple[float | None, tuple[str, ...]]:
-    """(full scale, remarks): from `bits`, or from levels at which every pixel reads the same."""
+    """(full scale, remarks), from `bits` or from levels at which every pixel has the same
+    number."""
     brightest = float(mean.max())
     if bits is not None:
         if brightest > 2**bits - 1:

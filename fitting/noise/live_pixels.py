@@ -1,8 +1,8 @@
-"""Pixels that tell of light and noise, and those that do not: dead, stuck and hot ones.
+"""Pixels that respond to light normally, and those that do not: dead, stuck and hot ones.
 
-A dead or stuck pixel has the same number in the dark and under light. A hot one reads, without
-light, far from what the others do: it has a dark current of its own. Neither belongs in a mean or a
-variance that stands for all pixels, nor in the count that their errors rest on.
+A dead or stuck pixel has the same number in the dark and under light. A hot pixel differs from the
+others without light, because of its larger dark current. Such pixels are excluded from means, from
+variances, and from the pixel count for the errors.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ SHOWN = 6  # rows, columns or pixels that are listed
 
 
 class LivePixels:
-    """Which pixels of a frame count, and means over them.
+    """The mask of valid pixels of a frame, and means over them.
 
     Args:
         mask: (h, w) true where a pixel counts.
@@ -45,21 +45,22 @@ class LivePixels:
         return plane if self._all else np.where(self.mask, plane, 0.0)
 
     def mean(self, plane: Float[np.ndarray, "h w"]) -> float:
-        """Over all pixels that count."""
+        """Mean over all valid pixels."""
         return float(self.only(plane).sum()) / self.count
 
     def line_means(self, plane: Float[np.ndarray, "h w"], axis: int) -> np.ndarray:
-        """Of rows (axis 0) or columns (axis 1); NaN where none of a line counts."""
+        """Means of rows (axis 0) or columns (axis 1); NaN for a line without valid pixels."""
         sums = self.only(plane).sum(axis=1 - axis)
         counts = self._of_line[axis]
         return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
 
     def filled(self, plane: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        """The plane with its mean elsewhere."""
+        """The plane with its mean in place of invalid pixels."""
         return plane if self._all else np.where(self.mask, plane, self.mean(plane))
 
     def variance_shares(self) -> Float[np.ndarray, "4 3"]:
-        """What independent pixels, rows and columns of variance 1 add to variances of a frame."""
+        """The contributions of independent pixels, rows and columns of variance 1 to the variances
+        of a frame."""
         counts = [of[of > 0].astype(float) for of in self._of_line]
         n, lines = float(self.count), [of.size for of in counts]
         inverse = [float(np.mean(1 / of)) for of in counts]
@@ -90,7 +91,7 @@ class LivePixels:
 
 @dataclass(frozen=True)
 class DeadPixels:
-    """Pixels that do not count.
+    """Invalid pixels.
 
     Attributes:
         still: (h, w) true where light changes nothing.
@@ -104,12 +105,12 @@ class DeadPixels:
 
     @property
     def all(self) -> Bool[np.ndarray, "h w"]:
-        """Of any kind."""
+        """Invalid pixels of any kind."""
         return np.logical_or.reduce([self.still, self.hot, *(one.mask for one in self.stuck)])
 
     @property
     def sentence(self) -> str:
-        """For a report."""
+        """The finding for a report."""
         parts = [
             f"{int(mask.sum())} {what}{_where(mask)}"
             for mask, what in (
@@ -162,7 +163,7 @@ def dead_pixels(flats: Sequence[np.ndarray], darks: Sequence[np.ndarray]) -> Dea
 
 
 def _covered_border(still: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Rows and columns, from a border of the frame inward, where light changes next to nothing."""
+    """Rows and columns at the border of the frame that hardly respond to light."""
     covered = np.zeros_like(still)
     for axis in (0, 1):
         line = still.mean(axis=1 - axis) >= 1 - MOST
@@ -181,13 +182,14 @@ def _far(values: np.ndarray, sign: int) -> np.ndarray:
 
 
 def _step(values: np.ndarray) -> float:
-    """Between neighbouring numbers, DN."""
+    """The step between neighbouring numbers, DN."""
     gaps = np.diff(np.unique(values))
     return float(gaps.min()) if gaps.size else 1.0
 
 
 def _where(mask: Bool[np.ndarray, "h w"]) -> str:
-    """Whole columns and rows by number, and single pixels where they are few."""
+    """The positions in words: whole columns and rows by number, and single pixels if they are
+    few."""
     parts, left = [], mask.copy()
     for axis, name in ((0, "column"), (1, "row")):
         whole = np.flatnonzero(mask.all(axis=axis))

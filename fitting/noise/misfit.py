@@ -1,4 +1,4 @@
-"""When a chi-square is beyond chance, and what it then does to a covariance (Birge 1932)."""
+"""The significance of a chi-square, and Birge's factor (1932) on the covariance."""
 
 from scipy.special import chdtrc
 
@@ -6,7 +6,7 @@ MISFIT = 1e-3  # p-value below which a model is not believed
 
 
 def p_value(chi_square: float, degrees: float) -> float:
-    """How often chance alone gives a chi-square as large."""
+    """The probability that chance gives a chi-square at least as large."""
     return float(chdtrc(max(degrees, 1), chi_square))
 
 

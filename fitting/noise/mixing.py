@@ -1,5 +1,5 @@
-"""Linear mixing of pixels behind the counting, as a calibrated camera shows it: the share of the
-variance from the likelihood, its distribution among the neighbours from their covariances."""
+"""Linear mixing of pixels after the counting, for a calibrated camera. The likelihood gives the
+share of the variance, and the covariances give its distribution among the neighbours."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +12,7 @@ from .neighbours import PERIOD, Lags, above_dark, shares_of, tell_of_neighbours
 
 
 def mixed_shares(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
-    """How the variance that mixing takes from a pixel is spread over the covariances."""
+    """The distribution of the variance that mixing takes from a pixel over the covariances."""
     bright, dark = measurement.bright, measurement.dark
     if not tell_of_neighbours(measurement):
         return shares_of(np.zeros(0), np.zeros((0,) * 3), np.zeros((0,) * 3))
@@ -24,8 +24,8 @@ def mixed_shares(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
 def fitted_mixing(
     shares: Lags | Float[Array, "lags lags"] | None, values: dict[str, Array]
 ) -> Mixing | None:
-    """The mixing of a sensor: the kernel, even in both axes, whose autocorrelation the covariances
-    of neighbours are.
+    """The mixing of a sensor: the kernel, even in both axes, whose autocorrelation gives the
+    covariances of neighbours.
     """
     if shares is None or "pixel_mixing" not in values:
         return None

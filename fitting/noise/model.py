@@ -1,4 +1,4 @@
-"""The likelihood of photon transfer: what mean and temporal variance a camera shows at each level.
+"""The likelihood of photon transfer: mean and temporal variance of a camera at each level.
 
     electrons  mu  = R / K (mu_p + delta) + D t
     signal     x   = K mu
@@ -8,27 +8,28 @@
     h(x)           = x (1 - c_1 x / X - c_2 (x / X)^2)
     V(mu)          = mu, or (1 - kappa) C_00(mu)
 
-K: DN per electron and R: DN per photon, both at zero signal; the means know R a hundred times
-better than the variances know K, so that these two, unlike K and the efficiency R / K, are hardly
-correlated. mu_p: photons per pixel; t: s. h: a compression behind the gain, X being the brightest
-level's signal. q: step of the converter, DN; q^2 / 12: rounding, counted once. Read noise enters
-behind the compression. C_00: the variance of a pixel whose charges repel each other (Astier
-2019, `jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so beta is to first order the
-share of its variance that the brightest level loses. The other a_ij have the relative sizes of the
-measured covariances. kappa: share of a pixel's signal variance that
-linear mixing with its neighbours takes. Neither loses any of the noise of sums over many pixels.
+K is DN per electron and R is DN per photon, both at zero signal. The means determine R a hundred
+times better than the variances determine K, so these two are hardly correlated, unlike K and the
+efficiency R / K. mu_p: photons per pixel; t: s. h: a compression behind the gain, with X the
+brightest level's signal. q: step of the converter, DN; q^2 / 12: rounding, counted once. Read noise
+is added behind the compression. C_00: the variance of a pixel whose charges repel each other
+(Astier 2019, `jaxvision.sensor.flat_covariances`). Its a_00 = -beta K / X, so to first order beta
+is the relative loss of variance at the brightest level. The other a_ij have the relative sizes of
+the measured covariances. kappa is the share of a pixel's signal variance that linear mixing with
+its neighbours takes. Neither changes the noise of sums over many pixels.
 
-The observed mean of L frames of n pixels is Normal with variance s^2 / (n L); the observed variance
-is Gamma, given the mean, with as many degrees of freedom as its sampling variance,
-(2 s^4 / (L - 1) + kappa_4 / L) / n less what the mean explains, corresponds to. Shot noise is skew,
-which correlates the two by kappa_3 / (n L). Two random effects can join, each with one scale: the
-light of a level is off by tau_H mu_p, and its black level by tau_0.
+The observed mean of L frames of n pixels is Normal with variance s^2 / (n L). Given the mean, the
+observed variance is Gamma. Its degrees of freedom follow from its sampling variance, (2 s^4 / (L -
+1) + kappa_4 / L) / n, minus the part that the mean explains. Shot noise is skew, which gives the
+two a covariance of kappa_3 / (n L). Two random effects are optional: an error tau_H mu_p of the
+light of a level, and an error tau_0 of its black level.
 
-An effect that the space does not name is not traced. Where black is clipped or read noise does not
-smooth the rounding (`window`), the named levels take their moments from `quantised_moments`. Where
-the offsets of the pixels are seen to differ there, their spread is a parameter, and the spatial
-variance of each dark level, which rounding changes, too, joins the data (`OffsetData`). Of levels
-of few electrons tables of codes may count in place of the moments (`CountedLevels`).
+An effect that is not in the parameter space is not traced. Where black is clipped, or read noise is
+too small to smooth the rounding (`window`), the moments of the affected levels come from
+`quantised_moments`. If the offsets of the pixels differ significantly there, their spread is a
+parameter. The spatial variance of each dark level, which rounding also changes, is then part of the
+data (`OffsetData`). At levels of few electrons, tables of codes may replace the moments
+(`CountedLevels`).
 """
 
 from dataclasses import replace
@@ -49,7 +50,7 @@ UNKNOWN_LIGHT = 1e6  # relative variance of a level's light that is kept out
 
 
 class OffsetData(eqx.Module):
-    """How the pixels of the dark levels differ.
+    """The differences between the pixels of the dark levels.
 
     Attributes:
         spatial: (levels,) variance of the pixels' means that temporal noise does not explain, DN^2;
@@ -66,7 +67,7 @@ class OffsetData(eqx.Module):
 
 
 class CountedLevels(eqx.Module):
-    """What tables of codes tell of dim levels, in place of their means and variances: a Gaussian.
+    """A Gaussian from tables of codes, which replaces the means and variances of dim levels.
 
     Attributes:
         levels: (m,) their indices.
@@ -148,7 +149,7 @@ class Moments(eqx.Module):
 
 
 class Residuals(eqx.Module):
-    """Standardised residuals, each standard normal if the model holds.
+    """Standardised residuals, each standard normal under the model.
 
     Attributes:
         mean: (levels,) of the means.
@@ -219,8 +220,8 @@ def expected_electrons(
 
 
 def predicted_moments(values: dict[str, Array], data: NoiseData, light: Array) -> Moments:
-    """The model at all levels. Compile it: outside of a program JAX remembers every single `vmap`,
-    which takes 3 kB.
+    """The model at all levels. Compile it: outside a compiled program JAX caches every single
+    `vmap`, which takes 3 kB.
     """
     moments = jax.vmap(lambda p, lit, t: level_moments(values, data, p, lit, t))(
         light, data.lit, data.exposure
@@ -352,9 +353,9 @@ def log_density(
 ) -> Array:
     """Log posterior density, up to a constant.
 
-    A scatter has Jeffreys' prior of its own (`scatter_prior`): toward 0, where the likelihood
-    levels off, a flat prior on its logarithm would leave the posterior improper; a flat one on
-    itself would make intervals from few levels too wide.
+    A scatter has its own Jeffreys prior (`scatter_prior`). The likelihood is constant toward 0, so
+    a prior that is flat in the logarithm would make the posterior improper. A prior that is flat in
+    the scatter would make intervals from few levels too wide.
     """
     space, data, weight = args
     density = -weight * cost(vector, (space, data)) + log_prior(space, vector)
@@ -366,16 +367,16 @@ def log_density(
 def negative_log_density(
     vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseData, Array]
 ) -> Array:
-    """Less `log_density`: what a search for the mode minimises."""
+    """-`log_density`, which a search for the mode minimises."""
     return -log_density(vector, args)
 
 
 def scatter_prior(values: dict[str, Array], data: NoiseData) -> Array:
-    """Log of Jeffreys' prior of each scatter by itself, per unit of its logarithm.
+    """Log of Jeffreys' prior of each scatter separately, per unit of its logarithm.
 
-    A scatter tau adds tau^2 a to the variance v of each level, so that its information is
-    sum 2 tau^2 a^2 / (v + tau^2 a)^2: the prior is flat in ln tau where the scatter rules and
-    falls as tau^2 where it drowns.
+    A scatter tau adds tau^2 a to the variance v of each level, so its information is sum 2 tau^2
+    a^2 / (v + tau^2 a)^2. The prior is flat in ln tau if the scatter dominates, and falls as tau^2
+    if the noise does.
 
     Source:
         Box & Tiao, "Bayesian Inference in Statistical Analysis", 1973, section 5.2.
@@ -412,8 +413,8 @@ def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseD
 def _log_density_of_tables(
     values: dict[str, Array], data: NoiseData, counted: CountedLevels
 ) -> Array:
-    """ln p of the tables of codes. The light of a level that is kept out is not known; gain and
-    read noise remain those of all tables."""
+    """ln p of the tables of codes. The light of a kept-out level is unknown, so only gain and read
+    noise enter for it."""
     at = counted.levels
     light, lit, exposure = data.light[at], data.lit[at], data.exposure[at]
     electrons = jax.vmap(lambda *of: expected_electrons(values, data, *of))(light, lit, exposure)
@@ -433,6 +434,6 @@ def _log_density_of_tables(
 
 
 def named(space: ParameterSpace, vector: Float[Array, " parameters"]) -> dict[str, Array]:
-    """Natural values by name."""
+    """Parameters in natural units, by name."""
     natural = to_natural(space, vector)
     return {name: natural[i] for i, name in enumerate(names(space))}

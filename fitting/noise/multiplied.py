@@ -1,8 +1,8 @@
-"""Electrons that a register multiplied before they were read (EMCCD), by the skew of dim flats.
+"""Detection of electron multiplication before the read-out (EMCCD), from the skewness of dim flats.
 
-Of light alone, signal x has variance K x and third cumulant K^2 x. A register of many stages makes
-of each electron a number that is distributed exponentially, of mean g: with K' = 2 g K for the
-variance over the signal (an excess noise factor of 2), the third cumulant is 3 / 2 K'^2 x.
+Without multiplication, a signal x has variance K x and third cumulant K^2 x. A register of many
+stages turns each electron into an exponentially distributed number of mean g. The variance over the
+signal is then K' = 2 g K (an excess noise factor of 2), and the third cumulant is 3 / 2 K'^2 x.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def multiplied(
     flats: Sequence[Sequence[Shown]],
     darks: Sequence[Sequence[Shown]],
 ) -> Doubt | None:
-    """Whether dim flats are as skewed as multiplied electrons are."""
+    """Whether dim flats are as skew as multiplied electrons."""
     bright, dark = measurement.bright, measurement.dark
     if bright.spatial_variance is None or dark.spatial_variance is None:
         return None
@@ -67,7 +67,7 @@ def multiplied(
 
 
 def _third_cumulant(frames: Sequence[Shown], variance: float) -> tuple[float, float]:
-    """Over the pixels of each frame, averaged, DN^3, and its standard error."""
+    """The third cumulant over the pixels of each frame, averaged, DN^3, and its standard error."""
     samples = [frame.sample.astype(float) for frame in frames]
     found = float(np.mean([np.mean((one - one.mean()) ** 3) for one in samples]))
     return found, float(np.sqrt(6 * variance**3 / sum(one.size for one in samples)))

@@ -1,13 +1,14 @@
-"""Covariances of neighbouring pixels, and what they say of charges that repel each other.
+"""Covariances of neighbouring pixels, and estimates of the brighter-fatter effect from them.
 
 Of L frames at one level of light, with d_p the deviation of pixel p from its mean over the frames,
 
     C_ij = sum over the frames of d_p d_(p + (i, j)) / (L - 1)    averaged over p, (i, j), (i, -j),
 
-less the variance of the frames' means, as for the variance C_00. Independent pixels have C_ij = 0
-within s^2 / sqrt((L - 1) pairs). Light that repels (Antilogus 2014, Astier 2019) gives a_ij x^2 at
-a signal of x DN, a_ij per electron, to first order; mixing of signals behind the counting gives a
-share of x. What every frame has, such as noise of rows, is taken off by the darks.
+minus the variance of the frames' means, as for the variance C_00. Independent pixels have C_ij = 0
+within s^2 / sqrt((L - 1) pairs). The brighter-fatter effect (Antilogus 2014, Astier 2019) gives
+a_ij x^2 at a signal of x DN, to first order, with a_ij per electron. Mixing after the counting
+gives a term in proportion to x. Covariances that all frames have, such as row noise, are subtracted
+with the darks.
 """
 
 from itertools import product
@@ -31,7 +32,7 @@ Lags = Float[np.ndarray, "lags lags"]
 
 
 class NeighbourData(eqx.Module):
-    """What a fit needs to know of the pixels around a pixel.
+    """The data on neighbouring pixels for a fit.
 
     Attributes:
         variance_terms: C_00 / mu in powers of a_00 mu, the highest first.
@@ -59,12 +60,12 @@ class Neighbours:
         self._products = np.zeros_like(self._pairs)
 
     def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Products of one more frame, less the first and without its shift of the mean, 0 where a
-        pixel does not count."""
+        """Products of one more frame, minus the first frame and without its shift of the mean; 0
+        for invalid pixels."""
         self._products += weight * self._sums(deviation)
 
     def covariances(self, total: np.ndarray, variance: float, lost: float, count: int) -> Lags:
-        """Covariances, the variance at offset (0, 0)."""
+        """Covariances, with the variance at offset (0, 0)."""
         found = (count * self._products - self._sums(total)) / (count * (count - 1))
         found = found / np.maximum(self._pairs, 1.0) + lost
         found[0, 0] = variance
@@ -82,7 +83,7 @@ class Neighbours:
 
 
 def copies() -> Lags:
-    """How many offsets of either sign there are of each size; 0 at the pixel itself."""
+    """The number of offsets of either sign for each size; 0 at the pixel itself."""
     along = np.where(np.arange(REACH + 1) == 0, 1.0, 2.0)
     found = np.outer(along, along)
     found[0, 0] = 0
@@ -90,7 +91,7 @@ def copies() -> Lags:
 
 
 def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
-    """Over how many pairs of pixels each covariance is averaged."""
+    """The number of pixel pairs in each averaged covariance."""
     rows, columns = (float(size) - np.arange(REACH + 1) for size in shape)
     both = np.outer(np.arange(REACH + 1) > 0, np.arange(REACH + 1) > 0)
     live = pixels / float(np.prod(shape))
@@ -98,7 +99,7 @@ def pairs(shape: Float[np.ndarray, "2"], pixels: float) -> Lags:
 
 
 def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances of bright levels less those that the darks have too."""
+    """Covariances of bright levels minus those of the darks."""
     assert bright.covariances is not None
     assert bright.shared is not None
     assert dark.covariances is not None
@@ -118,8 +119,8 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
-    """Whether covariances are known and are those of pixels: noise that rows or columns share is a
-    covariance too, larger than that of charges, and not the same in two frames; so is flicker.
+    """Whether covariances are known and come from pixels. Noise shared by rows or columns, and
+    flicker, also covary, more strongly than charges do, and differ between frames.
     """
     bright, dark = measurement.bright, measurement.dark
     if bright.covariances is None or dark.covariances is None or bright.flicker is not None:
@@ -128,8 +129,8 @@ def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
 
 
 def are_seen(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
-    """Whether nearest neighbours covary beyond chance, in proportion to the variance: the sum over
-    all neighbours, which a fit explains, is known less well.
+    """Whether nearest neighbours covary significantly, in proportion to the variance. The sum over
+    all neighbours, which a fit explains, is less precise.
     """
     if not tell_of_neighbours(measurement):
         return False
@@ -144,7 +145,7 @@ def are_seen(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
 
 
 def neighbour_data(measurement: PhotonTransfer, usable: np.ndarray) -> NeighbourData:
-    """The covariances of a measurement as a fit takes them."""
+    """The covariances of a measurement in the form that a fit needs."""
     bright, dark = measurement.bright, measurement.dark
     terms = jnp.asarray(variance_terms(measured_shape(measurement, usable)))
     if not tell_of_neighbours(measurement):
@@ -185,8 +186,8 @@ def measured_shape(measurement: PhotonTransfer, usable: np.ndarray) -> Lags:
 def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
     """a_ij / a_00 from covariances that grow with the square of the signal.
 
-    Each is made smaller by as much of its square as is chance; without any, the four nearest
-    neighbours share alike. It matters in the second order of a_00 only.
+    Each is shrunk by the part of its square that chance explains. Without any significant one, the
+    four nearest neighbours share equally. The shape enters only at second order in a_00.
 
     Args:
         signal: (levels,) x, DN.
@@ -208,16 +209,14 @@ def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> La
 
 
 def nearest() -> Lags:
-    """a_ij / a_00 where only the four nearest neighbours gain."""
+    """a_ij / a_00 if only the four nearest neighbours gain."""
     shape = np.zeros((REACH + 1, REACH + 1))
     shape[0, 0], shape[0, 1], shape[1, 0] = 1, -0.25, -0.25
     return shape
 
 
 def shares_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
-    """The shape of the covariances that grow in proportion to the signal, made smaller by chance
-    as in `shape_of`.
-    """
+    """The shape of the covariances that grow in proportion to the signal, shrunk as in `shape_of`."""
     even = -nearest()
     even[0, 0] = 0
     if not signal.size:
@@ -249,8 +248,8 @@ def _powers_of(
 
 
 def variance_terms(shape: Lags) -> Float[np.ndarray, " terms"]:
-    """C_00 / mu in powers of a_00 mu: 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m, a taken m
-    times (Astier et al. 2019).
+    """C_00 / mu in powers of a_00 mu: 2^m / (m + 1)! times (a * ... * a)_00 / a_00^m with m factors
+    a (Astier et al. 2019).
     """
     lags = np.arange(-REACH, REACH + 1)
     around = np.zeros((PERIOD, PERIOD))

@@ -1,13 +1,13 @@
 """Intervals of a variance that is a sum of parts, some known from few degrees of freedom.
 
-Part i, of pixels, rows or columns, has variance V_i from nu_i degrees: w columns tell theirs with
-w - 1. It scatters as chi-square, of which a logarithm is no more symmetric than a square root where
-nu_i is small. With V = sum V_i and an error sigma by temporal noise, the quantile at p is
+Part i, of pixels, rows or columns, has variance V_i with nu_i degrees of freedom; w columns have w
+- 1. Its estimate has a chi-square distribution. For small nu_i neither its logarithm nor its square
+root is symmetric. With V = sum V_i and an error sigma from temporal noise, the quantile at p is
 
     V +- sqrt(sum (nu_i / q_i - 1)^2 V_i^2 + z^2 sigma^2),    plus for p > 1/2
 
-q_i being the chi-square that nu_i degrees exceed with probability p, z the Gaussian quantile at p
-(Graybill and Wang, J. Am. Stat. Assoc. 75, 869, 1980).
+where q_i is the chi-square that nu_i degrees exceed with probability p, and z the Gaussian quantile
+at p (Graybill and Wang, J. Am. Stat. Assoc. 75, 869, 1980).
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ def sampling_variance(parts: Sequence[Part]) -> float:
 def deviation_quantiles(
     variance: float, noise: float, parts: Sequence[Part], *, relative: float = 0.0
 ) -> Float[np.ndarray, "5"]:
-    """Ends of the intervals of a variance's root.
+    """Ends of the intervals of a standard deviation.
 
     Example:
         >>> from fitting.noise.parts import Part, deviation_quantiles

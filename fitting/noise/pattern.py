@@ -1,16 +1,17 @@
-"""Fixed pattern of a sensor from the spatial variances of its levels: DSNU and PRNU.
+"""Fixed pattern of a sensor, DSNU and PRNU, from the spatial variances of its levels.
 
     s^2 = s^2_measured - var_y / L                 pattern left after L frames of temporal noise
     s^2 = s_dark^2 + PRNU^2 (mu_y - mu_y.dark)^2   what dark signal and gain of the pixels add up to
 
-The standard (EMVA 1288, release 3.1) takes one dark level and one at half of saturation; the
-weighted fit takes all. Uneven light counts as PRNU in both. Both stand for the population that the
-die is a sample of. A variance over n pixels has 1 - 1 / w of what w unequal columns contribute, so
-what rows and columns are believed to share is raised to that of their population; and each part is
-known as a chi-square of n, or of w - 1, degrees lets it be (`parts`).
+The standard (EMVA 1288, release 3.1) uses one dark level and one at half of saturation. The
+weighted fit uses all levels. Uneven light counts as PRNU in both. Both are estimates for the
+population of which the die is a sample. The variance over n pixels contains only 1 - 1 / w of the
+variance of w unequal columns. The detected contribution of rows and columns is therefore scaled up
+to that of their population. Each part has the error of a chi-square with n or w - 1 degrees of
+freedom (`parts`).
 
-Offsets and gains that have nothing to do with each other still have a covariance c in a sample,
-which adds 2 c (mu_y - mu_y.dark) to s^2. It is 0 on average and counts as an error.
+Independent offsets and gains have a random covariance c in a sample, which adds 2 c (mu_y -
+mu_y.dark) to s^2. Its mean is 0, and it counts as an error.
 """
 
 from collections.abc import Sequence
@@ -50,22 +51,22 @@ class Spread:
 
     @property
     def error(self) -> float:
-        """Standard error, with that of a die that stands for its population."""
+        """Standard error, including the sampling of the die from its population."""
         return float(np.sqrt(self.noise**2 + sampling_variance(self.parts)))
 
     @property
     def seen(self) -> bool:
-        """Whether its errors do not hide it."""
+        """Whether it is significant."""
         return self.variance > SEEN * self.noise
 
     @property
     def bound(self) -> float:
-        """What the variance is below where it is hidden."""
+        """The upper limit of the variance if it is not significant."""
         return self._below(self.noise)
 
     @property
     def hidden_by_noise(self) -> bool:
-        """Whether it is temporal noise that hides it, so that more frames help."""
+        """Whether temporal noise limits it, so that more frames would help."""
         return self.temporal is None or self.bound < MOSTLY * self._below(self.temporal)
 
     def _below(self, noise: float) -> float:
@@ -74,7 +75,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class PatternVariance:
-    """What the spatial variances of levels add up to.
+    """The parts of the spatial variances of levels.
 
     Attributes:
         dark: s_dark^2, DN^2.
@@ -120,7 +121,7 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unequal_offsets(dark: Levels) -> tuple[Found, ...]:
-    """How unequal rows and columns of the darks are, of all levels together."""
+    """The inequality of rows and columns of the darks, from all levels together."""
     shared, spatial = dark.shared, dark.spatial_variance
     if shared is None or spatial is None:
         return ()
@@ -129,7 +130,7 @@ def unequal_offsets(dark: Levels) -> tuple[Found, ...]:
 
 
 def _of_population(levels: Levels, of_die: float, noise: float, lines: Sequence[Found]) -> Spread:
-    """A variance over the pixels of a die, as that of their population."""
+    """The variance over the pixels of a die, scaled to that of their population."""
     n = float(levels.pixels)
     counts = () if levels.shared is None else levels.shared.shape
     parts = [
@@ -144,7 +145,7 @@ def _of_population(levels: Levels, of_die: float, noise: float, lines: Sequence[
 
 
 def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
-    """Variance over dies of the covariance between offsets and gains that are independent, DN^2."""
+    """Variance, over dies, of the sample covariance of independent offsets and gains, DN^2."""
     lines = zip(dark.parts[1:], response.parts[1:], strict=False)
     return max(dark.variance, 0.0) * max(response.variance, 0.0) / pixels + sum(
         one.variance * other.variance / one.degrees for one, other in lines
@@ -154,7 +155,8 @@ def _chance_covariance(dark: Spread, response: Spread, pixels: float) -> float:
 def unequal_gains(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"], axis: int
 ) -> Found:
-    """How unequal the gains of rows (axis 0) or columns (axis 1) are, of all levels together."""
+    """The inequality of the gains of rows (axis 0) or columns (axis 1), from all levels
+    together."""
     bright, dark = measurement.bright, measurement.dark
     assert bright.shared is not None
     lines, across = np.asarray(bright.shared.shape)[[axis, 1 - axis]]
@@ -167,7 +169,7 @@ def unequal_gains(
     own = np.maximum(pattern[usable] - dark_pattern[matched], 0) / square / across
 
     def of_lines(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
-        """What stays, and what passes of the average frame's."""
+        """The fixed part of the lines, and its share in the average frame."""
         fixed, varying, _ = _lines(levels)[axis]
         passing = np.maximum(varying, 0) + np.asarray(levels.variance) / across
         return fixed, passing / np.asarray(levels.frames)
@@ -192,7 +194,7 @@ def _all_unequal_gains(
 
 
 def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """(fixed variance, temporal variance, how many) of rows and of columns."""
+    """(fixed variance, temporal variance, count) of rows and of columns."""
     shared = levels.shared
     if shared is None:
         return []
@@ -204,7 +206,7 @@ def _lines(levels: Levels) -> list[tuple[np.ndarray, np.ndarray, float]]:
 
 
 def standard_pattern(measurement: PhotonTransfer, within: Ranges) -> PatternVariance:
-    """The standard's two levels: most frames first, then closest to half of saturation."""
+    """The standard's two levels: the most frames first, then closest to half of saturation."""
     bright, dark = measurement.bright, measurement.dark
     pattern, by_noise = pattern_variance(bright)
     dark_pattern, dark_by_noise = pattern_variance(dark)
@@ -248,7 +250,7 @@ def fitted_pattern(
     by_temporal = np.sqrt(np.diagonal(by_temporal))
 
     def fit(chance: float) -> tuple[Spread, Spread, float]:
-        """Offsets, gains and chi-square, given the variance of their chance covariance."""
+        """Offsets, gains and chi-square, given the variance of their random covariance."""
         weights = np.linalg.inv(np.diag(by_noise) + 4 * chance * np.outer(signal, signal))
         covariance = np.linalg.inv(design.T @ weights @ design)
         found = covariance @ (design.T @ (weights @ observed))

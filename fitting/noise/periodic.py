@@ -1,11 +1,11 @@
-"""Structure of a known period that nobody stated: several amplifiers, colour mosaics, interlaced
-rows, halves with a converter each; also gains that grow with the distance from the centre.
+"""Detection of unstated periodic structure: several amplifiers, colour mosaics, interlaced rows,
+halves with separate converters, and gains that vary with the distance from the centre.
 
-Where neighbouring columns go through two amplifiers, or pixels of a mosaic see two colours, rows or
-columns repeat after 2 to 8. Statistics of the pixels are kept by row and by column, each modulo 16
-and modulo 30, and by place in a cell of 4 x 4; those of one class are replicates, whose own scatter
-says what chance and unequal lines do, so that an F-test finds a period. Gains K of classes or of
-halves that differ are no gain of any pixel when they are taken together.
+If neighbouring columns use two amplifiers, or pixels of a mosaic see two colours, rows or columns
+repeat with a period of 2 to 8. Statistics of the pixels are kept by row and by column, each modulo
+16 and modulo 30, and by position in a cell of 4 x 4. Members of one class are replicates. Their
+scatter contains noise and unequal lines, so an F-test detects a period. If the gains K of classes
+or halves differ, a common K is not the gain of any pixel.
 """
 
 from dataclasses import dataclass
@@ -55,8 +55,8 @@ WORDS = {
 def residues(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 5 residues"]:
-    """Means by row and by column modulo 16, by place in a cell of 4 x 4, and by row and by column
-    modulo 30.
+    """Means by row and by column modulo 16, by position in a cell of 4 x 4, and by row and by
+    column modulo 30.
     """
     found = np.full((2, 5, LONGER), np.nan)
     if min(average.shape) < 2 * RESIDUES:
@@ -80,16 +80,16 @@ def _modulo(lines: np.ndarray, count: int) -> list[float]:
 
 
 def _mean(values: np.ndarray, count: np.ndarray) -> float:
-    """Of those that count; NaN of none."""
+    """Mean over the valid pixels; NaN if there are none."""
     return float(np.where(count, values, 0.0).sum() / count.sum()) if count.any() else np.nan
 
 
 def quarters(
     average: np.ndarray, temporal: np.ndarray, live: LivePixels
 ) -> Float[np.ndarray, "2 8"]:
-    """Means over the quarters of a frame, top left, top right, bottom left, bottom right, and over
-    the half of its pixels near its centre and the other half; then steps of the average from left
-    to right and from top to bottom at the middle, and how rare each is by chance.
+    """Means over the quarters of a frame (top left, top right, bottom left, bottom right), and over
+    the inner and the outer half of its pixels. Then the steps of the average from left to right and
+    from top to bottom at the middle, with their p-values.
     """
     (h, w), found = average.shape, np.full((2, 8), np.nan)
     if min(h, w) > 1:
@@ -110,8 +110,8 @@ def quarters(
 
 
 def _step(lines: np.ndarray) -> tuple[float, float]:
-    """By how much lines rise at their middle beyond what they do elsewhere, and the two-sided
-    chance of it: of differences of neighbouring blocks, of which those elsewhere are replicates."""
+    """The step of the lines at their middle relative to changes elsewhere, with its two-sided
+    p-value. Differences of neighbouring blocks elsewhere are the replicates."""
     size = max(len(lines) // BLOCKS // 2 * 2, 2)  # even, for what repeats after two lines
     before = -(-len(lines) // 2) - size
     start = before % (2 * size)
@@ -130,7 +130,7 @@ def _step(lines: np.ndarray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Periodic:
-    """What repeats.
+    """The structures that repeat.
 
     Attributes:
         where: "rows", "columns", "mosaic", "left and right", "top and bottom", "quadrants" or
@@ -149,14 +149,14 @@ class Periodic:
 
     @property
     def unequal(self) -> float:
-        """Relative deviation, rms, of the classes' gains."""
+        """Relative rms deviation of the gains of the classes."""
         return float(np.std(self.gains) / np.mean(self.gains)) if self.gains else 0.0
 
 
 def periodic_structure(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Periodic, ...]:
-    """Rows, columns, cells and halves that differ, beyond chance and by enough to matter."""
+    """Rows, columns, cells and halves that differ significantly and by enough to matter."""
     bright, dark = measurement.bright, measurement.dark
     if bright.residues is None or dark.residues is None or not len(usable):
         return ()
@@ -180,7 +180,7 @@ def periodic_structure(
         return tuple(_unequal_parts(measurement, usable, matched))
 
     def that_matter(classes: dict[str, tuple[float, ...]], signals: tuple[float, ...]) -> dict:
-        """Of the quantities that differ, those whose differences are not small."""
+        """The quantities whose differences are large enough to matter."""
         bent = BENT * _spread("signals", signals)
         small = least | {"gains": max(least["gains"], bent)}
         return {name: own for name, own in classes.items() if _spread(name, own) > small[name]}
@@ -206,7 +206,7 @@ def periodic_structure(
 
 
 def _spread(name: str, values: tuple[float, ...]) -> float:
-    """Of gains relative, as signals are already."""
+    """The spread of the classes: relative for gains, as signals already are."""
     return float(np.std(values) / (np.mean(values) if name == "gains" else 1.0))
 
 
@@ -216,8 +216,8 @@ def _classes(values: Float[np.ndarray, "5 residues"], kind: int, period: int) ->
 
 
 def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
-    """The shortest period of rows (kind 0) or columns (1) beyond which nothing is left to explain;
-    0 without any."""
+    """The shortest period of rows (kind 0) or columns (1) that explains all structure; 0 if there
+    is none."""
     found, longer = _shortest(values[kind, :RESIDUES], PERIODS), values[3 + kind]
     if found > 2 or not np.isfinite(longer).all():
         return found
@@ -229,7 +229,7 @@ def _period(values: Float[np.ndarray, "5 residues"], kind: int) -> int:
 
 
 def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) -> int:
-    """Of periods that divide each other; 0 where none explains more than chance."""
+    """The shortest of periods that divide each other; 0 if none is significant."""
     count = len(values)
     chosen, explained = 0, np.full(count, values.mean())
     for period in periods:
@@ -243,8 +243,8 @@ def _shortest(values: Float[np.ndarray, " residues"], periods: tuple[int, ...]) 
 
 
 def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
-    """Means of the four sites of a 2 x 2 cell that rows and columns together do not explain; none
-    where they do."""
+    """Means of the four sites of a 2 x 2 cell if rows and columns together do not explain them;
+    else none."""
     cell = values.reshape(CELL // 2, 2, CELL // 2, 2)  # (., row, ., column)
     sites = cell.mean(axis=(0, 2))
     contrast = sites[0, 0] + sites[1, 1] - sites[0, 1] - sites[1, 0]
@@ -256,8 +256,8 @@ def _cell_classes(values: Float[np.ndarray, " residues"]) -> tuple[float, ...]:
 def _unequal_parts(
     measurement: PhotonTransfer, usable: np.ndarray, matched: np.ndarray
 ) -> list[Periodic]:
-    """Halves or quarters whose gains differ, which uneven light does not do, or whose blacks have a
-    step between them; and a centre of another gain."""
+    """Halves or quarters with different gains, which uneven light cannot cause, or with a step
+    between their black levels; and a centre with a different gain."""
     bright, dark = measurement.bright, measurement.dark
     if bright.quarters is None or dark.quarters is None:
         return []
@@ -319,9 +319,7 @@ def _gains_of_parts(
 
 
 def taps_of(found: tuple[Periodic, ...]) -> tuple[int, int] | str | None:
-    """What `camera.taps` should have been for pixels that differ, None where nothing differs that
-    taps describe.
-    """
+    """The `camera.taps` that describes the differing pixels; None if none does."""
     periods = {one.where: one.period for one in found if one.period}
     if "mosaic" in periods:
         return (2, 2)
@@ -331,14 +329,14 @@ def taps_of(found: tuple[Periodic, ...]) -> tuple[int, int] | str | None:
 
 
 def unequal_gains_of(found: tuple[Periodic, ...]) -> float:
-    """Relative deviation, rms, of the gains of all classes."""
+    """Relative rms deviation of the gains of all classes."""
     return float(np.sqrt(sum(one.unequal**2 for one in found)))
 
 
 def periodic_in_words(
     found: tuple[Periodic, ...], gain: float, *, apart: bool = False
 ) -> list[str]:
-    """A sentence or two for each."""
+    """One or two sentences for each structure."""
     told = []
     for one in found:
         if one.where == "mosaic":

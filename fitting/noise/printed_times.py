@@ -1,5 +1,5 @@
-"""Flats whose exposure times were rounded as cameras print them: light seems to scatter from level
-to level where it is counted in seconds.
+"""Detection of exposure times that a camera rounded for display. They make the light seem to
+scatter between levels.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ FEWEST_LEVELS = 6
 def printed_times_in_words(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """A sentence where the times of the flats are printed ones."""
+    """The finding for rounded exposure times."""
     times = np.asarray(measurement.bright.exposure)[usable]
     dark = np.asarray(measurement.dark.mean)[np.asarray(measurement.dark_of)[usable]]
     signal = np.asarray(measurement.bright.mean)[usable] - dark
@@ -34,7 +34,7 @@ def printed_times_in_words(
 
 
 def _scatter(signal: Float[np.ndarray, " levels"], times: Float[np.ndarray, " levels"]) -> float:
-    """Rms of the logarithm of signal over time about a smooth curve."""
+    """Rms of ln(signal / time) about a smooth curve."""
     x = times / times.max()
     design = np.stack([np.ones_like(x), x, times.min() / times], axis=1)
     rates = np.log(signal / times)

@@ -1,34 +1,33 @@
 """Exact moments of a quantised, clipped Poisson-Gaussian signal.
 
-Behind the gain a pixel reads  K (n + sigma_d z) + offset,  n ~ Poisson(mu), z ~ Normal, rounded to
-whole digital numbers and clipped at zero. Its characteristic function is a product,
+After the gain a pixel reads K (n + sigma_d z) + offset with n ~ Poisson(mu) and z ~ Normal, rounded
+to whole digital numbers and clipped at zero. Its characteristic function is a product,
 
     phi(u) = exp(i u offset - (K sigma_d u)^2 / 2 + mu (exp(i u K) - 1)),
 
-and the probability of code c, the mass of the interval c - 1/2 .. c + 1/2, is its Fourier sum over
-a window of M codes that holds all of the signal:
+and the probability of code c, the integral over c - 1/2 .. c + 1/2, is its Fourier sum over a
+window of M codes that contains the whole signal:
 
     P(c) = 1/M sum_k phi(2 pi k / M) sinc(k / M) exp(-2 pi i k c / M).
 
-Summed over the codes first, a moment is one weighted sum of phi over the frequencies, whose weights
-know the clipping but no parameter:
+If the codes are summed first, a moment is a weighted sum of phi over the frequencies. Its weights
+depend on the clipping but on no parameter:
 
     E[(z - r)^p] = sum_k phi(2 pi k / M) w_p(k),
     w_p(k) = 1/M sinc(k / M) sum_c (max(c, 0) - r)^p exp(-2 pi i k c / M).
 
-No sum over electrons is needed, and light may be bright or dim.
+No sum over electrons is needed, so the light may be bright or dim.
 
-Pixels whose offsets differ meet the grid of codes at different places. Where their offsets are
-Normal with standard deviation s, moments of one pixel become averages over d ~ N(0, s^2) of those
-at offset + d: a trapezoidal sum over J nodes, which for functions as smooth as these is exact. The
-variance of a pixel is averaged given its offset; how its mean varies with the offset is what DSNU
-becomes behind the rounding. The n pixels of a die are a sample of that law: given the mean and the
-spread of their own offsets, averages over them still scatter, by what mean, variance and squared
-deviation of a pixel have that is neither linear nor quadratic in d.
+The offsets of pixels lie at different positions between two codes. If the offsets are Normal with
+standard deviation s, the moments of one pixel are averaged over d ~ N(0, s^2) at offset + d. A
+trapezoidal sum over J nodes is exact for such smooth functions. The variance of a pixel is averaged
+given its offset. The variation of its mean with the offset is the DSNU behind the rounding. The n
+pixels of a die are a sample of that distribution. Given the mean and the spread of their own
+offsets, averages still scatter by the parts of a pixel's mean, variance and squared deviation that
+are neither linear nor quadratic in d.
 
-The usual moments, a variance of
-1/12 for rounding, fail where read noise is small and where black is clipped: `window` says whether
-the data can tell.
+The usual moments, with a variance of 1/12 for rounding, fail for small read noise and for clipped
+black. `window` decides whether this is significant.
 """
 
 from collections.abc import Sequence
@@ -79,7 +78,7 @@ class Window(eqx.Module):
 
 
 class QuantisedMoments(NamedTuple):
-    """Of one pixel's code, averaged over the pixels.
+    """Moments of one pixel's code, averaged over the pixels.
 
     Attributes:
         mean: codes.
@@ -146,8 +145,8 @@ def window_for(
 
 
 def _nodes(spread: float, finest: float) -> Float[Array, " nodes"]:
-    """Places, of offsets of a given spread, that are closer than any harmonic of the rounding that
-    the finest read noise lets through."""
+    """Nodes for a given spread of offsets, finer than any harmonic of the rounding that the
+    smallest read noise passes."""
     harmonics = DECAY / (2 * np.pi * finest)
     half = REACHED * (spread * 2 * harmonics + 1.2)
     half = int(2 ** (np.ceil(FINER * np.log2(half)) / FINER))  # of few sizes, as the frequencies
@@ -199,7 +198,7 @@ def quantised_moments(
 
 
 def _cumulants(raw: Array) -> tuple[Array, Array, Array, Array]:
-    """From the first four moments, one in each row."""
+    """Cumulants from the first four moments, one in each row."""
     first, second, third, fourth = raw
     variance = second - first**2
     skew = third - 3 * first * second + 2 * first**3

@@ -1,11 +1,10 @@
-"""What compression, denoising and tone curves leave in frames, from which no gain can be read.
+"""Detection of compression, denoising and tone curves in frames, which make a gain meaningless.
 
-JPEG       noise that neighbours share, except across the borders of blocks of 8 x 8 pixels; of
-           little compression, coefficients of the blocks' cosine transforms that are multiples of
-           the steps that JPEG rounded them to
-resizing   noise that neighbours share, less of it after every second or fourth row and column
-denoising  frames that share noise: a pattern that grows as the signal does, as shot noise, and
-           not as offsets and gains of pixels, d + p x^2
+JPEG       noise that neighbours share, except across the borders of blocks of 8 x 8 pixels;
+           at high quality, block cosine transforms at multiples of the quantiser steps
+resizing   noise that neighbours share, with less of it after every second or fourth line
+denoising  frames that share noise: a pattern whose variance grows with the signal, as shot
+           noise, and not as offsets and gains of pixels, d + p x^2
 gamma      a signal that grows as a power of the light, and noise that does not grow with it
 """
 
@@ -59,11 +58,12 @@ def _by_line(x: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
 def combs(
     frame: Float[np.ndarray, "h w"], *, corner: tuple[int, int] = (0, 0)
 ) -> Float[np.ndarray, "steps 8 8"]:
-    """How far the coefficients of JPEG's blocks lie at multiples of steps, in standard errors.
+    """The distance of JPEG block coefficients from a uniform distribution between multiples of a
+    step, in standard errors.
 
     JPEG rounds the cosine transform of each block of 8 x 8 pixels to multiples of a step of its
-    table. Pixels are then rounded to whole numbers, which leaves the mean of cos(2 pi c / q) at
-    exp(-pi^2 / (6 q^2)); of raw numbers that scatter by more than a step it is 0.
+    table. Rounding of the pixels reduces the mean of cos(2 pi c / q) to exp(-pi^2 / (6 q^2)). For
+    raw numbers whose noise exceeds a step the mean is 0.
     """
     found = np.full((len(STEPS), BLOCK, BLOCK), np.nan)
     own = frame[-corner[0] % BLOCK :, -corner[1] % BLOCK :]
@@ -88,7 +88,7 @@ def combs(
 
 
 def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float:
-    """Variance of pixels by differences of neighbours, which uneven light does not raise."""
+    """Variance of pixels from differences of neighbours, which uneven light does not increase."""
     found = []
     for axis in (0, 1):
         if average.shape[axis] > 1:
@@ -104,7 +104,7 @@ def local_variance(average: Float[np.ndarray, "h w"], live: LivePixels) -> float
 def processing_in_words(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> list[str]:
-    """What shows that frames are not raw."""
+    """The evidence that frames are not raw."""
     lossy = measurement.lossy
     if not lossy:
         return [*_compressed(measurement, usable), *_denoised(measurement, usable)]
@@ -116,7 +116,8 @@ def processing_in_words(
 
 
 def is_compressed(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> bool:
-    """Whether noise ends at the borders of blocks, or blocks were rounded."""
+    """Whether correlated noise ends at the borders of blocks, or block coefficients are
+    quantised."""
     return bool(_compressed(measurement, usable))
 
 
@@ -171,7 +172,7 @@ def _parted_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]
 
 
 def _repeats(shares: Float[np.ndarray, "2 residues"], period: int) -> bool:
-    """Whether neighbours share least after so many rows and columns already."""
+    """Whether neighbours share less noise with a period of so many rows and columns."""
     for own in shares:
         low = np.arange(BLOCK) % period == int(np.argmin(own)) % period
         if own[~low].mean() - own[low].max() < PARTED * (own[~low].mean() - own.min()):
@@ -232,9 +233,9 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
 
 
 def tone_curve(measurement: PhotonTransfer) -> float | None:
-    """The exponent of a tone curve that frames went through.
+    """The exponent of a tone curve that was applied to the frames.
 
-    Light that is stated wrongly bends the signal too, but leaves variance in proportion to it.
+    A wrongly stated light bends the signal too, but leaves the variance in proportion to it.
 
     Args:
         measurement: bright and dark levels.

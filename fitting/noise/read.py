@@ -73,7 +73,7 @@ def read_photon_transfer(
 
 @dataclass(frozen=True)
 class Reduced:
-    """A rig's photon transfer, and how its frames can be read again.
+    """A rig's photon transfer, and the means to read its frames again.
 
     Attributes:
         measurement: unchecked.
@@ -210,7 +210,7 @@ class _Source:
         return _plane(self.rig, name, self.channel, self.load)
 
     def pixels(self, shape: tuple[int, ...]) -> LivePixels:
-        """Those that count of a frame of this size."""
+        """The valid pixels of a frame of this size."""
         if self.live is None or self.live.shape != shape:
             return LivePixels(np.ones(shape, bool))
         return LivePixels(self.live)
@@ -219,7 +219,7 @@ class _Source:
 def _dead(
     rig: Rig, flats: Sequence[Flat], darks: Sequence[Dark], channel: str, load: Load
 ) -> DeadPixels | None:
-    """By the brightest flats and the longest darks."""
+    """The dead pixels, from the brightest flats and the longest darks."""
 
     def planes(entries: Sequence[Flat] | Sequence[Dark]) -> list[np.ndarray]:
         found = []
@@ -246,7 +246,7 @@ def _is_jpeg(name: str) -> bool:
 
 
 def _full_scale(stated: float, converter: Converter) -> float:
-    """The largest number that the converter gives, as far as the camera or its frames say."""
+    """The largest number of the converter, as the camera or its frames state it."""
     top = stated if converter.clips_at is None else min(stated, converter.clips_at)
     step, origin = converter.step, converter.origin
     return origin + step * float(np.floor((top - origin) / step + 1e-6)) if step else top
@@ -259,7 +259,7 @@ def _first_site(camera: Camera) -> str:
 
 
 def _pooled(darks: Sequence[Dark]) -> list[Dark]:
-    """Entries of one exposure as one, ascending."""
+    """Entries of the same exposure combined, ascending."""
     files: dict[float, tuple[str, ...]] = {}
     for dark in darks:
         files[dark.exposure] = files.get(dark.exposure, ()) + dark.files
@@ -267,7 +267,7 @@ def _pooled(darks: Sequence[Dark]) -> list[Dark]:
 
 
 def _light(rig: Rig, flat: Flat) -> float | None:
-    """Photons per pixel of a flat, from its irradiance where that is what is known."""
+    """Photons per pixel of a flat, from its irradiance if only that is known."""
     if flat.photons is not None or flat.irradiance is None:
         return flat.photons
     camera = rig.camera
@@ -282,14 +282,14 @@ def _light(rig: Rig, flat: Flat) -> float | None:
 
 
 def _gaps(bright: Levels, dark: Levels) -> Float[Array, "levels darks"]:
-    """How far each dark's exposure is from each flat's, relative to that."""
+    """The relative difference of each dark's exposure from each flat's."""
     longest = jnp.maximum(jnp.max(bright.exposure), jnp.max(dark.exposure))
     scale = jnp.where(bright.exposure > 0, bright.exposure, jnp.where(longest > 0, longest, 1.0))
     return jnp.abs(dark.exposure[None, :] - bright.exposure[:, None]) / scale[:, None]
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[Odd]], list[str]]:
-    """A rig without the frames whose heads contradict it; the left-out flats and darks; and
+    """A rig without the frames whose metadata contradict it, the dropped flats and darks, and
     remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
     stated = [
@@ -323,7 +323,7 @@ def _reduced(
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
 ) -> tuple[Levels, list[tuple[Shown, ...]]]:
-    """Levels of frames that belong together, and what is kept of these; `odd` is what was left out
+    """Levels of matching frames, and a summary of each; `odd` collects the frames dropped
     before."""
     rig, gone = source.rig, list(odd)
     count = sum(len(entry.files) for entry in entries)
@@ -380,7 +380,7 @@ def _reduced(
 
 
 def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
-    """A sentence where pixels of single frames were left out."""
+    """A finding if pixels of single frames were left out."""
     what = "dark" if unlit else "flat"
     count = sum(level.hits for level in levels)
     if not count:
@@ -396,7 +396,7 @@ def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
 
 
 def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[Odd]) -> None:
-    """Levels of another size than that of most."""
+    """Drop levels of another size than the majority."""
     sizes = Counter(level.live.mask.shape for level in found if level is not None)
     if len(sizes) < 2:
         return
@@ -411,7 +411,7 @@ def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[O
 
 
 def _recounted(source: _Source, levels: Sequence[Sequence[Shown]]) -> _Source:
-    """With the numbers of these frames alone."""
+    """The measurement with code counts from these frames only."""
     found = replace(source, codes=Codes())
     for frame in (one for level in levels for one in level):
         _count(found, found.plane(frame.name))
@@ -419,7 +419,7 @@ def _recounted(source: _Source, levels: Sequence[Sequence[Shown]]) -> _Source:
 
 
 def _count(source: _Source, frame: np.ndarray) -> None:
-    """The numbers of a frame, but for dead pixels."""
+    """Add the numbers of a frame to the counts, without dead pixels."""
     live = source.pixels(frame.shape)
     source.codes.add(np.where(live.mask, frame, np.nan) if live.count < frame.size else frame)
 
@@ -432,8 +432,8 @@ def _level(
     *,
     again: bool = False,
 ) -> LevelStatistics | None:
-    """The statistics of a level, None where fewer than two frames are left; what cannot be used is
-    added to `odd`. `again`: its numbers were counted before."""
+    """The statistics of a level, or None if fewer than two frames remain. Unusable frames are added
+    to `odd`. With `again`, its numbers were counted before."""
     rig, sums, others = source.rig, None, {}
     for name in files:
         try:
@@ -477,7 +477,7 @@ def _of_most(
     unlit: Unlit | None,
     odd: list[Odd],
 ) -> LevelStatistics | None:
-    """The level of the size that most of its frames have, where the first has another."""
+    """The level with the size of most of its frames, if the first frame differs."""
     rig = source.rig
     shape, count = Counter(others.values()).most_common(1)[0]
     if 2 * count <= len(others) + len(sums.shown):
@@ -495,7 +495,7 @@ def _of_most(
 
 
 class _Unreadable(InputError):
-    """A file that is no image."""
+    """A file that is not an image."""
 
 
 def _plane(rig: Rig, name: str, channel: str, load: Load) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Least-squares lines, and whether points scatter about them more than their variances say."""
+"""Least-squares lines, and tests of the scatter of points about them against their variances."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,8 @@ def surprise(chi2: Array, degrees: Array) -> Array:
 
 @jax.jit
 def line_misfit(x: Array, y: Array, variances: Array) -> tuple[Array, Array]:
-    """Chi-square of points about their own weighted line, or mean where they lie at one place."""
+    """Chi-square of points about their own weighted line, or about their mean if they share one
+    abscissa."""
     weights = 1 / variances
     one_place = jnp.all(x == x[0])
     mean = jnp.sum(weights * y) / jnp.sum(weights)

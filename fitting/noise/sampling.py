@@ -1,4 +1,4 @@
-"""How far the mean and the variance of a few frames scatter about those of all frames."""
+"""Sampling errors of the mean and the variance of a few frames."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""A noise calibration as its reader sees it: the sheet line by line, findings and pictures."""
+"""The report of a noise calibration: the sheet line by line, findings and figures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -40,7 +40,7 @@ KIND, TITLE = "noise", "Camera noise by photon transfer"
 
 
 def section(calibration: NoiseCalibration) -> Section:
-    """A calibrated camera as its reader sees it."""
+    """The section of a calibrated camera."""
     likelihood = calibration.likelihood
     predicted = None if is_no_sensor(calibration) else predict_own_frames(calibration)
     of_fit = {}
@@ -89,7 +89,7 @@ def section(calibration: NoiseCalibration) -> Section:
 def sections_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera
 ) -> list[Section]:
-    """The sites of a mosaic, or the taps of several amplifiers, one section each."""
+    """One section for each site of a mosaic or tap of an amplifier."""
     found = []
     for site, calibration in calibrations.items():
         own, word = section(calibration), site.replace(" ", "_").replace(",", "_")
@@ -127,7 +127,7 @@ def sections_of_sites(
 
 
 def _operating_point(calibration: NoiseCalibration) -> str:
-    """What the standard asks to be said with every sheet."""
+    """The operating point that the standard requires with every sheet."""
     measurement = calibration.measurement
     bright, dark = measurement.bright, measurement.dark
     exposures = [1e3 * float(end(bright.exposure)) for end in (np.min, np.max)]
@@ -142,7 +142,7 @@ def _operating_point(calibration: NoiseCalibration) -> str:
 
 
 def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
-    """The sheet line by line, both methods, then the likelihood's own parameters."""
+    """The sheet line by line with both methods, then the likelihood's own parameters."""
     by_likelihood = {estimate.name: estimate for estimate in calibration.sheet}
     floored = is_floored(calibration.measurement, calibration.within)
     values, errors = calibration.standard.values, calibration.standard.errors
@@ -172,7 +172,7 @@ def _sheet_estimates(calibration: NoiseCalibration) -> tuple[Estimate, ...]:
 
 
 def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) -> list[Estimate]:
-    """The figures, those that frames do not tell replaced by the reason."""
+    """The figures, with the reason in place of those that the frames do not determine."""
     doubts = calibration.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     return [
@@ -184,7 +184,7 @@ def _without_doubted(calibration: NoiseCalibration, listed: Sequence[Estimate]) 
 
 
 def _bound(calibration: NoiseCalibration, quantity: Quantity, value: float) -> str:
-    """What the standard's floor of dark noise says of a figure."""
+    """The limit on a figure if the dark noise is at the standard's floor."""
     side = "below" if FROM_DARK_NOISE[quantity.name] else "above"
     floor = np.sqrt(least_dark_variance(calibration.measurement))
     return (
@@ -195,7 +195,7 @@ def _bound(calibration: NoiseCalibration, quantity: Quantity, value: float) -> s
 
 def _missing_method(name: str, standard: bool, likelihood: bool) -> str | None:
     """The method that has no figure for a quantity: "" if both lack it, None if neither does. The
-    likelihood has one dark current, from means and variances together, and no line for each."""
+    likelihood has one dark current, from means and variances together, and no separate lines."""
     if not standard and not likelihood:
         return ""
     return None if likelihood or name.startswith("dark_current") else LIKELIHOOD
@@ -255,7 +255,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
 
 
 def _why_hidden(pattern: PatternVariance, spread: Spread) -> str:
-    """Why a pattern is not seen, with room for its bound."""
+    """Why a pattern is not significant, with a placeholder for its limit."""
     if spread.hidden_by_noise:
         return "hidden under temporal noise, {}; take more frames"
     if pattern.p_value is not None and pattern.p_value < MISFIT:

@@ -1,4 +1,4 @@
-"""A calibrated camera as a sensor that predicts: the best fit, and draws of it."""
+"""A calibrated camera as a sensor for predictions: the best fit, and draws."""
 
 from pathlib import Path
 
@@ -33,24 +33,24 @@ def fitted_sensor(
 ) -> tuple[Sensor, Sensor]:
     """The sensor of a calibration, with every effect that was found.
 
-    Gain and efficiency are those at zero signal. Noise that rows, columns or frames share is not
-    part of the read noise, and unequal rows and columns are not part of DSNU, nor columns of PRNU.
-    The kernels by which charges repel each other and by which pixels are mixed have the best fit's
-    shape in every draw. Exposure is the median of the flats', so that light is a rate, photons per
-    pixel and second. Where the numbers of the frames are multiples of a step, as left-aligned ones
-    are, the sensor gives the converter's own codes.
+    Gain and efficiency are those at zero signal. Noise that rows, columns or frames share is
+    separate from the read noise. Unequal rows and columns are separate from DSNU, and unequal
+    columns from PRNU. The kernels of the brighter-fatter effect and of mixing have the best fit's
+    shape in every draw. The exposure is the median of the flats' exposures, so light is a rate in
+    photons per pixel and second. If the numbers of the frames are multiples of a step, as
+    left-aligned ones are, the sensor gives the converter's own codes.
     """
     return best_and_draws(sensors_of(drawn_numbers(calibration, left_out=left_out)))
 
 
 def best_and_draws(every: Sensor) -> tuple[Sensor, Sensor]:
-    """The first of sensors along the leading axis of every number, and the others."""
+    """The first of several sensors along the leading axis of every field, and the others."""
     best = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[0]), every)
     return best, jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[1:]), every)
 
 
 class Numbers(eqx.Module):
-    """The numbers of a calibrated camera: the best estimate, then draws.
+    """The parameters of a calibrated camera: the best estimate, then draws.
 
     Attributes:
         about: what all draws share.
@@ -68,7 +68,7 @@ class Numbers(eqx.Module):
         return self.about.top
 
     def of(self, name: str) -> Float[np.ndarray, " draws"]:
-        """Those of one parameter."""
+        """The values of one parameter."""
         return self.natural[:, self.about.labels.index(name)]
 
 
@@ -78,7 +78,8 @@ def drawn_numbers(
     left_out: Bool[np.ndarray, " levels"] | None = None,
     asked: frozenset[str] = frozenset(),
 ) -> Numbers:
-    """The numbers of `fitted_sensor`; `asked` names effects that are there even if unseen."""
+    """The parameters of `fitted_sensor`; `asked` names effects to include even if they are not
+    significant."""
     posterior, usable = calibration.posterior, calibration.usable
     rows = np.linspace(0, len(posterior.samples) - 1, min(DRAWS, len(posterior.samples)))
     if left_out is None:
@@ -105,13 +106,13 @@ def drawn_numbers(
 
 
 def sensors_of(numbers: Numbers) -> Sensor:
-    """Sensors with a leading axis at every number: the best estimate, then draws."""
+    """Sensors with a leading axis at every field: the best estimate, then draws."""
     return _sensors(numbers.about, numbers.natural, numbers.beside)
 
 
 @in_double
 def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
-    """Writes the sensor of a calibration, its draws beside it."""
+    """Write the sensor of a calibration, with its draws in a second file."""
     best, draws = fitted_sensor(calibration)
     about = "Fitted by photon transfer; light is photons per pixel and second."
     converter = calibration.measurement.converter
@@ -123,7 +124,7 @@ def write_fitted_sensor(calibration: NoiseCalibration, path: Path) -> None:
 def _fitted_without(
     calibration: NoiseCalibration, left_out: Bool[np.ndarray, " levels"], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The mode of a fit that does without some levels, and Laplace's draws about it."""
+    """The mode of a fit without some levels, and Laplace's draws about it."""
     mode, covariance = mode_without(calibration, left_out)
     rng = np.random.default_rng(calibration.posterior.seed)
     every = np.concatenate([mode[None], rng.multivariate_normal(mode, covariance, count)])
@@ -144,13 +145,13 @@ def mode_without(
 def _beside_the_likelihood(
     calibration: NoiseCalibration, count: int, asked: frozenset[str]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """What a sensor has besides the parameters of the likelihood, by the name of its field: the
-    best estimate, then draws. In DN^2, so that the gain of a draw counts; PRNU^2 relative, and the
-    full well in DN."""
+    """Parameters of a sensor outside the likelihood, by field name: the best estimate, then draws.
+    They are in DN^2, so that each draw's own gain applies; PRNU^2 is relative, and the full well in
+    DN."""
     rng, found = np.random.default_rng(calibration.posterior.seed), {}
 
     def add(name: str, variance: float, degrees: float, noise: float = 0.0) -> None:
-        """A variance of so many degrees of freedom, with noise on its estimate."""
+        """Add a variance with its degrees of freedom and the noise of its estimate."""
         drawn = variance * degrees / rng.chisquare(degrees, count)
         drawn = np.maximum(drawn + noise * rng.standard_normal(count), 0.0)
         found[name] = np.concatenate([[max(variance, 0.0)], drawn])
@@ -198,8 +199,8 @@ def _beside_the_likelihood(
 
 
 class About(eqx.Module):
-    """What all draws of a sensor share: names of the likelihood's parameters, the converter and
-    what is known of light, the median exposure, X, and the shapes of the kernels."""
+    """Properties that all draws of a sensor share: parameter names, converter, known light, median
+    exposure, X, and the shapes of the kernels."""
 
     labels: tuple[str, ...] = eqx.field(static=True)
     converter: Converter = eqx.field(static=True)
@@ -219,7 +220,7 @@ def _sensors(about: About, natural: np.ndarray, known: dict[str, np.ndarray]) ->
 
 
 def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str, Array]) -> Sensor:
-    """One draw of the parameters of the likelihood, and of the other numbers of the sensor."""
+    """The sensor for one draw of the likelihood's parameters and of the other parameters."""
     values = dict(zip(about.labels, natural, strict=True))
     gain, converter, scale = values["system_gain"], about.converter, about.full_scale
     step, origin = converter.step or 1.0, converter.origin
@@ -261,7 +262,7 @@ def _sensor(about: About, natural: Float[Array, " parameters"], known: dict[str,
 
 
 def _compression(values: dict[str, Array], top: Array | np.ndarray) -> Compression | None:
-    """That of the chosen model, over electrons."""
+    """The compression of the chosen model, in electrons."""
     if "compression" not in values:
         return None
     electrons = top / values["system_gain"]

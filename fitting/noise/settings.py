@@ -1,7 +1,7 @@
 """Gain and temperature at which a camera took the frames of a rig.
 
-The standard (EMVA 1288, release 4.0, section 2) calls them, with the black level, the camera's
-operating point: a sheet holds for one.
+In the standard (EMVA 1288, release 4.0, section 2), gain, temperature and black level are the
+camera's operating point, and a sheet applies to one operating point.
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class Setting:
 
     @property
     def gain_factor(self) -> float:
-        """What the gain in DN/e- is to be proportional to."""
+        """The factor to which the gain in DN/e- should be proportional."""
         gain = 1.0 if self.gain is None else self.gain
         return gain if self.gain_unit == "ISO" or self.gain is None else 10 ** (gain / 20)
 

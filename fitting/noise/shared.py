@@ -1,14 +1,14 @@
 """Noise that the pixels of a row, of a column or of a whole frame share.
 
-Amplifiers and references that serve a row write their noise into all of its pixels. Of frames of h
-rows and w columns, the temporal variance of row means exceeds that of the frame's mean by
+Amplifiers and references that serve a row add noise to all of its pixels. For frames of h rows and
+w columns, the temporal variance of row means exceeds that of the frame's mean by
 
     V_row = sigma_row^2 + (sigma^2 - sigma_row^2) / w
 
-times (h - 1) / h, and columns likewise, sigma^2 being the temporal variance of pixels. Such noise
-is part of sigma^2, hence of the read noise, but not of independent pixels: a variance over pixels
-is known only as well as sigma_row^4 / h lets it be. What stays from frame to frame (unequal
-columns) shows in the average frame in the same way.
+times (h - 1) / h, and likewise for columns, with sigma^2 the temporal variance of pixels. Such
+noise is part of sigma^2 and hence of the read noise, but it is not independent between pixels. The
+error of a variance over pixels is therefore at least that from sigma_row^4 / h. Fixed differences
+(unequal columns) appear in the average frame in the same way.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,8 @@ MOST_DEGREES, TINY = 1e9, 1e-300  # as good as infinitely many; as good as nothi
 
 
 class SharedVariance(eqx.Module):
-    """Of each level, what rows and columns share; estimates that scatter about 0 without any.
+    """The variance that rows and columns share at each level. Without shared noise the estimates
+    scatter about 0.
 
     Attributes:
         rows: (levels,) temporal variance, DN^2.
@@ -50,16 +51,16 @@ class SharedVariance(eqx.Module):
 def shared_variance(
     of_levels: Float[np.ndarray, "5 levels"], shape: tuple[int, ...]
 ) -> SharedVariance:
-    """The record of what `Moments` gives of each level."""
+    """The record of the shared variances from `Moments` at each level."""
     rows, columns, fixed_rows, fixed_columns, frames = (jnp.asarray(row) for row in of_levels)
     size = jnp.asarray(shape, float)
     return SharedVariance(rows, columns, fixed_rows, fixed_columns, frames, size)
 
 
 class SharedNoise(eqx.Module):
-    """What noise that rows, columns or whole frames share adds to the errors of a level of L
-    frames: `of_mean` / L to the variance of its mean, `of_variance` / (L - 1) to that of its
-    temporal variance, in which whole frames have no part.
+    """The contribution of noise shared by rows, columns or whole frames to the errors of a level of
+    L frames. It adds `of_mean` / L to the variance of its mean, and `of_variance` / (L - 1) to that
+    of its temporal variance, which frame noise does not affect.
 
     Attributes:
         of_mean: DN^2.
@@ -90,7 +91,7 @@ class Found:
 
     @property
     def deviation(self) -> float:
-        """DN."""
+        """Standard deviation, DN."""
         return float(np.sqrt(max(self.variance, 0.0)))
 
 
@@ -98,15 +99,15 @@ NOTHING = Found(0.0, 0.0, 0.0)
 
 
 def _deviate(ratio: float, degrees: float, beneath: float = MOST_DEGREES) -> float:
-    """The normal deviate that is as improbable as a ratio of two variances with these degrees of
-    freedom. With few of them no number of standard errors bounds the tail of a chi-square."""
+    """The normal deviate with the same probability as a ratio of two variances with these degrees
+    of freedom. With few degrees, no number of standard errors bounds the tail of a chi-square."""
     return -float(ndtri(np.clip(fdtrc(degrees, beneath, max(ratio, 0.0)), RAREST, 1 - EPSILON)))
 
 
 def temporal_lines(
     shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray, axis: int
 ) -> Found:
-    """The temporal noise of rows (axis 0) or columns (axis 1), of all levels together."""
+    """The temporal noise of rows (axis 0) or columns (axis 1), from all levels together."""
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.rows if axis == 0 else shared.columns)
     expected, degrees = variance / across, (frames - 1) * max(lines - 1, 1.0)
@@ -144,7 +145,7 @@ def extra_lines(
 def believed_lines(
     shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
 ) -> list[tuple[float, float]]:
-    """The temporal noise that rows or columns share, where it is believed."""
+    """The temporal noise that rows or columns share, if it is significant."""
     if shared is None:
         return []
     of = np.asarray(variance), np.asarray(frames)
@@ -156,7 +157,7 @@ def believed_lines(
 def shared_noise(
     shared: SharedVariance | None, variance: ArrayLike, frames: ArrayLike
 ) -> SharedNoise | None:
-    """The noise that rows, columns or frames share, as far as it is believed."""
+    """The significant noise that rows, columns or frames share."""
     if shared is None:
         return None
     lines = believed_lines(shared, variance, frames)
@@ -178,7 +179,7 @@ def fixed_lines(
     frames: np.ndarray,
     axis: int,
 ) -> Found:
-    """The unevenness of rows or columns that stays, of all levels together."""
+    """The fixed inequality of rows or columns, from all levels together."""
     lines, across = np.asarray(shared.shape)[[axis, 1 - axis]]
     values = np.asarray(shared.fixed_rows if axis == 0 else shared.fixed_columns)
     of_lines = max(temporal_lines(shared, variance, frames, axis).variance, 0.0)
@@ -194,11 +195,12 @@ def one_pattern(
     frames: np.ndarray,
     lines: float,
 ) -> Found:
-    """The variance of lines that is the same at all levels.
+    """The variance of lines that is common to all levels.
 
-    What the pixels' own pattern, a, adds to a line is the same at all levels, so that levels do not
-    make it better known; temporal noise, b of a line of L frames, is new at each, and is subtracted
-    as it was measured from those frames. Of levels weighted by w the error is
+    The contribution a of the pixels' own pattern to a line is the same at all levels, so more
+    levels do not determine it better. The temporal noise b of a line of L frames is new at each
+    level, and is subtracted as measured from those frames. With weights w of the levels, the error
+    is
 
         sqrt(2 / (lines - 1) (a^2 + 2 a sum w^2 b + sum w^2 b^2 L / (L - 1)))
     """
@@ -222,7 +224,7 @@ def one_pattern(
 def drift(
     shared: SharedVariance, variance: Float[np.ndarray, " levels"], frames: np.ndarray
 ) -> Found:
-    """The wandering of whole frames, of all levels together."""
+    """The drift of whole frames, from all levels together."""
     shape, degrees = np.asarray(shared.shape), frames - 1
     lines = [
         np.maximum(np.asarray(values), 0) / count
@@ -239,9 +241,9 @@ def drift(
 def _pooled(
     values: np.ndarray, expected: np.ndarray, degrees: np.ndarray, beneath: np.ndarray
 ) -> Found:
-    """Mean of excesses over what independent pixels give, each weighted by its degrees of freedom
-    over what it exceeds, as the ratio is that judges them: what is believed is above zero. Levels
-    whose frames are all alike tell nothing.
+    """The mean excess over independent pixels. The weight of each level is its degrees of freedom
+    over the expected value, as in the ratio that tests it, so a significant excess is positive.
+    Levels whose frames are identical have no weight.
     """
     told = expected > 0
     if not told.any():

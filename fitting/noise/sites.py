@@ -1,13 +1,13 @@
 """One sensor of several taps or sites of a mosaic, from a calibration of each.
 
-Gain, black level, efficiency, read noise and PRNU are each tap's own, o_i. What pixels have in
-common whoever reads them is one vector s: dark current, offset of the light, curve, repulsion and
-mixing. With the estimates s_i of the taps and their covariances S_i,
+Gain, black level, efficiency, read noise and PRNU are properties of each tap, o_i. Properties of
+the die are one vector s: dark current, offset of the light, response curve, brighter-fatter effect
+and mixing. With the estimates s_i of the taps and their covariances S_i,
 
     s = (sum S_i^-1)^-1 sum S_i^-1 s_i          o_i' = o_i + C_i S_i^-1 (s - s_i)
 
-C_i being the covariance of o_i with s_i. This is the posterior of all taps under the condition that
-s is one; it is linear, so that each draw of the taps gives a draw of it.
+where C_i is the covariance of o_i with s_i. This is the posterior of all taps under the condition
+of a common s. It is linear, so each draw of the taps gives a draw of it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -65,7 +65,7 @@ class SensorOfSites:
 
 @in_double
 def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera) -> SensorOfSites:
-    """The one sensor of a camera whose sites were calibrated each by itself.
+    """The one sensor of a camera whose sites were calibrated separately.
 
     Args:
         calibrations: by the name of the site.
@@ -116,7 +116,7 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
 def joined_sensors(
     sensors: Sequence[tuple[Sensor, Sensor]], camera: Camera
 ) -> tuple[Sensor, Sensor]:
-    """One sensor, and its draws, of those of all sites, whose common numbers become their mean."""
+    """One sensor with its draws, from those of all sites; common parameters become their mean."""
     each = []
     for i, (best, draws) in enumerate(sensors):
         count = min(leaf.shape[0] for _, own in sensors for leaf in jax.tree.leaves(own))
@@ -147,7 +147,7 @@ def _tile(camera: Camera) -> tuple[tuple[int, ...], ...]:
 def write_sensor_of_sites(
     calibrations: Mapping[str, NoiseCalibration], camera: Camera, path: Path
 ) -> None:
-    """Writes the one sensor of the sites, its draws beside it."""
+    """Write the one sensor of the sites, with its draws in a second file."""
     found = sensor_of_sites(calibrations, camera)
     about = f"Fitted by photon transfer; taps are {', '.join(camera.sites)}; light is photons per "
     write_sensor(found.best, path, draws=found.draws, about=about + "pixel and second.")
@@ -174,15 +174,15 @@ def of_tap(sensor: Sensor, tap: int) -> Sensor:
 
 
 def _shuffled(numbers: Numbers, seed: int, count: int) -> Numbers:
-    """Draws in another order, so that those of two taps of one seed are independent."""
+    """Draws in another order, so that draws of two taps from one seed are independent."""
     order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(count - 1)])
     beside = {name: drawn[order] for name, drawn in numbers.beside.items()}
     return Numbers(numbers.about, numbers.natural[order], beside)
 
 
 def _of_one_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]]:
-    """The numbers of all taps under the condition that what is of the die is one, and sentences on
-    what is not."""
+    """The parameters of all taps under the condition of common die properties, and findings on
+    those that differ."""
     labels = set.intersection(*(set(one.about.labels) for one in each))
     shared = [
         name for name in COMMON if name in labels and all(one.of(name)[1:].std() for one in each)
@@ -224,7 +224,7 @@ def _of_one_die(each: Sequence[Numbers]) -> tuple[list[Numbers], tuple[str, ...]
 
 
 def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Of a covariance in any units; what does not vary has no part in it."""
+    """The inverse of a covariance in any units; parameters without variance are left out."""
     scale = np.sqrt(np.diagonal(matrix))
     scale = np.outer(scale, scale)
     scale[scale == 0] = np.inf
@@ -232,7 +232,7 @@ def _inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
-    """A parameter. One that grows with the charge is per electron."""
+    """A parameter in the common unit: per electron if it grows with the charge."""
     per_charge = (numbers.of("system_gain") / numbers.top) ** COMMON.get(name, ("", 0))[1]
     return numbers.of(name) * per_charge
 
@@ -240,7 +240,7 @@ def _scaled(numbers: Numbers, name: str) -> Float[np.ndarray, " draws"]:
 def _unequal(
     shared: Sequence[str], values: Sequence[np.ndarray], spreads: Sequence[np.ndarray]
 ) -> tuple[str, ...]:
-    """Sentences on what differs between taps by more than chance."""
+    """Findings on parameters that differ significantly between taps."""
     told = {}
     for i, name in enumerate(shared):
         of, variance = (np.array([x[i] for x in values]), np.array([s[i, i] for s in spreads]))
@@ -258,8 +258,8 @@ def _unequal(
 
 
 def _with_one_beside(each: Sequence[Numbers]) -> list[Numbers]:
-    """Noise that lines share, DSNU and the full well of all taps are their mean in electrons, so
-    that the read noise of each lacks what is in the sensor."""
+    """Line noise, DSNU and full well become the mean over all taps in electrons, and are removed
+    from each tap's read noise."""
     gains = [one.of("system_gain") for one in each]
     for name in {name for one in each for name in one.beside} - {"prnu"}:
         power = {"full_well": 1, "column_prnu": 0}.get(name, 2)
@@ -282,8 +282,8 @@ def _joined(
     tile: tuple[tuple[int, ...], ...],
     stretched: bool,
 ) -> Sensor:
-    """One sensor with taps for each draw; `rates` of light stand for efficiencies where photons are
-    not known."""
+    """One sensor with taps for each draw; `rates` of light replace efficiencies if photons are
+    unknown."""
 
     def one(each: tuple[Sensor, ...], rate: Array | None) -> Sensor:
         own = {}

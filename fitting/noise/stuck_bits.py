@@ -33,7 +33,7 @@ class StuckBit(NamedTuple):
 
     @property
     def clause(self) -> str:
-        """For a report."""
+        """The clause for a report."""
         return (
             f"in {self.where}, where bit {self.bit} of the codes is always {self.value}, so that "
             "half of the codes never occur there"
@@ -66,7 +66,7 @@ def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
 
 
 def _groups(shape: tuple[int, ...]) -> Iterator[tuple[str, Int[np.ndarray, "h w"]]]:
-    """Name and number of the line of each pixel."""
+    """For each pixel, the name and number of its line."""
     rows, columns = np.indices(shape)
     yield "column", columns
     yield "row", rows

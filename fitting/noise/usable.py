@@ -1,4 +1,4 @@
-"""What no photon transfer can be had from, refused in one sentence each."""
+"""Checks that refuse a measurement without a photon transfer, in one sentence each."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
 
 
 def check(file: Path, measurement: PhotonTransfer) -> None:
-    """Refuses a measurement from which no photon transfer can be had.
+    """Refuse a measurement that contains no photon transfer.
 
     Args:
         file: where it comes from, for messages.
@@ -109,8 +109,8 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
 
 
 def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndarray) -> None:
-    """Refuses darks whose black level differs from that of the flats: the flats then have no
-    signal, both by their variance and by their light."""
+    """Refuse darks whose black level differs from that of the flats: both the variance and the
+    light of the flats then imply no signal."""
     bright, dark = measurement.bright, measurement.dark
     levels = usable[np.asarray(bright.light)[usable] > 0]
     if len(levels) < FEWEST_FOR_BLACK:
@@ -137,7 +137,7 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
 
 
 def _at_zero(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[float, float, float]:
-    """Value and slope at zero of a parabola, and the error of the value, by how y scatters."""
+    """Value and slope of a parabola at zero, with the error of the value from the scatter of y."""
     design = np.stack([np.ones_like(x), x, x**2], axis=1) / errors[:, None]
     scale = np.sqrt(np.sum(design**2, axis=0))
     found, rest, *_ = np.linalg.lstsq(design / scale, y / errors)
@@ -148,7 +148,7 @@ def _at_zero(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[float, f
 
 
 def _most_shot_noise(measurement: PhotonTransfer) -> float:
-    """By how much a level varies more than its dark frames, in standard errors, at most."""
+    """The largest excess of a level's variance over that of its darks, in standard errors."""
     bright, dark = measurement.bright, measurement.dark
     there = dark.variance[measurement.dark_of]
     errors = jnp.hypot(

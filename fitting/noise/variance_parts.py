@@ -1,5 +1,5 @@
-"""What pixels, rows, columns and whole frames add to the variances of a level, parted by two-way
-analysis of variance over its frames."""
+"""The contributions of pixels, rows, columns and whole frames to the variances of a level, by
+two-way analysis of variance over its frames."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from .live_pixels import LivePixels
 
 @dataclass(frozen=True)
 class TemporalVariance:
-    """What adds up to the temporal variance of a pixel; estimates that scatter about 0 without any.
+    """The parts of a pixel's temporal variance. Without an effect its estimates scatter about 0.
 
     Attributes:
         pixels: of each pixel by itself, DN^2.
@@ -26,27 +26,27 @@ class TemporalVariance:
 
     @property
     def of_a_pixel(self) -> float:
-        """Without drift, which is no noise of pixels, DN^2."""
+        """The variance of a pixel without drift, DN^2."""
         return max(self.pixels + self.rows + self.columns, 0.0)
 
 
 class Moments:
     """Sums over the frames of a level, from which its shared variances follow.
 
-    With T the temporal variance of a pixel, Q_rows and Q_columns those of the lines' means, each
-    about the frame's mean and averaged, and W that of the frames' means, the parts solve
+    T is the temporal variance of a pixel. Q_rows and Q_columns are the mean variances of the lines'
+    means about the frame's mean, and W is the variance of the frames' means. The parts solve
 
         (T, Q_rows, Q_columns) = A (pixels, rows, columns),
         frames = W - b (pixels, rows, columns),
 
-    A and b being `LivePixels.variance_shares`. Of h x w pixels that all count,
+    where A and b are `LivePixels.variance_shares`. If all h x w pixels are valid,
 
         pixels = (T - Q_rows - Q_columns) / ((1 - 1 / h) (1 - 1 / w)),
         rows = Q_rows / (1 - 1 / h) - pixels / w,        columns likewise,
         frames = W - rows / h - columns / w - pixels / (h w).
 
-    A part that is there is found without bias, whatever the others are; without rows and columns
-    the sum of the three is T (h w) / (h w - 1) in the mean.
+    Each part is unbiased, whatever the others are. Without row and column effects the expected sum
+    of the three is T (h w) / (h w - 1).
     """
 
     def __init__(self, live: LivePixels) -> None:
@@ -55,14 +55,14 @@ class Moments:
         self._shares = live.variance_shares()
 
     def add(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
-        """Squares of one more frame, less the first and without its shift of the mean."""
+        """Add the squares of one more frame, minus the first and without its shift of the mean."""
         for axis, squares in enumerate(self._squares):
             squares += weight * self._live.line_means(deviation, axis) ** 2
 
     def temporal(
         self, total: np.ndarray, variance: float, wandering: float, count: int
     ) -> TemporalVariance:
-        """What pixels, rows, columns and whole frames add from frame to frame.
+        """The variances of pixels, rows, columns and whole frames between frames.
 
         Args:
             total: (h, w) sum of the frames as added, DN.
@@ -85,7 +85,7 @@ class Moments:
     def fixed(
         self, average: np.ndarray, temporal: TemporalVariance, count: int
     ) -> tuple[float, float]:
-        """What rows and columns add that stays.
+        """The fixed variances of rows and columns.
 
         Args:
             average: (h, w) of all frames, DN.
@@ -105,7 +105,7 @@ class Moments:
         return float(rows - temporal.rows / count), float(columns - temporal.columns / count)
 
     def _parted(self, total: float, of_rows: float, of_columns: float) -> np.ndarray:
-        """Pixels, rows and columns."""
+        """The parts for pixels, rows and columns."""
         if min(self._live.shape) == 1:
             return np.array([total / self._shares[0, 0], 0.0, 0.0])
         return np.linalg.solve(self._shares[:3], [total, of_rows, of_columns])

@@ -1,17 +1,16 @@
-"""Which levels need the exact moments of rounding and of clipped black, and whether any does.
+"""The levels that need the exact moments of rounding and clipped black.
 
-The usual moments have a variance of 1/12 for rounding and no black level below which nothing is
-counted. Of a normal signal of standard deviation s rounded to whole numbers, mean and variance
-differ from that by no more than
+The usual moments have a variance of 1/12 for rounding and no clipping of black. For a normal signal
+of standard deviation s rounded to whole numbers, the errors of mean and variance are at most
 
     sum_k exp(-2 pi^2 k^2 s^2) / (pi k),    4 sum_k (s^2 + 1 / (2 pi k)^2) exp(-2 pi^2 k^2 s^2)
 
-(Widrow and Kollar, "Quantization Noise", 2008, chapter 4), wherever its mean lies between two
-codes; and clipped at m below the mean, with z = m / s, phi and Q the normal density and tail,
+(Widrow and Kollar, "Quantization Noise", 2008, chapter 4) for any position of the mean between two
+codes. With clipping at m below the mean, z = m / s, and the normal density phi and tail Q, they are
 
     a = s (phi(z) - z Q(z)),    b + 2 m a + a^2,    b = s^2 ((1 + z^2) Q(z) - z phi(z)).
 
-Both are shifts that all frames have for certain (`inference.left_out`).
+Both are systematic shifts, common to all frames (`inference.left_out`).
 """
 
 import jax.numpy as jnp
@@ -42,7 +41,7 @@ def usual_moments_error(
     frames: Float[np.ndarray, " levels"],
     pixels: float,
 ) -> LeftOut:
-    """By how much the usual moments miss those of the rounded, clipped signal at most."""
+    """The maximum error of the usual moments for a rounded, clipped signal."""
     own = np.maximum(variance - ROUNDING, 0)
     decay = np.exp(-2 * np.pi**2 * HARMONICS**2 * own[:, None])
     of_mean = (decay / (np.pi * HARMONICS)).sum(1)
@@ -60,7 +59,7 @@ def usual_moments_error(
 
 
 def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> LeftOut:
-    """What clipped black and rounding do beyond the usual moments, at most."""
+    """The maximum effect of clipped black and rounding beyond the usual moments."""
     data, converter = noise_data(measurement, usable), measurement.converter
     if not converter.step:
         return LeftOut(NAME, None, 0.0)
@@ -72,13 +71,13 @@ def usual_moments(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"
 def needed_window(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> tuple[Window | None, tuple[LeftOut, ...]]:
-    """The exact moments that clipped black or fine read noise call for."""
+    """The exact moments if clipped black or small read noise requires them."""
     gone = negligible([usual_moments(measurement, usable)])
     return (None if gone else window_of(measurement, usable)), gone
 
 
 def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -> Window:
-    """The exact moments of the darks, and of the levels that clipping or rounding may affect."""
+    """The exact moments for the darks and for the levels that clipping or rounding may affect."""
     data, converter = noise_data(measurement, usable), measurement.converter
     mean, variance, lit = (np.asarray(x) for x in (data.mean, data.variance, data.lit))
     mean, variance = (mean - converter.origin) / converter.step, variance / converter.step**2
@@ -110,7 +109,7 @@ def window_of(measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]) -
 def offset_data(
     measurement: PhotonTransfer, usable: Int[np.ndarray, " usable"]
 ) -> OffsetData | None:
-    """How the pixels of the darks differ."""
+    """The differences between the pixels of the darks."""
     dark = measurement.dark
     if dark.spatial_variance is None or measurement.bright.spatial_variance is None:
         return None
@@ -130,8 +129,8 @@ def offset_data(
 def _known_spread(
     measurement: PhotonTransfer, usable: np.ndarray, mean: np.ndarray, lit: np.ndarray
 ) -> np.ndarray:
-    """What else moves pixels against the grid: gains of their own, in proportion to the signal, and
-    a black level that drifts from frame to frame, DN^2."""
+    """Other shifts of pixels relative to the code grid, DN^2: their own gains, in proportion to the
+    signal, and a black level that drifts between frames."""
     dark = measurement.dark
     response = fitted_pattern(measurement, usable).response
     signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)

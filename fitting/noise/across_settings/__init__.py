@@ -1,8 +1,8 @@
 """Photon transfer of one camera at several gains and temperatures, in one fit.
 
-setting         what one setting tells of the quantities that settings share
+setting         one setting's estimates of the shared quantities
 read            flats and darks of a rig, setting by setting
-statement       the laws of gain and temperature as a `Problem`, and which of them hold
+statement       the laws of gain and temperature as a `Problem`, and their tests
 pooled          full well and fixed pattern, averaged over settings
 calibration     everything together
 sensor          the camera at any gain and temperature

@@ -1,4 +1,5 @@
-"""Calibration of a camera over its gains and temperatures: each setting, and all as one."""
+"""Calibration of a camera over its gains and temperatures: each setting separately, and all
+together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -56,7 +57,7 @@ class CameraCalibration(ShownInNotebooks):
 
     @property
     def is_impossible(self) -> bool:
-        """Whether more electrons are counted than photons arrive at some setting."""
+        """Whether the quantum efficiency exceeds 1 at some setting."""
         efficiency = self.figures.log_efficiency
         return efficiency is not None and bool(efficiency.max() > 0)
 
@@ -80,8 +81,8 @@ def calibrate_settings(
     """A camera's noise over its gains and temperatures.
 
     Quantum efficiency is shared, read noise follows from noise before and behind the amplifier, and
-    dark current follows Arrhenius' law; each of these is tested, and given up where it fails. A
-    setting that cannot be fitted by itself is left out and named.
+    dark current follows Arrhenius' law. Each of these assumptions is tested and dropped if it
+    fails. A setting that cannot be fitted by itself is left out and named.
 
     Args:
         frames: of two settings or more, as `read_by_setting` gives them.
@@ -145,8 +146,8 @@ def calibrate_settings(
 def calibrate_one(
     one: FramesOfSetting, *, sampling: Emcee | None, seed: int
 ) -> NoiseCalibration | InputError | None:
-    """One setting by itself, by emcee or Laplace; None of darks alone, and the error where the fit
-    has no maximum or the frames tell no gain."""
+    """The fit of one setting, by emcee or Laplace. It is None for darks alone, and the error where
+    the fit has no maximum or the gain is not identifiable."""
     if isinstance(one.frames, Levels):
         return None
     try:

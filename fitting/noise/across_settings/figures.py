@@ -62,7 +62,7 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
 
 
 def gain_figure(calibration: CameraCalibration) -> Figure:
-    """K against the stated gain, and its deviations from proportion."""
+    """K against the stated gain, and its deviations from proportionality."""
     fit = calibration.fit
     factor = np.array([setting.gain_factor for setting in calibration.settings])
     proportion = proportional_gain(fit)
@@ -204,7 +204,7 @@ def _shade(
     high: np.ndarray,
     label: str,
 ) -> None:
-    """A law with its band, and below the band alone in per cent of the law."""
+    """A law with its uncertainty band; below, the band in per cent of the law."""
     upper.fill_between(x, low, high, color=ORANGE, alpha=0.25, lw=0)
     upper.plot(x, curve, color=ORANGE, lw=1.5, label=label)
     lower.fill_between(
@@ -213,14 +213,14 @@ def _shade(
 
 
 def _alone(calibration: CameraCalibration, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The settings that tell a quantity by themselves, what they tell and its errors."""
+    """The settings that determine a quantity separately, with estimates and errors."""
     value, error = np.array([told.of(name) for told in calibration.fit.told]).T
     alone = np.flatnonzero(np.isfinite(value))
     return alone, value[alone], error[alone]
 
 
 def _aside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
-    """Factors by which points of one place stand beside each other."""
+    """Factors that separate overlapping points horizontally."""
     order = np.zeros(len(x))
     for place in np.unique(x):
         own = np.flatnonzero(x == place)
@@ -229,7 +229,7 @@ def _aside(x: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
 
 
 def _plain_ticks(axis: Axis) -> None:
-    """Whole numbers instead of powers, where an axis spans few of them."""
+    """Label an axis that spans few decades with plain numbers instead of powers."""
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())

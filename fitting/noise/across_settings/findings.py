@@ -1,4 +1,5 @@
-"""Every sentence about a camera over its settings, with its condition: what is not shared first."""
+"""Every finding on a camera over its settings, with its condition. Quantities that the settings do
+not share come first."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -30,7 +31,7 @@ def findings(calibration: CameraCalibration) -> tuple[str, ...]:
 
 
 def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """A claim that failed, with its largest deviations."""
+    """The finding for an assumption that failed, with its largest deviations."""
     claim = next((one for one in calibration.fit.claims if one.law == law), None)
     if claim is None or claim.holds:
         return None
@@ -49,7 +50,7 @@ def _claim(law: Law, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _rivals(law: Law, calibration: CameraCalibration) -> Numbers | None:
-    """The quantities that failed with a claim and not without it."""
+    """The quantities that disagreed together with an assumption, but agree without it."""
     claim = _claim(law, calibration)
     return claim if claim and claim["rivals"] else None
 
@@ -73,7 +74,7 @@ def _given_up(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, F
 
 
 def _relative(one: OwnDeviation) -> OwnDeviation:
-    """Of a difference of logarithms."""
+    """The relative difference for a difference of logarithms."""
     return replace(one, value=np.expm1(one.value), error=np.exp(one.value) * one.error)
 
 
@@ -82,7 +83,7 @@ def _signed(one: OwnDeviation, scale: float = 100) -> str:
 
 
 def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
-    """Chi-square of the fit, where it is beyond chance or is not."""
+    """The chi-square of the fit, and whether it is significant."""
     fit = calibration.fit
     if (fit.fit.noise > 1) != beyond:
         return None
@@ -96,7 +97,7 @@ def _misfit(beyond: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
-    """Whether the gain is proportional to the stated one, of several gains."""
+    """Whether the measured gains are proportional to the stated gains."""
     found = proportional_gain(calibration.fit)
     if found is None or (found[1] >= MISFIT) != holds:
         return None
@@ -110,8 +111,7 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
 
 
 def _unknown_dark_law(told: bool, calibration: CameraCalibration) -> bool:
-    """Whether dark current, told by the settings or not, has no law over several temperatures that
-    was not given up."""
+    """Whether dark current at several temperatures has no accepted law."""
     fit = calibration.fit
     free = {parameter.name for parameter in fit.fit.problem.free}
     several = len({setting.temperature for setting in fit.settings}) > 1
@@ -121,7 +121,7 @@ def _unknown_dark_law(told: bool, calibration: CameraCalibration) -> bool:
 
 
 def _energy(calibration: CameraCalibration) -> Numbers | None:
-    """An activation energy that is none of silicon."""
+    """The finding for an activation energy that is not plausible for silicon."""
     labels = [parameter.name for parameter in calibration.fit.fit.problem.space]
     if "activation_energy" not in labels:
         return None
@@ -134,7 +134,7 @@ def _energy(calibration: CameraCalibration) -> Numbers | None:
 
 
 def _differs(name: str, calibration: CameraCalibration) -> Numbers | None:
-    """An average over settings that do not agree."""
+    """The finding for an average over settings that disagree."""
     pooled = getattr(calibration, name)
     if pooled is None or pooled.holds:
         return None

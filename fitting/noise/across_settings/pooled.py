@@ -1,9 +1,9 @@
 """Full well and fixed pattern, which do not depend on the gain, averaged over settings.
 
-The same pixels are seen at each setting, so that settings differ by temporal noise alone; how far n
-pixels stand for their population is added to the average once. Full well comes from the settings
-whose well fills before the converter's range ends, on the same grid of levels or a similar one, so
-that its error is that of the best of them.
+Each setting sees the same pixels, so settings differ only by temporal noise. The sampling error of
+n pixels as a sample of their population is added once, to the average. Full well comes from the
+settings whose well fills before the end of the converter's range. Their grids of levels are the
+same or similar, so the error of the average is that of the best setting.
 """
 
 from collections.abc import Sequence
@@ -51,12 +51,12 @@ class Pooled:
 
     @property
     def serves(self) -> bool:
-        """Whether one value is given: settings agree, or differ by little."""
+        """Whether one value is reported: the settings agree, or differ by little."""
         return self.holds or self.spread < ALIKE * abs(self.value)
 
     @property
     def known_to(self) -> float:
-        """Standard error, with the settings' deviation where they do not agree."""
+        """Standard error, including the scatter between settings if they disagree."""
         return self.error if self.holds else float(np.hypot(self.error, self.spread))
 
     @property
@@ -65,7 +65,7 @@ class Pooled:
 
 
 def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
-    """Electrons at saturation where the well fills first; None where no well was filled."""
+    """Full well in electrons; None where no well was filled."""
     found = {
         i: find(one.sheet, "saturation_electrons", method=LIKELIHOOD)
         for i, one in enumerate(calibrations)
@@ -84,7 +84,7 @@ def full_well(calibrations: Sequence[NoiseCalibration | None]) -> Pooled | None:
 def pattern(
     calibrations: Sequence[NoiseCalibration | None], gains: np.ndarray, which: str
 ) -> Pooled | None:
-    """ "dsnu" or "prnu" squared, by gains in DN/e-; None where only sums over pixels are known."""
+    """DSNU or PRNU squared, for gains in DN/e-; None where only sums over pixels are known."""
     found = []
     for i, one in enumerate(calibrations):
         if one is None or one.patterns is None:
@@ -102,7 +102,7 @@ def pattern(
 
 
 def _average(settings: tuple[int, ...], values: np.ndarray, errors: np.ndarray) -> Pooled:
-    """Weighted mean, its standard error, chi-square about it and the settings' deviation."""
+    """Weighted mean, its standard error, its chi-square, and the scatter between settings."""
     weights = 1 / errors**2
     average = float(np.average(values, weights=weights))
     chi_square = float(np.sum(weights * (values - average) ** 2))

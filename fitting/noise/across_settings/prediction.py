@@ -1,4 +1,4 @@
-"""What the camera over its settings predicts of levels that its fit was kept from.
+"""Prediction of kept-out levels by the camera over its settings.
 
 Each setting is fitted again without every second level, and the camera over the settings from these
 fits. Its sensor at a setting, written to a file and read back, predicts the levels left out.
@@ -29,7 +29,7 @@ SHOWN = 3  # settings of which missing effects are named
 
 @in_double
 def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
-    """What the camera of all settings predicts of levels kept out of its fit."""
+    """Predict the levels that were kept out of the fit, by the camera over all settings."""
     parts = [
         (setting, own, levels_kept_out(own))
         for setting, own in zip(calibration.settings, calibration.calibrations, strict=True)
@@ -67,7 +67,7 @@ def _predicted(
 
 
 def findings(predictions: tuple[Prediction, ...]) -> tuple[str, ...]:
-    """How well the settings are predicted, and what the camera lacks at those that are missed."""
+    """How well the settings are predicted, and which effect the camera lacks where they are not."""
     if not predictions:
         return ()
     sums: dict[str, Agreement] = {}

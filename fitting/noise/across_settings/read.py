@@ -44,8 +44,8 @@ def reduce_by_setting(
     load: Load = read_image,
     failed: dict[Setting, InputError] | None = None,
 ) -> tuple[FramesOfSetting, ...]:
-    """As `read_by_setting`, of a rig that was read; `failed` takes the settings that cannot be used
-    and why, which are then left out, None refuses the rig."""
+    """As `read_by_setting`, for a rig in memory. `failed` collects unusable settings with the
+    reason, and they are left out; with None, the rig is refused."""
     rigs = by_setting(rig)
     found: dict[Setting, FramesOfSetting] = {}
     lit = {setting.gain for setting, own in rigs.items() if own.flat}
@@ -66,7 +66,7 @@ def reduce_by_setting(
 def _reduced(
     place: Path, setting: Setting, own: Rig, lit: set[float | None], channel: str, load: Load
 ) -> FramesOfSetting:
-    """One setting; `lit` has the gains of which there are flats."""
+    """One setting; `lit` has the gains for which there are flats."""
     if not own.dark:
         raise InputError(f"{place}: its flats have no darks of their gain and temperature.")
     if own.flat:

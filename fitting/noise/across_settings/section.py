@@ -1,4 +1,4 @@
-"""A camera over its settings as its reader sees it: estimates, findings, tables and pictures."""
+"""The report of a camera over its settings: estimates, findings, tables and figures."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -51,7 +51,7 @@ OWN_HEADINGS = {
 
 
 def section(calibration: CameraCalibration) -> Section:
-    """A camera over its settings: what they share and each gain."""
+    """The section of a camera over its settings: shared parameters, and each gain."""
     gains = dict.fromkeys((s.gain, s.gain_label) for s in calibration.settings)
     writers = {
         f"sensor_{_word(t)}".rstrip("_"): partial(write_sensor_at, calibration, g) for g, t in gains
@@ -81,14 +81,15 @@ def section(calibration: CameraCalibration) -> Section:
 
 
 def sections(calibration: CameraCalibration) -> list[Section]:
-    """The camera, and after it each of its settings by itself."""
+    """The section of the camera, then one for each setting."""
     return [section(calibration), *_of_settings(calibration.frames, calibration.calibrations)]
 
 
 def records_of_sites(
     calibrations: Mapping[str, CameraCalibration], camera: Camera
 ) -> dict[str, Callable[[Path], None]]:
-    """What writes the one sensor of all sites at each gain; nothing where a site has none."""
+    """The function that writes one sensor for all sites at each gain; None if a site has no
+    sensor."""
     each = calibrations.values()
     if len(calibrations) < len(camera.sites) or any(c.is_impossible or c.processed for c in each):
         return {}
@@ -102,7 +103,7 @@ def records_of_sites(
 
 
 def of_site(section: Section, site: str) -> Section:
-    """A section of one of several sites, named so, without the camera file of that alone."""
+    """The section of one site, with the site in its name and without a camera file of its own."""
     return replace(
         section,
         kind=f"{section.kind}_{_word(site)}",
@@ -119,13 +120,13 @@ def without_whole(
     calibrations: Sequence[NoiseCalibration | InputError | None],
     why: str,
 ) -> list[Section]:
-    """The settings by themselves, where the camera over them could not be fitted, and why."""
+    """The sections of the settings if the joint fit failed, with the reason."""
     whole = Section(kind=KIND, title=TITLE, estimates=(), findings=(why,), failure=why)
     return [whole, *_of_settings(frames, calibrations)]
 
 
 def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
-    """A section for each setting whose frames cannot be used, that says so."""
+    """A section that gives the reason, for each setting whose frames cannot be used."""
     return [
         Section(
             *(f"{KIND}_{_word(setting.label)}", f"{TITLE_OF_ONE}: {setting.label}", ()),
@@ -137,7 +138,7 @@ def unread(failed: Mapping[Setting, InputError]) -> list[Section]:
 
 
 def _word(label: str) -> str:
-    """A label as a part of a file's name."""
+    """A label in the form that a file name allows."""
     return "_".join(label.lower().replace(",", " ").replace("-", "minus_").split())
 
 
@@ -180,7 +181,7 @@ def _about(calibration: CameraCalibration) -> str:
 
 
 def _middle(calibration: CameraCalibration) -> float:
-    """Of the range of temperatures, K."""
+    """The middle of the range of temperatures, K."""
     warmth = [s.temperature for s in calibration.settings if s.temperature is not None]
     return (min(warmth) + max(warmth)) / 2
 
@@ -231,7 +232,8 @@ def _root(
     scale: float = 1.0,
     parts: tuple[Part, ...] = (),
 ) -> Estimate:
-    """The root of a variance that may come out negative, beside parts known from samples."""
+    """The square root of a variance estimate that may be negative, with parts known from few
+    samples."""
     if square < SEEN * error:
         bound = scale * np.sqrt(max(square, 0) + SEEN * error)
         return not_determined(what, f"below {bound:.3g} {what.unit}, hidden under {under}")

@@ -34,11 +34,12 @@ def sensor_at(
 ) -> tuple[Sensor, Sensor]:
     """The sensor of a camera at one gain and temperature.
 
-    At a gain between two that were measured, ln K is linear in the logarithm of the stated gain,
-    and so is the logarithm of a read noise without law; the black level is linear in it. Dark
-    current is a law of temperature (`ArrheniusDarkCurrent`) where one was found, and else linear
-    between the temperatures. Fixed patterns and full well are the best fit's in every draw.
-    Exposure is the median of the flats', so that light is photons per pixel and second.
+    Between two measured gains, ln K is linear in the logarithm of the stated gain. So are the black
+    level and the logarithm of a read noise without a law. Dark current follows its law of
+    temperature (`ArrheniusDarkCurrent`) if there is one. Otherwise it is interpolated linearly
+    between the temperatures. Fixed patterns and full well have the values of the best fit in every
+    draw. The exposure is the median of the flats' exposures, so light is a rate in photons per
+    pixel and second.
 
     Args:
         calibration: of the camera.
@@ -68,8 +69,8 @@ def sensor_at(
 
 
 def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Path) -> None:
-    """Writes the sensor at a gain, as the settings state it, and at the warmest temperature, its
-    draws beside it."""
+    """Write the sensor at a stated gain and the warmest temperature, with its draws in a second
+    file."""
     warmest = calibration.fit.reference
     best, draws = sensor_at(calibration, gain=gain, temperature=warmest)
     at = Setting(gain, calibration.settings[0].gain_unit, warmest).label
@@ -81,7 +82,7 @@ def write_sensor_at(calibration: CameraCalibration, gain: float | None, path: Pa
 def write_sensor_of_sites_at(
     calibrations: Mapping[str, CameraCalibration], camera: Camera, gain: float | None, path: Path
 ) -> None:
-    """As `write_sensor_at`, of a camera whose sites were calibrated each by itself."""
+    """As `write_sensor_at`, for a camera whose sites were calibrated separately."""
     warmest = next(iter(calibrations.values())).fit.reference
     each = [sensor_at(calibrations[s], gain=gain, temperature=warmest) for s in camera.sites]
     best, draws = joined_sensors(each, camera)
@@ -108,7 +109,7 @@ def _within(known: list[float | None], asked: float | None, word: str) -> float 
 def _sensor(
     calibration: CameraCalibration, factor: float, warmth: float | None, natural: Array
 ) -> Sensor:
-    """The sensor of natural parameters, at a factor of gain and a temperature in K."""
+    """The sensor for parameters in natural units, at a gain factor and a temperature in K."""
     problem = calibration.fit.fit.problem
     values = values_from(problem, natural)
     at = figures(values, problem.inputs)
@@ -116,7 +117,8 @@ def _sensor(
     kelvin = np.array([s.temperature or 1.0 for s in calibration.settings])
 
     def between(values: Array) -> Array:
-        """Linear over temperature at each measured gain, then over the logarithm of gain."""
+        """Interpolate linearly over temperature at each measured gain, then over the logarithm of
+        the gain."""
         at_gains = []
         for one in np.unique(log_factor):
             own = np.flatnonzero(log_factor == one)

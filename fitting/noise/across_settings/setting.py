@@ -1,14 +1,14 @@
-"""What the frames of one setting tell of the quantities that all settings share.
+"""One setting's estimates of the quantities that all settings share.
 
-Of flats and darks, the likelihood's ln K, ln R, ln sigma_d and dark current I with their
-covariance; everything else of that fit is marginalised. Of darks alone, weighted lines over the
-exposure t,
+For flats and darks these are ln K, ln R, ln sigma_d and the dark current I of the likelihood fit,
+with their covariance. The other parameters of that fit are marginalised. For darks alone, weighted
+lines over the exposure t,
 
     mean      y   = black + K I t
     variance  s^2 = K^2 sigma_d^2 + 1/12 + K^2 I t
 
-give K I, K^2 sigma_d^2 and K^2 I. The means know K I a hundred times better than the variances know
-K^2 I, and the correlation of the two by the skewness of shot noise is neglected.
+give K I, K^2 sigma_d^2 and K^2 I. The means determine K I a hundred times better than the variances
+determine K^2 I. The correlation of the two through the skewness of shot noise is neglected.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class Told:
         return float(self.values[place]), float(np.sqrt(self.covariance[place, place]))
 
     def dark_current(self, gain: float) -> tuple[float, float]:
-        """Dark current and its standard error, e-/s, of darks alone by a gain in DN/e-."""
+        """Dark current and its standard error, e-/s, for darks alone with a known gain in DN/e-."""
         if "dark_current" in self.names:
             return self.of("dark_current")
         rate, error = self.of("dark_signal_rate")
@@ -72,8 +72,9 @@ class Told:
 def told_by_calibration(
     calibration: NoiseCalibration, *, left_out: Bool[np.ndarray, " levels"] | None = None
 ) -> Told:
-    """What flats and darks tell: ln K, ln R of known photons, a determined ln read noise, and a
-    fitted dark current; `left_out` is true for levels that the fit is kept from."""
+    """The estimates from flats and darks: ln K, ln R if photons are known, ln read noise if
+    determined, and a fitted dark current. `left_out` marks levels that are excluded from the
+    fit."""
     posterior = calibration.posterior
     labels = names(posterior.space)
     present = [name for name in FROM_BOTH if name in labels]
@@ -91,7 +92,7 @@ def told_by_calibration(
 
 
 def told_by_darks(setting: Setting, darks: Levels) -> Told:
-    """What darks alone tell; `InputError` for fewer than three different exposures."""
+    """The estimates from darks alone; `InputError` for fewer than three different exposures."""
     exposure, mean, variance, frames = (
         np.asarray(x) for x in (darks.exposure, darks.mean, darks.variance, darks.frames)
     )
@@ -117,8 +118,8 @@ def told_by_darks(setting: Setting, darks: Levels) -> Told:
 
 
 def _line(x: np.ndarray, y: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(slope, intercept) and their covariance, inflated by chi-square per degree of freedom where
-    that is beyond chance (Birge)."""
+    """(slope, intercept) and their covariance. A significant misfit multiplies the covariance by
+    chi-square per degree of freedom (Birge)."""
     found, covariance = np.polyfit(x, y, 1, w=variances**-0.5, cov="unscaled")
     chi_square = float(np.sum((y - np.polyval(found, x)) ** 2 / variances))
     return found, covariance * inflation(chi_square, len(x) - 2)

@@ -1,4 +1,4 @@
-"""A camera over its settings as a problem: its data are what each setting tells.
+"""A camera over its settings as a problem. Its data are the estimates of each setting.
 
 At setting s of gain g and temperature T,
 
@@ -7,19 +7,19 @@ At setting s of gain g and temperature T,
     sigma_d  = sqrt(sigma_0^2 + (sigma_1 / K_g)^2)      read noise, e-
     I        = I_ref exp(-E / k (1 / T - 1 / T_ref))    dark current, e-/s
 
-sigma_0: noise before the amplifier of variable gain, e-; sigma_1: noise behind it, DN, of the
-converter above all. E: activation energy, between half of silicon's band gap (generation in the
-depletion region) and all of it (diffusion).
+sigma_0 is the noise before the amplifier of variable gain, e-. sigma_1 is the noise behind it, DN,
+mainly of the converter. The activation energy E lies between half of silicon's band gap (generation
+in the depletion region) and the whole gap (diffusion).
 
-Each setting's estimates are Gaussian with the covariance of its own fit, so that the fit is
-generalised least squares; to first order it is that of all frames at once. Each law is a claim
-("the quantum efficiency is the same at every gain"), judged by the score test: residuals r,
-projected on what deviations D from the claim could explain beyond the parameters' own slopes J,
+Each setting's estimates are Gaussian with the covariance of its own fit, so the fit is generalised
+least squares. To first order it equals a fit of all frames at once. Each law is an assumption ("the
+quantum efficiency is the same at every gain") with a score test. The residuals r are projected on
+the deviations D from the assumption, after removal of the parameters' own derivatives J:
 
     D' = D - J J^+ D,    chi^2 = |P_D' r|^2    with rank(D') degrees of freedom,
 
-the fall of chi-square if the claim were given up, which needs no other fit. A claim that fails
-(p < 0.1 %) is given up, the worst first, and all is fitted anew.
+This chi^2 is the decrease of chi-square if the assumption were dropped, without another fit. An
+assumption that fails (p < 0.1 %) is dropped, the worst first, and the fit is repeated.
 
 Source:
     Janesick, "Photon Transfer", 2007, chapters 7 and 11; EMVA 1288, release 4.0 (linear model);
@@ -79,8 +79,8 @@ REFERENCE_CURRENT = Parameter(symbol="I_ref", unit="e⁻/s", transform="log")
 
 
 class Figures(eqx.Module):
-    """(settings,) ln DN/e-; ln electrons per photon, None of unknown photons; e-^2; e-/s, None
-    where no setting tells it."""
+    """(settings,) ln DN/e-; ln electrons per photon, None if photons are unknown; e-^2; e-/s, None
+    if no setting determines it."""
 
     log_gain: Float[Array, " settings"]
     log_efficiency: Float[Array, " settings"] | None
@@ -89,8 +89,8 @@ class Figures(eqx.Module):
 
 
 def figures(values: Values, inputs: Mapping[str, Array]) -> Figures:
-    """A camera's figures at each setting by the laws, and by `deviations` from them of ln K,
-    ln eta, ln sigma_d and I."""
+    """The parameters of a camera at each setting, from the laws and from `deviations` of ln K, ln
+    eta, ln sigma_d and I."""
     off_gain, off_efficiency, off_read_noise, off_dark = values["deviations"]
     log_gain = jnp.log(values["system_gain"])[inputs["system_gain"]]
     log_efficiency = dark = None
@@ -115,7 +115,7 @@ def figures(values: Values, inputs: Mapping[str, Array]) -> Figures:
 
 
 def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"]:
-    """What all settings would tell without noise, whitened."""
+    """The noise-free estimates of all settings, whitened."""
     at = figures(values, inputs)
     nothing, gain = jnp.zeros_like(at.log_gain), jnp.exp(at.log_gain)
     dark = nothing if at.dark_current is None else at.dark_current
@@ -133,9 +133,9 @@ def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"
 
 @dataclass(frozen=True)
 class OwnDeviation:
-    """How far the settings of one gain or temperature are off the others: a difference of
-    logarithms, of dark current relative (over gain) or in e-/s (over temperature); of a gain that
-    is off its proportion relative."""
+    """Deviation of the settings of one gain or temperature from the others. It is a difference of
+    logarithms; for dark current it is relative (over gain) or in e-/s (over temperature), and for
+    the proportionality of gains it is relative."""
 
     label: str
     value: float
@@ -144,7 +144,7 @@ class OwnDeviation:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the model, judged.
+    """An assumption of the model, with its test.
 
     Attributes:
         quantity: that is claimed to follow its law, or to be shared,
@@ -172,8 +172,8 @@ class Claim:
 
     @property
     def significance(self) -> float:
-        """Standard deviations of a normal variable, also where p is 0 to all digits (Wilson &
-        Hilferty, PNAS 17, 1931)."""
+        """The equivalent standard deviations of a normal variable, also where p underflows to 0
+        (Wilson & Hilferty, PNAS 17, 1931)."""
         spread = 2 / (9 * self.degrees)
         return ((self.chi_square / self.degrees) ** (1 / 3) - (1 - spread)) / spread**0.5
 
@@ -223,13 +223,13 @@ class SharedFit:
 
     @property
     def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
-        """(P, P) on the unconstrained scale, inflated where the misfit is beyond chance."""
+        """(P, P) on the unconstrained scale, inflated if the misfit is significant."""
         return self.fit.noise**2 * np.linalg.inv(self.fit.optimum.information)
 
 
 def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) -> SharedFit:
-    """The fit after all claims that fail were given up; `InputError` where the settings leave a
-    parameter open."""
+    """The fit after all failed assumptions were dropped; `InputError` if a parameter is not
+    identifiable."""
     freed: frozenset[Law] = frozenset()
     failed: list[Claim] = []
     reference = max((s.temperature for s in settings if s.temperature is not None), default=None)
@@ -257,7 +257,7 @@ def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) 
 
 
 def _named(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
-    """The posterior with a gain, a temperature or a setting in place of a number."""
+    """The posterior, with gain, temperature or setting in place of an index in each name."""
     space = tuple(
         replace(parameter, name=parameter.name + f"[{label}]" * bool(label), shape=())
         for parameter in found.problem.free
@@ -275,8 +275,8 @@ def _stated(
     freed: frozenset[Law],
     reference: float | None,
 ) -> tuple[Problem, dict[str, Any], dict[str, tuple[str, ...]]]:
-    """The problem without the claims that were given up, where its search begins, and the labels of
-    parameters that have several values."""
+    """The problem without the dropped assumptions, its starting point, and labels of the parameters
+    that have several values."""
     table = np.array([[one.of(name) for name in TOLD] for one in told])  # (settings, told, 2)
     column = dict(zip(TOLD, table[..., 0].T, strict=True))
     error = dict(zip(TOLD, table[..., 1].T, strict=True))
@@ -301,7 +301,8 @@ def _stated(
     labels: dict[str, tuple[str, ...]] = {}
 
     def averages(name: str, values: np.ndarray) -> np.ndarray:
-        """Of the settings that share each value of a parameter; of all where these tell nothing."""
+        """Averages over the settings that share each value of a parameter; over all settings if
+        these do not determine it."""
         labels[name] = tuple(dict.fromkeys(shared[name]))
         inputs[name] = np.array([labels[name].index(word) for word in shared[name]])
         known = np.isfinite(values)
@@ -366,7 +367,8 @@ def _stated(
 
 
 def _nearest_with_flats(settings: Sequence[Setting], told: Sequence[Told], i: int) -> int:
-    """A setting itself; of darks alone that of the same gain and nearest temperature with flats."""
+    """The setting itself, or for darks alone the setting with flats at the same gain and the
+    nearest temperature."""
 
     def distance(j: int) -> float:
         return abs((settings[i].temperature or 0) - (settings[j].temperature or 0))
@@ -377,8 +379,8 @@ def _nearest_with_flats(settings: Sequence[Setting], told: Sequence[Told], i: in
 
 @eqx.filter_jit
 def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array]:
-    """(data,) residuals, their slopes by the (P,) vector and the (4, settings) deviations, and
-    (settings,) dark current."""
+    """(data,) residuals, their derivatives with respect to the (P,) vector and the (4, settings)
+    deviations, and (settings,) dark current."""
 
     def missed(vector: Array, deviations: Array) -> Array:
         values = values_at(problem, vector) | {"deviations": deviations}
@@ -397,7 +399,7 @@ def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array
 def _judged(
     problem: Problem, vector: np.ndarray, settings: Sequence[Setting], freed: frozenset[Law]
 ) -> tuple[Claim, ...]:
-    """The claims that were not given up, and that the data can contradict."""
+    """The remaining assumptions that the data can contradict."""
     missed, by_vector, by_deviation, dark = (
         np.asarray(x) for x in _slopes(jnp.asarray(vector), problem)
     )
@@ -431,9 +433,9 @@ def _judged(
 
 
 def proportional_gain(fit: SharedFit) -> tuple[float, float, tuple[OwnDeviation, ...]] | None:
-    """The test of K = c times the stated gain, by generalised least squares of ln K: c in DN/e- per
-    stated unit, the p-value of all gains, and those that are off, the worst first, by how much of
-    the others, to which c belongs then; None with one gain."""
+    """The test of K = c times the stated gain, by generalised least squares of ln K; None with one
+    gain. It returns c in DN/e- per stated unit, the p-value, and the relative deviation of each
+    outlying gain, worst first. With outliers, c belongs to the other gains."""
     labels = fit.labels["system_gain"]
     index = np.asarray(fit.fit.problem.inputs["system_gain"])
     first = [int(np.argmax(index == i)) for i in range(len(labels))]

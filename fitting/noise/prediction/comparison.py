@@ -1,15 +1,15 @@
 """Frames compared with the prediction of a camera.
 
-The camera alone predicts, by the moments of `jaxvision`; no fit knows of these frames, but for one
-number where their photons are not known: the rate of the light, which the means then give. With
-residuals r of one quantity over the levels, of variance N by the noise of the frames and P by the
-draws of the camera,
+The camera alone predicts, by the moments of `jaxvision`. These frames enter no fit, except for the
+rate of the light if their photons are unknown, which the means then determine. Let r be the
+residuals of one quantity over the levels, N their covariance from the noise of the frames, and P
+that from the draws of the camera:
 
     chi-square = r (N + P)^-1 r                  levels that the camera was not fitted to
     chi-square = r N^-1 r,  n - tr(P N^-1) degrees of freedom        levels that it was fitted to
 
-A fit explains the sum of the covariances of all neighbours, in which those of the nearest count for
-little: they are compared as if they were kept out.
+A fit explains the sum of the covariances of all neighbours, in which the nearest ones have little
+weight. These are compared as if they had been kept out.
 """
 
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ PARTS = {"means": (0,), "variances": (1,), NEIGHBOURS: (2, 3)}
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well one quantity is predicted.
+    """The agreement of one quantity with its prediction.
 
     Attributes:
         chi_square: of its residuals.
@@ -60,13 +60,14 @@ class Agreement:
 
     @property
     def p_value(self) -> float:
-        """How often chance gives a chi-square as far from its mean, on either side."""
+        """The two-sided probability that chance gives a chi-square as far from its mean."""
         ends = (tail(self.degrees, self.chi_square) for tail in (chdtr, chdtrc))
         return min(2 * float(min(ends)), 1.0)
 
     @property
     def is_missed(self) -> bool:
-        """Whether it is further from 1 than a tenth and than chance."""
+        """Whether chi-square per degree of freedom differs from 1 by more than a tenth, and
+        significantly."""
         return not CLOSE[0] <= self.ratio <= CLOSE[1] and self.p_value < CHANCE
 
 
@@ -93,7 +94,7 @@ class Comparison:
 
     @property
     def seen(self) -> Float[np.ndarray, "quantities levels"]:
-        """What the frames show, DN and DN^2."""
+        """The observed quantities, DN and DN^2."""
         return self.levels.seen
 
     @property
@@ -104,12 +105,12 @@ class Comparison:
 
     @property
     def residuals(self) -> Float[np.ndarray, "quantities levels"]:
-        """Observed less predicted, in standard errors."""
+        """Observed minus predicted, in standard errors."""
         return (self.seen - self.found.values) / self.errors
 
     @property
     def missed(self) -> list[str]:
-        """Names of the quantities that are not predicted."""
+        """Names of the quantities that disagree with the prediction."""
         return [name for name, one in self.agreement.items() if one.is_missed]
 
 
@@ -171,7 +172,7 @@ def _agreement(
 
 
 def _every(best: Sensor, draws: Sensor | None) -> Sensor:
-    """The best estimate and the draws, along one leading axis."""
+    """The best estimate and the draws along one leading axis."""
     if draws is None:
         return jax.tree.map(lambda x: np.asarray(x)[None], best)
     return jax.tree.map(lambda x, own: np.concatenate([np.asarray(x)[None], own]), best, draws)
@@ -180,8 +181,8 @@ def _every(best: Sensor, draws: Sensor | None) -> Sensor:
 def _expected(
     sensor: Sensor, every: Sensor, measurement: PhotonTransfer, lit: Lit, neighbours: bool
 ) -> tuple[Expected, Float[np.ndarray, "draws quantities levels"]]:
-    """What the best estimate and what the draws predict, in the numbers of the file, whose codes
-    the sensor gives; one row of the best where there are no draws."""
+    """The predictions of the best estimate and of the draws, in the numbers of the file, whose
+    codes the sensor gives. Without draws there is one row."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     of_every = expected(every, lit, neighbours=neighbours)
     values = of_every[0].copy()
@@ -203,7 +204,7 @@ def _expected(
 
 
 def _in_file(values: np.ndarray, step: float, origin: float) -> np.ndarray:
-    """Codes, and their squares, as numbers of the file."""
+    """Codes, or squares of codes, converted to numbers of the file."""
     scaled = values * step**2
     scaled[..., 0, :] = origin + step * values[..., 0, :]
     return scaled
@@ -217,7 +218,7 @@ def _scaled(
     seen: np.ndarray,
     shown: np.ndarray,
 ) -> Lit:
-    """Light in the unit of the sensor, where its scale is known from the means alone."""
+    """Light in the unit of the sensor, if only the means give its scale."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     signal = (seen[0] - origin) / step - (0.0 if sensor.offset is None else float(sensor.offset))
     gain, efficiency = (

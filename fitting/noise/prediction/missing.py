@@ -1,10 +1,11 @@
-"""Which effect a camera lacks, of those whose trace in means, variances and covariances is known.
+"""Detection of the effect that a camera file lacks, among effects with known signatures in means,
+variances and covariances.
 
-Each candidate adds a known shape, times a size that is fitted, to what the camera predicts. Levels
-may also scatter, in their light, black level or variance: scatter explains any misfit, so its sizes
-(variance components by restricted likelihood) are fitted beside each candidate, and a candidate
-counts by what it explains beyond. That which explains most is taken, then the next beside it, until
-the rest is within chance or nothing earns its place; scatter is named where it does.
+Each candidate adds its signature, times a fitted size, to the prediction of the camera. Levels may
+also scatter in light, black level or variance. Scatter can explain any misfit, so its sizes
+(variance components by restricted likelihood) are fitted together with each candidate. A candidate
+counts by its further decrease of the misfit. The candidate that explains most is chosen, then the
+next, until the rest is insignificant or no candidate passes. Scatter is named if it passes.
 """
 
 from collections.abc import Callable
@@ -29,7 +30,7 @@ Shape = Float[np.ndarray, "quantities levels"]
 
 
 class Size(NamedTuple):
-    """Of an effect, with its standard error."""
+    """The size of an effect, with its standard error."""
 
     value: float
     error: float
@@ -38,7 +39,7 @@ class Size(NamedTuple):
         return format_with_error(abs(scale * self.value), abs(scale) * self.error)
 
     def root(self, scale: float = 1.0) -> str:
-        """Of the square root of a variance."""
+        """The size for the square root of a variance."""
         deviation = np.sqrt(abs(self.value))
         return format_with_error(scale * deviation, scale * self.error / (2 * deviation))
 
@@ -47,7 +48,7 @@ class Size(NamedTuple):
 
 
 class Traces(NamedTuple):
-    """What shapes are made of, each (levels,) and in DN or DN^2.
+    """The quantities from which signatures are computed, each (levels,) in DN or DN^2.
 
     Attributes:
         lit: 1 with light, 0 without.
@@ -73,7 +74,7 @@ class Traces(NamedTuple):
 
     @property
     def share(self) -> np.ndarray:
-        """Of the signal of the brightest level."""
+        """The relative change of the signal of the brightest level."""
         return self.signal / max(float(self.signal.max()), 1e-300)
 
 
@@ -95,7 +96,7 @@ class Candidate(NamedTuple):
 
 
 def _shared(neighbours: str) -> Callable[[Size, Traces], str]:
-    """Mixing of pixels that a gain was fitted without."""
+    """The signature of pixel mixing that the fitted gain did not include."""
     return lambda a, t: (
         f"{neighbours} {a.told(100)} % of the signal's variance (mixing of pixels, as by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
@@ -267,7 +268,7 @@ class Missing:
 
 
 def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
-    """The effects whose lack explains what a camera misses."""
+    """The missing effects that explain the misfit of a camera."""
     agreement = comparison.agreement
     if all(one.ratio <= 1 for one in agreement.values() if one.is_missed):
         return ()
@@ -301,7 +302,7 @@ def missing_effects(comparison: Comparison) -> tuple[Missing, ...]:
 
 
 def traces_of(comparison: Comparison) -> Traces:
-    """What the shapes of effects are made of."""
+    """The quantities from which the signatures are computed."""
     found, lit = comparison.found, np.asarray(comparison.lit.lit)
     amount = np.asarray(comparison.lit.light)
     return Traces(
@@ -331,7 +332,8 @@ class _Fit:
         self._logs = self._searched(self._columns)
 
     def _take_noise(self) -> None:
-        """Residuals, covariances and shapes over the frames' own noise, as it is expected now."""
+        """Divide residuals, covariances and signatures by the current expected noise of the
+        frames."""
         comparison = self._comparison
         self._unit = np.sqrt(noise(comparison.levels, self._found)).ravel()
         self._missed = (comparison.seen - comparison.found.values).ravel() / self._unit
@@ -345,11 +347,11 @@ class _Fit:
 
     @property
     def is_missed(self) -> bool:
-        """Whether what was taken so far leaves more than chance."""
+        """Whether the chosen effects leave a significant misfit."""
         return any(one.is_missed and one.ratio > 1 for one in self.agreement().values())
 
     def gain_of(self, *some: Candidate) -> float:
-        """By how much effects together lower -2 log likelihood."""
+        """The decrease of -2 log likelihood by several effects together."""
         shapes = np.array([self._shape(one) for one in some]).T
         sizes = np.sqrt(np.sum(shapes**2, axis=0))
         if not sizes.all():
@@ -363,7 +365,7 @@ class _Fit:
         return self._unrestricted(self._columns, self._logs) - self._unrestricted(columns, logs)
 
     def take(self, one: Candidate, gain: float) -> Missing:
-        """Adds an effect, with which the noise of the frames is another one."""
+        """Add an effect and update the noise of the frames."""
         self._taken.append(one)
         for _ in range(REFINEMENTS):
             self._take_noise()
@@ -390,21 +392,22 @@ class _Fit:
         return replace(found, values=values, rows=rows, columns=columns)
 
     def gain_of_scatter(self, place: int) -> float:
-        """By how much a scatter lowers -2 log likelihood, given the effects already chosen."""
+        """The decrease of -2 log likelihood by a scatter, given the chosen effects."""
         logs = np.where(np.arange(len(SCATTERS)) == place, -np.inf, self._logs)
         return self._unrestricted(self._columns, logs) - self._unrestricted(
             self._columns, self._logs
         )
 
     def take_scatter(self, place: int, gain: float) -> Missing:
-        """Names a scatter."""
+        """Add a scatter."""
         self._named[place] = True
         value = float(np.sqrt(np.exp(self._logs[place]) / self._scales[place]))
         levels = np.count_nonzero(self._squares[place])
         return self._missing(SCATTERS[place], Size(value, value / np.sqrt(2 * levels)), gain)
 
     def agreement(self) -> dict[str, Agreement]:
-        """How well each quantity is predicted with the effects and scatters that were named."""
+        """The agreement of each quantity with the prediction, including the chosen effects and
+        scatters."""
         levels, found = self._comparison.noise.shape[1], {}
         own = self._covariance(np.where(self._named, self._logs, -np.inf))
         left = self._missed - self._columns @ self._sizes(self._columns, own)[0]
@@ -421,7 +424,7 @@ class _Fit:
         return Missing(one.key, clause, float(np.sqrt(gain)), self.agreement())
 
     def _shape(self, one: Candidate) -> np.ndarray:
-        """The effect's shape, divided by the standard deviations of the frames' noise."""
+        """The signature divided by the standard deviations of the frames' noise."""
         rows = one.shape(self._traces)[: len(self._comparison.noise)]
         none = np.zeros(self._comparison.noise.shape[1])
         shape = np.concatenate([none if row is None else none + row for row in rows])
@@ -431,7 +434,7 @@ class _Fit:
         return self._known + np.diag(np.exp(logs) @ self._squares)
 
     def _searched(self, columns: np.ndarray) -> np.ndarray:
-        """The most likely scatters beside some effects, as logarithms of their squares."""
+        """The most likely scatters given some effects, as logarithms of their squares."""
 
         def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
             covariance = self._covariance(logs)

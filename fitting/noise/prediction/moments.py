@@ -1,5 +1,5 @@
-"""Mean, variance and covariances of neighbours that a sensor predicts of even light and of none, by
-the moments of `jaxvision` alone, and by how much a few frames scatter about them."""
+"""A sensor's predicted mean, variance and neighbour covariances for even light and darkness, by the
+moments of `jaxvision` alone, and the sampling noise of a few frames about them."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ OFFSETS = 24  # of the pixels, over which rounding is averaged
 
 
 class Lit(eqx.Module):
-    """Levels of light, and none.
+    """Levels with and without light.
 
     Attributes:
         light: (levels,) photons per pixel and exposure; electrons of a sensor without efficiency.
@@ -38,7 +38,7 @@ class Lit(eqx.Module):
 
 @dataclass(frozen=True)
 class Expected:
-    """What one sensor predicts.
+    """The prediction of one sensor.
 
     Attributes:
         values: (quantities, levels) the `QUANTITIES`, DN and DN^2.
@@ -60,11 +60,11 @@ class Expected:
 
     @property
     def signal(self) -> Float[np.ndarray, " levels"]:
-        """DN above black, about."""
+        """Approximate DN above black."""
         return self.step * self.electrons
 
     def at(self, shown: Bool[np.ndarray, " levels"]) -> "Expected":
-        """That of some levels."""
+        """The prediction for some levels."""
         return replace(
             self,
             values=self.values[:, shown],
@@ -105,12 +105,12 @@ class Frames:
 
     @property
     def seen(self) -> Float[np.ndarray, "quantities levels"]:
-        """The `QUANTITIES`, as far as they are known."""
+        """The `QUANTITIES` that are known."""
         around = () if self.neighbours is None else tuple(self.neighbours)
         return np.array([self.mean, self.variance, *around])
 
     def at(self, shown: Bool[np.ndarray, " levels"]) -> "Frames":
-        """Those of some levels."""
+        """The statistics of some levels."""
         return replace(
             self,
             light=self.light[shown],
@@ -167,7 +167,7 @@ def levels_of(
 def expected(
     sensors: Sensor, lit: Lit, *, neighbours: bool
 ) -> Float[np.ndarray, "draws quantities levels"]:
-    """The quantities, in the sensor's codes, clear of the ends of the scale."""
+    """The predicted quantities in the sensor's codes, away from the ends of the scale."""
     return np.asarray(_expected(sensors, lit, neighbours=neighbours))
 
 
@@ -192,8 +192,7 @@ def _quantities(sensor: Sensor, at: Lit, *, neighbours: bool) -> Array:
 
 
 def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
-    """The sensor at the exposure of ONE level, without noise that whole frames share, and its
-    light as a rate."""
+    """The sensor at the exposure of ONE level, without frame noise, and its light as a rate."""
     time = jnp.maximum(at.exposure, SHORTEST)
     offset = sensor.light_offset
     if offset is not None and not isinstance(offset, ShutterOffset):
@@ -204,7 +203,7 @@ def _at(sensor: Sensor, at: Lit) -> tuple[Sensor, Array]:
 
 @compiled_briefly
 def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
-    """Electrons of each level, codes of one more electron, and codes of light e times as much."""
+    """Electrons of each level, codes per additional electron, and codes at e times the light."""
 
     def one(at: Lit) -> tuple[Array, Array, Array]:
         def both(more: Array) -> tuple[Array, Array]:
@@ -220,7 +219,7 @@ def charge_and_step(sensor: Sensor, lit: Lit) -> tuple[Array, Array, Array]:
 
 
 def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np.ndarray:
-    """Which levels the ends of the scale, the well or coarse rounding change."""
+    """The levels that the ends of the scale, the full well or coarse rounding change."""
     mean, deviation = values[0], np.sqrt(np.maximum(values[1], 0))
     near = np.zeros(mean.shape, bool)
     if sensor.bits is not None:
@@ -254,7 +253,7 @@ def _clipped(sensor: Sensor, lit: Lit) -> Array:
 
 
 def noise(levels: Frames, found: Expected) -> Float[np.ndarray, "quantities levels"]:
-    """Variance by which what frames show scatters about what is expected.
+    """Sampling variance of the observed quantities about their expectation.
 
     Args:
         levels: how many frames and pixels there are, and errors from level to level.

@@ -36,7 +36,7 @@ Camera = NoiseCalibration | Sensor | str | os.PathLike[str]
 
 @dataclass(frozen=True, repr=False)
 class Prediction(ShownInNotebooks):
-    """Compare frames with the prediction of a camera.
+    """Frames compared with the prediction of a camera.
 
     Attributes:
         camera: its name in sentences.
@@ -69,7 +69,7 @@ def predict(
     draws: Sensor | None = None,
     light_error: float = 0.0,
 ) -> Prediction:
-    """Compares frames with what a camera alone predicts of them.
+    """Compare frames with the prediction of a camera alone.
 
     Args:
         camera: a calibration, a sensor, a file of one (`sensor.toml` that a noise calibration
@@ -135,7 +135,7 @@ def predict(
 
 
 def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
-    """Refuses frames whose numbers have another range than those of the camera."""
+    """Refuse frames whose range of numbers differs from the camera's."""
     if camera.bits is None or measurement.full_scale is None:
         return
     bits, seen = float(camera.bits), float(np.log2(measurement.full_scale + 1))
@@ -148,8 +148,9 @@ def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> Non
 
 @in_double
 def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
-    """What the camera of a calibration, written and read back, predicts of its own frames: of
-    levels that a second fit of the same model was kept from, where there are enough, and of all.
+    """The prediction of a calibration's own frames by its written and re-read camera, for all
+    levels. With enough levels, it also covers levels that a second fit of the same model did not
+    use.
     """
     errors = scatters(calibration)
     whole = _compared(calibration, None, errors)
@@ -170,7 +171,8 @@ def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
 
 
 def scatters(calibration: NoiseCalibration) -> dict[str, float]:
-    """What no camera file holds: relative scatter of the light and of variances over levels."""
+    """Scatter that no camera file contains: relative scatter of the light and of variances between
+    levels."""
     values = calibration.chosen.values
     return {
         "light_error": float(values.get("light_scatter", 0.0)),
@@ -179,7 +181,7 @@ def scatters(calibration: NoiseCalibration) -> dict[str, float]:
 
 
 def levels_kept_out(calibration: NoiseCalibration) -> Bool[np.ndarray, " levels"] | None:
-    """Every second level of light, with the darks that are of no other level."""
+    """Every second level of light, with the darks that belong to no other level."""
     measurement, chosen = calibration.measurement, calibration.chosen
     bright, darks = len(calibration.usable), measurement.dark.mean.size
     curve = {"compression", "compression_2", "light_offset"} & {*names(chosen.space)}
@@ -201,7 +203,7 @@ def _compared(
     kept_out: Bool[np.ndarray, " levels"] | None,
     errors: dict[str, float],
 ) -> Comparison:
-    """Of the camera as it was written, not of the fit."""
+    """The comparison for the camera as written, not as fitted."""
     camera, drawn = written(calibration, kept_out=kept_out)
     fitted, usable = kept_out is None, calibration.usable
     at = {"shown": kept_out, "fitted": fitted, **errors}
@@ -216,7 +218,7 @@ def written(
 
 
 def reread(best: Sensor, draws: Sensor) -> tuple[Sensor, Sensor | None]:
-    """A sensor and its draws as a file of them gives them back."""
+    """A sensor and its draws after writing and reading."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "sensor.toml"
         write_sensor(best, file, draws=draws)
@@ -224,7 +226,7 @@ def reread(best: Sensor, draws: Sensor) -> tuple[Sensor, Sensor | None]:
 
 
 def _read(file: Path) -> tuple[Sensor, Sensor | None]:
-    """A sensor and the draws that lie beside its file, if there are any."""
+    """A sensor and the draws in the file next to it, if any."""
     if not file.suffix and not file.exists():
         return read_camera(str(file)).sensor, None
     whole = "view" in read_toml(file, "camera")
@@ -238,7 +240,7 @@ def _read(file: Path) -> tuple[Sensor, Sensor | None]:
 def _of_one_tap(
     name: str, sensor: Sensor, draws: Sensor | None, site: int | None
 ) -> tuple[Sensor, Sensor | None]:
-    """The sensor of the tap that frames are of, and draws of it."""
+    """The sensor of the tap to which frames belong, with draws."""
     assert sensor.taps is not None
     count = max(max(row) for row in sensor.taps.pattern) + 1
     if site is None or site >= count:
@@ -251,7 +253,7 @@ def _of_one_tap(
 
 
 def _of_one_channel(name: str, sensor: Sensor) -> Sensor:
-    """The sensor, whose light is photons per pixel."""
+    """The sensor with light in photons per pixel."""
     several = sensor.colour_filter is not None and sensor.colour_filter.transmission.size > 1
     several |= sensor.quantum_efficiency is not None and sensor.quantum_efficiency.size > 1
     if several or sensor.infrared_cut is not None:

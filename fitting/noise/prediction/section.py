@@ -1,4 +1,4 @@
-"""A prediction as its reader sees it: chi-squares, what the camera lacks, and the residuals."""
+"""The report of a prediction: chi-squares, missing effects, and residuals."""
 
 from functools import partial
 
@@ -34,7 +34,7 @@ def section(prediction: Prediction) -> Section:
 
 
 def findings(prediction: Prediction) -> tuple[str, ...]:
-    """What a prediction has to say, in sentences."""
+    """The findings of a prediction."""
     judged = prediction.judged
     lit = int(np.sum(np.asarray(judged.lit.lit)))
     dark = judged.lit.lit.size - lit
@@ -77,7 +77,7 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
 
 
 def explanations(prediction: Prediction) -> list[str]:
-    """The misses with their most likely effect; empty if there are none."""
+    """The disagreements with their most likely cause; empty if there are none."""
     agreement = prediction.judged.agreement
     told = []
     far = {name: agreement[name] for name in prediction.judged.missed}
@@ -106,8 +106,8 @@ def explanations(prediction: Prediction) -> list[str]:
 
 
 def _scatter_alone(prediction: Prediction) -> bool:
-    """Whether light, black level or variances that scatter from level to level explain all that is
-    missed, so that the camera lacks nothing."""
+    """Whether scatter of light, black level or variances between levels explains the whole misfit,
+    so that the camera lacks no effect."""
     scatters = {one.key for one in SCATTERS}
     if not prediction.missing or any(one.key not in scatters for one in prediction.missing):
         return False
@@ -149,7 +149,7 @@ def table(prediction: Prediction) -> Table:
 
 
 def picture(prediction: Prediction) -> Picture:
-    """The residuals of a prediction, drawn when asked for.
+    """The residuals of a prediction, drawn on request.
 
     Args:
         prediction: of frames.

@@ -1,4 +1,5 @@
-"""Histograms of the pixels' deviations, clause 8.8, and how many lie beyond those of a Gaussian.
+"""Histograms of the pixels' deviations (clause 8.8), and the number of pixels beyond those of a
+Gaussian.
 
 The classes are whole multiples of 1 / L DN, the grid of an average over L frames:
 
@@ -6,7 +7,7 @@ The classes are whole multiples of 1 / L DN, the grid of an average over L frame
     q = floor(L (y - y_min) / I)                                                        (74)
     y[q] = y_min + (I - 1) / (2 L) + q I / L                                            (75)
 
-and the accumulated histogram has the share of pixels that deviate by at least as much (77).
+The accumulated histogram gives the share of pixels with at least that deviation (77).
 """
 
 from typing import NamedTuple
@@ -20,7 +21,7 @@ ROUNDING = 1e-9  # of a class, in an average that is a multiple of 1 / L
 
 
 class Histogram(NamedTuple):
-    """Of the deviations from the mean.
+    """Histogram of the deviations from the mean.
 
     Attributes:
         centres: (classes,) of the classes, less the mean, in the unit of the image.
@@ -38,7 +39,7 @@ class Histogram(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """Pixels beyond so many standard deviations.
+    """Pixels beyond a number of standard deviations.
 
     Attributes:
         beyond: standard deviations.
@@ -84,7 +85,7 @@ def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:
 
 
 def outliers(image: Float[np.ndarray, "h w"]) -> tuple[Outliers, ...]:
-    """How many pixels lie beyond 3, 4 and 5 standard deviations."""
+    """The numbers of pixels beyond 3, 4 and 5 standard deviations."""
     away = np.abs(image - np.median(image)).ravel()
     sd = float(np.quantile(away, 0.6827))
     found = []

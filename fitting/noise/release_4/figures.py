@@ -23,7 +23,7 @@ NAMES = {"total": "all pixels", "row": "rows", "col": "columns", "pixel": "pixel
 
 
 def signal_to_noise(sheet: Release4) -> Picture:
-    """The picture of *General*, drawn when asked for."""
+    """The figure of *General*, drawn on request."""
     return Picture(
         "signal_to_noise",
         "Signal to noise ratio without a model",
@@ -35,7 +35,7 @@ def signal_to_noise(sheet: Release4) -> Picture:
 
 
 def pictures_of_images(sheet: Release4) -> tuple[Picture, ...]:
-    """The pictures of *Linear*, drawn when asked for; none without images."""
+    """The figures of *Linear*, drawn on request; none without images."""
     averages = sheet.stacks.averages
     if averages is None:
         return ()
@@ -149,9 +149,8 @@ def signal_to_noise_figure(sheet: Release4) -> Figure:
 
 
 def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float], ...]:
-    """(name, unit, deviations, steps of the average to one unit) of the dark, in DN, and of the
-    bright level less its dark, in per cent of the signal; high-passed where they are large
-    enough."""
+    """(name, unit, deviations, steps of the average per unit) of the dark in DN, and of the bright
+    level minus its dark in per cent of the signal; high-passed if they are large enough."""
     lit, unlit = averages.lit, averages.unlit
     response = lit.image - unlit.image
     signal = float(response.mean())
@@ -167,7 +166,7 @@ def defect_images(averages: Averages) -> tuple[tuple[str, str, np.ndarray, float
 
 
 def histograms_figure(averages: Averages) -> Figure:
-    """Counts, logarithmic, of both."""
+    """Counts for both, logarithmic."""
     figure = Figure(figsize=SIZE, layout="constrained")
     for axis, (name, unit, image, steps) in zip(
         figure.subplots(2, 1), defect_images(averages), strict=True
@@ -184,7 +183,7 @@ def histograms_figure(averages: Averages) -> Figure:
 
 
 def accumulated_figure(averages: Averages) -> Figure:
-    """Share of the pixels beyond a deviation, logarithmic, of both."""
+    """Share of the pixels beyond a deviation for both, logarithmic."""
     figure = Figure(figsize=SIZE, layout="constrained")
     for axis, (name, unit, image, steps) in zip(
         figure.subplots(2, 1), defect_images(averages), strict=True

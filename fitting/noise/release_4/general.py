@@ -8,11 +8,11 @@ With mu_y - mu_y.dark the response, R its slope at the light mu_p, and sigma_y t
     efficiency    eta >= SNR_p^2 / mu_p, since no SNR_p exceeds the square root of the electrons
     threshold     the light of SNR_p = 1;   dynamic range   saturation / threshold
 
-A bend of the response (gamma, several slopes, companding) changes SNR_y but not SNR_p. The slope is
-that of the parabola through the five levels nearest in light, no light among them. Below the
+A nonlinear response (gamma, several slopes, companding) changes SNR_y but not SNR_p. The slope is
+that of the parabola through the five levels nearest in light, including zero light. Below the
 faintest level of SNR_y >= 1, response and variance are lines from the dark to that level.
 
-Intervals come from draws of means and variances within their sampling errors.
+Intervals come from draws of means and variances according to their sampling errors.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class General:
 
 
 def slopes(light: Float[np.ndarray, " levels"]) -> Float[np.ndarray, "levels levels"]:
-    """What the signals of the levels count in the slope at each of them."""
+    """The weights of the signals in the slope at each level."""
     points = np.concatenate([[0.0], light])
     found = np.zeros((len(light), len(points)))
     for i, at in enumerate(light):

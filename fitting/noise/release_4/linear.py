@@ -1,4 +1,5 @@
-"""Release 4 *Linear*: the temporal figures, by the regressions of release 3.1 with what differs.
+"""Release 4 *Linear*: the temporal figures by the regressions of release 3.1, with these
+differences:
 
     threshold   mu_e.min = sqrt(sigma_d^2 + sigma_q^2 / K^2 + 1/4) + 1/2      (26, 27)
     saturation  .1 to .2 % of the numbers at the end of the scale             (clause 6.6)
@@ -17,7 +18,7 @@ from ..quantities import NEED_PHOTONS
 
 
 def figures(stats: Statistics, measurement: PhotonTransfer, within: Ranges) -> Sheet:
-    """The figures of release 4 Linear; those that the measurement cannot give are left out.
+    """The figures of release 4 Linear; figures that the measurement cannot give are left out.
 
     Source:
         EMVA Standard 1288, release 4.0 Linear (2021).

@@ -1,8 +1,8 @@
 """Spectrograms and profiles of an average frame, clauses 8.6 and 8.7.
 
-The horizontal spectrogram is the power of the rows' discrete Fourier transforms over sqrt(N), mean
-over the rows; of independent pixels it is s^2 + sigma^2 / L at every frequency, as the mean of M
-numbers that are chi-square of two degrees of freedom.
+The horizontal spectrogram is the power of the rows' discrete Fourier transforms divided by sqrt(N),
+averaged over the rows. For independent pixels it is s^2 + sigma^2 / L at every frequency: the mean
+of M chi-square variables with two degrees of freedom.
 """
 
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class Spectrogram(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """Along one direction, over all lines across it: (pixels,) each, DN."""
+    """A profile along one direction over all lines across it, (pixels,) each, DN."""
 
     middle: Float[np.ndarray, " pixels"]
     mean: Float[np.ndarray, " pixels"]
@@ -51,6 +51,6 @@ def spectrogram(image: Float[np.ndarray, "h w"], axis: int) -> Spectrogram:
 
 
 def profile(image: Float[np.ndarray, "h w"], axis: int) -> Profile:
-    """The middle line along an axis, and mean, least and most of all lines."""
+    """The middle line along an axis, and the mean, minimum and maximum of all lines."""
     lines = image if axis == 1 else image.T
     return Profile(lines[len(lines) // 2], lines.mean(axis=0), lines.min(axis=0), lines.max(axis=0))

@@ -1,21 +1,22 @@
-"""What rows, columns and pixels add to the spatial variance of an average frame, with intervals.
+"""The contributions of rows, columns and pixels to the spatial variance of an average frame, with
+intervals.
 
-Of an average over L frames of M rows and N columns, with sigma^2 the temporal variance of a pixel,
+For an average over L frames of M rows and N columns, with sigma^2 the temporal variance of a pixel,
 
     s^2_y   = mean of (y - mu)^2 - sigma^2 / L               (36), all pixels
     s^2_cav = mean of (column mean - mu)^2 - sigma^2 / (L M)  (41)
     s^2_rav = mean of (row mean - mu)^2 - sigma^2 / (L N)     (41)
     s^2_y = row + col + pixel,  s^2_cav = col + pixel / M,  s^2_rav = row + pixel / N     (42)
 
-The high-pass of clause 8.1 takes the mean over 7 x 7, then 11 x 11 pixels, then the binomial 3 x 3,
-from each pixel; of the borders, where a window is not full, nothing is used.
+The high-pass of clause 8.1 subtracts from each pixel a mean over 7 x 7, then 11 x 11 pixels, then a
+binomial 3 x 3 mean. Borders where a window is incomplete are not used.
 
-Intervals stand for the population of pixels, rows and columns that the frames are a sample of. Mean
-squares of the dark and of the bright average have a Wishart distribution in each stratum, so their
-covariances are drawn from its inverse (of which a variance is a mean square over a chi-square per
-degree of freedom), and each figure follows from every draw. One draw serves both averages, as the
-dark pattern is in the bright one, too. Filtered lines and pixels are correlated, and the pixels'
-tails may be heavier than Gaussian, so fewer degrees of freedom count.
+Intervals refer to the population of pixels, rows and columns of which the frames are a sample. Mean
+squares of the dark and the bright average have a Wishart distribution in each stratum. Their
+covariances are drawn from the inverse Wishart distribution, and each figure is computed from every
+draw. One draw serves both averages, because the dark pattern is also in the bright average.
+Filtered lines and pixels are correlated, and the pixels' tails may be heavier than Gaussian, so
+fewer degrees of freedom count.
 """
 
 from functools import cache
@@ -33,7 +34,7 @@ DRAWS = 4000
 
 
 class Split(NamedTuple):
-    """Spatial variances, DN^2: of all pixels, and what rows, columns and pixels add to it."""
+    """Spatial variances, DN^2: of all pixels, and the contributions of rows, columns and pixels."""
 
     total: float
     row: float
@@ -42,7 +43,7 @@ class Split(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """What the filter leaves.
+    """The share of variances that the filter passes.
 
     Attributes:
         lines: share of the variance of independent rows or columns.
@@ -59,7 +60,7 @@ class Loss(NamedTuple):
 
 @cache
 def loss_of_filter() -> Loss:
-    """What the high-pass leaves of rows, columns and pixels that are independent."""
+    """The share of independent rows, columns and pixels that the high-pass passes."""
     smooth = BINOMIAL
     for width in BOXES:
         smooth = np.convolve(smooth, np.ones(width) / width)
@@ -74,12 +75,12 @@ def loss_of_filter() -> Loss:
 
 
 def can_filter(shape: tuple[int, ...]) -> bool:
-    """Whether a frame of this size has rows and columns left within the filter's borders."""
+    """Whether a frame of this size has rows and columns left inside the filter's borders."""
     return min(shape) >= 2 * BORDER + FEWEST_LINES
 
 
 def high_pass(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "rows columns"]:
-    """What clause 8.1 leaves of an image, without its borders; about 0."""
+    """An image after the high-pass of clause 8.1, without its borders; mean about 0."""
     smooth = np.asarray(image, float)
     for width in BOXES:
         smooth = uniform_filter(smooth, width)
@@ -106,7 +107,7 @@ def drawn(
     loss: Loss,
     rng: np.random.Generator,
 ) -> dict[str, Float[np.ndarray, "draws 2 2"]]:
-    """Covariances between the dark and the bright pattern, as the averages allow."""
+    """Draws of the covariances between dark and bright pattern, given the averages."""
     away = np.stack([dark - dark.mean(), bright - bright.mean()])
     of_rows, of_columns = away.mean(axis=2), away.mean(axis=1)
     own = away - of_rows[:, :, None] - of_columns[:, None, :]
@@ -133,7 +134,7 @@ def drawn(
 def _inverse_wishart(
     square: Float[np.ndarray, "2 2"], degrees: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "draws 2 2"]:
-    """Draws of a covariance of which `square` is the mean square over so many degrees."""
+    """Draws of a covariance whose mean square over so many degrees of freedom is `square`."""
     values, vectors = np.linalg.eigh(square)
     root = vectors * np.sqrt(np.maximum(values, 0))
     wishart = np.zeros((DRAWS, 2, 2))

@@ -1,15 +1,15 @@
 """The saturation point of release 4 (clause 6.6): the light at which .1 to .2 % of the numbers are
 at the end of the scale.
 
-Between two levels of light with numbers both at the end and below, the normal deviate of the share
-is interpolated, which is about linear in the light, at .15 %. Where the levels are too far apart
-for that, the numbers are taken for Gaussian: mean and standard deviation go on from the two levels
-below to where .15 % would be beyond the end. The standard error is that of a share anywhere between
-.1 and .2 %, with that of the counts, or with a tenth of the way from the mean to the end, as tails
-need not be Gaussian.
+If one level has none and the next has some of its numbers at the end, the light at .15 % is
+interpolated in the normal deviate of the share, which is about linear in the light. If the levels
+are too far apart for that, the numbers are taken as Gaussian: mean and standard deviation are
+extrapolated from the two levels below to where .15 % would lie beyond the end. The standard error
+covers any share between .1 and .2 %. It also includes the error of the counts, or a tenth of the
+distance from the mean to the end, because tails need not be Gaussian.
 
-Where no level reaches the share (full well comes first, or a table has no pixels) the point of
-release 3.1, of the largest variance, stands for it.
+If no level reaches the share (the full well comes first, or a table has no pixels), the saturation
+point of release 3.1, the largest variance, takes its place.
 """
 
 from dataclasses import dataclass, replace
@@ -77,7 +77,7 @@ def ranges(measurement: PhotonTransfer, numbers: Numbers | None) -> tuple[Ranges
 
 
 def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> tuple[float, float]:
-    """Light and its error, of two levels with numbers at the end and below it."""
+    """Light and its error, from two levels with numbers at the end and below it."""
     deviates = ndtri(share)
     slope = (lights[1] - lights[0]) / (deviates[1] - deviates[0])
     low, light, high = lights[0] + slope * (ndtri(SHARES) - deviates[0])
@@ -90,7 +90,7 @@ def _interpolated(lights: np.ndarray, share: np.ndarray, count: np.ndarray) -> t
 def _of_gaussian(
     lights: np.ndarray, mean: np.ndarray, spread: np.ndarray, end: float, above: int
 ) -> tuple[float, float]:
-    """Light and its error, from mean and spread of the two levels below."""
+    """Light and its error, from mean and standard deviation of the two levels below."""
     one, two = above - 2, above - 1
     apart = lights[two] - lights[one]
     rate, growth = (mean[two] - mean[one]) / apart, (spread[two] - spread[one]) / apart

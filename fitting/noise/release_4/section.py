@@ -1,4 +1,4 @@
-"""The sheet of release 4 as its reader sees it."""
+"""The report of release 4."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -103,7 +103,7 @@ def sections(sheet: Release4) -> list[Section]:
 
 
 def _without_doubted(sheet: Release4, listed: list[Estimate]) -> tuple[Estimate, ...]:
-    """The figures; those that frames do not tell replaced by the reason."""
+    """The figures, with the reason in place of those that the frames do not determine."""
     doubts = sheet.stacks.measurement.doubts
     why = {name: doubt.reason for doubt in reversed(doubts) for name in doubt.of}
     found = []
@@ -186,7 +186,7 @@ def _deviation(
     spread: Float[np.ndarray, " draws"] | float,
     method: str,
 ) -> Estimate:
-    """A standard deviation, with the draws of its variance. If they do not exclude 0, it is a
+    """A standard deviation, with the draws of its variance. If the draws do not exclude 0, it is a
     limit."""
     drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
     ends = np.quantile(drawn, QUANTILES)
@@ -250,7 +250,7 @@ def _findings(sheet: Release4) -> tuple[str, ...]:
 
 
 def _noise_of_linearity(sheet: Release4) -> str:
-    """What noise alone makes of the mean absolute deviation."""
+    """The contribution of noise alone to the mean absolute deviation."""
     measurement = sheet.stacks.measurement
     bright, dark = measurement.bright, measurement.dark
     gain = jnp.asarray(0.0)
@@ -284,8 +284,8 @@ def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
 
 
 def _leaks(sheet: Release4, averages: Averages) -> list[str]:
-    """Temporal noise of rows and columns, and drift, that an average keeps or the standard takes
-    out twice."""
+    """Temporal noise of rows and columns, and drift, that stays in an average or that the standard
+    subtracts twice."""
     measurement, unlit, told = sheet.stacks.measurement, averages.unlit, []
     shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
     split: Split = sheet.nonuniformity[PLAIN].dark

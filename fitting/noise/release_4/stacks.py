@@ -1,5 +1,4 @@
-"""Average frames of the levels of a photon transfer, all pixels of them, and their spatial
-variances.
+"""Average frames of the levels of a photon transfer, with all pixels, and their spatial variances.
 
 The standard's own statistics: with y the frames of a level and d_f the mean of frame f,
 
@@ -7,7 +6,7 @@ The standard's own statistics: with y the frames of a level and d_f the mean of 
     sigma^2 = mean over the pixels of the variance over the frames - variance of d_f    (18)
     sigma^2_stack = mean over the pixels of the variance over the frames    (65)
 
-(18) is the standard's for two frames; for more it is what their pairs give on average.
+(18) is the standard's formula for two frames. For more frames it is the average over their pairs.
 """
 
 import os
@@ -53,7 +52,7 @@ class Stack:
 
     @property
     def rest(self) -> float:
-        """What the average keeps of the standard's sigma^2_stack, DN^2."""
+        """The share of the standard's sigma^2_stack that stays in the average, DN^2."""
         return (self.noise + self.drift) / self.frames
 
 
@@ -170,7 +169,7 @@ class _Summed:
 
 
 def _summed(stack: Stack) -> _Summed:
-    """What is kept of every level."""
+    """The summary of every level."""
     image = stack.image
     filtered = high_pass(image) if can_filter(image.shape) else image
     kept = stack.noise + stack.drift - stack.rest  # of all numbers about the average frame
@@ -185,7 +184,7 @@ def _summed(stack: Stack) -> _Summed:
 
 
 def _averaged(plane: Callable[[str], np.ndarray], names: Sequence[str], top: float | None) -> Stack:
-    """Sums over the frames, less the first, so that little cancels in their difference."""
+    """Sums over the frames minus the first, so that their difference keeps its precision."""
     first = np.asarray(plane(names[0]), float)
     total, squares = np.zeros_like(first), 0.0
     means, at_top = [], 0.0
