@@ -216,7 +216,8 @@ def nearest() -> Lags:
 
 
 def shares_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> Lags:
-    """The shape of the covariances that grow in proportion to the signal, shrunk as in `shape_of`."""
+    """The shape of the covariances that grow in proportion to the signal, shrunk as in
+    `shape_of`."""
     even = -nearest()
     even[0, 0] = 0
     if not signal.size:
