@@ -202,29 +202,44 @@ def predict(
         InputError: for what cannot be compared.
     """
     rig = _flats_and_darks(path, bits, channel)
+    file, told = _camera_file(camera), ()
+    from .noise.prediction.predict import predict as predicted
+    from .noise.prediction.predict import read_with_draws
+    from .noise.prediction.section import section
+    from .noise.read import read_photon_transfer
+    from .noise.settings import require_one_setting
+    from .noise.sites import camera_of_taps, stated_in_words
+    from .report.inputs import with_inputs
+
+    taps = read_with_draws(file)[0].taps
+    if rig is not None and taps is not None and rig.camera.cell == (1, 1):
+        stated = camera_of_taps(taps)
+        if stated is not None and not (stated.in_parts and rig.camera.region):
+            told = (
+                f"{rig.folder} states neither camera.pattern nor camera.taps; "
+                f"{stated_in_words(stated)} of {file} was taken.",
+            )
+            own = {"pattern": stated.pattern, "taps": stated.taps}
+            rig = rig.model_copy(update={"camera": rig.camera.model_copy(update=own)})
     sites = ("",) if rig is None else (channel,) if channel else rig.camera.sites
     several = len(sites) > 1
-    file = _camera_file(camera)
-    if several and not _has_taps(file):
+    if several and taps is None:
         raise InputError(
             f"{camera}: is the camera of one channel, but {path} has {len(sites)}; give the camera "
             "that jaxvision-fit noise wrote of all, or one of them by --channel."
         )
-    from .noise.prediction.predict import predict as predicted
-    from .noise.prediction.section import section
-    from .noise.read import read_photon_transfer
-    from .noise.settings import require_one_setting
-    from .report.inputs import with_inputs
-
     if rig is not None:
         require_one_setting(rig, "give the frames of one, and the camera at it")
     sections = []
     for site in ("" if site == "grey" else site for site in sites):
         with step(f"reading frames{f' of {site}' if several else ''}"):
-            measurement = read_photon_transfer(path, bits=bits, channel=site)
+            measurement = read_photon_transfer(
+                path if rig is None else rig, bits=bits, channel=site
+            )
         with step(f"predicting them{f' of {site}' if several else ''}"):
             found = section(predicted(file, measurement, light_error=light_error))
         if rig is not None and not sections:
+            found = replace(found, findings=(*told, *found.findings))
             found = with_inputs(found, rig, "photon transfer")
         if several:
             word = site.replace(" ", "_").replace(",", "_")
@@ -244,13 +259,6 @@ def _camera_file(camera: str) -> Path:
     there = sorted(file.name for file in folder.glob("sensor*.toml"))
     has = f"has {', '.join(there)}" if there else "no calibration wrote a camera to it"
     raise InputError(f"{folder}: holds no {own.name} ({has}); name the file, or another folder.")
-
-
-def _has_taps(file: Path) -> bool:
-    """Whether the camera of a file tells its taps apart."""
-    from jaxvision.files.toml import read_toml
-
-    return file.is_file() and "taps" in read_toml(file, "sensor").get("sensor", {})
 
 
 def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":

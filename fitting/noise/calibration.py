@@ -183,7 +183,7 @@ def calibrate(
     dark = measurement.dark
     shared = shared_noise(dark.shared, dark.variance, dark.frames)
     # Taps that differ in remarks alone share one program.
-    bare = replace(measurement, remarks=(), lossy=(), doubts=(), site=None)
+    bare = replace(measurement, remarks=(), lossy=(), doubts=(), site=None, pattern=None)
     standard = _evaluated(bare, within, shared=shared)
     window, gone = needed_window(measurement, usable)
     offsets = None if window is None else offset_data(measurement, usable)

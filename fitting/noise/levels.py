@@ -143,7 +143,8 @@ class PhotonTransfer(eqx.Module):
         remarks: what the reader of the measurement did with it, in sentences.
         lossy: names of frames whose files are JPEG.
         doubts: figures that the frames do not tell, and why.
-        site: index of the tap or site of a mosaic whose pixels these are; None of all pixels.
+        site: name of the tap or site of a mosaic whose pixels these are; None of all pixels.
+        pattern: phase of that mosaic; None without one.
         tables: of codes at levels of few electrons; None where moments tell as much, and where only
             sums are known.
     """
@@ -157,7 +158,8 @@ class PhotonTransfer(eqx.Module):
     remarks: tuple[str, ...] = eqx.field(static=True, default=())
     lossy: tuple[str, ...] = eqx.field(static=True, default=())
     doubts: tuple[Doubt, ...] = eqx.field(static=True, default=())
-    site: int | None = eqx.field(static=True, default=None)
+    site: str | None = eqx.field(static=True, default=None)
+    pattern: str | None = eqx.field(static=True, default=None)
     tables: CodeTables | None = None
 
     @property

@@ -318,6 +318,11 @@ def _gains_of_parts(
     return gains, found
 
 
+def taps_in_words(taps: tuple[int, int] | str | None) -> str:
+    """As a rig states them."""
+    return f'"{taps}"' if isinstance(taps, str) else str(list(taps or ()))
+
+
 def taps_of(found: tuple[Periodic, ...]) -> tuple[int, int] | str | None:
     """The `camera.taps` that describes the differing pixels; None if none does."""
     periods = {one.where: one.period for one in found if one.period}
@@ -360,7 +365,7 @@ def periodic_in_words(
         if one.signals and not one.gains:
             span = 100 * (max(one.signals) / min(one.signals) - 1)
             parts.append(f"in signal by {span:.3g} %")
-        cause, remedy = "several amplifiers", f"give camera.taps = {_stated(taps_of((one,)))}"
+        cause, remedy = "several amplifiers", f"give camera.taps = {taps_in_words(taps_of((one,)))}"
         if one.where == CENTRE:
             cause, remedy = "a correction of lens shading in the camera", "give frames without it"
         elif one.signals and not one.gains and not one.offsets:
@@ -381,7 +386,3 @@ def periodic_in_words(
                 f"follows from it, are widened by their deviation, {100 * one.unequal:.2g} %."
             )
     return told
-
-
-def _stated(taps: tuple[int, int] | str | None) -> str:
-    return f'"{taps}"' if isinstance(taps, str) else str(list(taps or ()))

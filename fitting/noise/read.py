@@ -159,7 +159,8 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
         full_scale=_full_scale(stated, converter),
         remarks=tuple(remarks),
         lossy=tuple(name for one in (*flats, *darks) for name in one.files if _is_jpeg(name)),
-        site=rig.camera.sites.index(channel) if len(rig.camera.sites) > 1 else None,
+        site=channel if len(rig.camera.sites) > 1 else None,
+        pattern=rig.camera.pattern,
     )
     found = replace(found, doubts=doubts(found, of_flats, of_darks))
     flats_used, darks_used = (

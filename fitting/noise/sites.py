@@ -10,6 +10,7 @@ where C_i is the covariance of o_i with s_i. This is the posterior of all taps u
 of a common s. It is linear, so each draw of the taps gives a draw of it.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,19 +23,22 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
-from jaxvision import HeavyTailedReadNoise, Sensor, Taps
+from jaxvision import HeavyTailedReadNoise, Sensor, Taps, bayer
 from jaxvision.errors import InputError
 from jaxvision.files.cameras import write_sensor
 
 from ..inference.compiled import compiled_briefly
 from ..inference.formatting import format_p
 from ..inference.precision import in_double
-from ..rig import Camera
+from ..rig import PARTS, Camera
 from .calibration import NoiseCalibration, refitted
 from .choice import CURVE, SHARING
 from .misfit import MISFIT
+from .periodic import taps_in_words
 from .sensor import Numbers, best_and_draws, drawn_numbers, sensors_of
 
+PHASES = {bayer(phase): phase for phase in ("RGGB", "GRBG", "GBRG", "BGGR")}
+RED_FIRST = ("RGGB", "GRBG")  # whose first row of the cell, with green 1, has the red pixels
 OWN = ("gain", "quantum_efficiency", "read_noise", "prnu")  # factors of each tap
 # What is one number, and the power of electrons per DN that makes it one of charge.
 COMMON = {
@@ -109,7 +113,7 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
     rates = None
     if not numbers[0].about.photons_known:
         rates = np.stack([one.of("signal_rate") / one.of("system_gain") for one in numbers], 1)
-    every = _joined(tuple(sensors), rates, widest, _tile(camera), camera.in_parts)
+    every = _joined(tuple(sensors), rates, widest, camera)
     return SensorOfSites(*best_and_draws(every), findings)
 
 
@@ -135,12 +139,7 @@ def joined_sensors(
             )
             for one in each
         ]
-    return best_and_draws(_joined(tuple(each), None, 0, _tile(camera), camera.in_parts))
-
-
-def _tile(camera: Camera) -> tuple[tuple[int, ...], ...]:
-    """The pattern of `Sensor.taps`: the sites in reading order."""
-    return tuple(map(tuple, np.arange(len(camera.sites)).reshape(camera.layout).tolist()))
+    return best_and_draws(_joined(tuple(each), None, 0, camera))
 
 
 @in_double
@@ -151,6 +150,53 @@ def write_sensor_of_sites(
     found = sensor_of_sites(calibrations, camera)
     about = f"Fitted by photon transfer; taps are {', '.join(camera.sites)}; light is photons per "
     write_sensor(found.best, path, draws=found.draws, about=about + "pixel and second.")
+
+
+def camera_of_taps(taps: Taps) -> Camera | None:
+    """The pattern and taps by which a rig states the taps of a sensor, whose `sites` are their
+    names in reading order; None where no rig states them."""
+    tile = np.asarray(taps.pattern)
+    known: dict[str, Any] = {"taps": tile.shape}
+    if taps.stretched:
+        known = {"taps": next((part for part in PARTS if PARTS[part] == tile.shape), None)}
+    elif taps.names is not None:
+        names = np.asarray(taps.names)[tile]
+        phase = "".join(name[:1].upper() for name in names[:2, :2].ravel())
+        ends = [re.findall(r"tap (\d+),(\d+)$", name) for name in names.ravel()]
+        known = {"pattern": phase if phase in PHASES.values() else None}
+        if all(ends):
+            last = np.array([end[0] for end in ends], int).max(axis=0)
+            known["taps"] = tuple((last + 1).tolist())
+    elif taps.pattern in PHASES:
+        known = {"pattern": PHASES[taps.pattern]}
+    try:
+        camera = Camera(bits=16, **known)
+    except ValueError:
+        return None
+    named = taps.names is None or camera.sites == tuple(taps.names[i] for i in tile.ravel())
+    return camera if named and camera.layout == tile.shape else None
+
+
+def stated_in_words(camera: Camera) -> str:
+    """The pattern and taps of a camera as a rig states them."""
+    told = [f'camera.pattern = "{camera.pattern}"'] if camera.pattern else []
+    told += [f"camera.taps = {taps_in_words(camera.taps)}"] if camera.taps else []
+    return " and ".join(told)
+
+
+def tap_of(taps: Taps, site: str, pattern: str | None) -> int | None:
+    """The tap of a site of frames: that of its name, and of a mosaic of another phase that of its
+    colour. Green pixels differ by the colour of their row. None where names do not tell."""
+    camera = camera_of_taps(taps)
+    if camera is None or (camera.pattern is None) != (pattern is None):
+        return None
+    if pattern != camera.pattern and len(camera.sites) > len(pattern or ""):
+        return None  # which amplifier reads a pixel depends on its place
+    if (pattern in RED_FIRST) != (camera.pattern in RED_FIRST):
+        site = {"green 1": "green 2", "green 2": "green 1"}.get(site, site)
+    if site not in camera.sites:
+        return None
+    return int(np.ravel(taps.pattern)[camera.sites.index(site)])
 
 
 def of_tap(sensor: Sensor, tap: int) -> Sensor:
@@ -279,8 +325,7 @@ def _joined(
     sensors: tuple[Sensor, ...],
     rates: np.ndarray | None,
     widest: int,
-    tile: tuple[tuple[int, ...], ...],
-    stretched: bool,
+    camera: Camera,
 ) -> Sensor:
     """One sensor with taps for each draw; `rates` of light replace efficiencies if photons are
     unknown."""
@@ -297,9 +342,10 @@ def _joined(
         safe = {name: jnp.where(mean > 0, mean, 1.0) for name, mean in means.items()}
         offsets = jnp.stack([jnp.asarray(sensor.offset) for sensor in each])
         taps = Taps(
-            tile,
+            tuple(map(tuple, np.arange(len(each)).reshape(camera.layout).tolist())),
             offset=offsets - jnp.mean(offsets),
-            stretched=stretched,
+            stretched=camera.in_parts,
+            names=camera.sites,
             **{name: values / safe[name] for name, values in own.items()},
         )
         if rate is not None:

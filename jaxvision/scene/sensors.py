@@ -244,6 +244,8 @@ class Taps(Shown):
             of the sites of a mosaic in the light that the camera was measured in.
         stretched: whether the pattern is laid over the frame once instead of repeated: ((0, 1), (2,
             3)) are then its quadrants. Static.
+        names: what each tap is, such as ("red", "green 1", "green 2", "blue"), by which frames of
+            another phase of a mosaic are matched, or None. Static.
 
     Example:
         >>> halves = jv.Taps(((0, 1),), offset=[0.0, 3.0], gain=[1.0, 2.0], stretched=True)
@@ -268,6 +270,7 @@ class Taps(Shown):
         converter=as_optional_float, default=None, kw_only=True
     )
     stretched: bool = eqx.field(static=True, default=False, kw_only=True)
+    names: tuple[str, ...] | None = eqx.field(static=True, default=None, kw_only=True)
 
     def __check_init__(self) -> None:
         factors = dict.fromkeys(("read_noise", "prnu", "quantum_efficiency"), NOT_NEGATIVE)
@@ -277,6 +280,8 @@ class Taps(Shown):
             if values is not None:
                 holder = f"Taps.{name}"
                 check_tile("Taps.pattern", self.pattern, bands=values.shape[0], holder=holder)
+        if self.names is not None:
+            check_tile("Taps.pattern", self.pattern, bands=len(self.names), holder="Taps.names")
 
 
 def _as_effects(effects: Any) -> Any:

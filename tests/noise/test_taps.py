@@ -14,7 +14,7 @@ from fitting.inference.precision import in_double
 from fitting.noise.levels import linear_levels
 from fitting.noise.periodic import periodic_structure, taps_of
 from fitting.noise.sensor import Numbers, drawn_numbers
-from fitting.noise.sites import _of_one_die, of_tap, sensor_of_sites
+from fitting.noise.sites import _of_one_die, camera_of_taps, of_tap, sensor_of_sites, tap_of
 from fitting.rig import Camera
 from jaxvision.errors import InputError
 
@@ -153,6 +153,73 @@ def test_what_taps_have_in_common_is_one_number_as_of_dense_conditioning():
     np.testing.assert_allclose(each.std(axis=0), np.sqrt(np.diagonal(spread)), rtol=0.05)
 
 
+SITES = ("red", "green 1", "green 2", "blue")
+EFFICIENCIES = [0.3, 0.5, 0.55, 0.2]
+
+
+def mosaic_sensor(pattern, names):
+    return jv.Sensor(
+        shot_noise=jv.PoissonShotNoise(),
+        quantum_efficiency=0.5,
+        read_noise=5.0,
+        prnu=0.005,
+        gain=0.25,
+        offset=64.0,
+        bits=12,
+        taps=jv.Taps(pattern, quantum_efficiency=np.divide(EFFICIENCIES, 0.5), names=names),
+    )
+
+
+@pytest.mark.parametrize(
+    ("phase", "shift"), [("RGGB", (0, 0)), ("BGGR", (1, 1)), ("GRBG", (0, 1)), ("GBRG", (1, 0))]
+)
+def test_frames_of_another_phase_are_predicted_by_colour(phase, shift):
+    """A frame that begins one row or column later has the same pixels under other places; green
+    pixels in the rows of red ones are those in the rows of red ones still."""
+    tile = ((0, 1), (2, 3))
+    flats, darks, exposures, photons = frames(
+        11, np.roll(BAYER, shift, (0, 1)), efficiency=EFFICIENCIES
+    )
+    sensor, camera = mosaic_sensor(tile, SITES), Camera(bits=12, pattern=phase)
+    for site in camera.sites:
+        measured = noise.from_frames(flats, darks, exposures, photons, camera=camera, channel=site)
+        judged = noise.predict(sensor, measured).judged
+        np.testing.assert_allclose(judged.seen[0], judged.found.values[0], rtol=0.002)
+
+
+def test_taps_that_bear_other_names_than_the_frames_are_refused():
+    measured = {
+        stated: noise.from_frames(*frames(11, BAYER), camera=Camera(bits=12, **dict([stated])))
+        for stated in (("pattern", "RGGB"), ("taps", (2, 2)))
+    }
+    of_mosaic, of_taps = measured.values()
+    colours = mosaic_sensor(((0, 1), (2, 3)), SITES)
+    plain = mosaic_sensor(((0, 1), (2, 3)), None)
+    with pytest.raises(InputError, match=r"state camera\.taps = \[2, 2\] of the frames"):
+        noise.predict(plain, of_mosaic)
+    with pytest.raises(InputError, match=r'state camera\.pattern = "RGGB" of the frames'):
+        noise.predict(colours, of_taps)
+    assert noise.predict(plain, of_taps).judged
+    assert camera_of_taps(jv.Taps("GRBG", offset=[0.0, 1.0, 2.0])).pattern == "GRBG"
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [{"pattern": "GBRG"}, {"pattern": "BGGR", "taps": (1, 4)}, {"taps": (3, 1)}]
+    + [{"taps": part} for part in ("left and right", "top and bottom", "quadrants")],
+)
+def test_taps_of_a_file_are_what_a_rig_stated(stated):
+    camera = Camera(bits=16, **stated)
+    tile = np.arange(len(camera.sites)).reshape(camera.layout).tolist()
+    taps = jv.Taps(
+        tuple(map(tuple, tile)), names=camera.sites, stretched=isinstance(stated.get("taps"), str)
+    )
+    assert camera_of_taps(taps) == camera
+    assert [tap_of(taps, site, camera.pattern) for site in camera.sites] == [
+        *range(len(camera.sites))
+    ]
+
+
 def structure(seed, tap=ONE, **numbers):
     measured = noise.from_frames(*frames(seed, tap, **numbers), camera=Camera(bits=12))
     return periodic_structure(measured, linear_levels(measured))
@@ -221,10 +288,13 @@ def test_the_command_calibrates_unstated_taps_apart_and_writes_one_camera(tmp_pa
     later = noise.from_frames(*frames(5, tap, **known), camera=Camera(bits=12))
     with pytest.raises(InputError, match="has 2 taps, but the frames are not split into them"):
         noise.predict(tmp_path / "sensor.toml", later)
-    written_rig(tmp_path, frames(6, tap, **known), "bits = 12, taps = [1, 2]")
-    compared, _ = folders.predict(str(tmp_path / "sensor.toml"), tmp_path, step)
-    assert [one.title.rpartition(": ")[2] for one in compared] == ["tap 0,0", "tap 0,1"]
-    assert not any("missed" in sentence for one in compared for sentence in one.findings)
+    for stated in ("", ", taps = [1, 2]"):
+        written_rig(tmp_path, frames(6, tap, **known), f"bits = 12{stated}")
+        compared, _ = folders.predict(str(tmp_path / "sensor.toml"), tmp_path, step)
+        assert [one.title.rpartition(": ")[2] for one in compared] == ["tap 0,0", "tap 0,1"]
+        told = [sentence for one in compared for sentence in one.findings]
+        assert not any("missed" in sentence for sentence in told)
+        assert ("camera.taps = [1, 2] of" in told[0]) == (not stated)
 
 
 @pytest.mark.slow

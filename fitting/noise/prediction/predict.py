@@ -22,7 +22,7 @@ from ...report.notebook import ShownInNotebooks
 from ..calibration import NoiseCalibration
 from ..levels import PhotonTransfer, linear_levels
 from ..sensor import fitted_sensor
-from ..sites import of_tap
+from ..sites import camera_of_taps, of_tap, stated_in_words, tap_of
 from .comparison import Comparison, compare
 from .missing import Missing, missing_effects
 
@@ -111,9 +111,9 @@ def predict(
         camera, draws = written(camera)
     elif not isinstance(camera, Sensor):
         name = str(camera)
-        camera, draws = _read(Path(camera))
+        camera, draws = read_with_draws(Path(camera))
     if camera.taps is not None:
-        camera, draws = _of_one_tap(name, camera, draws, measurement.site)
+        camera, draws = _of_one_tap(name, camera, draws, measurement)
         name = f"{name}, {measurement.site},"
     camera = _of_one_channel(name, camera)
     _require_bits(name, camera, measurement)
@@ -222,10 +222,10 @@ def reread(best: Sensor, draws: Sensor) -> tuple[Sensor, Sensor | None]:
     with TemporaryDirectory() as folder:
         file = Path(folder) / "sensor.toml"
         write_sensor(best, file, draws=draws)
-        return _read(file)
+        return read_with_draws(file)
 
 
-def _read(file: Path) -> tuple[Sensor, Sensor | None]:
+def read_with_draws(file: Path) -> tuple[Sensor, Sensor | None]:
     """A sensor and the draws in the file next to it, if any."""
     if not file.suffix and not file.exists():
         return read_camera(str(file)).sensor, None
@@ -238,18 +238,28 @@ def _read(file: Path) -> tuple[Sensor, Sensor | None]:
 
 
 def _of_one_tap(
-    name: str, sensor: Sensor, draws: Sensor | None, site: int | None
+    name: str, sensor: Sensor, draws: Sensor | None, measurement: PhotonTransfer
 ) -> tuple[Sensor, Sensor | None]:
     """The sensor of the tap to which frames belong, with draws."""
     assert sensor.taps is not None
+    site, pattern, stated = measurement.site, measurement.pattern, camera_of_taps(sensor.taps)
     count = max(max(row) for row in sensor.taps.pattern) + 1
-    if site is None or site >= count:
+    state = "camera.taps or camera.pattern of the frames as the calibration had it"
+    if stated is not None:
+        state = f"{stated_in_words(stated)} of the frames, or what it is of these"
+    if site is None:
         raise InputError(
-            f"{name}: has {count} taps, but the frames are not split into them; state camera.taps "
-            "or camera.pattern of the frames as the calibration had it."
+            f"{name}: has {count} taps, but the frames are not split into them; state {state}."
         )
-    every = None if draws is None else eqx.filter_vmap(lambda one: of_tap(one, site))(draws)
-    return of_tap(sensor, site), every
+    tap = tap_of(sensor.taps, site, pattern)
+    if tap is None:
+        own = f" of a {pattern} mosaic" if pattern else ""
+        raise InputError(
+            f"{name}: does not name its taps as the frames do, of which {site}{own} was asked for; "
+            f"state {state}, or calibrate a camera of that pattern."
+        )
+    every = None if draws is None else eqx.filter_vmap(lambda one: of_tap(one, tap))(draws)
+    return of_tap(sensor, tap), every
 
 
 def _of_one_channel(name: str, sensor: Sensor) -> Sensor:
