@@ -1,4 +1,5 @@
-"""The `jaxvision-fit` command, `python -m fitting`: an interrupt ends it while it imports, too."""
+"""The `jaxvision-fit` command, `python -m fitting`. An interrupt also ends it during its
+imports."""
 
 from importlib import import_module
 

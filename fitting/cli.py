@@ -1,8 +1,9 @@
-"""The `jaxvision-fit` command: noise, response and reflectance from a folder of images, apart or
-together, reflectance from files of measured BRDFs, and a demo that simulates such a folder first.
+"""The `jaxvision-fit` command: calibration of noise, response and reflectance from a folder of
+images, separately or together; reflectance from files of measured BRDFs; and a demo with simulated
+images.
 
-The libraries that compute are imported once the arguments, the paths and the rig are known to be
-good, so that `--help` and a mistake are answered at once.
+The numerical libraries are imported after the arguments, the paths and the rig have been checked,
+so `--help` and mistakes are answered immediately.
 """
 
 import os

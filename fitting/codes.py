@@ -7,8 +7,8 @@ A converter of b bits gives 2^b different numbers, but a file may store them in 
     uneven        a stretched histogram, or a table (gamma): codes are missing, more of them in
                   some places than in others
     alternating   even codes more often than odd ones, because their steps are wider
-    coarser       from some code on all are multiples of a larger step: a second amplifier or
-                  converter took over
+    coarser       above some code all are multiples of a larger step: a second amplifier or
+              converter took over
 
 The step q between neighbouring codes determines the rounding variance, q^2 / 12. If a file with
 another step is read with q = 1, the read noise is wrong.
@@ -79,7 +79,7 @@ class Converter:
 
     @property
     def _whole(self) -> bool:
-        """Whether no number was rounded a second time."""
+        """Whether the numbers were rounded only once."""
         return (self.even and self.step < 1) or (self.even and self.step == round(self.step))
 
 
@@ -147,13 +147,13 @@ class Codes:
 
     @property
     def whole(self) -> bool | None:
-        """Whether all numbers are whole; None where so few different ones do not tell."""
+        """Whether all numbers are whole; None if there are too few different ones to decide."""
         if self._continuous or self._broken.size:
             return False
         return True if np.count_nonzero(self._whole) >= FEWEST_WHOLE else None
 
     def __add__(self, other: "Codes") -> "Codes":
-        """The counts of both."""
+        """The combined counts."""
         octaves = self._by_noise.keys() | other._by_noise.keys()
         none = np.zeros(0, np.int64)
         return Codes(
@@ -164,7 +164,7 @@ class Codes:
         )
 
     def _smooth(self, step: float) -> np.ndarray:
-        """Counts of the frames whose histograms are smooth on a grid of this step."""
+        """Counts of the frames with smooth histograms on a grid of this step."""
         found = np.zeros(0, np.int64)
         for octave, counts in self._by_noise.items():
             if 2.0**octave >= SMOOTH * step:
@@ -230,21 +230,22 @@ def converter_in_words(converter: Converter, full_scale: float | None) -> list[s
 
 
 def _sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of two counts that begin at 0."""
+    """The sum of two arrays of counts that begin at 0."""
     size = max(one.size, other.size)
     return np.pad(one, (0, size - one.size)) + np.pad(other, (0, size - other.size))
 
 
 def _counted(parts: Sequence[Any]) -> Float[np.ndarray, "2 values"]:
-    """Different values in order, and how often each occurs in all parts, given likewise."""
+    """Sorted distinct values, and how often each occurs in all parts together."""
     different, place = np.unique(np.concatenate([x[0] for x in parts]), return_inverse=True)
     counts = np.bincount(place, np.concatenate([x[1] for x in parts]), different.size)
     return np.stack([different, counts])
 
 
 def _noise(frame: np.ndarray) -> float:
-    """Deviation of a pixel from those around it, DN, at least a quarter: a scene of few tones has
-    a wide histogram that is not smooth. Pixels two apart are of one colour in a mosaic."""
+    """Standard deviation of a pixel about its surroundings, DN, at least a quarter. A scene of few
+    tones has a wide histogram that is not smooth, so the histogram's width does not serve. It uses
+    pixels two apart, which have the same colour in a mosaic."""
     values = np.asarray(frame, float)
     values = values.reshape(values.shape[0], -1) if values.ndim == 1 else values
     both = np.concatenate(
@@ -255,8 +256,8 @@ def _noise(frame: np.ndarray) -> float:
 
 
 def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | None:
-    """Greatest common divisor of the distances of whole numbers, and their remainder; None where
-    so few numbers share it by chance."""
+    """Greatest common divisor of the distances of whole numbers, and their remainder; None if so
+    few numbers may share it by chance."""
     if used.size < 2:
         return None
     step = int(np.gcd.reduce(np.diff(used).astype(np.int64)))
@@ -266,8 +267,9 @@ def _common_step(used: Float[np.ndarray, " values"]) -> tuple[float, float] | No
 
 
 def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tuple | None:
-    """The number from which all codes are multiples of a larger step, and that step; None where
-    there is none, or chance makes it. At the largest number codes of any kind may be clipped."""
+    """The number above which all codes are multiples of a larger step, and that step; None if there
+    is none, or if chance explains it. The largest number is excluded, because any code may be
+    clipped to it."""
     for values in (used, used[:-1]):
         gaps = np.diff(values).astype(np.int64)
         if gaps.size < 2:
@@ -284,7 +286,8 @@ def _coarser_above(used: Float[np.ndarray, " values"], counts: np.ndarray) -> tu
 
 
 def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, float] | None:
-    """Step and a code of the grid on which numbers lie, each within `error`; None without one."""
+    """Step of the grid on which numbers lie within `error`, and a code of it; None if there is no
+    grid."""
     gaps = np.diff(values)
     gaps = gaps[gaps > 2 * error] if error < 0.5 else gaps
     if gaps.size < 5:
@@ -312,9 +315,9 @@ def _grid(values: Float[np.ndarray, " values"], error: float) -> tuple[float, fl
 
 
 def _missing(counts: np.ndarray) -> float:
-    """Share of codes that do not occur between neighbours that many pixels have.
+    """Share of codes that never occur although many pixels have the neighbouring codes.
 
-    Where chance or narrow peaks leave codes empty, more of them are rare.
+    If chance or narrow peaks leave codes empty, many other codes are rare too.
     """
     used = np.flatnonzero(counts)
     if used.size < 3:
@@ -337,10 +340,10 @@ def _missing(counts: np.ndarray) -> float:
 
 
 def _imbalance(counts: np.ndarray) -> float:
-    """Half of the relative difference of neighbouring steps, of a smooth histogram.
+    """Half the relative difference of neighbouring code widths, for a smooth histogram.
 
-    Its error is by how much even and odd codes differ, pair by pair, so that a few codes at which
-    pixels pile up are no imbalance.
+    Its error comes from the scatter of the differences between even and odd codes, pair by pair, so
+    a few codes at which pixels accumulate do not count as an imbalance.
     """
     pairs = counts[: counts.size // 2 * 2].reshape(-1, 2).astype(float)
     more = pairs[:, 0] - pairs[:, 1]
@@ -349,7 +352,7 @@ def _imbalance(counts: np.ndarray) -> float:
 
 
 def _clips_at(values: np.ndarray, counts: np.ndarray) -> float | None:
-    """The largest number, where far more pixels have it than the numbers below."""
+    """The largest number, if far more pixels have it than the numbers below."""
     below = counts[:-1][-16:]
     # Of darks that are a few codes wide the largest number may be the most frequent, too.
     if below.size < 16 or counts[-1] < max(PILE, STEEP * float(below.max())):

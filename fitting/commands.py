@@ -40,7 +40,7 @@ failures = partial(
 
 @dataclass(frozen=True)
 class Options:
-    """What every sub-command shares."""
+    """The options that every sub-command shares."""
 
     out: Annotated[
         Path | None,
@@ -66,13 +66,13 @@ class Options:
 
     @property
     def chain(self) -> dict[str, int]:
-        """Steps and walkers of a chain; empty for Laplace."""
+        """Steps and walkers of a chain; empty for Laplace's approximation."""
         if not self.mcmc:
             return {}
         return {"steps": self.steps or STEPS, "walkers": self.walkers or WALKERS}
 
     def draws(self, kind: str, progress: Progress) -> dict[str, Any]:
-        """How a calibration samples, None for Laplace, and the seed of its draws."""
+        """The sampler of a calibration, None for Laplace, and the seed of its draws."""
         from .inference.emcee_run import Emcee
 
         if not self.mcmc:
@@ -98,13 +98,13 @@ app = command_app(
 
 
 def refuse_mcmc(options: Options, why: str) -> None:
-    """Of a command that has no chain."""
+    """Refuse `--mcmc` for a command without a chain."""
     if options.mcmc:
         raise InputError(f"--mcmc: {why}; leave it out.")
 
 
 def typed_path(text: str) -> Path:
-    """A path as it was typed; an empty one, which would be the working folder, ends the command."""
+    """A path as typed. An empty path, which would mean the working folder, ends the command."""
     if not text:
         leave(COMMAND, "a path is empty; name a folder or a file.", 2)
     return Path(text)
@@ -121,7 +121,7 @@ INDEX_OPTION = typer.Option(help="Index of refraction of Torrance-Sparrow's clea
 
 
 def model_option(meaning: str) -> Any:
-    """`--model`, whose names stand in its help, where they wrap between words."""
+    """The option `--model`, with the names of the models in its help."""
     return typer.Option(help=f"{meaning} One of {', '.join(MODELS)}.", metavar="MODEL")
 
 
@@ -152,8 +152,8 @@ def run(
     title: str, path: Path, options: Options, calibrate: Calibrate, *, repeats: bool = False
 ) -> None:
     """Calibrate, write the requested files, and print the result. A section without results says
-    why, and the exit status is that of bad input. What `repeats` its fits is compiled with
-    optimisation, the rest quickly."""
+    why, and the exit status is that of bad input. A command that `repeats` its fits is compiled
+    with optimisation, others without."""
     if not repeats:
         compile_quickly()
     keep_programs()
@@ -200,7 +200,8 @@ def run(
 
 @contextmanager
 def _folder(out: Path | None) -> Iterator[None]:
-    """Made before the work, so that nothing is lost; gone again if that fails and left nothing."""
+    """Create the output folder before the work starts, so that no result is lost; remove it if the
+    work fails and leaves it empty."""
     made = out is not None and not out.exists()
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

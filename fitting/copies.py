@@ -11,14 +11,14 @@ LEAST_BETWEEN = 0.01  # share of the pixels that must be neither black nor white
 
 
 class Copies:
-    """Names of images by their numbers. Images that are black or white almost everywhere are
+    """Images by a hash of their numbers. Images that are black or white almost everywhere are
     ignored, because two exposures may then be equal."""
 
     def __init__(self) -> None:
         self._names: dict[bytes, list[str]] = {}
 
     def add(self, name: str, image: np.ndarray) -> None:
-        """Compares an image with those that were added before."""
+        """Compare an image with those added before."""
         between = (image > image.min()) & (image < image.max())
         if between.mean() > LEAST_BETWEEN:
             digest = hashlib.blake2b(image.tobytes()).digest()
@@ -26,11 +26,11 @@ class Copies:
 
     @property
     def found(self) -> list[list[str]]:
-        """Names of images of equal numbers."""
+        """Names of images with equal numbers."""
         return [names for names in self._names.values() if len(names) > 1]
 
     def refuse(self, folder: Path) -> None:
-        """Refuses images of equal numbers."""
+        """Refuse images with equal numbers."""
         for first, second, *_ in self.found:
             raise InputError(
                 f"{folder / second}: is {first} in every pixel, so one is a copy of the other; "

@@ -1,7 +1,7 @@
-"""Each calibration of a folder: reading of its images, the fit, and the sections of a report with
-its pictures. Read from the path alone, so that any process can do it.
+"""Each calibration of a folder: read its images, fit, and return the sections of a report with
+figures. A calibration needs only the path, so any process can run it.
 
-The libraries that compute are imported once the rig is known to be good.
+The numerical libraries are imported after the rig has been checked.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,14 +27,14 @@ Found = tuple["list[Section]", "dict[str, np.ndarray]"]
 
 
 def existing(path: Path) -> Path:
-    """The path, if there is anything."""
+    """The path, if it exists."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; check the name.")
     return path
 
 
 def read_rig(path: Path, purpose: "Purpose") -> "Rig":
-    """A rig that names what a calibration needs, and whose images exist."""
+    """A rig with the entries that a calibration needs, and whose images exist."""
     from .rig import load_rig, require, require_images
 
     rig = load_rig(path)
@@ -184,7 +184,7 @@ def predict(
     channel: str = "",
     light_error: float = 0.0,
 ) -> Found:
-    """Flats and darks beside what a camera predicts of them.
+    """Flats and darks compared with the prediction of a camera.
 
     Args:
         camera: a file of a sensor or a camera, the folder that a noise calibration wrote, or the
@@ -249,7 +249,7 @@ def predict(
 
 
 def _camera_file(camera: str) -> Path:
-    """The file of a camera; of a folder the one that a calibration wrote to it."""
+    """The camera file; for a folder, the file that a calibration wrote there."""
     folder = Path(camera)
     if not folder.is_dir():
         return folder
@@ -288,7 +288,7 @@ def _noise_of_sites(rig: "Rig", step: Step, draws: Draws) -> "list[Section]":
 
 
 def _noise_of_settings(rig: "Rig", step: Step, draws: Draws, channel: str) -> "list[Section]":
-    """The camera over its settings, and each setting; of several sites one after the other."""
+    """The camera over its settings, and each setting, for each site in turn."""
     from .noise.across_settings.section import of_site, records_of_sites
     from .report.inputs import with_inputs
 

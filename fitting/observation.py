@@ -1,7 +1,7 @@
 """Images of a rig as arrays, from files or from memory, checked before any fit.
 
-Digital numbers come as float64 (h, w) or (h, w, channels), as stored: black level, gamma and
-saturation belong to the models, not to the reading.
+Digital numbers are float64 (h, w) or (h, w, channels), as stored. Black level, gamma and saturation
+are handled by the models, not here.
 """
 
 from collections.abc import Callable, Mapping, Sequence, Sized
@@ -30,14 +30,15 @@ MEMORY = Path("arrays")  # where messages say that images in memory lie
 def in_memory(
     images: Mapping[str, ArrayLike], *, called: Mapping[str, str] | None = None, **entries: Any
 ) -> tuple[Rig, Load]:
-    """A rig of images that are in memory, and how they are had by their paths."""
+    """A rig for images in memory, and the function that returns them by path."""
     rig = checked(MEMORY, {"folder": MEMORY, **entries}, Rig, "rig", first=0, called=called)
     stored = {rig.path(n): _unmasked(n, image) for n, image in images.items()}
     return rig, stored.__getitem__
 
 
 def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
-    """An image as an array; a mask of its own is not heeded, and refused where it hides pixels."""
+    """An image as an array. A mask in the image is ignored if it hides no pixel, and refused
+    otherwise."""
     if isinstance(image, np.ma.MaskedArray) and (hidden := int(np.ma.count_masked(image))):
         raise InputError(
             f"{name} is a masked array, {hidden} of its {image.size} numbers masked, and an image "
@@ -48,7 +49,7 @@ def _unmasked(name: str, image: ArrayLike) -> np.ndarray:
 
 
 def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
-    """The numbers of a list, such as exposures, in their order.
+    """The numbers of a list, such as exposures, in order.
 
     Args:
         name: of the argument.
@@ -76,13 +77,13 @@ def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
 
 
 def require_as_many(what: str, given: Sized, as_: str, others: Sized) -> None:
-    """Refuses two lists that belong together but differ in length."""
+    """Refuse two lists of different lengths that belong together."""
     if len(given) != len(others):
         raise InputError(f"{len(given)} {what} for {len(others)} {as_}; give one for each.")
 
 
 def require_several_images(name: str, images: Sequence[ArrayLike]) -> None:
-    """Refuses a single image where a list of images is wanted, and a list of none."""
+    """Refuse a single image or an empty list where several images are needed."""
     if len(images) == 0:
         raise InputError(f"{name} is empty; give a list of images, (h, w) each.")
     if np.ndim(images[0]) < 2:
@@ -91,7 +92,7 @@ def require_several_images(name: str, images: Sequence[ArrayLike]) -> None:
 
 
 def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
-    """Refuses levels that are no list of two or more frames."""
+    """Refuse levels without two or more frames."""
     if len(levels) == 0:
         raise InputError(f"{name} is empty; give a list of levels, each a list of frames, (h, w).")
     for i, level in enumerate(levels):
@@ -111,7 +112,7 @@ def require_frames(name: str, levels: Sequence[Sequence[ArrayLike]]) -> None:
 def read_frame(
     path: Path, camera: Camera, *, load: Load = read_image, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Digital numbers of one image, of the camera's region alone where it has one.
+    """Digital numbers of one image, within the camera's region if it has one.
 
     Example:
         >>> from pathlib import Path
@@ -177,7 +178,7 @@ def read_frame(
 
 
 def _refuse_other_lists(path: Path, camera: Camera, image: np.ndarray) -> None:
-    """Refuses numbers by site that are those of another kind of image."""
+    """Refuse site values that belong to another kind of image."""
     sites = len(camera.sites)
     most = sites if image.ndim == 2 else sites * len(COLOURS)
     for name in BY_SITE:
@@ -191,7 +192,7 @@ def _refuse_other_lists(path: Path, camera: Camera, image: np.ndarray) -> None:
 
 
 def in_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
-    """The part of an image that the camera's region has."""
+    """The part of an image inside the camera's region."""
     if camera.region is None:
         return image
     top, left, height, width = camera.region
@@ -206,7 +207,7 @@ def in_region(image: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
 def read_stack(
     rig: Rig, files: Sequence[str], *, load: Load = read_image, mask: np.ndarray | None = None
 ) -> np.ndarray:
-    """Frames of one size."""
+    """Frames of equal size."""
     frames = [read_frame(rig.path(name), rig.camera, load=load, mask=mask) for name in files]
     for name, frame in zip(files, frames, strict=True):
         if frame.shape != frames[0].shape:
@@ -236,7 +237,7 @@ def split_channels(frame: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
 
 
 def one_site(camera: Camera) -> SiteCamera:
-    """The camera of images that `to_one_site` has levelled."""
+    """The camera for images that `to_one_site` has normalised."""
     if isinstance(camera.gain, tuple) and camera.encoding is not None:
         raise InputError(
             "camera.gain lists several numbers, but the files are gamma encoded; give linear files."
@@ -265,7 +266,7 @@ def one_site(camera: Camera) -> SiteCamera:
 
 
 def to_one_site(image: np.ndarray, camera: Camera) -> np.ndarray:
-    """An image whose sites all have the mean of their black levels and of their gains."""
+    """An image whose sites all have the mean black level and the mean gain of the sites."""
     if not isinstance(camera.black_level, tuple) and not isinstance(camera.gain, tuple):
         return image
     black, gain = np.zeros(image.shape), np.ones(image.shape)
@@ -290,7 +291,7 @@ def read_mask(
     shape: tuple[int, int] | None = None,
     load: Load = read_image,
 ) -> np.ndarray:
-    """A mask of pixels, of the camera's region alone where it has one."""
+    """A mask of pixels, within the camera's region if it has one."""
     stored = in_region(load(path), camera, path)
     if stored.ndim == 3 and stored.shape[2] in (2, 4):  # its last channel is alpha
         if (stored[..., -1] != stored[0, 0, -1]).any():

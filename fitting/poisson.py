@@ -1,4 +1,4 @@
-"""Logarithms of Poisson's probabilities and of their sums, of any number of counts."""
+"""Logarithms of Poisson probabilities and of their sums, for any number of counts."""
 
 import math
 
@@ -22,9 +22,8 @@ _REMAINDERS = [
 
 
 def log_poisson(n: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln P(N = n) of Poisson's distribution, without the digits that n ln mean - mean - ln n!
-    loses (Loader 2000).
-    """
+    """ln P(N = n) of the Poisson distribution, without the cancellation in n ln mean - mean - ln n!
+    (Loader 2000)."""
     some = jnp.maximum(n, 1)
     few = jnp.asarray(_REMAINDERS, some.dtype)[jnp.minimum(some, 31).astype(jnp.int32) - 1]
     remainder = jnp.where(some < 32, few, stirling_remainder(some))
@@ -37,10 +36,11 @@ def log_poisson(n: Float[Array, "..."], mean: Float[Array, "..."]) -> Float[Arra
 def log_poisson_tails(
     n: Float[Array, "..."], mean: Float[Array, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Return ln P(N < n) and ln P(N >= n) of Poisson's distribution, differentiable by the mean.
+    """Return ln P(N < n) and ln P(N >= n) of the Poisson distribution, differentiable with respect
+    to the mean.
 
-    They are computed from the incomplete gamma function. For many counts XLA's function has few
-    digits or none. There, and in far tails of few counts, the saddle-point approximation is used
+    They are computed from the incomplete gamma function. For many counts XLA's function is
+    inaccurate. There, and in far tails of few counts, the saddle-point approximation is used
     (Barndorff-Nielsen's r*), with errors of 1e-6 in float32 and 1e-10 in float64.
     """
     excess = mean - n

@@ -1,8 +1,8 @@
-"""`rig.toml`: what each file of a calibration folder is.
+"""`rig.toml`, which describes each file of a calibration folder.
 
-The schema below is the documentation of the format; paths are relative to the rig file (or to its
-`root`, in which `${NAME}` stands for an environment variable). Everything is checked before any
-image is read; a mistake is an `InputError` that names the file, the entry and the remedy.
+The schema below documents the format. Paths are relative to the rig file, or to its `root`, in
+which `${NAME}` is an environment variable. Everything is checked before any image is read. A
+mistake is an `InputError` that names the file, the entry and the remedy.
 """
 
 import datetime
@@ -37,7 +37,7 @@ NEEDED: dict[Purpose, tuple[str, ...]] = {  # sections of a rig
 
 
 def _quotient(text: Any) -> Any:
-    """A time as cameras show it, "1/8", as a number; anything else as it is."""
+    """A time such as "1/8" as a number; any other value unchanged."""
     try:
         return float(Fraction(text)) if isinstance(text, str) else text
     except (ValueError, ZeroDivisionError):
@@ -53,7 +53,7 @@ COLDEST = 100.0  # K, of a sensor; a smaller number is one of degrees Celsius
 
 
 def kelvin(temperature: float) -> float:
-    """A sensor's temperature, refused where it is none in kelvin.
+    """A sensor temperature in K; other values are refused.
 
     Example:
         >>> from fitting.rig import kelvin
@@ -71,7 +71,7 @@ Kelvin = Annotated[Finite, AfterValidator(kelvin)]
 
 
 def _plain(value: Any) -> Any:
-    """An array as the lists that a rig file has; anything else as it is."""
+    """An array as nested lists for a rig file; any other value unchanged."""
     of_a_file = (int, float, str, type(None))
     parts = value if isinstance(value, list | tuple) else [value]
     if all(isinstance(part, of_a_file) for part in parts):
@@ -131,7 +131,7 @@ MOSAIC_NAMES = {"R": ("red",), "G": ("green 1", "green 2"), "B": ("blue",)}
 class _Known(Entry):
     """The stated values of a camera that are common to all sites.
 
-    Without both gain and read_noise a fit estimates the noise of its pixels from their residuals.
+    Without both gain and read_noise, a fit estimates the noise of its pixels from their residuals.
     An `_sd` is the standard deviation of a stated number, which otherwise counts as exact.
 
     Attributes:
@@ -171,7 +171,8 @@ class _Known(Entry):
 
     @property
     def encoding(self) -> float | None:
-        """gamma; None where it is not stated, or the files are linear for certain."""
+        """The encoding exponent gamma; None if it is not stated, or if the files are certainly
+        linear."""
         return None if self.gamma == 1 and self.gamma_sd is None else self.gamma
 
     @property
@@ -308,7 +309,7 @@ class Camera(_Known):
 
     @property
     def cell(self) -> tuple[int, int]:
-        """Rows and columns after which sites repeat; (1, 1) where none do."""
+        """The period of the sites in rows and columns; (1, 1) without sites."""
         down, across = (1, 1) if self.taps is None or isinstance(self.taps, str) else self.taps
         return (math.lcm(down, 2), math.lcm(across, 2)) if self.pattern else (down, across)
 
@@ -335,7 +336,7 @@ class Camera(_Known):
         return tuple(o if alone else f"{o} {tap}" for o, tap in zip(own, taps, strict=True))
 
     def at(self, channel: str) -> SiteCamera:
-        """What is known of one site.
+        """The known values of one site.
 
         Args:
             channel: a name among `sites`; of RGB images also `red`, `green` or `blue`, before the
@@ -352,7 +353,7 @@ class Camera(_Known):
         return SiteCamera(**known)
 
     def channels(self, *, colour: bool) -> tuple[str, ...]:
-        """Names of the planes that one frame is split into.
+        """Names of the planes of one frame.
 
         Args:
             colour: whether frames are RGB images.
@@ -379,8 +380,8 @@ class Camera(_Known):
 
 
 def _told_by_sensor(file: Path) -> dict[str, dict[str, float]]:
-    """The numbers of a camera in a sensor file, by the rig's key that they replace. Standard
-    deviations are those of the draws beside the file."""
+    """The values in a sensor file, by the rig's key that they replace. Standard deviations come
+    from the draws in the file next to it."""
     import numpy as np
 
     from jaxvision.files.cameras import read_sensor
@@ -456,7 +457,7 @@ class Level(Entry):
 class Flat(Level):
     """`[[flat]]`: two or more images of one uniform field.
 
-    Neither photons nor irradiance is needed unless the quantum efficiency is wanted.
+    Photons or irradiance are needed only for the quantum efficiency.
 
     Attributes:
         photons: mean photons per pixel and exposure.
@@ -473,7 +474,7 @@ class Dark(Level):
 
 class Exposure(Entry):
     """`[[exposure]]`: one image of an exposure stack of a still scene. Colour channels are fitted
-    apart.
+    separately.
 
     Attributes:
         file: name.
@@ -602,7 +603,7 @@ class Rig(Entry):
     geometry: Geometry | None = None
 
     def path(self, name: str) -> Path:
-        """Where a file named in the rig lies."""
+        """The path of a file that the rig names."""
         return self.folder / os.path.expandvars(self.root) / name
 
 
@@ -638,12 +639,12 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 def as_rig(given: Rig | str | os.PathLike[str]) -> Rig:
-    """A rig, read from its folder or file where it is not read yet."""
+    """A rig as it is, or read from its folder or file."""
     return given if isinstance(given, Rig) else load_rig(given)
 
 
 def require(rig: Rig, purpose: Purpose) -> None:
-    """Refuses a rig that lacks a section that a calibration needs."""
+    """Refuse a rig without a section that a calibration needs."""
     for section in NEEDED[purpose]:
         if not getattr(rig, section):
             heading = f"[{section}]" if section == "geometry" else f"[[{section}]]"
@@ -653,7 +654,7 @@ def require(rig: Rig, purpose: Purpose) -> None:
 
 
 def require_images(rig: Rig, purpose: Purpose) -> None:
-    """Refuses a rig if an image that a calibration needs does not exist; none is read."""
+    """Refuse a rig if an image that a calibration needs does not exist. No image is read."""
     for section in NEEDED[purpose]:
         entries = getattr(rig, section)
         for entry in [entries] if isinstance(entries, Geometry) else entries or ():

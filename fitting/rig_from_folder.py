@@ -1,4 +1,4 @@
-"""A first `rig.toml` of a folder of images, from their names and heads, asking nothing."""
+"""A first `rig.toml` for a folder of images, from their names and metadata, without questions."""
 
 import json
 import math
@@ -97,7 +97,7 @@ class _Image:
 
 
 def write_rig(folder: Path) -> tuple[Path, FoundRig]:
-    """Writes the rig of a folder beside its images."""
+    """Write the rig of a folder into it."""
     path = folder / RIG_FILE
     if path.exists():
         raise InputError(f"{path}: is there already; remove it to have it written anew.")
@@ -110,11 +110,12 @@ def write_rig(folder: Path) -> tuple[Path, FoundRig]:
 def rig_of(folder: Path) -> FoundRig:
     """The rig of a folder of images, as text.
 
-    Images count by a word in their path: dark or bias; flat or bright; light or lamp (then
-    `normals` and `mask` are the shape); the others are an exposure stack. IMAGETYP of a FITS header
-    also distinguishes flats, darks and photographs. Times come from the files' heads, or from names
-    such as `flat_8ms` and `scene_1-8s`; wavelengths in names, as in `chart_450nm`, separate stacks.
-    An EXR or HDR file beside images of whole numbers is left out, and so are hidden files.
+    The kind of an image follows from a word in its path: dark or bias; flat or bright; light or
+    lamp (then `normals` and `mask` are the shape). The other images are an exposure stack. IMAGETYP
+    of a FITS header also distinguishes flats, darks and photographs. Times come from the metadata,
+    or from names such as `flat_8ms` and `scene_1-8s`. Wavelengths in names, as in `chart_450nm`,
+    separate stacks. An EXR or HDR file next to images of whole numbers is left out, and so are
+    hidden files.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the one that holds the images.")
@@ -171,13 +172,13 @@ def rig_of(folder: Path) -> FoundRig:
 
 
 def _is_hidden(path: Path, folder: Path) -> bool:
-    """Whether a name on the way begins with a dot, as those of systems do (macOS writes `._a.tif`
-    beside `a.tif` on sticks)."""
+    """Whether a part of the path begins with a dot, as for hidden files (macOS writes `._a.tif`
+    next to `a.tif` on USB drives)."""
     return any(part.startswith(".") for part in path.relative_to(folder).parts)
 
 
 def _natural(name: str) -> list[tuple[int, float | str]]:
-    """Numbers in a name by their value."""
+    """A sort key that orders numbers in names by value."""
     parts = re.split(r"(\d+)", name.lower())
     return [(0, float(part)) if part.isdigit() else (1, part) for part in parts]
 
@@ -193,7 +194,8 @@ def _kind_in_head(image: _Image) -> str:
 
 
 def _kind(image: _Image) -> str:
-    """Dark, flat, light (of a known shape under a lamp) or "" for one of an exposure stack."""
+    """The kind of an image: dark, flat, light (of a known shape under a lamp), or "" for an
+    exposure stack."""
     named, typed = _kind_in_name(image), _kind_in_head(image)
     if typed in ("dark", "flat"):
         return typed
@@ -201,7 +203,7 @@ def _kind(image: _Image) -> str:
 
 
 def _doubt_of_kind(image: _Image) -> str:
-    """A sentence, where name and head say two things."""
+    """A finding if name and metadata disagree."""
     named = _kind_in_name(image)
     if not _kind_in_head(image) or named in ("", _kind(image)):
         return ""
@@ -219,8 +221,8 @@ def _image(folder: Path, name: str, *, counted: bool) -> _Image:
 
 
 def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
-    """Seconds of a name such as flat_8ms, or scene_1-8s for an eighth unless images are counted so;
-    and what else the name may say."""
+    """Seconds in a name such as flat_8ms, or scene_1-8s for an eighth unless the numbers count
+    images, and the rest of the name."""
     stem = Path(name).stem
     fraction = _FRACTION.search(stem)
     if fraction and fraction[1] != "1" and not counted:
@@ -234,7 +236,7 @@ def _time_in(name: str, *, counted: bool) -> tuple[float | None, str]:
 
 
 def _quoted(name: str) -> str:
-    """As TOML writes it."""
+    """Text quoted for TOML."""
     return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -260,7 +262,7 @@ def _camera(folder: Path, images: Sequence[_Image], found: FoundRig) -> list[str
 
 
 def _levels_of_sites(said: Sequence[ImageSettings], *, one_pattern: bool) -> list[str]:
-    """Lines of the black level and of the saturation: one number, or one for each site."""
+    """The lines for black level and saturation: one number, or one for each site."""
     lines = []
     for name in ("black_level", "saturation"):
         values = [np.atleast_1d(v) for one in said if (v := getattr(one, name)) is not None]
@@ -275,7 +277,7 @@ def _levels_of_sites(said: Sequence[ImageSettings], *, one_pattern: bool) -> lis
 
 
 def _refuse_gains(images: Sequence[_Image], found: FoundRig) -> None:
-    """Only flats and darks may be of several gains."""
+    """Refuse several gains except for flats and darks."""
     sensitivities = sorted({one.settings.iso for one in images if one.settings.iso})
     if len(sensitivities) > 1:
         listed = ", ".join(f"{iso:g}" for iso in sensitivities)
@@ -285,7 +287,8 @@ def _refuse_gains(images: Sequence[_Image], found: FoundRig) -> None:
 def _refuse_apertures(
     photographs: Sequence[_Image], flats: Sequence[_Image], found: FoundRig
 ) -> None:
-    """A rig has exposures in seconds, which say nothing of the light that an aperture lets in."""
+    """Refuse images with different apertures, because exposures in seconds do not describe the
+    light."""
     for kind, images in (("images", photographs), ("flats", flats)):
         numbers = sorted(
             {f"{one.settings.f_number:.3g}" for one in images if one.settings.f_number}, key=float
@@ -298,8 +301,8 @@ def _refuse_apertures(
 
 
 def _warmth(images: Sequence[_Image]) -> dict[str, float]:
-    """The temperature of each image by its name, K: the mean of those that lie together, no gap
-    between neighbours wider than `APART`; none where all do."""
+    """The temperature of each image by its name, K: the mean of its cluster, in which no gap
+    between neighbours exceeds `APART`; empty if there is only one cluster."""
     known = sorted((i.settings.temperature, i.name) for i in images if i.settings.temperature)
     groups: list[list[tuple[float, str]]] = []
     for kelvin, name in known:
@@ -314,7 +317,7 @@ def _warmth(images: Sequence[_Image]) -> dict[str, float]:
 
 
 def _depth(folder: Path, images: Sequence[_Image], found: FoundRig) -> str:
-    """The line of `bits`, as the files say or from the largest number in some."""
+    """The line for `bits`, from the files or from the largest number in some of them."""
     picks = np.unique(np.linspace(0, len(images) - 1, min(MOST_READ, len(images))).astype(int))
     read = [read_image(folder / images[i].name) for i in picks]
     saturations = [image.settings.saturation for image in images if image.settings.saturation]
@@ -350,8 +353,8 @@ def _levels(
     *,
     several_gains: bool,
 ) -> list[str]:
-    """Entries of flats or darks: images of one exposure, gain and temperature, and of one name but
-    for its last number."""
+    """Entries for flats or darks: images of one exposure, gain and temperature, whose names differ
+    only in the last number."""
     stems = {image.name: re.sub(r"[_-]?\d+$", "", Path(image.name).stem) for image in images}
     several = len(set(stems.values())) > 1
 
@@ -410,7 +413,7 @@ def _band(name: str) -> str:
 
 
 def _seconds(image: _Image) -> str:
-    """The line of the exposure: a fraction where EXIF holds one, or where decimals would round."""
+    """The line for the exposure: a fraction if EXIF has one, or if decimals would round."""
     if image.exposure is None:
         return UNKNOWN_EXPOSURE
     decimals, under = f"{image.exposure:.6g}", round(1 / image.exposure)

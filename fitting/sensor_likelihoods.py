@@ -1,10 +1,10 @@
 """Likelihoods of a sensor: the prediction is light, the data are digital numbers.
 
-`SensorNoise` takes mean and variance of a datum from the sensor's moments. `SensorCounts` computes
-the probability of every code, for codes that are coarse relative to the noise, and for few
-electrons; its data are codes, or tables of how often each code occurs. Both have the interface of
+`SensorNoise` takes mean and variance of a datum from the moments of the sensor. `SensorCounts`
+computes the probability of every code, for codes that are coarse relative to the noise and for few
+electrons. Its data are codes, or tables of how often each code occurs. Both have the interface of
 `inference.likelihoods`. In place of a sensor they take its path in the problem's records
-("camera.sensor"), and its numbers can then be fitted, too ("camera.sensor.gain").
+("camera.sensor"). Its fields can then be fitted, too ("camera.sensor.gain").
 """
 
 from operator import attrgetter
@@ -42,8 +42,8 @@ ROUNDING = 0.5  # DN between a code and the ends of its interval
 class SensorNoise(eqx.Module):
     """A datum is normal about the sensor's mean signal with the sensor's temporal variance.
 
-    Codes at an end of the ADC's range are censored. Differences between pixels (fixed pattern) are
-    no part of it, nor is a full well.
+    Codes at an end of the ADC's range are censored. It does not include differences between pixels
+    (fixed pattern) or a full well.
 
     Attributes:
         sensor: record, or the path of one among the problem's records.
@@ -62,7 +62,7 @@ class SensorNoise(eqx.Module):
 
     @property
     def surrogate(self) -> "_VarianceOfData | None":
-        """Least squares by the variance at each datum, where the sensor is known."""
+        """Least squares with the variance at each datum, if the sensor is known."""
         return None if isinstance(self.sensor, str) else _VarianceOfData(self.sensor)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
@@ -82,7 +82,7 @@ class SensorNoise(eqx.Module):
         return self._signal(prediction).residuals(self._mean(prediction), data, chance)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Data as they might have been, rounded and clipped where there is an ADC."""
+        """Simulated data, rounded and clipped if there is an ADC."""
         sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
         analogue = _without(sensor, "bits")
         deviation = jnp.sqrt(signal_variance(analogue, prediction))  # rounding brings its own
@@ -108,7 +108,7 @@ class SensorNoise(eqx.Module):
         return {"photons": whole - read - rounding, "read noise": read, "rounding": rounding}
 
     def _mean(self, prediction: Array) -> Array:
-        """Signal before it is clipped, DN."""
+        """Signal before clipping, DN."""
         return expected_signal(_record(self.sensor), _light("SensorNoise", prediction))
 
     def _signal(self, prediction: Array) -> Censored:
@@ -121,9 +121,9 @@ class SensorNoise(eqx.Module):
 
 
 class _VarianceOfData(eqx.Module):
-    """Least squares with the variance at the light that would give each datum, as far as the signal
-    is proportional to light. A search from afar needs few steps: the variance at the prediction
-    grows with it, and makes any bright prediction likely."""
+    """Least squares with the variance at the light that corresponds to each datum, where the signal
+    is proportional to light. A distant search then needs few steps. The variance at the prediction
+    would grow with the prediction and make any bright prediction likely."""
 
     sensor: Sensor
     least_squares = True
@@ -154,7 +154,7 @@ _NOT_OF_A_PIXEL = ("brighter_fatter", "charge_transfer", "own", "mixing")  # eff
 
 
 class _Reading(NamedTuple):
-    """How the electrons of each pixel are read: DN per electron, DN, and electrons rms."""
+    """The read-out of each pixel: DN per electron, offset in DN, and noise in electrons rms."""
 
     gain: Array
     offset: Array
@@ -167,13 +167,13 @@ class SensorCounts(eqx.Module):
         P(c) = sum_n Poisson(n; mu) [Phi(z_n + 1 / (2 K sigma)) - Phi(z_n - 1 / (2 K sigma))],
         z_n  = (c - offset - K s(n)) / (K sigma)
 
-    It is exact at any read noise. Moments are not exact below a read noise of half a DN. Below an
-    electron, a histogram of codes has a peak for each electron, which its moments do not show. s(n)
-    is n, or the sensor's nonlinearity. Its light offset and its taps count. The sensor needs shot
-    noise, read noise and gain. Differences between pixels (fixed pattern) are no part of it, nor is
-    a full well; read noise is taken as Gaussian. Electrons within `reach` of those that contribute
-    most are summed, which lie between the mean and the code: the cost grows with the read noise in
-    electrons.
+    It is exact at any read noise. Moments are not exact below a read noise of half a DN. Below a
+    read noise of one electron, the histogram has a peak for each electron, which moments do not
+    show. s(n) is n, or the sensor's nonlinearity. The light offset and the taps of the sensor are
+    included. The sensor needs shot noise, read noise and gain. It does not include differences
+    between pixels (fixed pattern) or a full well. Read noise is Gaussian. The sum covers the
+    electrons within `reach` of the largest terms, which lie between the mean and the code. The cost
+    grows with the read noise in electrons.
 
     Attributes:
         sensor: record, or the path of one among the problem's records.
@@ -220,7 +220,7 @@ class SensorCounts(eqx.Module):
             _check_whole("codes", np.asarray(plain_numbers("SensorCounts: codes", self.codes)))
 
     def check_data(self, data: Numbers) -> None:
-        """Refuses data that are no codes, or no numbers of them."""
+        """Refuse data that are neither codes nor counts of codes."""
         known = np.asarray(data)
         if self.codes is None:
             _check_whole("the data", known)
@@ -231,8 +231,8 @@ class SensorCounts(eqx.Module):
             )
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """ln P of each code; of a table, each number times ln P of its code, without the logarithm
-        of the orders in which the codes may have come, which no parameter changes.
+        """ln P of each code. For a table it is each count times ln P of its code, without the
+        multinomial coefficient, which does not depend on parameters.
 
         Args:
             prediction: (..., bands) light, as in `mean_photoelectrons`; of tables (..., codes).
@@ -247,9 +247,9 @@ class SensorCounts(eqx.Module):
         return jnp.where(data > 0, data * self._log_shares(prediction), 0)
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
-        """Normal deviates of a place, picked by chance, in each code's share of probability; from
-        the logarithm of the smaller tail, so that they are finite however far a code lies. Of a
-        table, the deviates of each number, binomial given those of smaller codes."""
+        """Normal deviates of a random point in each code's interval of probability, from the
+        logarithm of the smaller tail, so that they are finite for any code. For a table, the
+        deviates of each count, which is binomial given the counts of smaller codes."""
         data, prediction = jnp.asarray(data), jnp.asarray(prediction)
         if self.codes is not None:
             return _binomial_deviates(self._log_shares(prediction), data, chance)
@@ -270,7 +270,7 @@ class SensorCounts(eqx.Module):
         return jnp.where(lower < upper, deviate, -deviate)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Codes, or tables, as they might have been; `InputError` for tables without `totals`."""
+        """Simulated codes or tables; `InputError` for tables without `totals`."""
         if self.codes is not None:
             if self.totals is None:
                 raise InputError(
@@ -309,13 +309,13 @@ class SensorCounts(eqx.Module):
         return chances - logsumexp(chances, axis=-1, keepdims=True)
 
     def _electrons(self, prediction: Array) -> Array:
-        """Mean of those that are counted."""
+        """Mean number of counted electrons."""
         light = _light("SensorCounts", prediction)
         read = ("gain", "offset", "nonlinearity", "taps")
         return expected_signal(_without(_record(self.sensor), *read), light)
 
     def _read(self, mean: Array) -> _Reading:
-        """How each pixel is read, of the shape of the mean electrons."""
+        """The read-out of each pixel, in the shape of the mean electrons."""
         sensor, shape, dtype = _record(self.sensor), mean.shape, mean.dtype
         zero, one = jnp.zeros_like(mean), jnp.ones_like(mean)
         plain = _without(sensor, "offset", *(() if sensor.taps is None else ("taps.offset",)))
@@ -328,7 +328,7 @@ class SensorCounts(eqx.Module):
         return electrons if curve is None else signal_of_charge(curve, electrons)
 
     def _range(self) -> tuple[float, float | Array]:
-        """The codes of black and white, DN; without an ADC there is no end."""
+        """The codes of black and white, DN; infinite without an ADC."""
         bits = _record(self.sensor).bits
         return (-np.inf, np.inf) if bits is None else (0.0, largest_number(bits))
 
@@ -339,8 +339,8 @@ class SensorCounts(eqx.Module):
         return data >= self._range()[1]
 
     def _counted(self, prediction: Array, data: Array) -> tuple[_Reading, Array, Array, Array]:
-        """How pixels are read, mean electrons (...), the counts about each code (..., n) and ln of
-        their probability."""
+        """The read-out of pixels, mean electrons (...), the electron counts about each code (...,
+        n) and ln of their probabilities."""
         mean = self._electrons(prediction)
         read = self._read(mean)
         centre = self._likeliest(*jax.lax.stop_gradient((read, mean, data)))
@@ -349,18 +349,19 @@ class SensorCounts(eqx.Module):
         return read, mean, counts, log_poisson(counts, jnp.maximum(mean, 1e-30)[..., None])
 
     def _of_code(self, read: _Reading, data: Array) -> Array:
-        """The count whose signal is nearest to a code."""
+        """The electron count whose signal is nearest to a code."""
         signal = (data - read.offset) / read.gain
         curve = _record(self.sensor).nonlinearity
         return jnp.round(signal if curve is None else charge_of_signal(curve, signal))
 
     def _likeliest(self, read: _Reading, mean: Array, data: Array) -> Array:
-        """The count that contributes most to each code, where the slope of
+        """The electron count that contributes most to each code, where the derivative of
 
             n ln(mu) - ln(n!) - (s(n) - s_c)^2 / (2 sigma^2)
 
-        in n changes its sign; for the code of black at least that code's own count, for white at
-        most. Its neighbours fall off at least as fast as the read noise does.
+        with respect to n changes sign. For the code of black it is at least that code's own count,
+        for white at most. The terms around it decrease at least as fast as the read noise
+        distribution.
         """
         code, variance = self._of_code(read, data), jnp.square(read.noise)
         log_mean = jnp.log(jnp.maximum(mean, 1e-30))
@@ -385,13 +386,13 @@ class SensorCounts(eqx.Module):
         return jnp.maximum(jnp.where(self._is_white(data), jnp.minimum(peak, code), peak), 0)
 
     def _ends_beyond(self, read: _Reading, data: Array, counts: Array) -> tuple[Array, Array]:
-        """Whether all counts below those summed are black, and all above white."""
+        """Whether all counts below the summed range are black, and all above it white."""
         code = self._of_code(*jax.lax.stop_gradient((read, data)))
         fewest, most = counts[..., 0], counts[..., -1]
         return self._is_black(data) & (fewest <= code), self._is_white(data) & (most >= code)
 
     def _ends(self, read: _Reading, data: Array, counts: Array) -> tuple[Array, Array]:
-        """The ends of each code's interval in standard deviations from the noiseless signal."""
+        """The ends of each code's interval, in standard deviations from the noiseless signal."""
         gain, offset, rms = (part[..., None] for part in read)
         noise = gain * rms
         centre = data[..., None] - offset - gain * self._signal(counts)
@@ -401,8 +402,8 @@ class SensorCounts(eqx.Module):
 
 
 def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Numbers:
-    """Normal deviates of the numbers of a table: of those left behind smaller codes, each code has
-    a binomial number; independent if the law holds."""
+    """Normal deviates of the counts in a table. Given the counts of smaller codes, each count is
+    binomial; the deviates are independent under the model."""
     xp, special = numerics(log_shares, counts, chance)
     shares, counts = xp.exp(xp.asarray(log_shares)), xp.asarray(counts)
 
@@ -424,7 +425,7 @@ def _binomial_deviates(log_shares: Array, counts: Array, chance: Numbers) -> Num
 
 
 def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
-    """ln of the probabilities of fewer and of more electrons than those (..., n) summed."""
+    """ln of the probabilities of fewer and of more electrons than those summed, (..., n)."""
     mean = jnp.maximum(mean, 1e-30)
     fewer, _ = log_poisson_tails(jnp.maximum(counts[..., 0], 1), mean)
     _, more = log_poisson_tails(counts[..., -1] + 1, mean)
@@ -432,7 +433,7 @@ def _beyond(counts: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _light(likelihood: str, prediction: Array) -> Array:
-    """The prediction, refused where it is known and cannot be light."""
+    """The prediction; refused if it is known and cannot be light."""
     if is_concrete(prediction):
         wrong = np.asarray(prediction)
         wrong = wrong[~((wrong >= 0) & (wrong < np.inf))]
@@ -445,7 +446,7 @@ def _light(likelihood: str, prediction: Array) -> Array:
 
 
 def _check_whole(what: str, known: np.ndarray) -> None:
-    """Refuses what are no codes."""
+    """Refuse values that are not codes."""
     wrong = known[np.isfinite(known) & (known != np.round(known))]
     if wrong.size:
         raise InputError(
@@ -455,8 +456,8 @@ def _check_whole(what: str, known: np.ndarray) -> None:
 
 
 def _check_counts(sensor: Sensor, reach: int) -> None:
-    """Refuses a sensor that does not count, one whose pixels share charge, and a sum that ends too
-    near to each code."""
+    """Refuse a sensor without shot noise, a sensor whose pixels share charge, and a `reach` that is
+    too small."""
     for name in ("shot_noise", "read_noise", "gain"):
         if getattr(sensor, name) is None:
             raise InputError(f"SensorCounts needs a sensor with {name}: or use SensorNoise.")
@@ -486,7 +487,7 @@ def _check_counts(sensor: Sensor, reach: int) -> None:
 
 
 def _least_slope(sensor: Sensor) -> float:
-    """Of the curve from charge to signal, over the codes of its converter."""
+    """The smallest slope of the curve from charge to signal over the codes of the converter."""
     curve, bits = sensor.nonlinearity, sensor.bits
     if curve is None or bits is None:
         return 1.0
@@ -497,19 +498,19 @@ def _least_slope(sensor: Sensor) -> float:
 
 
 def _without(sensor: Sensor, *fields: str) -> Sensor:
-    """The sensor without some of its numbers, which may be those of each table."""
+    """The sensor without some of its fields, which may differ between tables."""
     parts = attrgetter(*fields)
     none = None if len(fields) == 1 else (None,) * len(fields)
     return eqx.tree_at(parts, sensor, none, is_leaf=lambda part: part is None)
 
 
 def _record(sensor: Sensor | str) -> Sensor:
-    """The sensor: a problem has put the record in place of its path."""
+    """The sensor: a problem has replaced its path by the record."""
     return cast(Sensor, sensor)
 
 
 def _log_interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln(Phi(high) - Phi(low)), from the tail in which the interval lies: no digit cancels."""
+    """ln(Phi(high) - Phi(low)), computed in the tail of the interval without cancellation."""
     above = low > 0
     low, high = jnp.where(above, -high, low), jnp.where(above, -low, high)
     return log_ndtr(high) + log1mexp(log_ndtr(low) - log_ndtr(high))

@@ -1,1 +1,1 @@
-"""`fit` and `fit_map`: a stated problem solved, and what its `Fit` tells: bands, plans, budgets."""
+"""`fit` and `fit_map`, which solve a problem, and the results of a `Fit`: bands, plans, budgets."""

@@ -1,4 +1,4 @@
-"""What follows from the draws of a fit: functions of them and data to be expected, with bands."""
+"""Functions of the draws of a fit, and predicted data, with bands."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class Bands:
     draws: Float[np.ndarray, "draws ..."]
 
     def __str__(self) -> str:
-        """A number with its interval; of many numbers the shape, and how they spread."""
+        """A number with its interval; for many numbers, their shape and range."""
         if self.mean.ndim == 0:
             ends = ", ".join(f"{float(end):.6g}" for end in self.interval_95)
             return f"{format_with_error(float(self.mean), float(self.sd))}, 95 % in [{ends}]"
@@ -96,7 +96,7 @@ def pushed(problem: Problem, function: Callable[..., Any], natural: Array) -> Ar
 
 @eqx.filter_jit
 def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise: Array) -> Array:
-    """Data as they might be, one set a draw.
+    """Simulated data, one set for each draw.
 
     Returns (draws, ...) in the unit of the data."""
 
@@ -112,9 +112,9 @@ def simulated(problem: Problem, keys: Array, natural: Array, inputs: Any, noise:
 
 
 def bands(draws: np.ndarray) -> Bands:
-    """Mean and intervals of draws.
+    """Mean and intervals over draws.
 
-    Returns in their unit."""
+    Returns values in the unit of the draws."""
     low68, high68, low95, high95 = np.quantile(draws, LEVELS, axis=0)
     return Bands(
         np.asarray(draws.mean(0)),

@@ -1,14 +1,15 @@
-"""Where an interval comes from: the variance of a quantity, divided by its sources.
+"""The variance of a quantity, divided by its sources.
 
-The best fit is, to first order, linear in the data and in the means of the priors. With the
-posterior covariance C, datum i of Fisher information F_i and variance v_i = sum_k v_ik, and a prior
-information P_m of each nuisance, a quantity of gradient g has the variance
+The best fit is, to first order, linear in the data and in the means of the priors. Let C be the
+posterior covariance. Datum i has Fisher information F_i and variance v_i = sum_k v_ik, and a
+nuisance parameter has prior information P_m. A quantity of gradient g has the variance
 
     g^T C g = sum_k g^T C (sum_i v_ik / v_i F_i) C g + sum_m g^T C P_m C g,
 
-each term what would be gone if its source had not been there when the data were taken, the weights
-of the fit unchanged (law of propagation: JCGM 100:2008, "Guide to the expression of uncertainty in
-measurement", 5.1). The share of the model is the increase of the covariance due to a misfit.
+Each term is the variance that would vanish if its source had been absent when the data were taken,
+with the weights of the fit unchanged (law of propagation: JCGM 100:2008, "Guide to the expression
+of uncertainty in measurement", 5.1). The share of the model is the increase of the covariance due
+to a misfit.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -57,7 +58,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Budget:
-    """The sources of a quantity's uncertainty, the largest first. Print it.
+    """The sources of a quantity's uncertainty, largest first. Print it.
 
     Attributes:
         target: in words.
@@ -126,7 +127,7 @@ def budget(
     noise: Noise | None = None,
     nuisances: Mapping[str, Sequence[str]] | None = None,
 ) -> Budget:
-    """Divides the variance of a quantity by its sources.
+    """Divide the variance of a quantity by its sources.
 
     `noise`: variance of a datum by source, in the square of the data's unit: a number, an array of
     the data's shape, or a function of the prediction. The remaining variance of the likelihood is
@@ -162,7 +163,7 @@ def budget(
 def _shares_of_data(
     problem: Problem, vector: np.ndarray, noise: Noise | None
 ) -> dict[str, Float[np.ndarray, " data"]]:
-    """Of each datum's variance, by source."""
+    """Shares of each datum's variance, by source."""
     shape, present = problem.data.shape, _present(problem)
     predicted, likelihood = predicted_at(jnp.asarray(vector, problem.data.dtype), problem)
     sources = getattr(likelihood, "noise_sources", None)
@@ -211,8 +212,8 @@ def _variance(likelihood: Any) -> np.ndarray:
 def _of_priors(
     problem: Problem, prior: np.ndarray, along: np.ndarray, nuisances: Mapping[str, Sequence[str]]
 ) -> dict[str, float]:
-    """g^T C P_m C g of each source; priors are independent, their information diagonal, but for the
-    numbers of a joint prior, which are one source."""
+    """g^T C P_m C g of each source. Priors are independent and their information is diagonal,
+    except for a joint prior, which is one source."""
     each = np.diagonal(prior) * along**2
     joint = problem.prior
     together = np.array([], int) if joint is None else places_of(joint, problem.space)

@@ -1,4 +1,4 @@
-"""A problem without the negligible effects of its scene and camera.
+"""A problem without negligible effects of its scene and camera.
 
 `jaxvision.effects` bounds the change that each effect makes in a pixel's distribution, over the
 whole box of the fitted parameters. Effects below a tolerance are dropped from the records, and so
@@ -37,11 +37,11 @@ def called_for(
     samples: PixelSamples | None = None,
     depth: int | None = None,
 ) -> Problem:
-    """Drop the effects from a problem's scene and camera that no fit of it can detect.
+    """Drop the effects of a problem's scene and camera that no fit of it can detect.
 
-    An error that all n data share is not averaged over them, so each may move by the tolerance over
-    sqrt(n): no estimate then moves by more than the tolerance in its standard deviations, as far as
-    the problem is linear over so little.
+    An error that all n data share is not averaged over them, so each datum may change by the
+    tolerance over sqrt(n). To first order, no estimate then changes by more than the tolerance in
+    its standard deviations.
 
     Args:
         problem: one `Scene` and one `Camera` among its records, which `predict` shows as they are;
@@ -94,8 +94,8 @@ def called_for(
 
 
 def _refuse_another_law(whole: Problem, left: Problem, limit: float) -> None:
-    """`InputError` where the log ratio of the two likelihoods, on simulated data, is beyond the
-    limit; where only small effects were left out it is about the tolerance."""
+    """`InputError` if the log ratio of the two likelihoods on simulated data exceeds the limit. If
+    only small effects were dropped, the ratio is about the tolerance."""
     if not abs(float(_log_ratio(whole, left))) <= limit:
         raise InputError(
             "called_for: without what was left out, simulated data would be quite another; predict "
@@ -105,7 +105,8 @@ def _refuse_another_law(whole: Problem, left: Problem, limit: float) -> None:
 
 @eqx.filter_jit
 def _log_ratio(whole: Problem, left: Problem) -> Array:
-    """ln of the ratio of the likelihoods of data that one draws, amid the priors."""
+    """ln of the likelihood ratio for data drawn from the first likelihood, at the middle of the
+    priors."""
     values = values_at(whole, jnp.zeros(len(whole.space)))
     seen = [prediction(problem, values) for problem in (whole, left)]
     known = [likelihood_at(problem, values) for problem in (whole, left)]
@@ -149,7 +150,7 @@ def _boxes(
 
 
 def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
-    """The array that a path leads to or into, and the place in it."""
+    """The array to which or into which a path leads, and the index in it."""
     parent, _, last = path.rpartition("[")
     if parent and last[:-1].isdigit() and isinstance(reach(records, parent), Array):
         return parent, int(last[:-1])
@@ -157,7 +158,7 @@ def _field(records: dict[str, Any], path: str) -> tuple[str, Any]:
 
 
 def _ends(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest value that bounds and priors leave."""
+    """The smallest and largest value that bounds and priors allow."""
     shape = parameter.shape or ()
     each = np.array([_ends_of(number) for number in scalars(parameter, shape)])
     if not np.isfinite(each).all():
@@ -179,7 +180,8 @@ def _ends_of(number: Parameter) -> tuple[float, float]:
 
 
 def _lights_before(scene: Scene, box: Box) -> Box:
-    """Boxes of one value, which keep lights before the last that is named where they are."""
+    """Boxes with a single value, for lights before the last one that a path names, so that the
+    indices stay valid."""
     numbers = [int(name[7:].partition("]")[0]) for name in box if name.startswith("lights[")]
     found = {}
     for k in range(max(numbers, default=0)):

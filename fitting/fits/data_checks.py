@@ -1,8 +1,7 @@
-"""What the data themselves say against their likelihood: they are clipped, they are rounded, or
-their standard deviations follow their noise.
+"""Checks of data against their likelihood: clipping, rounding, and standard deviations that follow
+the noise.
 
-A fit that fails tells that the model misses something, and these are causes that are not the
-model's.
+They offer causes of a failed fit other than the model.
 """
 
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ FELT, WRONG = 0.5, 2.0  # errors of a total, by which a fit misses it: said, and
 
 @dataclass(frozen=True)
 class DataCheck:
-    """Sentences about data, each with whether it tells why a fit is not good."""
+    """Findings about data, each with whether it explains a misfit."""
 
     failures: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
@@ -40,7 +39,7 @@ class DataCheck:
 def data_check(
     problem: Problem, vector: np.ndarray, checks: Misfit, *, explained: bool, seed: int
 ) -> DataCheck:
-    """Look at the data beside the best fit."""
+    """Check the data at the best fit."""
     data = on_host(problem.data, dtype=np.float64)
     there = np.ones(data.shape, bool) if problem.present is None else on_host(problem.present)
     known = data[there]
@@ -62,7 +61,7 @@ def data_check(
 
 
 class _Seen:
-    """The best fit of the data that are there, computed when it is asked for."""
+    """The best fit for the data that are present, computed on request."""
 
     def __init__(self, problem: Problem, vector: np.ndarray, there: np.ndarray) -> None:
         self.likelihood: Any = problem.likelihood
@@ -73,12 +72,12 @@ class _Seen:
         self._drawn: np.ndarray | None = None
 
     def predicted(self) -> np.ndarray:
-        """(data there) predictions."""
+        """(data present) predictions."""
         problem, vector = self._at
         return on_host(predicted_at(vector, problem)[0], dtype=np.float64)[self._there]
 
     def drawn(self, seed: int) -> np.ndarray:
-        """(data there) as they might have been."""
+        """(data present) simulated data."""
         if self._drawn is None:
             problem, vector = self._at
             predicted, likelihood = predicted_at(vector, problem)
@@ -87,7 +86,7 @@ class _Seen:
         return self._drawn
 
     def widths(self) -> np.ndarray | None:
-        """(data there) standard deviations, where each datum was given its own."""
+        """(data present) standard deviations, if each datum has its own."""
         width = getattr(self.likelihood, "sd", getattr(self.likelihood, "scale", None))
         if width is None or isinstance(width, str) or np.shape(width) != self._there.shape:
             return None
@@ -95,8 +94,8 @@ class _Seen:
 
 
 def _errors_of_data(seen: _Seen, data: np.ndarray) -> DataCheck | None:
-    """Standard deviations that rise with the data without exception, but not with the prediction,
-    and what this does to the sum of all predictions."""
+    """Whether standard deviations increase with every datum, but not with the prediction, and the
+    resulting bias of the sum of all predictions."""
     widths = seen.widths()
     if widths is None or len(np.unique(widths)) < 3:
         return None
@@ -127,7 +126,7 @@ def _errors_of_data(seen: _Seen, data: np.ndarray) -> DataCheck | None:
 def _clipped(
     seen: _Seen, values: np.ndarray, counts: np.ndarray, checks: Misfit, seed: int
 ) -> list[str]:
-    """Ends at which data pile up, and beyond which the fit predicts many."""
+    """Values at which data accumulate and beyond which the fit predicts many data."""
     found, total = [], int(counts.sum())
     for name, side in (("largest", 1), ("smallest", -1)):
         own, many = values[::-side], counts[::-side]
@@ -151,7 +150,7 @@ def _clipped(
 
 
 def _rounded(seen: _Seen, data: np.ndarray, seed: int) -> list[str]:
-    """A step of the data that is coarser than their noise, and not the likelihood's own."""
+    """A step of the data that is coarser than their noise and not part of the likelihood."""
     step = converter_of([data]).step
     if not step:
         return []

@@ -1,9 +1,9 @@
-"""The expected information of data about the parameters: Fisher's information, datum by datum.
+"""The expected information of data about the parameters: the Fisher information, datum by datum.
 
     F = sum_i E[s_i s_i^T],    s_i = d ln p_i / d vector,
 
-exact where a likelihood is one of least squares, F = J^T J; else the mean over data drawn from the
-likelihood itself.
+It is exact for least-squares likelihoods, F = J^T J. Otherwise it is the mean over data drawn from
+the likelihood.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,7 +49,7 @@ def expected_information(
     *,
     seed: int = 0,
 ) -> Float[np.ndarray, "parts parameters parameters"]:
-    """Fisher's information of data that are yet to come, each datum weighted."""
+    """The Fisher information of future data, with a weight for each datum."""
     size = max(int(np.prod(problem.data.shape)), 1)
     draws = int(np.clip(np.ceil(SCORES / size), 8, MOST_DRAWS))
     exact = problem.likelihood.least_squares
@@ -78,7 +78,7 @@ def _information(vector: Vector, problem: Problem, weights: Array, keys: Array) 
 
 
 def with_inputs(problem: Problem, inputs: Any) -> Problem:
-    """The same problem for data at other inputs, none of them missing."""
+    """The same problem for data at other inputs, without missing data."""
     if isinstance(problem.likelihood, Clustered):
         raise InputError(
             "Clustered: what a new group shares with none is not known; plan with the likelihood "
@@ -106,7 +106,8 @@ def slope_of(
 ) -> tuple[float, Float[np.ndarray, " parameters"]]:
     """A quantity and its gradient.
 
-    Returns its value, in its unit, and (P,) its slopes by the unconstrained values."""
+    Returns its value in its unit, and (P,) its derivatives with respect to the unconstrained
+    values."""
     at = jnp.asarray(vector, problem.data.dtype)
     if isinstance(target, str):
         place = _place(problem, target)
@@ -157,7 +158,7 @@ def plan(
     widened: float,
     repeats: int = 1,
 ) -> Plan:
-    """Ranks candidate measurements."""
+    """Rank candidate measurements."""
     if not candidates:
         raise InputError("plan: give at least one candidate.")
     require_whole("repeats", repeats)

@@ -105,8 +105,8 @@ class FitMap:
         return xarray.Dataset(variables, {"end": ["low", "high"]}, words)
 
     def write(self, folder: Path | str) -> list[Path]:
-        """Writes `maps.nc` (NetCDF), and of a map of two dimensions `maps.png` and an EXR file of
-        each number with its standard error beside it.
+        """Write `maps.nc` (NetCDF). A map of two dimensions also gives `maps.png`, and an EXR file
+        of each number with its standard error.
 
         Args:
             folder: made if needed.
@@ -142,7 +142,7 @@ class FitMap:
         return self.units[name.partition("[")[0] if name not in self.units else name]
 
     def _figure(self) -> "Figure":
-        """Estimates beside their standard errors, and the states."""
+        """Estimates, their standard errors, and the states."""
         from matplotlib import colormaps
         from matplotlib.figure import Figure
 
@@ -194,7 +194,7 @@ class FitMap:
         return rows
 
     def _repr_html_(self) -> str:
-        """The maps that a notebook shows, where they have two dimensions, beside their table."""
+        """The table of the map for a notebook, with the maps if they have two dimensions."""
         heads = ("parameter", "median", "90 % of pixels in", "median s.e.", "unit")
         table = record_html(heads, self._rows(), title=self._heading(), notes=self.findings)
         if self.state.ndim != 2:
@@ -203,7 +203,7 @@ class FitMap:
 
 
 def found_in_words(state: UInt8[np.ndarray, "..."], *, by_label: bool) -> tuple[str, ...]:
-    """How many pixels failed, and why."""
+    """The number of failed pixels, with the reasons."""
     counts = np.bincount(state.ravel(), minlength=len(STATES))
     tested = int(counts[: STATES.index("stopped")].sum())
     found = []

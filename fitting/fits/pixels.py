@@ -136,7 +136,7 @@ def fit_map(
     state = np.zeros(pixels, np.uint8)
 
     def run(places: np.ndarray, steps: int) -> np.ndarray:
-        """Fits some pixels; which of them need more steps."""
+        """Fit some pixels; return which of them need more steps."""
         filled = np.resize(places, chunk)
         ends = fit_side_by_side(
             begin,
@@ -177,7 +177,7 @@ def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:
 
 
 def _by_pixel(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list[Any]:
-    """Leaves of the inputs with the pixels in front, None where one holds for all."""
+    """Leaves of the inputs with the pixel axis first; None for an input that all pixels share."""
     own, form = jax.tree.flatten(problem.inputs)
     if inputs is None:
         return [None] * len(own)
@@ -290,7 +290,7 @@ def _by_label(
     chunk: int,
     seed: int,
 ) -> FitMap:
-    """One fit a label, its pixels the rows of a problem that is read in chunks."""
+    """One fit for each label. Its pixels are the rows of a problem that is read in chunks."""
     labels = np.asarray(labels)
     if labels.shape != shape or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(

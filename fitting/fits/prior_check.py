@@ -1,10 +1,10 @@
-"""Whether priors and data agree, each prior against what everything else says of its parameter.
+"""Agreement of priors and data: each prior is compared with the information from everything else.
 
-A prior of any kind is N(0, 1) on the scale g = Phi^-1(F(x)), F its distribution function; a prior
-that only falls from its lower end is half of one, g = Phi^-1((1 + F(x)) / 2). With H the curvature
-of the log posterior at its mode, h the part of prior i in H_ii and V = (H^-1)_ii, what remains
-without that prior has the variance c = V / (1 - h V) and lies c dL/du_i from the mode, where the
-slope of the remainder is minus that of the prior. On the scale g the two differ by
+Any prior is N(0, 1) on the scale g = Phi^-1(F(x)) with F its distribution function. A prior that
+decreases from its lower end is half of one, g = Phi^-1((1 + F(x)) / 2). Let H be the curvature of
+the log posterior at its mode, h the part of prior i in H_ii, and V = (H^-1)_ii. Without that prior
+the variance is c = V / (1 - h V), and the mode moves by c dL/du_i, because there the slope of the
+remainder is minus that of the prior. On the scale g the two differ by z standard deviations:
 
     z = g / sqrt(1 + c (dg/du)^2).
 
@@ -53,7 +53,7 @@ class Conflict:
 def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Conflict, ...]:
     """Return the priors that differ significantly from the data, the largest difference first.
 
-    Of all priors together one false alarm is allowed in 1 / `CHANCE` fits."""
+    The false-alarm rate for all priors together is one in 1 / `CHANCE` fits."""
     space, joint = problem.space, problem.prior
     together = () if joint is None else places_of(joint, space)
     tested = [
@@ -97,8 +97,8 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Confl
 def _joint_conflict(
     problem: Problem, joint: JointPrior, vector: Array, wide: Widening, chance: float
 ) -> tuple[float, Conflict] | None:
-    """Compares a joint prior with the rest, in the directions in which the data say something. The
-    difference between its mean and the posterior's has the covariance of the prior less that of
+    """Compare a joint prior with the rest, in the directions that the data determine. The
+    difference between its mean and the posterior's has the covariance of the prior minus that of
     the posterior (Hausman, Econometrica 46, 1978)."""
     on_scale = partial(scores, joint, problem.space)
     z = np.asarray(on_scale(vector), np.float64)
@@ -122,7 +122,7 @@ def _joint_conflict(
 
 
 def blamed(found: tuple[Conflict, ...], checks: Misfit) -> tuple[str, ...]:
-    """Sentences in place of a misfit's where the model describes the data without these priors."""
+    """Findings that replace a misfit's if the model describes the data without these priors."""
     left = checks.chi_square - sum(one.saved for one in found)
     dof = max(checks.dof - len(found), 1)
     if not (found and checks.faults and chdtrc(dof, max(left, 0)) > CHANCE):
@@ -137,7 +137,7 @@ def blamed(found: tuple[Conflict, ...], checks: Misfit) -> tuple[str, ...]:
 
 
 def _on_scale(prior: Prior, x: float) -> tuple[float, float]:
-    """The place of a value on the scale on which its prior is N(0, 1), and dg/dx there."""
+    """A value on the scale on which its prior is N(0, 1), and dg/dx there."""
     match prior:
         case Normal():
             return (x - prior.mean) / prior.sd, 1 / prior.sd
@@ -164,13 +164,14 @@ def _quantile(prior: Prior, g: float) -> float:
 
 
 def _falls(prior: Prior) -> bool:
-    """Whether a density falls from its lower end."""
+    """Whether a density decreases from its lower end."""
     first, middle = (prior.log_density(jnp.asarray(prior.quantile(np.array(p)))) for p in (0, 0.5))
     return bool(np.isfinite(first) and first > middle)
 
 
 def _alone(p: Parameter, x: float, slope: float, step: float, error: float) -> str:
-    """The estimate of a parameter without its prior, on the logarithmic scale for a logarithm."""
+    """The estimate of a parameter without its prior, on the logarithmic scale for a logarithmic
+    parameter."""
     if p.transform == "log":
         best = float(x * np.exp(slope * step / x))
         return format_with_error(best, float(best * slope / x * error))

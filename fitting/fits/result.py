@@ -1,4 +1,4 @@
-"""`Fit`: what a fit gives its user, and its report."""
+"""`Fit`: the results of a fit, and its report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -76,8 +76,8 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether the search ended at a maximum that describes the data within their noise, or
-        whose misfit is allowed for, and whether the draws of a sampler can be trusted."""
+        """Whether the search ended at a maximum that describes the data within their noise (or with
+        an allowed misfit), and whether the draws of a sampler are reliable."""
         return not self.failures
 
     @property
@@ -87,7 +87,7 @@ class Fit:
 
     @property
     def values(self) -> dict[str, np.ndarray]:
-        """The best fit by name, in natural units, fixed and tied numbers among them."""
+        """The best fit by name, in natural units, including fixed and tied numbers."""
         found = values_from(self.problem, jnp.asarray(self.posterior.mode))
         return {name: np.asarray(value) for name, value in found.items()}
 
@@ -104,7 +104,7 @@ class Fit:
         return found
 
     def record(self, name: str) -> Any:
-        """A record with the best fit in place, such as a camera.
+        """A record with the best-fit values, such as a camera.
 
         Args:
             name: of the record, as the problem has it.
@@ -118,10 +118,10 @@ class Fit:
         return self._record_of(name, jnp.asarray(self.posterior.mode))
 
     def records(self, name: str, *, draws: int = 200) -> Any:
-        """Draws of a record: it, with a leading axis at every number.
+        """Draws of a record: the record with a leading axis at every number.
 
-        `jax.vmap` over it carries the uncertainty through any function of the record, and
-        `jaxvision.write_camera(fit.record("camera"), file, draws=fit.records("camera"))` keeps it.
+        `jax.vmap` over it propagates the uncertainty through any function of the record.
+        `jaxvision.write_camera(fit.record("camera"), file, draws=fit.records("camera"))` stores it.
 
         Args:
             name: of the record, as the problem has it.
@@ -145,10 +145,10 @@ class Fit:
     def as_prior(self, names: Selection = "*") -> JointPrior:
         """The posterior of some parameters as the prior of another problem, with its correlations.
 
-        The density is Gaussian on the unconstrained scale, or Student's t where the widths are
-        estimated from few groups. An interval that a misfit has widened stays as wide. What the
-        earlier data say of other parameters is marginalised over. Data that are used again count
-        twice: the new problem has new ones.
+        The density is Gaussian on the unconstrained scale, or Student's t if the widths are
+        estimated from few groups. Intervals that were widened for a misfit stay as wide. The other
+        parameters of the earlier fit are marginalised. The new problem needs new data, because data
+        that are used again count twice.
 
         Args:
             names: a name, a pattern such as "camera.*", several of them, or new names by old ones
@@ -181,7 +181,7 @@ class Fit:
         return posterior_prior(self.posterior, shapes, names, words=self._widened())
 
     def _widened(self) -> tuple[str, ...]:
-        """That a prior made of this is wider than its data alone would have it."""
+        """A remark that a prior from this fit is wider than its data alone imply."""
         before = () if self.problem.prior is None else self.problem.prior.words
         if self.noise > 1:
             return (
@@ -198,7 +198,7 @@ class Fit:
         return before
 
     def derived(self, function: Callable[..., Any], *, draws: int = 1000) -> Bands:
-        """Something that follows from the parameters, with intervals: the draws pushed through it.
+        """A function of the parameters, with intervals from the draws.
 
         Args:
             function: any JAX function to one array; its arguments are named as those of `predict`,
@@ -227,7 +227,7 @@ class Fit:
         return bands(on_host(pushed(self.problem, function, jnp.asarray(thinned))))
 
     def predictive(self, inputs: Any = None, *, draws: int = 1000) -> Bands:
-        """Data as they are to be expected, the uncertainty of the parameters and noise included.
+        """Predicted data, with the uncertainty of the parameters and the noise.
 
         Args:
             inputs: in place of the problem's own, arrays; None for the data that were fitted.
@@ -248,7 +248,8 @@ class Fit:
         )
 
     def plan(self, candidates: Mapping[str, Any], target: Target, *, repeats: int = 1) -> Plan:
-        """What to measure next: candidates ranked by how far they would narrow a quantity.
+        """Candidate measurements, ranked by how much each would reduce the uncertainty of a
+        quantity.
 
         Args:
             candidates: inputs of each by name, as `predict` takes them.
@@ -285,7 +286,7 @@ class Fit:
         noise: Noise | None = None,
         nuisances: Mapping[str, Sequence[str]] | None = None,
     ) -> Budget:
-        """Where the uncertainty of a quantity comes from.
+        """The sources of the uncertainty of a quantity.
 
         Args:
             target: a free number by its name or the last part of its path, or a JAX function to
@@ -311,8 +312,8 @@ class Fit:
         )
 
     def to_arviz(self) -> Any:
-        """The draws for ArviZ, its DataTree (InferenceData before ArviZ 1.0): array parameters keep
-        their dimensions.
+        """The draws for ArviZ as its DataTree (InferenceData before ArviZ 1.0). Array parameters
+        keep their dimensions.
 
         Returns:
             Groups `posterior`, `observed_data` and, for a sampled posterior, `sample_stats`.
@@ -414,7 +415,7 @@ HEADS = ("parameter", "value ± s.e.", "unit", "68 %", "95 %", "s.d. before")
 
 
 def section(fit: Fit, title: str) -> Section:
-    """A fit as its reader sees it."""
+    """The section of a fit in a report."""
     before, share = prior_share(fit.problem.space, fit.posterior)
     rows = tuple(
         (parameter.name, None if np.isinf(width) else float(width), float(part))
@@ -454,7 +455,7 @@ def section(fit: Fit, title: str) -> Section:
 
 
 def left_out_table(certificate: Certificate) -> Table:
-    """What `called_for` left out, with its bounds.
+    """The effects that `called_for` dropped, with their bounds.
 
     Returns a row for each effect, bounds in the certificate's unit."""
     rows = tuple((e.name, e.bound, e.place, e.rank, e.why) for e in certificate.dropped)

@@ -1,4 +1,4 @@
-"""`fit`: a problem to its posterior, with a verdict."""
+"""`fit`: from a problem to its posterior, with a verdict."""
 
 import warnings
 from collections.abc import Mapping
@@ -214,7 +214,7 @@ class _How:
 
 @dataclass(frozen=True)
 class _End:
-    """A best fit and what its residuals say."""
+    """A best fit and the verdict of its residuals."""
 
     optimum: Optimum
     residuals: np.ndarray
@@ -225,7 +225,7 @@ class _End:
 def _optimum(
     problem: Problem, how: _How, advance: Advance, *, near: dict[str, Any] | None = None
 ) -> Optimum:
-    """The best of the searches; `near` begins the only one, as `start` does for a user."""
+    """The best of the searches; `near` is the only start if given, as with a user's `start`."""
     begin = how.start if near is None else near
     if begin:
         found = search(problem, _given(problem, begin)[None], solver=how.solver)
@@ -240,8 +240,8 @@ def _optimum(
 def _chosen(
     problem: Problem, how: _How, advance: Advance
 ) -> tuple[Problem, Optimum, tuple[Choice, ...]]:
-    """The problem without the candidates that do not pay for themselves, its optimum, and why: the
-    weakest goes first, and the others are judged anew without it."""
+    """The problem without the candidates that fail the criterion, its optimum, and the reasons. The
+    weakest is dropped first, and the others are tested again without it."""
     optimum, gone = _optimum(problem, how, advance), []
     while True:
         choices = _choices(problem, optimum, how, advance)
@@ -266,7 +266,7 @@ def _chosen(
 
 
 def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> tuple[Choice, ...]:
-    """Of each candidate its ratio and price, as if all of them stayed."""
+    """The ratio and the threshold of each candidate, with all of them kept."""
     information, end = np.asarray(optimum.curvature), None
     freedom, count = np.full(len(information), np.inf), float(problem.data.size)
     if problem.stream is not None:
@@ -298,8 +298,8 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
 
 
 def _judged(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
-    """The residuals of a best fit and the covariance that allows for them; an optimum with an open
-    direction is refused."""
+    """The residuals of a best fit and the covariance that includes their misfit. An optimum with an
+    unidentifiable direction is refused."""
     optimum = _determined(problem, optimum, advance)
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     residuals = residuals_at(problem, vector, seed=how.seed)
@@ -324,7 +324,7 @@ def _in_order(problem: Problem, residuals: np.ndarray) -> np.ndarray:
 
 
 def _fits_width(problem: Problem) -> bool:
-    """Whether the width of the noise is among the parameters."""
+    """Whether the width of the noise is a parameter."""
     return named_width(problem.likelihood) in {parameter.name for parameter in problem.free}
 
 
@@ -344,7 +344,7 @@ def _searched(problem: Problem, starts: int, seed: int, solver: Any) -> Optimum:
 
 
 def _numbers(method: Method) -> dict[str, Any]:
-    """The options of a sampler that a report repeats."""
+    """The sampler options that a report lists."""
     return {
         field.name: getattr(method, field.name)
         for field in fields(method)
@@ -362,7 +362,8 @@ def _searched_before(after: Fit, method: Method) -> Optimum:
 
 
 def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum:
-    """The optimum, refused where some direction is open; a saddle comes with its own curvature."""
+    """The optimum, refused if a direction is unidentifiable; a saddle comes with its own
+    curvature."""
     precise = problem.data.dtype == jnp.float64
     rounding = UNDETERMINED if precise else SINGLE_ROUNDING
     judged = identifiability(problem.space, optimum.curvature, rounding=rounding)
@@ -381,8 +382,8 @@ def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum
 
 
 def method_of(posterior: Method | str | None, *, sampling: Emcee | Nuts | None = None) -> Method:
-    """The method of a posterior, by an object or by its deprecated name, for the function that a
-    user calls; what cannot be run is refused before the search."""
+    """The method of a posterior, from an object or its deprecated name. A method that cannot run is
+    refused before the search."""
     method: Any = Laplace() if posterior is None else posterior
     if isinstance(posterior, str):
         if posterior not in METHODS:
@@ -429,7 +430,7 @@ def _given(problem: Problem, start: dict[str, Any]) -> np.ndarray:
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    """By the eigenvalues of the scaled matrix, positive to the last digit."""
+    """The inverse from the eigenvalues of the scaled matrix, which are kept positive."""
     scale = np.sqrt(np.diagonal(information))
     values, axes = np.linalg.eigh(information / np.outer(scale, scale))
     half = axes / np.sqrt(values) / scale[:, None]
@@ -437,13 +438,14 @@ def _inverse(information: np.ndarray) -> np.ndarray:
 
 
 def _stretched_log_density(vector: Vector, args: tuple[Problem, Array, Array]) -> Array:
-    """The posterior, prior and all, stretched about its mode to a wider covariance."""
+    """The log posterior, including the prior, stretched about its mode to a wider covariance."""
     problem, mode, stretch = args
     return log_density(mode + stretch @ (vector - mode), problem)
 
 
 def _tempered_log_density(vector: Vector, args: tuple[Problem, Array]) -> Array:
-    """The posterior of data whose every error is larger by a factor; the prior as it is."""
+    """The log posterior with every error of the data larger by a factor, and the prior
+    unchanged."""
     problem, factor = args
     return log_likelihood(vector, problem) / factor**2 + log_prior_at(problem, vector)
 

@@ -1,4 +1,5 @@
-"""Intervals widened for a misfit of the model: errors that groups of data share, or more noise."""
+"""Intervals widened for a misfit of the model: errors that groups of data share, or larger
+noise."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -50,7 +51,7 @@ class Widening:
 
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
-        """Of the Gaussian whose 95 % intervals are those of Student's t."""
+        """The covariance of the Gaussian whose 95 % intervals are those of Student's t."""
         return (
             self.covariance
             if self.freedom is None
@@ -141,7 +142,7 @@ def _of_groups(
 
 
 def _in_words(robust: Robustness, optimum: Optimum, groups: int) -> str:
-    """The misfit in the groups' residuals, and the factor by which the intervals are widened."""
+    """The finding on the misfit in the groups' residuals, and the factor on the intervals."""
     if np.isnan(robust.by_light):
         return (
             "Too few groups to see errors that they share: intervals are those of independent data."
@@ -167,7 +168,7 @@ def without_shared(
     labels: np.ndarray,
     shapes: tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]],
 ) -> Float[np.ndarray, "..."]:
-    """Residuals less the best multiple of two shapes in each group, by least squares.
+    """Residuals after subtracting the best multiples of two shapes in each group, by least squares.
 
     `residuals`: NaN where a datum is missing."""
     there = np.isfinite(residuals).ravel()
@@ -180,7 +181,7 @@ def without_shared(
 
 
 def _multiple(values: np.ndarray, shape: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """(groups,) of a shape that is nearest to the values."""
+    """(groups,) the multiple of a shape that is nearest to the values."""
     size = np.bincount(labels, shape**2)
     return np.bincount(labels, values * shape) / np.where(size > 0, size, 1)
 
@@ -211,7 +212,7 @@ def residuals_at(
 ) -> Float[np.ndarray, "..."]:
     """Standardised residuals.
 
-    `shift`: of the prediction, in its unit. Returns of the data's shape, NaN where a datum is
+    `shift`: added to the prediction, in its unit. Returns of the data's shape, NaN where a datum is
     missing.
     """
     chance = np.random.default_rng(seed).uniform(size=problem.data.shape)
@@ -221,7 +222,7 @@ def residuals_at(
 def residual_sums(
     problem: Problem, vector: Array, advance: Advance, *, seed: int
 ) -> Float[np.ndarray, " sums"]:
-    """What judges a fit, of the residuals of data that are read in chunks."""
+    """The sums of residuals that the verdict needs, for data that are read in chunks."""
     rng = np.random.default_rng(seed)
     before, totals = None, np.zeros(2 + 4 * problem.data.ndim)
     for part in chunks(problem, advance=advance):
@@ -242,10 +243,11 @@ def _residuals(
 
 
 def _slopes(problem: Problem, vector: Array, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of each residual by its prediction, by a difference; and the prediction.
+    """The derivative of each residual with respect to its prediction, by a finite difference, and
+    the prediction.
 
-    Beside data that are larger than the predictions, a step in proportion to these would be lost in
-    rounding.
+    The step scales with the data: if they are larger than the predictions, a smaller step would be
+    lost in rounding.
     """
     predicted = on_host(predicted_at(vector, problem)[0], dtype=np.float64)
     data = on_host(problem.data, dtype=np.float64)

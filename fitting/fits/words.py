@@ -33,7 +33,7 @@ AT_END = 1.25
 def verdict(
     optimum: Optimum, checks: Misfit, explained: bool, *, wide_noise: bool = False
 ) -> list[str]:
-    """Why the end of a search is no fit; empty if it is one."""
+    """Why the end of a search is not an accepted fit; empty if it is."""
     failures = []
     if optimum.saddle:
         failures.append(
@@ -70,21 +70,21 @@ def verdict(
 
 
 def agreeing(optimum: Optimum) -> int:
-    """How many searches ended as deep as the best."""
+    """The number of searches that reached the lowest cost."""
     return int(np.sum(optimum.costs < _same_end(optimum)))
 
 
 def _same_end(optimum: Optimum) -> float:
-    """The rise in cost above which two searches ended apart. Those that follow a gradient which
-    misses something end about the optimum."""
+    """The difference in cost above which two searches count as different optima. Searches with an
+    inaccurate gradient end near the optimum."""
     return SAME_PLACE if optimum.unseen else SAME_END
 
 
 def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
-    """Whether searches from several starts speak for the best of their ends: two that end there,
-    or four where most searches end each at an optimum of its own, or where the width of the noise
-    was fitted, so that residuals do not tell a wrong optimum. The share of those that end alone
-    estimates the chance that one more search finds an optimum that none has seen.
+    """Whether enough searches from several starts confirm the best optimum. Two must end there.
+    Four must if most searches end at different optima, or if the width of the noise was fitted,
+    because residuals then do not reveal a wrong optimum. The share of searches that end alone
+    estimates the chance that one more search finds a new optimum.
 
     Source:
         Good, "The population frequencies of species and the estimation of population parameters",
@@ -97,7 +97,7 @@ def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
 
 
 def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
-    """Another place that fits as well, where the searches found one."""
+    """Another optimum that fits as well, if the searches found one."""
     ends = natural_numbers(posterior.space, optimum.ends)
     spread = np.cov(posterior.samples.T).reshape(len(posterior.space), -1)
     size = np.sqrt(np.diagonal(spread))
@@ -116,7 +116,7 @@ def about_search(optimum: Optimum, posterior: Posterior) -> list[str]:
 
 
 def about_chains(posterior: Posterior) -> list[str]:
-    """Why draws of a posterior are not to be trusted; empty if they are."""
+    """Why the draws of a posterior are unreliable; empty if they are reliable."""
     return [] if is_trusted(posterior) else [convergence_in_words(posterior)]
 
 
@@ -180,12 +180,12 @@ def _prior_alone(space: ParameterSpace, posterior: Posterior) -> list[str]:
 
 
 def _own_scale(parameter: Parameter) -> bool:
-    """Whether a number is searched as it is, so that a Gaussian in it has no skew."""
+    """Whether a number is searched on its own scale, so that a Gaussian in it has no skewness."""
     return parameter.transform == "identity" and not np.isfinite(ends(parameter)).any()
 
 
 def _at_ends(space: ParameterSpace, posterior: Posterior) -> list[str]:
-    """Bounds within the reach of the posterior, on the scale on which a number is at home."""
+    """Bounds within the reach of the posterior, on the scale of the parameter."""
     found = []
     _, share = prior_share(space, posterior)
     for parameter, natural, known in zip(space, posterior.samples.T, share, strict=True):

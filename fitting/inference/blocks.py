@@ -1,8 +1,8 @@
-"""Chains in blocks, each stored as soon as it is complete, so that a killed run loses one at most.
+"""Chains in blocks, each stored when it is complete, so that a killed run loses at most one.
 
-A block is a record of arrays: what was drawn, the state from which the next block goes on, and the
-fingerprint of all that decides the chain. Blocks end at whole multiples of their size however often
-a run is interrupted, so that one that resumes ends bit-identical to one that was left alone.
+A block is a record of arrays: the draws, the state from which the next block continues, and the
+fingerprint of everything that determines the chain. Blocks end at whole multiples of their size, so
+a resumed run gives the same bits as an uninterrupted one.
 """
 
 import hashlib
@@ -27,8 +27,8 @@ Block = dict[str, np.ndarray]
 
 
 def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) -> list[Block]:
-    """The blocks from which a run goes on: those in memory or those in a folder, whichever are
-    more. The folder gets what it lacks.
+    """The blocks from which a run continues: those in memory or those in a folder, whichever are
+    more. Blocks that the folder lacks are written to it.
 
     `folder`: of the checkpoint; None for memory alone."""
     stored = [] if folder is None else _stored(Path(folder))
@@ -45,7 +45,7 @@ def begun(folder: Path | str | None, before: Sequence[Block], fingerprint: str) 
 
 
 def store(folder: Path | str | None, index: int, block: Block) -> None:
-    """Writes one block, whole or not at all.
+    """Write one block atomically.
 
     `folder`: of the checkpoint; None writes nothing."""
     if folder is None:
@@ -56,7 +56,7 @@ def store(folder: Path | str | None, index: int, block: Block) -> None:
 
 
 def _stored(folder: Path) -> list[Block]:
-    """The blocks in a folder, each whole and none missing between two."""
+    """The blocks in a folder that are complete and without a gap."""
     found: list[Block] = []
     for file in sorted(folder.glob("block-*.npz")):
         due = _place(folder, len(found))
@@ -78,17 +78,17 @@ def _place(folder: Path | str, index: int) -> Path:
 
 
 def length(blocks: Sequence[Block]) -> int:
-    """Steps in all blocks."""
+    """Total steps of all blocks."""
     return sum(len(block["chain"]) for block in blocks)
 
 
 def next_length(done: int, size: int, ceiling: int) -> int:
-    """Steps of the next block: to the next multiple of its size, and not beyond the ceiling."""
+    """Steps of the next block, up to the next multiple of its size and at most the ceiling."""
     return min(size - done % size, ceiling - done)
 
 
 def stacked(blocks: Sequence[Block], name: str) -> np.ndarray:
-    """One array of all blocks, along their steps."""
+    """All blocks as one array along their steps."""
     return np.concatenate([block[name] for block in blocks])
 
 

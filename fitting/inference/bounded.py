@@ -1,8 +1,9 @@
-"""Minimisation in a box by jaxopt's L-BFGS-B: likelihoods that are not sums of squares (censored
-pixels, say) under physical bounds. The only module that imports jaxopt, and only for a search.
+"""Minimisation in a box by jaxopt's L-BFGS-B, for likelihoods that are not sums of squares (with
+censored pixels, for example) under physical bounds. This is the only module that imports jaxopt,
+and it does so only for a search.
 
-Every variable is scaled to [0, 1] across its box and the objective by `scale`; unscaled, the same
-solver misses up to a tenth of the optima and takes far longer.
+Every variable is scaled to [0, 1] across its box, and the objective by `scale`. Without the
+scaling, the solver misses up to a tenth of the optima and takes far longer.
 """
 
 import warnings
@@ -18,7 +19,7 @@ Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
 
 class BoxSolution(eqx.Module):
-    """Where a bounded minimisation ended.
+    """The end of a bounded minimisation.
 
     Attributes:
         vector: (parameters,).
@@ -45,9 +46,9 @@ def minimise_in_box(
     max_steps: int = 300,
     tolerance: float = 1e-6,
 ) -> BoxSolution:
-    """Minimises objective(vector, args) over lower <= vector <= upper.
+    """Minimise objective(vector, args) over lower <= vector <= upper.
 
-    Nothing is raised for a fit that does not converge; read `converged`."""
+    A fit that does not converge raises nothing; read `converged`."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="JAXopt is no longer maintained")
         from jaxopt import LBFGSB

@@ -29,7 +29,7 @@ CHANCE = 0.01  # of a term that the data do not call for
 
 @dataclass(frozen=True)
 class Candidate:
-    """A term of a model that a fit leaves out unless the data call for it.
+    """A term of a model that a fit keeps only if the data support it.
 
     Attributes:
         parameter: of the term, one number or an array that stays or goes as a whole.
@@ -80,13 +80,13 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """That of its parameter."""
+        """The name of its parameter."""
         return self.parameter.name
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Whether a candidate stayed, and by what evidence.
+    """Whether a candidate was kept, with the evidence.
 
     Attributes:
         name: of the candidate.
@@ -120,10 +120,10 @@ def squared_ratios(
     information: Float[np.ndarray, "parameters parameters"],
     candidates: Sequence[Candidate],
 ) -> Float[np.ndarray, " candidates"]:
-    """Squared Wald ratio of each candidate, 0 where the data do not tell.
+    """Squared Wald ratio of each candidate, 0 if the data do not determine it.
 
-    A positive scale (`log`, absent at 0) or a value above a bound at which it is absent lies
-    1 / sd(u) of its errors from there, u the unconstrained value."""
+    For a positive scale (`log`, absent at 0), or a value above a bound at which it is absent, the
+    distance is 1 / sd(u) standard errors, with u the unconstrained value."""
     at = jnp.asarray(vector)
     natural, slope = jax.jvp(lambda u: to_natural(space, u), (at,), (jnp.ones_like(at),))
     natural, slope = np.asarray(natural, np.float64), np.asarray(slope, np.float64)
@@ -151,9 +151,9 @@ def price(
     freedom: float = np.inf,
     scatter: tuple[int, int] | None = None,
 ) -> float:
-    """The squared Wald ratio from which a term stays.
+    """The squared Wald ratio above which a term is kept.
 
-    Returns no unit.
+    It has no unit.
 
     Example:
         >>> from fitting.inference.candidates import price
@@ -180,10 +180,10 @@ def _fisher(numbers: int, freedom: float, chance: float) -> float:
 def weakest(
     ratios: Mapping[str, float], prices: Mapping[str, float], candidates: Sequence[Candidate]
 ) -> str | None:
-    """The candidate to leave out next.
+    """The candidate to drop next.
 
-    Returns the one whose gain is the smallest fraction of its price, among those that no other
-    requires; None if every gain exceeds its price.
+    Among those that no other requires, it is the one with the smallest ratio of gain to threshold;
+    None if every gain exceeds its threshold.
     """
     required = {name for candidate in candidates for name in candidate.requires}
     shares = {c.name: ratios[c.name] / prices[c.name] for c in candidates if c.name not in required}
@@ -192,10 +192,10 @@ def weakest(
 
 
 def numbers_of(candidate: Candidate, space: ParameterSpace) -> Bool[np.ndarray, " parameters"]:
-    """Which numbers of a space are the candidate's."""
+    """The indices of the candidate's numbers in a space."""
     return np.array([candidate.name in (one.name, whole_name(one.name)) for one in space])
 
 
 def whole_name(name: str) -> str:
-    """The parameter of a number's name: "a" of "a[0,1]"."""
+    """The parameter to which a number's name belongs: "a" for "a[0,1]"."""
     return name.rpartition("[")[0] if name.endswith("]") else name

@@ -1,4 +1,4 @@
-"""One problem for several channels, which share some of its parameters and have others each."""
+"""One problem for several channels, some of whose parameters are shared."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -103,7 +103,7 @@ def by_channel(
 
 
 class _Channels:
-    """`predict` of every channel, its arguments those of one."""
+    """`predict` for every channel; its arguments are those of one."""
 
     def __init__(self, predict: Any, asks: Any, several: Any, axes: Any) -> None:
         self.key = predict, asks, several, tuple(jax.tree.leaves(axes, is_leaf=_none))
@@ -159,7 +159,7 @@ def _inputs(own: Any, given: Any, count: int) -> tuple[Any, Any]:
 
 
 def _likelihood(likelihood: Any, shape: tuple[int, ...]) -> Any:
-    """That of all channels, its numbers those of each."""
+    """The likelihood of all channels, with the same fields for each."""
     if isinstance(likelihood, Clustered):
         labels = jax.tree.map(
             lambda x: np.broadcast_to(on_host(x)[..., None], shape), likelihood.labels

@@ -40,7 +40,7 @@ LEVEL = 0.975  # quantile at which a Gaussian stands in for Student's t
 
 @dataclass(frozen=True)
 class Robustness:
-    """Covariance of a fit, and how far its residuals cluster.
+    """Covariance of a fit, and the correlation of its residuals within clusters.
 
     Attributes:
         covariance: (parameters, parameters); sandwich, or the inverse information where too few
@@ -58,17 +58,17 @@ class Robustness:
 
     @property
     def by_light(self) -> float:
-        """Of the first level."""
+        """The design effect of the first level."""
         return self.effects[0]
 
     @property
     def by_pixel(self) -> float:
-        """Of the second; NaN without one."""
+        """The design effect of the second level; NaN without one."""
         return self.effects[1] if len(self.effects) > 1 else np.nan
 
     @property
     def gaussian_covariance(self) -> Float[np.ndarray, "parameters parameters"]:
-        """Of the Gaussian whose 95 % intervals are those of Student's t."""
+        """The covariance of the Gaussian whose 95 % intervals are those of Student's t."""
         return like_gaussian(self.covariance, self.freedom)
 
 
@@ -83,7 +83,7 @@ def like_gaussian(
 
 @dataclass(frozen=True)
 class _Clustering:
-    """One kind of clusters, parameters in units of I = 1.
+    """One level of clusters, with parameters in units of I = 1.
 
     Attributes:
         shares: (clusters, P, P) A_g.
@@ -107,12 +107,12 @@ def cluster_robust(
     slopes: Float[np.ndarray, "parameters samples"] | None = None,
     prior: Float[np.ndarray, "parameters parameters"] | None = None,
 ) -> Robustness:
-    """Covariance that allows for residuals shared within clusters, of one kind or several.
+    """Covariance with residuals shared within clusters, of one or several levels.
 
-    What clusters of the first level share (lights, say) always enters: a test with few of them
-    overlooks errors that matter. What those of another share (pixels, say) enters where its test,
-    whose clusters are many, sees it. Levels may cross, as rows and columns do, or be nested: what
-    the clusters of two levels have in common counts once.
+    The first level (lights, say) always enters, because a test with few clusters overlooks errors
+    that matter. The other level (pixels, say) enters if its test, with many clusters, is
+    significant. Levels may cross, as rows and columns do, or be nested. The clusters that two
+    levels have in common count once.
 
     Args:
         scores: (parameters, samples), gradient of each sample's log likelihood.
@@ -181,13 +181,13 @@ def cluster_robust(
 
 
 def _subsets(levels: list[np.ndarray]) -> list[tuple[np.ndarray, ...]]:
-    """Of one level or more (inclusion and exclusion)."""
+    """Subsets of one or more levels, for inclusion and exclusion."""
     sizes = range(1, len(levels) + 1)
     return [some for size in sizes for some in combinations(levels, size)]
 
 
 def _common(*levels: np.ndarray) -> np.ndarray:
-    """(samples,) the clusters that several levels have in common, numbered."""
+    """(samples,) numbers of the intersections of several levels' clusters."""
     return np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
 
 
@@ -219,7 +219,7 @@ def _clustering(
 
 
 def _power(matrices: np.ndarray, power: float) -> np.ndarray:
-    """Power of symmetric matrices, (..., P, P); directions without extent stay 0."""
+    """A power of symmetric matrices, (..., P, P); null directions stay 0."""
     values, directions = np.linalg.eigh((matrices + np.swapaxes(matrices, -1, -2)) / 2)
     extended = values > WHOLE
     powers = np.where(extended, np.where(extended, values, 1) ** power, 0)
@@ -227,8 +227,8 @@ def _power(matrices: np.ndarray, power: float) -> np.ndarray:
 
 
 def _freedom(found: _Clustering, contrasts: np.ndarray) -> Float[np.ndarray, " parameters"]:
-    """(tr G)^2 / tr G^2 of each coefficient; NaN where clusters leave no residual. What a prior
-    leaves in an only cluster says how well the prior's middle was guessed, not what is shared."""
+    """(tr G)^2 / tr G^2 of each coefficient; NaN if clusters leave no residual. With a single
+    cluster and a prior, the residual shows only how well the middle of the prior was guessed."""
     if len(found.shares) < 2:
         return np.full(len(contrasts), np.nan)
     b = np.einsum("gij,kj->kgi", found.widening, contrasts)
@@ -242,8 +242,9 @@ def _freedom(found: _Clustering, contrasts: np.ndarray) -> Float[np.ndarray, " p
 
 
 def _chance_effect(found: _Clustering) -> float:
-    """Design effect that independent residuals exceed with probability `CHANCE`: tr V is a
-    quadratic form with the matrix delta_gh C_g - D_g D_h^T, C_g = B_g A_g B_g, D_g = B_g A_g."""
+    """The design effect that independent residuals exceed with probability `CHANCE`. tr V is a
+    quadratic form with the matrix delta_gh C_g - D_g D_h^T, where C_g = B_g A_g B_g and D_g = B_g
+    A_g."""
     d = found.widening @ found.shares
     c = d @ found.widening
     outer = np.einsum("gij,gik->jk", d, d)
@@ -257,10 +258,10 @@ def curvature_stretch(
     information: Float[np.ndarray, "parameters parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """C with C^T information C = covariance^-1, the identity where they already agree.
+    """C with C^T information C = covariance^-1; the identity if they already agree.
 
-    A move that the information calls one deviation then is one by the covariance: log density(mode
-    + C (vector - mode)) has the covariance as its inverse curvature."""
+    It turns one standard deviation by the information into one by the covariance: log density(mode
+    + C (vector - mode)) has the inverse of the covariance as its curvature."""
     own = np.linalg.cholesky(information)
     wanted = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.linalg.solve(own.T, wanted.T)

@@ -1,4 +1,4 @@
-"""Programs of calibrations, which take longer to optimise than to run."""
+"""Compilation without optimisation, for programs that take longer to optimise than to run."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -17,7 +17,7 @@ R = TypeVar("R")
 def compiled_briefly(function: Callable[P, R]) -> Callable[P, R]:
     """As `equinox.filter_jit`, but XLA does not optimise the program.
 
-    A program that is part of another, or of a derivative, is compiled as that one is."""
+    Inside another program, or inside a derivative, it is compiled like that program."""
     part = eqx.filter_jit(function)
     whole = cast(Any, eqx.filter_jit)(function, compiler_options=briefly())
 

@@ -21,10 +21,10 @@ def autocorrelation_times(
 ) -> Float[np.ndarray, " parameters"]:
     """Integrated autocorrelation times of an ensemble's chain.
 
-    The same numbers as `emcee.autocorr.integrated_time`; averaging the walkers' spectra before the
-    inverse transform takes a seventh of its time.
+    The results equal `emcee.autocorr.integrated_time`. The walkers' spectra are averaged before the
+    inverse transform, which takes a seventh of the time.
 
-    Returns (P,) in steps, at least 1; infinite where some walker never moved.
+    Returns (P,) in steps, at least 1; infinite if a walker never moved.
 
     Source:
         Sokal, "Monte Carlo Methods in Statistical Mechanics", 1997; Goodman & Weare, CAMCoS 5,
@@ -46,19 +46,19 @@ def autocorrelation_times(
 
 
 def without_bias(time: float, length: int) -> float:
-    """The autocorrelation time behind the estimate of a short chain, which is too small.
+    """The autocorrelation time corrected for the bias of a short chain.
 
-    About the mean of its own N steps, every correlation comes out too small by tau / N; the sum
-    over a window of `WINDOW` estimates to either side therefore misses tau / N of each of its
+    Relative to the mean of its own N steps, every correlation is too small by tau / N. The sum over
+    a window of `WINDOW` estimates to either side is therefore too small by tau / N for each of its
     2 `WINDOW` estimates: estimate = tau / (1 + 2 `WINDOW` tau / N).
 
-    Returns tau in steps; infinite for a chain too short to tell."""
+    Returns tau in steps; infinite if the chain is too short."""
     told = 1 - 2 * WINDOW * time / length
     return time / told if told > 0 else math.inf
 
 
 def split_r_hat(draws: Float[np.ndarray, "chains draws"]) -> float:
-    """How much wider all chains together are than each half of one: 1 where they agree.
+    """The ratio of the widths of all chains together and of half chains: 1 if they agree.
 
     Source:
         Vehtari et al., Bayesian Analysis 16, 2021, eqs. 1-4 and 14.
@@ -96,14 +96,14 @@ def _halves(draws: np.ndarray) -> np.ndarray:
 
 
 def _normal_scores(draws: np.ndarray) -> np.ndarray:
-    """Blom's: the normal quantiles of the ranks among all draws."""
+    """Blom's normal scores: the normal quantiles of the ranks among all draws."""
     from scipy.stats import rankdata
 
     return ndtri((rankdata(draws).reshape(draws.shape) - 3 / 8) / (draws.size + 1 / 4))
 
 
 def _variances(draws: np.ndarray) -> tuple[float, float]:
-    """The variance within chains, and of all chains together."""
+    """The variance within chains, and the variance of all chains together."""
     length = draws.shape[1]
     within = float(draws.var(axis=1, ddof=1).mean())
     return within, within * (length - 1) / length + float(draws.mean(axis=1).var(ddof=1))

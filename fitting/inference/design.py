@@ -1,13 +1,14 @@
-"""Optimal design: measurements ranked by how far they would narrow a chosen quantity.
+"""Optimal design: measurements ranked by how much they would reduce the variance of a chosen
+quantity.
 
-A measurement adds Fisher's information F to a posterior of covariance C. About the mode the
-variance of a quantity of gradient g falls from g^T C g to
+A measurement adds its Fisher information F to a posterior of covariance C. Near the mode, the
+variance of a quantity of gradient g decreases from g^T C g to
 
     g^T (C^-1 + F)^-1 g,
 
-all other parameters marginalised (c-optimality; Chaloner & Verdinelli, Statistical Science 10,
-1995; Atkinson, Donev & Tobias, "Optimum Experimental Designs", 2007). D-optimality, which serves
-all parameters alike, ranks by ln det(1 + C F) / 2, the information gained in nats.
+with all other parameters marginalised (c-optimality; Chaloner & Verdinelli, Statistical Science 10,
+1995; Atkinson, Donev & Tobias, "Optimum Experimental Designs", 2007). D-optimality, which treats
+all parameters equally, ranks by ln det(1 + C F) / 2, the information gained in nats.
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,7 @@ from .formatting import format_with_error
 
 @dataclass(frozen=True)
 class Candidate:
-    """What one more measurement would do.
+    """The effect of one further measurement.
 
     Attributes:
         name: of the candidate.
@@ -40,7 +41,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Plan:
-    """Candidates, the one that narrows the target most first. Print it.
+    """Candidates, the most informative about the target first. Print it.
 
     Attributes:
         target: in words.
@@ -103,7 +104,7 @@ def ranked(
     covariance: Float[np.ndarray, "parameters parameters"],
     added: Mapping[str, Float[np.ndarray, "parameters parameters"]],
 ) -> Plan:
-    """Ranks measurements by what they add.
+    """Rank measurements by their information.
 
     `value`: of the target, in its unit."""
     root = np.linalg.cholesky(covariance)

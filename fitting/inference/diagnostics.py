@@ -1,4 +1,4 @@
-"""Identifiability of parameters from the Fisher information, in words.
+"""Identifiability of parameters from the Fisher information, as findings.
 
 The information matrix F is scaled to unit diagonal. Eigenvectors with small eigenvalues are
 combinations of parameters that are not identifiable from the data. sqrt(VIF_i) = sqrt(F_ii
@@ -26,7 +26,7 @@ OPEN = 1.0  # standard deviation of a log parameter from which it counts as not 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What an information matrix says about the parameters.
+    """The identifiability of the parameters from an information matrix.
 
     Attributes:
         inflation: (parameters,) sqrt(VIF), infinite where undetermined.
@@ -46,10 +46,10 @@ def identifiability(
     rounding: float = UNDETERMINED,
     vector: Float[ArrayLike, " parameters"] | None = None,
 ) -> Identifiability:
-    """Judges an information matrix.
+    """Assess an information matrix.
 
-    `vector`: (P,) unconstrained best fit; None where only the errors of logarithms say whether they
-    matter.
+    `vector`: (P,) unconstrained best fit; None if only the errors of logarithms decide which
+    parameters matter.
 
     Source:
         Belsley, Kuh & Welsch, "Regression Diagnostics", 1980.
@@ -79,8 +79,8 @@ def identifiability(
 
 
 def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndarray:
-    """By what share a parameter changes with its unconstrained value; infinite where nobody
-    knows."""
+    """The relative change of a parameter per unit of its unconstrained value; infinite if
+    unknown."""
     if vector is None:
         free = [p.transform == "log" and scaled_ends(p) == (-np.inf, np.inf) for p in space]
         return np.where(free, 1.0, np.inf)

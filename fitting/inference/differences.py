@@ -28,7 +28,7 @@ _SHARES = np.array([1.0, 0.5, 0.25, 0.125])  # of a step
 
 
 def seen_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
-    """The optimum, judged and corrected by differences where its gradient misses something."""
+    """The optimum, tested and corrected by finite differences if its gradient is incomplete."""
     squares = problem.likelihood.least_squares and problem.stream is None
     if not squares or not np.isfinite(optimum.information).all():
         return optimum
@@ -53,8 +53,8 @@ def seen_by_differences(problem: Problem, optimum: Optimum) -> Optimum:
 
 
 def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
-    """The lowest place that Gauss and Newton's steps by differences, and steps along the axes,
-    lead to."""
+    """The lowest point that Gauss-Newton steps by finite differences, and steps along the axes,
+    reach."""
     dtype, best = problem.data.dtype, int(np.argmin(optimum.costs))
     vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
     cost, decrement, information = np.nan, optimum.decrement, optimum.information
@@ -93,7 +93,7 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
 
 
 def _deviations(information: np.ndarray) -> np.ndarray:
-    """(P,) standard deviations of an information; NaN where it has no inverse."""
+    """(P,) standard deviations from an information matrix; NaN if it has no inverse."""
     scale = np.sqrt(np.abs(np.diagonal(information)))
     with np.errstate(all="ignore"):
         try:
@@ -107,8 +107,9 @@ def _deviations(information: np.ndarray) -> np.ndarray:
 def _compared(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> Float[Array, "parameters 4"]:
-    """Of each parameter, norms over all residuals: of the central difference over half of `sizes`;
-    of its distance from the derivative, and from the difference over all of it; of rounding."""
+    """For each parameter, norms over all residuals: of the central difference over half of `sizes`,
+    of its distance from the derivative, of its distance from the difference over all of `sizes`,
+    and of rounding."""
 
     def residuals(vector: Array) -> Array:
         return least_squares_residuals(vector, problem)
@@ -133,7 +134,7 @@ def _compared(
 def _differenced(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> tuple[Array, Array, Array]:
-    """Cost, gradient and curvature as `gauss_newton` gives them, by central differences."""
+    """Cost, gradient and curvature as in `gauss_newton`, by central differences."""
 
     def residuals(vector: Array) -> Array:
         return least_squares_residuals(vector, problem)

@@ -1,9 +1,9 @@
 """Runs of emcee's ensemble sampler in blocks, until the chain can be trusted.
 
 The sampler (Foreman-Mackey et al. 2013) evaluates half of its walkers in one call. A chain shorter
-than 50 autocorrelation times is marked as too short (Sokal's window, as emcee documents it): its
-autocorrelation time itself cannot be trusted. It continues from memory or from its checkpoint, with
-the same result as without interruption.
+than 50 autocorrelation times is marked as too short (Sokal's window, as emcee documents it),
+because its estimated autocorrelation time is itself unreliable. It continues from memory or from
+its checkpoint, with the same result as without interruption.
 """
 
 import math
@@ -36,7 +36,7 @@ BEYOND = 1e9  # standard deviations from the mode: no walker of a posterior that
 
 
 class Unbounded(InputError):
-    """A chain that went on without end.
+    """A chain that diverged.
 
     Attributes:
         parameter: name of the one along which it went furthest.
@@ -98,7 +98,7 @@ class Emcee:
 
 
 class SamplingOptions(Emcee):
-    """Deprecated: `Emcee`, whose fields it has.
+    """Deprecated: use `Emcee`, which has the same fields.
 
     Attributes:
         walkers: how many at least.
@@ -125,9 +125,9 @@ class SamplingOptions(Emcee):
 
 
 def for_group(options: Emcee | None, group: str) -> Emcee | None:
-    """The same options with a checkpoint folder of its own for one group (a colour channel).
+    """The same options with a separate checkpoint folder for one group (a colour channel).
 
-    `options`: of all groups; None stays None."""
+    `options`: for all groups; None stays None."""
     if options is None or options.checkpoint is None:
         return options
     name = group.replace(" ", "_").replace("/", "_")
@@ -135,13 +135,13 @@ def for_group(options: Emcee | None, group: str) -> Emcee | None:
 
 
 def enough_walkers(options: Emcee, dimension: int) -> int:
-    """Walkers of an ensemble."""
+    """The number of walkers of an ensemble."""
     return max(options.walkers, 2 * dimension + 2)
 
 
 @dataclass(frozen=True)
 class Chain:
-    """What an ensemble drew, burn-in removed.
+    """The draws of an ensemble after burn-in.
 
     Attributes:
         vectors: (draws, walkers, parameters).
@@ -173,7 +173,7 @@ def run_ensemble(
     fingerprint: str,
     before: Sequence[Block] = (),
 ) -> Chain:
-    """Runs, or resumes, an ensemble until its chain is long enough or the ceiling is reached."""
+    """Run or resume an ensemble until its chain is long enough or the ceiling is reached."""
     import emcee
 
     walkers = enough_walkers(options, mode.size)
@@ -210,19 +210,19 @@ def run_ensemble(
 def _refuse_without_end(
     walkers: np.ndarray, mode: np.ndarray, covariance: np.ndarray, names: Sequence[str]
 ) -> None:
-    """Before emcee's own moves overflow."""
+    """Refuse a posterior without an end before emcee's own moves overflow."""
     reached = np.max(np.abs(walkers - mode), axis=0) / np.sqrt(np.diagonal(covariance))
     if not np.all(reached < BEYOND):
         raise Unbounded(names[int(np.argmax(np.nan_to_num(reached, nan=np.inf)))])
 
 
 def _moves(dimension: int) -> list[tuple[Any, float]]:
-    """Moves and their shares; not emcee 3.1.6's snooker, which is biased."""
+    """Moves and their shares. emcee 3.1.6's snooker is left out because it is biased."""
     from emcee.moves import DEMove, KDEMove
 
     class KDEOfSome(KDEMove):
-        """Of the walkers that stand still, a random part says where the others may go; where they
-        lie in a plane, which has no density, differences between them do."""
+        """A KDE move whose proposal uses a random subset of the complementary walkers. If these lie
+        in a plane, which has no density, their differences are used."""
 
         def get_proposal(self, s: Any, c: Any, random: Any) -> Any:
             still = np.concatenate(c, axis=0)
@@ -277,7 +277,7 @@ def _start(walkers: int, mode: np.ndarray, covariance: np.ndarray, seed: int) ->
 def _made_possible(
     evaluate: Callable[[np.ndarray], np.ndarray], walkers: np.ndarray, mode: np.ndarray
 ) -> np.ndarray:
-    """The log density of walkers, those that start where there is none moved toward the mode."""
+    """The log density of walkers. Walkers that start at density zero are moved toward the mode."""
     found = evaluate(walkers)
     for _ in range(HALVINGS):
         nowhere = ~np.isfinite(found)
@@ -292,8 +292,9 @@ def _made_possible(
 
 
 def _due(steps: int, block: int) -> bool:
-    """Whether a chain is judged here: after 1, 2, 3, ... blocks, then ever more seldom, since a
-    judgement costs as much as many steps. It depends on the steps alone, not on interruptions."""
+    """Whether the chain is assessed here: after 1, 2, 3, ... blocks, then less and less often,
+    because an assessment costs as much as many steps. It depends only on the number of steps, not
+    on interruptions."""
     blocks, rest = divmod(steps, block)
     if rest or blocks < 2:
         return rest == 0 and blocks == 1
@@ -326,8 +327,9 @@ def _judged(blocks: list[Block], options: Emcee) -> Chain | None:
 
 
 def _missing(steps: int, settled: int, tau: float) -> int:
-    """About how many steps a chain lacks, in whole hundreds; 0 where it is long enough. It shall
-    hold `TIMES_TAU` of the autocorrelation times behind the estimate, and a burn-in of them."""
+    """The approximate number of steps that a chain lacks, in whole hundreds; 0 if it is long
+    enough. It needs `TIMES_TAU` of the estimated autocorrelation times, after a burn-in of
+    several."""
     if settled >= TIMES_TAU * tau:
         return 0
     needed = min((TIMES_TAU + BURN_IN_TAU) * without_bias(tau, settled), 10 * steps)

@@ -18,7 +18,7 @@ AT_AN_END = 1 / 8  # of an interval, where the density of draws at its ends is c
 
 @runtime_checkable
 class Named(Protocol):
-    """What has a name, a symbol and a unit: a `Parameter`, or a line of a data sheet."""
+    """An object with a name, a symbol and a unit: a `Parameter`, or a line of a data sheet."""
 
     @property
     def name(self) -> str: ...
@@ -89,7 +89,7 @@ def quantile_estimate(
     method: str = "",
     group: str = "",
 ) -> Estimate:
-    """Estimate with given intervals; without a value where these have no end.
+    """Estimate with given intervals; without a value if these are infinite.
 
     `value`: in its unit. `standard_error`: in its unit."""
     if not np.all(np.isfinite(np.asarray([value, standard_error, *quantiles], float))):
@@ -137,10 +137,9 @@ def _shifted(value: float, step: float, log_scale: bool) -> float:
 def from_the_end(
     distance: Float[np.ndarray, "draws ..."], level: float
 ) -> tuple[Bool[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Whether draws pile up at an end of their range, so that the shortest interval begins there:
-    their density at the end is at least that at the other end of such an interval. An equal-tailed
-    interval never covers the end itself.
-    """
+    """Whether draws accumulate at an end of their range, so that the shortest interval begins
+    there. The density at that end must be at least the density at the other end of the interval. An
+    equal-tailed interval never covers the end itself."""
     reach = np.quantile(distance, level, axis=0)
     width = AT_AN_END * reach
     first = np.sum(distance < width, axis=0)
@@ -158,7 +157,7 @@ def sampled_estimate(
 ) -> Estimate:
     """Median, standard deviation and equal-tailed quantile intervals of draws.
 
-    `draws`: (draws,) in its unit. `ends`: other intervals, at `QUANTILES`; None for these."""
+    `draws`: (draws,) in its unit. `ends`: other intervals, at `QUANTILES`; None for the default."""
     ends = np.quantile(draws, QUANTILES) if ends is None else ends
     return quantile_estimate(what, ends[2], np.std(draws), ends, method=method, group=group)
 
@@ -172,7 +171,7 @@ def not_determined(what: Named, reason: str, *, method: str = "", group: str = "
 def find(
     estimates: Sequence[Estimate], name: str, *, method: str = "", group: str = ""
 ) -> Estimate:
-    """The first estimate of a name.
+    """The first estimate with a given name.
 
     Args:
         estimates: to search.

@@ -1,4 +1,4 @@
-"""Numbers as a reader wants them: rounded to what their uncertainty supports."""
+"""Numbers formatted to the digits that their uncertainty supports."""
 
 import math
 import re
@@ -12,7 +12,7 @@ ACRONYMS = {"dsnu": "DSNU", "prnu": "PRNU", "snr": "SNR", "db": "dB"}
 
 
 class Uncertain(Protocol):
-    """An `Estimate`, as far as it is printed."""
+    """An `Estimate` in the part that is printed."""
 
     @property
     def value(self) -> float | None: ...
@@ -27,8 +27,8 @@ class Uncertain(Protocol):
 def decimals_for(uncertainty: float) -> int | None:
     """Decimal places that keep two significant digits of an uncertainty.
 
-    `uncertainty`: in any unit. Returns the places, negative for tens and more; None where it is
-    zero or not finite.
+    `uncertainty`: in any unit. Returns the places, negative for tens and more; None if the
+    uncertainty is zero or not finite.
     """
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return None
@@ -36,7 +36,7 @@ def decimals_for(uncertainty: float) -> int | None:
 
 
 def format_name(name: str) -> str:
-    """The name of a quantity in words: `snr_max` as SNR max.
+    """The name of a quantity in words: `snr_max` becomes "SNR max".
 
     Args:
         name: with underscores.
@@ -48,7 +48,7 @@ def format_name(name: str) -> str:
 
 
 def format_p(p_value: float) -> str:
-    """A p-value as `p = 0.03`; one too small for a number, as `p < 1e-300`."""
+    """A p-value as `p = 0.03`; a p-value that underflows as `p < 1e-300`."""
     return f"p = {p_value:.2g}" if p_value > 1e-300 or math.isnan(p_value) else "p < 1e-300"
 
 
@@ -66,10 +66,10 @@ def format_spread(values: np.ndarray) -> tuple[str, str]:
 
 
 def format_number(value: float, decimals: int | None, *, beside: float | None = None) -> str:
-    """A number rounded to given decimal places.
+    """A number rounded to the given decimal places.
 
-    `decimals`: places; negative for tens, hundreds ...; None for six digits. `beside`: the number
-    whose notation, with an exponent or without, it shares; None for its own.
+    `decimals`: places; negative for tens, hundreds and so on; None for six digits. `beside`: a
+    number whose notation, with or without an exponent, is used; None for its own.
     """
     if decimals is None or not math.isfinite(value):
         return f"{value:.6g}"
@@ -90,14 +90,14 @@ def format_with_error(value: float, error: float, *, signed: bool = False) -> st
 
 
 def format_within(value: float, width: float) -> str:
-    """A number that is known to a width, to two digits of it.
+    """A number known to within a width, to two digits of the width.
 
-    `width`: of the range that holds it, in the same unit."""
+    `width`: of the range that contains it, in the same unit."""
     return format_number(value, decimals_for(width))
 
 
 def format_value(estimate: Uncertain) -> str:
-    """`value ± standard error` without the unit, or a dash where it is not determined.
+    """`value ± standard error` without the unit, or a dash if it is not determined.
 
     Args:
         estimate: with or without a value.
@@ -133,7 +133,7 @@ def format_interval(estimate: Uncertain, level: int) -> str:
 
 
 def format_unit(unit: str) -> str:
-    """`sr^-1` as sr⁻¹; the unit one is left unsaid.
+    """`sr^-1` as sr⁻¹; empty for the unit one.
 
     Args:
         unit: with powers after `^`.
@@ -147,20 +147,20 @@ def format_unit(unit: str) -> str:
 
 
 def split_symbol(symbol: str) -> tuple[str, str]:
-    """A symbol such as `σ_d` as its letter and its subscript (empty if it has none)."""
+    """A symbol such as `σ_d` split into its letter and its subscript (empty if it has none)."""
     letter, _, subscript = symbol.partition("_")
     return letter, subscript
 
 
 def format_axis(symbol: str, unit: str) -> str:
-    """An axis label: the symbol set as mathematics, its unit in brackets."""
+    """An axis label: the symbol in mathematical type, and its unit in brackets."""
     letter, subscript = split_symbol(symbol)
     mathematics = f"${letter}_{{\\rm {subscript}}}$" if subscript else f"${letter}$"
     return f"{mathematics} [{format_unit(unit)}]" if format_unit(unit) else mathematics
 
 
 def size_in_words(bytes: int) -> str:
-    """The size of files: 154 kB."""
+    """The size of files in words: 154 kB."""
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if bytes >= size:
             return f"{bytes / size:.3g} {unit}"
@@ -168,8 +168,8 @@ def size_in_words(bytes: int) -> str:
 
 
 def format_cell(cell: object) -> str:
-    """A table cell: floats to four significant digits, those below 10 million without an exponent;
-    None as a dash, anything else as is."""
+    """A table cell. Floats have four significant digits, and below 10 million no exponent; None is
+    a dash; other values are unchanged."""
     if cell is None:
         return "–"
     if not isinstance(cell, float):

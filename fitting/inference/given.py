@@ -1,4 +1,4 @@
-"""Numbers as a user gives them: whole ones, widths and ends of a range, refused in one sentence."""
+"""Checks of a user's numbers: whole numbers, widths and ranges, each refused in one sentence."""
 
 from collections.abc import Callable, Mapping
 from numbers import Number
@@ -20,7 +20,7 @@ LARGEST_SEED = 2**32 - 1  # that all generators take
 
 
 def plain_numbers(what: str, value: Any) -> Any:
-    """An argument as an array of real numbers, or refused in a sentence that names it.
+    """An argument as an array of real numbers; else an error that names it.
 
     Example:
         >>> from fitting.inference.given import plain_numbers
@@ -50,7 +50,7 @@ def plain_numbers(what: str, value: Any) -> Any:
 
 
 def refuse_complex(what: str, plain: Any) -> None:
-    """Refuses complex numbers where real ones are wanted: a cast would drop the imaginary part."""
+    """Refuse complex numbers where real ones are needed: a cast would drop the imaginary part."""
     if np.iscomplexobj(plain):
         raise InputError(
             f"{what} holds complex numbers, and real ones are wanted; give their real and "
@@ -59,7 +59,7 @@ def refuse_complex(what: str, plain: Any) -> None:
 
 
 def is_concrete(tree: Any) -> bool:
-    """Whether all numbers of a tree are known, outside of any transformation."""
+    """Whether all numbers of a tree are known, outside any transformation."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
@@ -68,7 +68,7 @@ def require_whole(
 ) -> None:
     """Refuse values that are not integers.
 
-    `most`: largest; None for no such end."""
+    `most`: largest; None for no maximum."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if whole and value >= least and (most is None or value <= most):
         return
@@ -78,7 +78,7 @@ def require_whole(
 
 
 def require_kind(what: str, value: Any, kind: type, *, source: str = "") -> None:
-    """Refuse values of a type that a function does not take."""
+    """Refuse values of a type that a function does not accept."""
     if not isinstance(value, kind):
         named = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
         hint = f"; {source} gives one" if source else ""
@@ -93,12 +93,12 @@ def require_progress(value: Any) -> None:
 
 
 def require_seed(value: Any) -> None:
-    """Refuses what no generator of random numbers begins from."""
+    """Refuse a value that cannot seed a random generator."""
     require_whole("seed", value, least=0, most=LARGEST_SEED)
 
 
 def number_or_name(what: str) -> Callable[[Any], Any]:
-    """What makes arrays of the numbers of a likelihood and leaves names as they are."""
+    """The converter of a likelihood's field: numbers become arrays, names stay."""
 
     def convert(value: Any) -> Any:
         if isinstance(value, str) and value:
@@ -121,15 +121,15 @@ def number_or_name(what: str) -> Callable[[Any], Any]:
 
 
 def end_or_name(what: str) -> Callable[[Any], Any]:
-    """As `number_or_name`, for an end that may be None.
+    """As `number_or_name`, for a bound that may be None.
 
-    Returns the same of None, which stays."""
+    None stays None."""
     convert = number_or_name(what)
     return lambda value: None if value is None else convert(value)
 
 
 def require_positive(what: str, value: Any) -> None:
-    """Refuses a width that is not positive; the name of a parameter, or a traced value, passes."""
+    """Refuse a width that is not positive. The name of a parameter or a traced value passes."""
     if isinstance(value, str) or not is_concrete(value):
         return
     values = on_host(value)
@@ -167,7 +167,7 @@ def require_ascending(what: str, low: Any, high: Any) -> None:
 
 
 def whole_labels(labels: Any) -> dict[str, Any] | Int[np.ndarray, "..."]:
-    """Labels of groups as whole numbers."""
+    """Group labels as whole numbers."""
     if isinstance(labels, Mapping):
         if not labels:
             raise InputError("Clustered: give at least one level of labels.")

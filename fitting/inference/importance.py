@@ -2,14 +2,14 @@
 enough.
 
 Along the line x = mode + s c_i / sqrt(C_ii), with c_i the column of the covariance C for parameter
-i, a Gaussian log density falls by s^2 / 2. If the density differs from this by more than
+i, a Gaussian log density decreases by s^2 / 2. If the density differs from this by more than
 `TOLERATED` at two standard deviations, importance sampling is used. Draws come from Student's t
 about the mode, in a quasi-random sequence, and are weighted by density over proposal. The proposal
 then takes the mean and covariance of the weighted draws, until their effective number is large
 enough (adaptive importance sampling: Oh & Berger, J. Stat. Comput. Simul. 41, 1992). If numbers
 have bounds, half of the proposals are made on the scale of the numbers themselves. A ridge that is
-straight on that scale is curved on the unconstrained one, where no Student's t reaches both of its
-ends. The returned draws are resampled by their weights.
+straight on that scale is curved on the unconstrained one, where a Student's t distribution does not
+reach both of its ends. The returned draws are resampled by their weights.
 """
 
 from collections.abc import Sequence
@@ -51,10 +51,10 @@ def laplace_where_it_holds(
     missed: Float[np.ndarray, " parameters"] | None = None,
     by_chain: bool = True,
 ) -> Posterior:
-    """Laplace's posterior if the density is as Gaussian as that says, else draws by importance
-    sampling, else, where proposals do not settle, by emcee. Where the chain is too short to be
-    trusted, and where a posterior has no end, of numbers that the data bound on one side only, it
-    stays Laplace's, and the parameter is named.
+    """Laplace's posterior if the density is Gaussian enough. Otherwise draws by importance
+    sampling, or by emcee if the proposals do not converge. If the chain is too short, or if the
+    posterior is improper because the data bound a parameter on one side only, the result stays
+    Laplace's, and the parameter is named.
 
     Args:
         log_density: module-level function of (vector, args).
@@ -113,7 +113,8 @@ def gaussian_miss(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
 ) -> Float[np.ndarray, " parameters"]:
-    """How far the fall of a log density at two standard deviations differs from a Gaussian's."""
+    """The difference between the decrease of a log density at two standard deviations and a
+    Gaussian's."""
     steps = FAR * covariance / np.sqrt(np.diagonal(covariance))
     centre = np.asarray(mode, np.float64)
     points = np.concatenate([centre[None], centre + steps.T, centre - steps.T])
@@ -191,7 +192,8 @@ class _Proposed:
 
 
 def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> list[Proposal]:
-    """On the unconstrained scale, and, where there are bounds, on that of the numbers too."""
+    """Proposals on the unconstrained scale and, if there are bounds, on that of the numbers
+    themselves."""
     centre = np.asarray(mode, np.float64)
     if not any(np.isfinite(scaled_ends(parameter)).any() for parameter in space):
         return [(centre, covariance)]
@@ -204,9 +206,9 @@ def _proposals(space: ParameterSpace, mode: Array, covariance: np.ndarray) -> li
 
 
 def _proposed(space: ParameterSpace, proposals: Sequence[Proposal], units: np.ndarray) -> _Proposed:
-    """As many units in a row for each proposal, and the density of all of them together
-    (deterministic mixture: Owen & Zhou, J. Am. Stat. Assoc. 95, 2000). Every other point of a
-    Sobol sequence would fill but half of the space."""
+    """Equally many points for each proposal, and the density of their mixture (deterministic
+    mixture: Owen & Zhou, J. Am. Stat. Assoc. 95, 2000). Each proposal takes a contiguous run,
+    because every other point of a Sobol sequence fills only half of the space."""
     dtype = jnp.result_type(float)
     roots = [np.linalg.cholesky(spread) for _, spread in proposals]
     parts = [
@@ -233,14 +235,15 @@ def _proposed(space: ParameterSpace, proposals: Sequence[Proposal], units: np.nd
 
 
 def _log_student(places: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """ln of Student's density, up to a constant."""
+    """ln of Student's t density, up to a constant."""
     z = solve_triangular(root, (places - centre).T, lower=True)
     fall = (FREEDOM + len(centre)) / 2 * np.log1p(np.sum(z**2, axis=0) / FREEDOM)
     return -fall - np.sum(np.log(np.diagonal(root)))
 
 
 def _moved(proposal: Proposal, places: np.ndarray, weight: np.ndarray, share: float) -> Proposal:
-    """A proposal with the mean of weighted draws, and as much of their covariance as they tell."""
+    """A proposal with the mean of weighted draws, and with their covariance as far as it is
+    determined."""
     centre = weight @ places
     away = places - centre
     return centre, share * (away * weight[:, None]).T @ away + (1 - share) * proposal[1]

@@ -1,9 +1,9 @@
 """Sums over many samples, a block at a time. Intermediate results then stay in the processor's
-cache, and the memory does not grow with the number of samples. An accelerator, whose every
-operation costs the start of a kernel, takes more of them at a time.
+cache, and the memory is independent of the number of samples. An accelerator takes more samples at
+a time, because every operation has the cost of a kernel launch.
 
-Samples are a record whose arrays hold one value a sample, beside numbers that all samples share.
-The last block is filled up with copies of the last sample, which do not count.
+Samples are a record whose arrays hold one value per sample, with numbers that all samples share.
+The last block is padded with copies of the last sample, which do not count.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,8 @@ Counts = Bool[Array, " samples"] | None  # which samples count; None where all d
 
 
 def at_a_time(of_core: int) -> int:
-    """How many entries a loop takes: `of_core` on a processor, many more elsewhere."""
+    """The number of entries that a loop takes at a time: `of_core` on a processor, many more
+    elsewhere."""
     return of_core if on_processor() else of_core * _OF_KERNEL
 
 
@@ -33,7 +34,7 @@ def summed(
 ) -> Terms:
     """The sum of terms over blocks of samples.
 
-    `block`: most samples of one; None: as many as the device serves well."""
+    `block`: maximum number of samples in one; None for a number that suits the device."""
     blocks, shared, counts = _cut(samples, block)
 
     def of(part: tuple[Any, Counts]) -> Terms:
@@ -52,7 +53,7 @@ def summed(
 def mapped(values: Callable[[Any], Terms], samples: Any, *, block: int | None = None) -> Terms:
     """Values of every sample, computed in blocks.
 
-    `block`: most samples of one; None: as many as the device serves well."""
+    `block`: maximum number of samples in one; None for a number that suits the device."""
     blocks, shared, _ = _cut(samples, block)
     count = _count(samples)
     found = jax.lax.map(lambda own: values(eqx.combine(own, shared)), blocks)
@@ -65,7 +66,8 @@ def mapped(values: Callable[[Any], Terms], samples: Any, *, block: int | None = 
 
 
 def _cut(samples: Any, block: int | None) -> tuple[Any, Any, Counts]:
-    """(blocks, samples of one) arrays, what all samples share, and which samples count."""
+    """Arrays of shape (blocks, samples of one), the shared values, and the mask of samples that
+    count."""
     own, shared = eqx.partition(samples, lambda leaf: eqx.is_array(leaf) and leaf.ndim > 0)
     count = _count(samples)
     blocks = -(-count // (block or at_a_time(BLOCK)))
@@ -80,5 +82,5 @@ def _cut(samples: Any, block: int | None) -> tuple[Any, Any, Counts]:
 
 
 def _count(samples: Any) -> int:
-    """Samples of a record."""
+    """Number of samples in a record."""
     return max(leaf.shape[0] for leaf in jax.tree.leaves(samples) if jnp.ndim(leaf))

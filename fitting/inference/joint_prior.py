@@ -1,14 +1,14 @@
 """A posterior as the prior of another fit: numbers with their correlations.
 
-Each number keeps the density of its posterior on the unconstrained scale u of the fit that it comes
-from, Gaussian or Student's t with scale s about m, as the prior of one parameter. With
-F the distribution function of (u - m) / s and R the correlations, z = Phi^-1(F((u - m) / s)) is
-N(0, R): the joint density is the product of the single ones times
+Each number keeps its posterior density on the unconstrained scale u of its fit, Gaussian or
+Student's t with scale s about m, as a prior for one parameter. With F the distribution function of
+(u - m) / s and R the correlations, z = Phi^-1(F((u - m) / s)) is N(0, R). The joint density is the
+product of the marginal densities times
 
     exp(-z^T (R^-1 - I) z / 2).
 
-Without degrees of freedom it is the Gaussian N(m, s R s). The density holds in any parameter's own
-unit, so that another fit may search the numbers on another scale.
+With infinite degrees of freedom it is the Gaussian N(m, s R s). The density is in each parameter's
+own unit, so another fit may search on another scale.
 """
 
 import math
@@ -52,7 +52,7 @@ CONSTANT = 1e-12  # spread of draws, relative to the number, of one that does no
 
 @dataclass(frozen=True)
 class Marginal:
-    """The prior of one number that was estimated before.
+    """The prior of one number from an earlier estimate.
 
     Attributes:
         centre: unconstrained.
@@ -93,7 +93,7 @@ class Marginal:
         return natural_numbers((self.number,), u[..., None])[..., 0]
 
     def score(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The place of a value on the scale on which the prior is N(0, 1)."""
+        """A value on the scale on which the prior is N(0, 1)."""
         u = to_unconstrained((self.number,), jnp.asarray(x)[..., None])[..., 0]
         t = (u - self.centre) / self.sd
         return t if math.isinf(self.freedom) else _gaussian_score(self.freedom, t)
@@ -109,7 +109,7 @@ def _gaussian_score(freedom: Any, t: Array) -> Array:
 
 @_gaussian_score.defjvp
 def _(primals: tuple[Any, Array], tangents: tuple[Any, Array]) -> tuple[Array, Array]:
-    """By the ratio of the two densities, which `betainc` leaves undefined at 0."""
+    """The derivative as the ratio of the two densities, because `betainc` has none at 0."""
     freedom, t = primals
     half, z = freedom / 2, _gaussian_score(freedom, t)
     norm = math.lgamma(half + 0.5) - math.lgamma(half) - math.log(math.pi * freedom) / 2
@@ -118,7 +118,7 @@ def _(primals: tuple[Any, Array], tangents: tuple[Any, Array]) -> tuple[Array, A
 
 
 class JointPrior(eqx.Module):
-    """What is known of some numbers, with their correlations.
+    """Earlier information on several numbers, with their correlations.
 
     `Fit.as_prior` and `as_prior` make one; `Problem(..., prior=...)` takes it.
 
@@ -152,7 +152,8 @@ Selection = str | Sequence[str] | Mapping[str, str]
 
 
 def selected(selection: Selection, known: Sequence[str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Names by those that they get, and the new ones that were given in full, without `*`."""
+    """The selected names by their new names, and the new names that were given in full, without
+    `*`."""
     if isinstance(selection, str):
         selection = (selection,)
     pairs = (
@@ -217,10 +218,10 @@ def posterior_prior(
 
 
 def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
-    """Draws of numbers as a prior, such as those of a calibrated camera.
+    """Draws of numbers, such as those of a calibrated camera, as a prior.
 
-    Numbers whose draws are all positive and far from 0 are Gaussian on the scale of their
-    logarithm, others on their own. Numbers that do not vary are left out.
+    Numbers whose draws are all positive and far from 0 are Gaussian in their logarithm, others on
+    their own scale. Numbers that do not vary are left out.
 
     Args:
         draws: by name, of an array or of a record such as a `Sensor`, each number with a leading
@@ -308,7 +309,7 @@ def _refuse_missed(posterior: Posterior) -> None:
 
 
 def _refuse_odd_draws(space: ParameterSpace, vectors: np.ndarray, count: float) -> None:
-    """Compares the ends of 95 % of the draws with a Gaussian's, of each number and of each
+    """Compare the ends of the central 95 % of the draws with a Gaussian's, for each number and each
     principal axis."""
     z = (vectors - vectors.mean(axis=0)) / vectors.std(axis=0)
     _, axes = np.linalg.eigh(np.corrcoef(z.T).reshape(len(space), -1))
@@ -362,7 +363,7 @@ def with_joint_prior(
 
 
 def restricted(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
-    """A prior marginalised over the numbers of all other names; None where nothing is left."""
+    """A prior marginalised over the numbers with other names; None if none remains."""
     sizes = [math.prod(shape) for shape in prior.shapes]
     chosen = np.flatnonzero(np.repeat([name in kept for name in prior.names], sizes))
     if not chosen.size:
@@ -380,7 +381,7 @@ def restricted(prior: JointPrior, kept: Collection[str]) -> JointPrior | None:
 
 
 def _nested(flat: tuple[Marginal, ...], shape: tuple[int, ...]) -> Any:
-    """As nested tuples, which a compile key can hold."""
+    """Arrays as nested tuples, which can be part of a compile key."""
     if not shape:
         return flat[0]
     size = math.prod(shape[1:])
@@ -389,7 +390,7 @@ def _nested(flat: tuple[Marginal, ...], shape: tuple[int, ...]) -> Any:
 
 
 def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:
-    """Where the numbers of a prior stand in a space."""
+    """The indices of a prior's numbers in a space."""
     order = {parameter.name: i for i, parameter in enumerate(space)}
     found = []
     for name, shape in zip(prior.names, prior.shapes, strict=True):
@@ -399,7 +400,7 @@ def places_of(prior: JointPrior, space: ParameterSpace) -> np.ndarray:
 
 
 def scores(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "... numbers"]:
-    """The numbers on the scale on which each is N(0, 1) by the prior.
+    """The numbers on the scale on which the prior makes each N(0, 1).
 
     `vectors`: (..., P) unconstrained."""
     natural = to_natural(space, vectors)[..., places_of(prior, space)]
@@ -408,7 +409,7 @@ def scores(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Ar
 
 
 def log_dependence(prior: JointPrior, space: ParameterSpace, vectors: Array) -> Float[Array, "..."]:
-    """What the correlations add to the sum of the single log densities, up to a constant."""
+    """The contribution of the correlations to the log density, up to a constant."""
     assert prior.coupling is not None
     z = scores(prior, space, vectors)
     return jnp.sum((z @ prior.coupling.astype(z.dtype)) * z, axis=-1) / 2

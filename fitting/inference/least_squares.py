@@ -1,8 +1,7 @@
 """Non-linear least squares by Levenberg and Marquardt's method.
 
-Residuals are expected in units of their standard deviation, so that `cost` is half a chi-square,
-`gram` the Fisher information of the vector, and a step of 1e-3 standard deviations is where more
-digits stop meaning anything.
+Residuals must be in units of their standard deviation. Then `cost` is half a chi-square and `gram`
+the Fisher information of the vector, and steps below 1e-3 standard deviations are irrelevant.
 """
 
 from collections.abc import Callable
@@ -20,7 +19,7 @@ Residuals = Callable[[Float[Array, " parameters"], Any], Float[Array, " observat
 
 
 class Solution(eqx.Module):
-    """Where a fit ended.
+    """The end of a fit.
 
     Attributes:
         vector: (parameters,).
@@ -50,12 +49,12 @@ def minimise_residuals(
     atol: float = 1e-8,
     shared_out: bool = False,
 ) -> Solution:
-    """Minimises sum residuals(vector, args)^2 / 2, unbounded: bounds belong in the parameters'
+    """Minimise sum residuals(vector, args)^2 / 2 without bounds; bounds belong in the parameters'
     transforms.
 
-    Nothing is raised for a fit that does not converge; read `converged`.
+    A fit that does not converge raises nothing; read `converged`.
 
-    `rtol`: relative tolerance on the moves of vector and cost, at least 8 units of rounding."""
+    `rtol`: relative tolerance on the changes of vector and cost, at least 8 ULP."""
     import lineax as lx  # here, for most fits need none of it
     import optimistix as optx
 

@@ -1,14 +1,13 @@
 """Errors that a likelihood can neglect, because no fit can detect them.
 
-In units of their noise the data have the covariance 1 without an error that they share, and with it
-1 + h h'. The 2-Wasserstein distance of the two laws is
+In units of their noise, the data have the covariance 1 without an error h that they share, and 1 +
+h h' with it. The 2-Wasserstein distance of the two distributions is
 
     sqrt(1 + |h|^2) - 1,     |h|^2 = sum of h^2 / Var,
 
-and over parts of the data whose errors are independent the squares of the distances add. A shift h
-that all data have for certain is |h| away. Where the distance is a tenth of the noise or less, no
-estimate can move by more than a tenth of its standard deviation, and the likelihood is that without
-the error.
+The squared distances of independent parts of the data add. A fixed shift h of all data has the
+distance |h|. If the distance is a tenth of the noise or less, no estimate can change by more than a
+tenth of its standard deviation, and the likelihood omits the error.
 
 Source:
     Dowson and Landau, "The Frechet distance between multivariate normal distributions", J.
@@ -26,7 +25,7 @@ TOLERANCE = 0.1  # standard deviations of the noise of all data
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An error that a likelihood leaves out.
+    """An error that a likelihood omits.
 
     Attributes:
         name: of the error, as the rig or the model calls it.
@@ -47,7 +46,7 @@ def distance(
 
 
 def negligible(errors: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
-    """Those that may be left out together."""
+    """The errors that may be omitted together."""
     found = sorted(errors, key=lambda own: own.bound)
     total = np.cumsum([own.bound for own in found])
     return tuple(own for own, moved in zip(found, total, strict=True) if moved <= TOLERANCE)

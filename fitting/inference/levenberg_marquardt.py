@@ -1,9 +1,11 @@
-"""Levenberg and Marquardt's method by optimistix, for sums whose rounding drowns their falls.
+"""Levenberg-Marquardt method by optimistix, for costs so large that rounding hides their decrease
+per step.
 
-A fall in cost is summed over the changes of the residuals. The difference of two sums of a million
-squares is no better than the last digit of the sums: in single precision, a search that is judged
-by it refuses every step near the optimum, makes ever smaller ones and never ends. A line through
-10,000 points, its numbers bounded, took all of 100 steps that way, and takes 5 to 23.
+The decrease of the cost is summed over the changes of the residuals. The difference of two sums of
+a million squares has the rounding error of the sums. In single precision, a search that uses it
+refuses every step near the optimum, takes smaller and smaller ones and never ends. For a line
+through 10,000 points with bounded parameters, that search took all of its 100 steps, and this one
+takes 5 to 23.
 """
 
 from typing import Any
@@ -23,7 +25,8 @@ class Reached(eqx.Module):
 
 
 class Falls(optx.ClassicalTrustRegion):
-    """Takes a step or refuses it by how much of the promised fall came, with optimistix' constants.
+    """Accept or refuse a step by the ratio of actual to predicted decrease, with optimistix'
+    constants.
 
     Attributes:
         nothing: fall in cost that means nothing; 0 for one of the last digit of the cost. A step
@@ -67,7 +70,7 @@ class Falls(optx.ClassicalTrustRegion):
 
 
 class LevenbergMarquardt(optx.LevenbergMarquardt):
-    """Optimistix' solver of that name, whose steps `Falls` takes or refuses."""
+    """Optimistix' solver of that name, with `Falls` to accept or refuse steps."""
 
     def __init__(
         self, rtol: float, atol: float, *, nothing: float, linear_solver: lx.AbstractLinearSolver

@@ -4,7 +4,7 @@ Each is a record with
 
     log_density(prediction, data)       ln p of every datum, (data)
     residuals(prediction, data, chance) standard normal for every datum if the model holds, (data)
-    draw(key, prediction)               data as they might have been, (data)
+    draw(key, prediction)               simulated data, (data)
 
 `least_squares` says whether ln p is -residual^2 / 2 plus constants, so that a fit may use the
 Levenberg-Marquardt method. `surrogate` is a least-squares likelihood with a similar best fit, for a
@@ -47,7 +47,7 @@ Scale = Any  # a number, an array, or the name of a parameter whose value takes 
 
 @runtime_checkable
 class Likelihood(Protocol):
-    """How data scatter about a prediction."""
+    """The distribution of data about a prediction."""
 
     @property
     def least_squares(self) -> bool: ...
@@ -59,15 +59,15 @@ class Likelihood(Protocol):
 
 
 def numerics(*known: Any) -> tuple[Any, Any]:
-    """What to compute residuals by: NumPy, which compiles nothing, or JAX where it traces."""
+    """The library for residuals: NumPy, which compiles nothing, or JAX for traced values."""
     return (np, scipy.special) if is_concrete(known) else (jnp, jax.scipy.special)
 
 
 class Gaussian(eqx.Module):
     """data = prediction + sd * Normal(0, 1).
 
-    The root of each datum is no standard deviation of counts: a datum that is low by chance would
-    count for more, and the fit would come out too low. Counts have `SensorCounts`.
+    Do not use the square root of each datum as the standard deviation of counts: low data would get
+    too much weight, and the fit would be too low. For counts use `SensorCounts`.
 
     Attributes:
         sd: standard deviation in the unit of the data: a number, an array of the data's shape, or
@@ -102,16 +102,17 @@ class Gaussian(eqx.Module):
         return (xp.asarray(data) - xp.asarray(prediction)) / xp.asarray(self.sd)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Data as they might have been."""
+        """Simulated data."""
         noise = jax.random.normal(key, prediction.shape, prediction.dtype)
         return prediction + self.sd * noise
 
 
 class StudentT(eqx.Module):
-    """data = prediction + scale * t, with Student's t: outliers count for little.
+    """data = prediction + scale * t, with Student's t; outliers have little weight.
 
-    Far from the best fit all data are outliers, and a search finds hardly a slope. It therefore
-    begins with least squares, unless the scale is unknown, which then grows until data count again.
+    Far from the best fit all data are outliers, and the gradient nearly vanishes. The search
+    therefore begins with least squares, unless the scale is unknown. An unknown scale grows until
+    the data have weight again.
 
     Attributes:
         scale: in the unit of the data; the standard deviation is sqrt(dof / (dof - 2)) times that:
@@ -153,14 +154,14 @@ class StudentT(eqx.Module):
 
     @property
     def surrogate(self) -> "Gaussian | Censored | None":
-        """The Gaussian of the same scale and ends, if it is known."""
+        """The Gaussian with the same scale and ends, if the scale is known."""
         if isinstance(self.scale, str):
             return None
         return Censored(self.scale, self.low, self.high) if self._ends else Gaussian(self.scale)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """-(dof + 1) / 2 ln(1 + z^2 / dof), z = (data - prediction) / scale, normalised; ln of the
-        probability beyond, at an end."""
+        """-(dof + 1) / 2 ln(1 + z^2 / dof) with z = (data - prediction) / scale, normalised; at an
+        end, ln of the probability beyond."""
         dof = jnp.asarray(self.dof)
         z = (data - prediction) / self.scale
         density = student_log_density(z, dof) - jnp.log(self.scale)
@@ -173,14 +174,15 @@ class StudentT(eqx.Module):
         return density
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
-        """Normal deviates of the probabilities under Student's t; of a clipped datum, one of those
-        that it may stand for."""
+        """Normal deviates of the probabilities under Student's t; for a clipped datum, of a random
+        point beyond the end."""
         xp, special = numerics(prediction, data, self)
         data, prediction = xp.asarray(data), xp.asarray(prediction)
         dof, scale = xp.asarray(self.dof), xp.asarray(self.scale)
 
         def deviate(z: Numbers, chance: Numbers | float = 1.0) -> Numbers:
-            """Of `chance` times the probability of less; by its logarithm where that underflows."""
+            """The normal deviate of `chance` times the probability below, from its logarithm if
+            that underflows."""
             half = special.betainc(dof / 2, 0.5, dof / (dof + z**2)) / 2  # of -|z|
             share = chance * xp.where(z > 0, 1 - half, half)
             rare = share <= xp.finfo(share.dtype).tiny
@@ -201,7 +203,7 @@ class StudentT(eqx.Module):
         return found
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Data as they might have been, clipped."""
+        """Simulated data, clipped."""
         noise = jax.random.t(key, self.dof, prediction.shape, prediction.dtype)
         return jnp.clip(prediction + self.scale * noise, self.low, self.high)
 
@@ -210,8 +212,8 @@ _FAR = -12.0  # deviations; beyond, float32 and then float64 lose the normal dis
 
 
 class Censored(eqx.Module):
-    """A Gaussian signal that saturates. A datum at an end of the range says only that the signal is
-    beyond.
+    """A Gaussian signal that saturates. A datum at an end of the range states only that the signal
+    is beyond.
 
     Attributes:
         sd: standard deviation of the signal, in the unit of the data: a number, an array of the
@@ -240,7 +242,7 @@ class Censored(eqx.Module):
         require_ascending("Censored", self.low, self.high)
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """The Gaussian's between the ends; ln of the probability beyond, at an end."""
+        """Gaussian log density between the ends; at an end, ln of the probability beyond."""
         density = Gaussian(self.sd).log_density(prediction, data)
         if self.low is not None:
             below = log_ndtr((self.low - prediction) / self.sd)
@@ -251,7 +253,7 @@ class Censored(eqx.Module):
         return density
 
     def residuals(self, prediction: Numbers, data: Numbers, chance: Numbers) -> Numbers:
-        """Normal deviates; of a clipped datum, one of those that it may stand for."""
+        """Normal deviates; for a clipped datum, of a random point beyond the end."""
         xp, _ = numerics(prediction, data, self)
         data, prediction, sd = (xp.asarray(part) for part in (data, prediction, self.sd))
         z = (data - prediction) / sd
@@ -264,7 +266,7 @@ class Censored(eqx.Module):
         return z
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Data as they might have been, clipped."""
+        """Simulated data, clipped."""
         return jnp.clip(Gaussian(self.sd).draw(key, prediction), self.low, self.high)
 
 
@@ -327,36 +329,36 @@ class Clustered(eqx.Module):
             )
 
     def check_data(self, data: Numbers) -> None:
-        """Refuses what the likelihood inside does."""
+        """Refuse data that the inner likelihood refuses."""
         check_data(self.likelihood, data)
 
     @property
     def least_squares(self) -> bool:
-        """That of the likelihood inside."""
+        """That property of the inner likelihood."""
         return self.likelihood.least_squares
 
     @property
     def surrogate(self) -> Likelihood | None:
-        """That of the likelihood inside."""
+        """The surrogate of the inner likelihood."""
         return self.likelihood.surrogate
 
     def log_density(self, prediction: Array, data: Array) -> Array:
-        """Of each datum by itself."""
+        """Log density of each datum by itself."""
         return self.likelihood.log_density(prediction, data)
 
     def residuals(self, prediction: Array, data: Array, chance: Numbers) -> Numbers:
-        """Of each datum by itself."""
+        """Residual of each datum by itself."""
         return self.likelihood.residuals(prediction, data, chance)
 
     def draw(self, key: Array, prediction: Array) -> Array:
-        """Data as they might have been, without the shared error."""
+        """Simulated data without the shared error."""
         return self.likelihood.draw(key, prediction)
 
 
 def check_data(likelihood: Any, data: Numbers) -> None:
-    """Refuses data that a likelihood knows to be wrong.
+    """Refuse data that are impossible under a likelihood.
 
-    `data`: to judge, 0 or NaN where missing."""
+    `data`: to check, 0 or NaN where missing."""
     if hasattr(likelihood, "check_data"):
         likelihood.check_data(data)
 
@@ -377,7 +379,7 @@ def with_noise_scaled(likelihood: Any, factor: Any) -> Any:
 def named_width(likelihood: Any) -> str | None:
     """The parameter that is the width of the noise.
 
-    Returns its name; None where the width is known, or follows from something else."""
+    Returns its name; None if the width is known or follows from other values."""
     if isinstance(likelihood, Clustered):
         return named_width(likelihood.likelihood)
     width = getattr(likelihood, "sd", getattr(likelihood, "scale", None))
@@ -387,7 +389,7 @@ def named_width(likelihood: Any) -> str | None:
 def with_values(likelihood: Any, value_of: Callable[[str], Any]) -> Any:
     """A likelihood with values in place of their names.
 
-    `value_of`: a name to its value: a number in the unit of the data, or a record."""
+    `value_of`: from a name to its value, a number in the unit of the data or a record."""
     return jax.tree.map(lambda leaf: value_of(leaf) if isinstance(leaf, str) else leaf, likelihood)
 
 

@@ -1,7 +1,7 @@
-"""Whether a model describes its data: chi-square, and neighbours that move together.
+"""Tests of a model against its data: chi-square, and the correlation of neighbouring residuals.
 
-Standardised residuals r are standard normal and independent if it does. Then sum r^2 is chi-square
-distributed, and the correlation of neighbours along an axis,
+Under the model, standardised residuals r are standard normal and independent. Then sum r^2 is
+chi-square distributed, and the correlation of neighbours along an axis,
 
     rho = sum r_i r_(i+1) / sqrt(sum r_i^2 sum r_(i+1)^2),    rho sqrt(pairs) ~ Normal(0, 1).
 
@@ -21,7 +21,7 @@ CHANCE = 1e-3  # of calling a good fit a misfit, by each of the two tests
 
 @dataclass(frozen=True)
 class Misfit:
-    """What the residuals of a fit show.
+    """The results of both tests on the residuals of a fit.
 
     Attributes:
         chi_square: sum of their squares.
@@ -117,7 +117,7 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
 
 
 def _correlation(product: float, one: float, other: float, pairs: float) -> tuple[float, float]:
-    """Correlation of neighbours along an axis, and in standard deviations."""
+    """Correlation of neighbours along an axis, and its value in standard deviations."""
     size = float(np.sqrt(one * other))
     if size == 0:
         return 0.0, 0.0
@@ -126,5 +126,5 @@ def _correlation(product: float, one: float, other: float, pairs: float) -> tupl
 
 
 def _largest(dof: float) -> float:
-    """Chi-square per degree of freedom that is exceeded by chance."""
+    """The chi-square per degree of freedom that chance exceeds with the stated probability."""
     return float(chdtri(dof, CHANCE)) / dof

@@ -24,7 +24,7 @@ def regions(
 ) -> Int[np.ndarray, " clusters"]:
     """The region of each cluster.
 
-    `places`: (clusters, axes) where clusters lie, in units that compare."""
+    `places`: (clusters, axes) positions of the clusters, in comparable units."""
     count = len(places)
     sums = np.stack([np.bincount(cluster, row, count) for row in scores], axis=1)
     present = np.flatnonzero(np.bincount(cluster, minlength=count))
@@ -53,7 +53,7 @@ def _alike(sums: np.ndarray, places: np.ndarray) -> bool:
 
 
 def _halved(places: np.ndarray, parts: int) -> np.ndarray:
-    """Labels of regions of equally many places, each half cut along its longest axis."""
+    """Labels of regions with equal numbers of positions, each half cut along its longest axis."""
     if parts == 1:
         return np.zeros(len(places), int)
     centred = places - places.mean(axis=0)

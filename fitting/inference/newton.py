@@ -1,8 +1,9 @@
-"""Maximum likelihood in a few unconstrained parameters: Newton's method, damped, free of saddles.
+"""Maximum likelihood in a few unconstrained parameters, by a damped Newton method that escapes
+saddles.
 
-For likelihoods that are not sums of squares the curvature comes from forward-over-reverse
-differentiation, so that the Hessian at the end is the observed information itself. For those that
-are, or nearly so, `derivatives` may give Gauss and Newton's curvature instead.
+For likelihoods that are not sums of squares, the curvature comes from forward-over-reverse
+differentiation, so the final Hessian is the observed information. For sums of squares, exact or
+approximate, `derivatives` may give the Gauss-Newton curvature instead.
 """
 
 from collections.abc import Callable
@@ -28,7 +29,7 @@ SAME_COST = 45  # units of rounding by which an equal cost may rise
 
 
 class NewtonSolution(eqx.Module):
-    """Where a minimisation ended.
+    """The end of a minimisation.
 
     Attributes:
         vector: (parameters,).
@@ -53,7 +54,7 @@ class NewtonSolution(eqx.Module):
 
 
 class _State(eqx.Module):
-    """The best point so far with its derivatives, and where to look next."""
+    """The best point so far with its derivatives, and the next point to evaluate."""
 
     vector: Array
     cost: Array
@@ -77,11 +78,11 @@ def minimise(
     tolerance: float = 1e-7,
     long: bool = False,
 ) -> NewtonSolution:
-    """Minimises objective(vector, args) until a step promises less than a tolerance. Works under
-    `vmap`.
+    """Minimise objective(vector, args) until a step predicts a decrease below the tolerance. Works
+    under `vmap`.
 
-    Where the objective is not finite is out of bounds: such a step is refused. Nothing is raised
-    for a fit that does not converge; read `converged`.
+    A step to a point where the objective is not finite is refused. A fit that does not converge
+    raises nothing; read `converged`.
 
     `derivatives`: cost, gradient (parameters,) and curvature (parameters, parameters) of the
     objective at (vector, args); None differentiates it twice.
@@ -122,8 +123,8 @@ def minimise_read(
     max_steps: int = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
-    """As `minimise`, for an objective that no single program computes: whose data are read anew at
-    every step."""
+    """As `minimise`, for an objective that is computed by several programs because its data are
+    read again at every step."""
     most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
     state = _begun(start)
     while bool(_goes_on(state, most, enough)):
@@ -153,7 +154,8 @@ def _begun(start: Array) -> _State:
 
 
 def _advanced(state: _State, cost: Array, gradient: Array, information: Array) -> _State:
-    """After the proposal was evaluated: the better of the two points, and where to look next."""
+    """The state after an evaluation: the better of the two points, and the next point to
+    evaluate."""
     rounding = SAME_COST * jnp.finfo(cost.dtype).eps * jnp.abs(state.cost)
     better = cost <= state.cost + jnp.where(jnp.isfinite(rounding), rounding, 0)
     here = _State(
@@ -195,8 +197,8 @@ def _solution(end: _State, tolerance: Array) -> NewtonSolution:
 def twice(
     objective: Objective, vector: Float[Array, " parameters"], args: Any
 ) -> tuple[Array, Array, Array]:
-    """Cost, gradient and Hessian, one column at a time: for large data half the time of all at
-    once, whose intermediate arrays leave the cache."""
+    """Cost, gradient and Hessian, one column at a time. For large data this takes half the time of
+    all columns together, whose intermediate arrays exceed the cache."""
     slope = jax.value_and_grad(objective)
 
     def column(along: Array) -> tuple[tuple[Array, Array], Array]:

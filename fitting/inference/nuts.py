@@ -1,13 +1,13 @@
 """Draws by the No-U-Turn sampler (Hoffman & Gelman, JMLR 15, 2014) of blackjax, an optional extra.
 
-The chains move in coordinates z in which Laplace's Gaussian is round,
+The chains use coordinates z in which Laplace's Gaussian is isotropic,
 
     vector = mode + L z,    L L^T = covariance,
 
-so that only the size of a step is adapted: by dual averaging, during the warm-up, to the mean
-acceptance of all chains. Draw i has a key of its own, so that neither the size of the blocks nor an
-interruption changes a chain. Chains are trusted from 400 effective draws and up to an R-hat of 1.01
-(Vehtari et al., Bayesian Analysis 16, 2021).
+so that only the step size is adapted, by dual averaging during the warm-up, to the mean acceptance
+of all chains. Draw i has its own key, so neither the size of the blocks nor an interruption changes
+a chain. Chains are accepted from 400 effective draws and up to an R-hat of 1.01 (Vehtari et al.,
+Bayesian Analysis 16, 2021).
 """
 
 import math
@@ -79,7 +79,7 @@ class Nuts:
 
 
 class NutsOptions(Nuts):
-    """Deprecated: `Nuts`, whose fields it has.
+    """Deprecated: use `Nuts`, which has the same fields.
 
     Attributes:
         draws: of each chain.
@@ -106,8 +106,8 @@ class NutsOptions(Nuts):
 
 
 class _State(eqx.Module):
-    """Where the chains are, and the adaptation of their step: log of the step, of its average,
-    count, mean error and centre (Nesterov's dual averaging)."""
+    """The chains and the adaptation of their step: log of the step, of its average, count, mean
+    error and centre (Nesterov's dual averaging)."""
 
     position: Float[Array, "chains parameters"]
     log_density: Float[Array, " chains"]
@@ -126,14 +126,13 @@ def nuts(
     seed: int = 0,
     after: Posterior | None = None,
 ) -> Posterior:
-    """Draws by NUTS, the chains starting from the Gaussian (mode, covariance).
+    """Draws by NUTS, with starts from the Gaussian (mode, covariance).
 
-    Chains that cannot be trusted yet are kept and say how many draws they lack. With `after`, or
-    with their checkpoint, and more draws they go on, and end bit-identical to chains that were
-    never interrupted.
+    Chains that are not yet reliable are kept and report how many draws they lack. With `after`, or
+    with their checkpoint, and more draws they continue, with the same bits as uninterrupted chains.
 
     `log_density`: module-level function of (vector, args), differentiable; NaN counts as
-    impossible. `options`: of the chains; None for the defaults.
+    impossible. `options`: for the chains; None for the defaults.
     """
     _ = require_blackjax()
     options = options or Nuts()
@@ -163,7 +162,7 @@ def nuts(
 
 
 def require_blackjax() -> ModuleType:
-    """The package of the sampler."""
+    """The blackjax package, or an error that says how to install it."""
     try:
         import blackjax
     except ImportError as error:
@@ -174,7 +173,7 @@ def require_blackjax() -> ModuleType:
 
 
 def _whitened(log_density: LogDensity, mode: Array, spread: Array, args: Any) -> Any:
-    """The density of z, -inf where it is NaN."""
+    """The density of z; -inf where it is NaN."""
 
     def density(z: Array) -> Array:
         value = log_density(mode + spread @ z, args)
@@ -198,7 +197,7 @@ def _start(
 def _started(
     log_density: LogDensity, mode: Array, spread: Array, args: Any, key: PRNGKeyArray, chains: int
 ) -> _State:
-    """Starts from Laplace's Gaussian, each as far toward the mode as it must be to be possible."""
+    """Starts from Laplace's Gaussian, each moved toward the mode until its density is positive."""
     density = _whitened(log_density, mode, spread, args)
     z = jax.random.normal(key, (chains, mode.size), mode.dtype)
     nearer = jnp.asarray(SHRINKING, mode.dtype)[:, None, None] * z[None]
@@ -279,7 +278,7 @@ def _resumed(last: Block) -> _State:
 def _posterior(
     space: ParameterSpace, mode: np.ndarray, spread: np.ndarray, blocks: list[Block], seed: int
 ) -> Posterior:
-    """The settled draws, and whether they can be trusted."""
+    """The draws after warm-up, and whether they are reliable."""
     settled = {
         name: stacked(blocks, name)[WARM_UP:]
         for name in ("chain", "log_chain", "acceptances", "divergent")
@@ -309,8 +308,8 @@ def _posterior(
 
 
 def _missing(draws: int, effective: float, r_hat: float) -> int:
-    """About how many draws each chain lacks, in whole hundreds; twice as many in all where chains
-    disagree though their draws would suffice."""
+    """The approximate number of draws that each chain lacks, in whole hundreds. If chains disagree
+    although they have enough draws, the number doubles."""
     if effective >= FEWEST_EFFECTIVE and r_hat <= LARGEST_R_HAT:
         return 0
     needed = draws * max(FEWEST_EFFECTIVE / effective, 2.0 if r_hat > LARGEST_R_HAT else 1.0)

@@ -14,7 +14,8 @@ from jaxvision.errors import InputError
 
 
 def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
-    """All values, gathered from the processes where one alone does not hold them; all must call.
+    """All values, gathered from the processes if no process has them all. Every process must call
+    it.
 
     `dtype`: of the result; None for its own."""
     if _apart(values):
@@ -25,7 +26,8 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
 
 
 def require_here(name: str, values: Any) -> None:
-    """Refuses arrays whose parts lie in several processes, for what is read in parts."""
+    """Refuse arrays that are distributed over several processes, for data that are read in
+    parts."""
     if any(_apart(leaf) for leaf in jax.tree.leaves(values)):
         raise InputError(
             f"{name}: an array lies on several hosts, and what is read in parts must lie on one; "

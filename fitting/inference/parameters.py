@@ -1,20 +1,21 @@
 """Named parameters with units, bounds and priors, and their map to an unconstrained vector.
 
-A solver or a sampler moves freely in R^P; a reader wants numbers with units. One number goes across
-in two steps. First the scale on which it is at home, v = x (`identity`) or v = ln x (`log`); then
-the bounds a < v < b, which no vector can leave:
+A solver or a sampler uses a vector in R^P, and a user needs numbers with units. The map of one
+number has two steps. The first is the scale of the parameter, v = x (`identity`) or v = ln x
+(`log`). The second is the map into the bounds a < v < b:
 
     v = u                            no bound
     v = a + exp(u)                   lower bound alone
     v = b - exp(-u)                  upper bound alone
     v = a + (b - a) / (1 + exp(-u))  both
 
-A prior is a density of x in its own unit, p(x). Without one a parameter is flat in v, as far as its
-bounds reach. `log_prior` is the density of u that follows, ln p(x) + ln |dx/du|, so that a mode, a
-Gaussian about it and a chain of draws all refer to one posterior. The mode of a fit is taken in u.
+A prior is a density of x in its own unit, p(x). Without one a parameter has a flat prior in v
+within its bounds. `log_prior` is the corresponding density of u, ln p(x) + ln |dx/du|, so that the
+mode, the Gaussian approximation and a chain all refer to the same posterior. The mode of a fit is
+taken in u.
 
-A parameter that a fit does not need is not in the space, and is never traced. Natural and
-unconstrained values are vectors (..., P) in the order of the space.
+A parameter that a fit does not need is not in the space and never traced. Natural and unconstrained
+values are vectors (..., P) in the order of the space.
 """
 
 import math
@@ -43,7 +44,7 @@ FLAT_QUANTILES = (np.arange(400) + 0.5) / 400  # at which a prior's spread is re
 
 
 def _frozen(value: Any) -> Any:
-    """Numbers as nested tuples, which a compile key can hold."""
+    """Numbers as nested tuples, which can be part of a compile key."""
     if value is None:
         return None
     value = plain_numbers("a number of a Parameter", value)
@@ -55,7 +56,7 @@ def _frozen(value: Any) -> Any:
 class Parameter(eqx.Module):
     """One number, or one array of numbers, to be estimated.
 
-    Bounds bind in every solver and sampler.
+    Bounds apply in every solver and sampler.
 
     Attributes:
         name: a word; a `Problem` takes it from its dictionary.
@@ -102,7 +103,7 @@ class Parameter(eqx.Module):
 
 
 def _fault(parameter: Parameter) -> str | None:
-    """What is wrong with a statement, if anything is."""
+    """The error in a statement, if there is one."""
     logarithm, start = parameter.transform == "log", parameter.start
     given = (parameter.lower, parameter.upper, parameter.lower if start is None else start)
     try:
@@ -154,7 +155,7 @@ def names(space: ParameterSpace) -> tuple[str, ...]:
 
 
 def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
-    """The numbers of which an array parameter consists, in row-major order."""
+    """The names of the numbers in an array parameter, in row-major order."""
     short = parameter.symbol or parameter.name.rpartition(".")[2]
     start = np.nan if parameter.start is None else np.asarray(parameter.start)
     each = parameter.lower, parameter.upper, _objects(parameter.prior), start
@@ -184,9 +185,9 @@ def scalars(parameter: Parameter, shape: tuple[int, ...]) -> ParameterSpace:
 
 
 def ends(parameter: Parameter) -> tuple[float, float]:
-    """Bounds of a scalar parameter, those of its prior included.
+    """Bounds of a scalar parameter, including those of its prior.
 
-    Returns lower and upper bound in its unit, infinite where there is none."""
+    Returns lower and upper bound in its unit, infinite if there is none."""
     lower, upper = float(np.asarray(parameter.lower)), float(np.asarray(parameter.upper))
     if parameter.prior is not None:
         low, high = support(parameter.prior)
@@ -195,9 +196,9 @@ def ends(parameter: Parameter) -> tuple[float, float]:
 
 
 def scaled_ends(parameter: Parameter) -> tuple[float, float]:
-    """Bounds of a scalar parameter on the scale on which it is at home.
+    """Bounds of a scalar parameter on its own scale (identity or logarithm).
 
-    Returns a and b, infinite where there is none."""
+    Returns a and b, infinite if there is none."""
     lower, upper = ends(parameter)
     if parameter.transform == "identity":
         return lower, upper
@@ -210,7 +211,7 @@ def _natural(parameter: Parameter, v: Array) -> Array:
 
 
 def _library(values: Any) -> Any:
-    """NumPy for its own arrays, which compile no program for their shape."""
+    """NumPy for NumPy arrays, so that no program is compiled for their shape."""
     return np if isinstance(values, np.ndarray) else jnp
 
 
@@ -289,7 +290,7 @@ def to_unconstrained(space: ParameterSpace, natural: Vector) -> Vector:
 def natural_numbers(
     space: ParameterSpace, unconstrained: Float[np.ndarray, "... parameters"]
 ) -> Float[np.ndarray, "... parameters"]:
-    """As `to_natural`, which is compiled for every space and shape, in NumPy."""
+    """`to_natural` in NumPy, because JAX would compile it for every space and shape."""
     with np.errstate(all="ignore"):
         return _to_natural(space, unconstrained)
 
@@ -304,10 +305,10 @@ def unconstrained_numbers(
 
 @partial(jax.jit, static_argnums=0)
 def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Float[Array, "..."]]:
-    """Unconstrained values on the scale on which each number is at home, inside its bounds.
+    """Unconstrained values on the scale of each number (identity or logarithm), inside its bounds.
 
-    Returns (..., P) natural values or their logarithms; and (...) the logarithm of how much smaller
-    a volume is there.
+    Returns (..., P) natural values or their logarithms, and (...) the logarithm of the volume
+    ratio.
     """
     slopes = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
@@ -324,7 +325,7 @@ def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Flo
 def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
     """Inverse of `to_scaled`.
 
-    Returns (..., P) unconstrained; NaN outside of the bounds."""
+    Returns (..., P) unconstrained; NaN outside the bounds."""
 
     def columns(parameter: Parameter, v: Array) -> Array:
         return _out_of_bounds(v, *scaled_ends(parameter))
@@ -352,7 +353,7 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
 def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation of each unconstrained value before any data.
 
-    Returns (P,) means and (P,) standard deviations, infinite where nothing is known."""
+    Returns (P,) means and (P,) standard deviations, infinite if nothing is known."""
     known = [prior_values(parameter) for parameter in space]
     nothing = np.full(len(FLAT_QUANTILES), np.nan)
     table = np.stack([nothing if x is None else x for x in known], axis=-1)
@@ -364,7 +365,7 @@ def prior_gaussian(space: ParameterSpace) -> tuple[np.ndarray, np.ndarray]:
 def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None:
     """Evenly spaced quantiles of a scalar parameter's prior within its bounds.
 
-    Returns (quantiles,) ascending, in its unit; None where neither prior nor bounds limit it."""
+    Returns (quantiles,) ascending, in its unit; None if neither prior nor bounds limit it."""
     if (prior := parameter.prior) is not None:
         low, high = (share_below(prior, end) for end in ends(parameter))
         return np.asarray(prior.quantile(low + (high - low) * FLAT_QUANTILES))
@@ -376,7 +377,7 @@ def prior_values(parameter: Parameter) -> Float[np.ndarray, " quantiles"] | None
 
 
 def share_below(prior: Prior, x: float) -> float:
-    """The probability below x, from the quantiles by bisection."""
+    """The probability below x, from the quantile function by bisection."""
     low, high = 0.0, 1.0
     while high - low > LEAST_PRIOR / 1e6:
         middle = (low + high) / 2
@@ -388,7 +389,8 @@ Kind = tuple[Parameter, list[int]]
 
 
 def _kinds(space: ParameterSpace) -> list[Kind]:
-    """Scalars that go across alike, and where they stand: many numbers, few operations."""
+    """Groups of scalars with the same map, and their indices, so that many numbers need few
+    operations."""
     found: dict[Any, Kind] = {}
     for i, parameter in enumerate(space):
         key = (parameter.transform, *ends(parameter), parameter.prior)

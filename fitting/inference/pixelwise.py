@@ -1,8 +1,8 @@
-"""Many small problems of one form, each with its own data: fitted side by side in one program.
+"""Many small problems of one form with separate data, fitted in one program.
 
-Every search is Newton's damped method from each of the starts, the ends compared by their cost,
-with the curvature that `fit` uses: J^T J of a sum of squares, or else the Hessian. A problem whose
-data are missing or not finite fails alone.
+Every search is a damped Newton method from each of the starts, and the end with the lowest cost is
+kept. The curvature is that of `fit`: J^T J of a sum of squares, or else the Hessian. A problem with
+missing or non-finite data fails alone.
 """
 
 from functools import partial
@@ -38,7 +38,7 @@ TOLERANCE = 1e-10  # fall in cost that another step promises
 
 
 class Ends(eqx.Module):
-    """Where the searches of some problems ended.
+    """The ends of the searches of some problems.
 
     Attributes:
         vector: (problems, P) the modes, unconstrained.
@@ -74,10 +74,10 @@ def fit_side_by_side(
     max_steps: Int[Array, ""],
     chance: Float[Array, "..."],
 ) -> Ends:
-    """The modes of problems that differ in their data, and in some inputs.
+    """The modes of problems that differ in their data and in some inputs.
 
     `data`: (problems, ...) NaN where a datum is missing. `own`: leaves of the inputs in their
-    order, with a leading axis; None where the problem's own holds for all.
+    order, with a leading axis; None for a leaf that all problems share.
     """
     leaves, form = jax.tree.flatten(problem.inputs)
 

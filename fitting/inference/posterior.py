@@ -1,8 +1,8 @@
-"""The posterior of a fit: Laplace's approximation, or draws by emcee (by NUTS: `nuts`).
+"""The posterior of a fit: Laplace's approximation, or draws by emcee (`nuts` has NUTS).
 
-A log density is a module-level pure function of an unconstrained vector and its data. Laplace
-takes its curvature at the mode; the ensemble sampler evaluates it at half of its walkers in one
-compiled call (`emcee_run`).
+A log density is a module-level pure function of an unconstrained vector and its data. Laplace's
+approximation uses its curvature at the mode. The ensemble sampler evaluates it for half of its
+walkers in one compiled call (`emcee_run`).
 """
 
 from collections.abc import Callable
@@ -99,7 +99,7 @@ class Posterior:
 
     @property
     def samples(self) -> Float[np.ndarray, "samples parameters"]:
-        """All draws in one row, (samples, P)."""
+        """All draws as one array, (samples, P)."""
         return self.draws.reshape(-1, len(self.space))
 
     @property
@@ -109,14 +109,14 @@ class Posterior:
 
     @property
     def sampled(self) -> bool:
-        """Whether the draws are a sampler's, so that quantiles are read off them."""
+        """Whether the draws come from a sampler, so that intervals are their quantiles."""
         return self.method != "Laplace"
 
 
 @dataclass(frozen=True)
 class Laplace:
-    """A Gaussian about the mode of the unconstrained values, or draws by importance sampling where
-    the posterior is not as Gaussian as that.
+    """A Gaussian about the mode of the unconstrained values, or draws by importance sampling if the
+    posterior is not Gaussian enough.
 
     Example:
         >>> from fitting import Gaussian, Laplace, Parameter, Problem, fit
@@ -141,7 +141,7 @@ def laplace_or_emcee(
     """Draws from a posterior by Laplace's approximation, or by emcee.
 
     `sampling`: how to run emcee; None for Laplace. `freedom`: (P,) degrees of freedom of the
-    variances, for Laplace; None where they are known.
+    variances, for Laplace; None if they are known.
     """
     if sampling is None:
         return laplace(
@@ -215,11 +215,11 @@ def sample(
     seed: int = 0,
     after: Posterior | None = None,
 ) -> Posterior:
-    """Draws by emcee, the walkers starting from the Gaussian (mode, covariance).
+    """Draws by emcee, with walkers that start from the Gaussian (mode, covariance).
 
-    A chain that reaches the ceiling of steps before it holds 50 autocorrelation times is kept and
-    says how many steps it lacks. With `after`, or with its checkpoint, and a higher ceiling it goes
-    on, and ends bit-identical to a run that was never interrupted.
+    A chain that reaches the ceiling of steps before it has 50 autocorrelation times is kept and
+    reports how many steps it lacks. With `after`, or with its checkpoint, and a higher ceiling it
+    continues, with the same bits as an uninterrupted run.
 
     `log_density`: module-level function of (vector, args); NaN counts as impossible. `options`: of
     the ensemble; None for the defaults.
@@ -265,9 +265,9 @@ def sample(
 def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     """Value, standard error and 68 / 95 % intervals of each parameter in its own unit.
 
-    Laplace: the mode and the Gaussian's or Student's quantiles carried through the transform.
-    Samplers: median, standard deviation and quantiles of the draws; where these pile up at a bound,
-    the intervals begin there."""
+    Laplace: the mode, and the Gaussian or Student quantiles through the transform. Samplers:
+    median, standard deviation and quantiles of the draws. If draws accumulate at a bound, the
+    intervals begin there."""
     if posterior.sampled:
         return tuple(
             sampled_estimate(
@@ -294,9 +294,9 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
 
 
 def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
-    """The bound of a number at which its draws pile up: "lower", "upper" or none.
+    """The bound of a number at which its draws accumulate: "lower", "upper" or none.
 
-    A posterior about as wide as what was known before piles up at no bound, or at both."""
+    A posterior about as wide as the prior accumulates at no bound, or at both."""
     known = prior_values(parameter)
     if known is not None and np.std(draws) > NEARLY_PRIOR * np.std(known):
         return ""
@@ -309,7 +309,7 @@ def piled_at(parameter: Parameter, draws: Float[np.ndarray, " draws"]) -> str:
 def _from_bounds(
     parameter: Parameter, draws: Float[np.ndarray, " draws"]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """Distances from the finite bounds, on the scale on which the number is at home."""
+    """Distances from the finite bounds, on the scale of the number."""
     low, high = scaled_ends(parameter)
     scaled = np.log(draws) if parameter.transform == "log" else draws
     found = {}
@@ -341,7 +341,7 @@ def _sampled_ends(
 
 @partial(jax.jit, static_argnums=0)
 def _slope(space: ParameterSpace, vector: Array) -> Array:
-    """d natural / d unconstrained, each of its own."""
+    """d natural / d unconstrained for each number."""
     return jax.jvp(partial(to_natural, space), (vector,), (jnp.ones_like(vector),))[1]
 
 
@@ -353,7 +353,7 @@ def _information(log_density: LogDensity, vector: Array, args: Any) -> Array:
 def evaluate_density(
     log_density: LogDensity, vectors: Float[Array, "draws parameters"], args: Any
 ) -> Float[np.ndarray, " draws"]:
-    """A log density at many vectors, some at a time.
+    """A log density at many vectors, in batches.
 
     Returns (draws,); minus infinity where it is NaN."""
     return on_host(_evaluate(log_density, vectors, args), dtype=float)

@@ -1,4 +1,4 @@
-"""Searches for an optimum take 16 digits, of which a sum over many samples leaves 7 at best."""
+"""Optimisation in float64, because sums over many samples in float32 have at most 7 digits."""
 
 from collections.abc import Callable, Mapping
 from functools import wraps
@@ -37,7 +37,7 @@ def in_double(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def refuse_word_of_command(function: Callable[..., object], given: Mapping[str, object]) -> None:
-    """Refuses `mcmc`, which the command has and no function, by what a function has instead."""
+    """Refuse `mcmc`, a keyword of the command only, and name the function's argument."""
     if "mcmc" in given and "mcmc" not in signature(function).parameters:
         raise TypeError(
             f"{getattr(function, '__name__', 'function')} has no argument mcmc, which the command "

@@ -2,7 +2,7 @@
 
 Each is a record of plain numbers with two functions: `log_density(x)`, normalised over all x, and
 `quantile(p)`, its inverse distribution function in NumPy, from which starts are spread. A record of
-your own with the same two functions is as good.
+your own with the same two functions works as well.
 """
 
 import math
@@ -140,7 +140,7 @@ class Uniform:
 
 @dataclass(frozen=True)
 class HalfNormal:
-    """The positive half of a Normal about 0: small is likelier, for scales that may vanish.
+    """The positive half of a Normal about 0, for scales that may vanish.
 
     The parameter is bounded below by 0.
 
@@ -204,8 +204,8 @@ class Gamma:
 
 
 def support(prior: Prior) -> tuple[float, float]:
-    """The ends between which a prior has any probability.
+    """The support of a prior.
 
-    Returns lower and upper end in the unit of the number; infinite where there is none."""
+    Returns lower and upper end in the unit of the number; infinite if there is none."""
     lower, upper = (float(prior.quantile(np.array(p))) for p in (0.0, 1.0))
     return lower, upper

@@ -37,7 +37,7 @@ Vector = Float[Array, " parameters"]
 
 
 class Tied(eqx.Module):
-    """A number that others decide.
+    """A number that is computed from others.
 
     Attributes:
         of: from the natural values of parameters and fixed numbers, by name, to the number.
@@ -51,7 +51,7 @@ class Tied(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """Something to be fitted.
+    """A problem to fit.
 
     Attributes:
         free: the parameters, each with its name and shape.
@@ -186,7 +186,7 @@ class Problem(eqx.Module):
         _check_shapes(self)
 
     def with_data(self, data: Any, *, inputs: Any = None) -> "Problem":
-        """The same problem with other data; of equal shapes, its fit compiles nothing.
+        """The same problem with other data. If the shapes are equal, its fit compiles nothing.
 
         Args:
             data: of the prediction's shape; NaN where missing. Of a problem in chunks, as it takes
@@ -199,7 +199,7 @@ class Problem(eqx.Module):
         return self._again(data=data, **({} if inputs is None else {"inputs": inputs}))
 
     def with_records(self, records: Mapping[str, Any], *, left_out: Any = None) -> "Problem":
-        """The same problem with other records in which its paths lead somewhere.
+        """The same problem with other records for its paths.
 
         Args:
             records: all of them, by name.
@@ -260,7 +260,7 @@ def _shape(parameter: Parameter) -> tuple[int, ...]:
 
 
 def _check_shapes(problem: Problem) -> None:
-    """By one trace of both, for that of a picture takes its time."""
+    """Check both shapes with one trace, because tracing a picture takes time."""
 
     def terms(vector: Vector, problem: Problem) -> Array:
         values = values_at(problem, vector)
@@ -293,7 +293,7 @@ def _check_shapes(problem: Problem) -> None:
 
 
 def values_at(problem: Problem, vector: Vector) -> Values:
-    """Natural values of every parameter, fixed and tied numbers among them.
+    """Natural values of every parameter, including fixed and tied numbers.
 
     Returns by name, each of its own shape and in its own unit."""
     return values_from(problem, to_natural(problem.space, vector))
@@ -321,14 +321,14 @@ def values_from(problem: Problem, natural: Vector) -> Values:
 
 
 def give(problem: Problem, function: Callable[..., Any], values: Values, inputs: Any) -> Any:
-    """Calls a function with what the names of its arguments ask for."""
+    """Call a function with the arguments that it names."""
     known = {"values": values, "inputs": inputs, **values, **records_at(problem, values)}
     who = "predict" if function is problem.predict else "The function"
     return _called(function, known, who)
 
 
 def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) -> Any:
-    """With what it asks for by name, or an error that says what JAX cannot trace."""
+    """Call it with its named arguments; an error says what JAX cannot trace."""
     asked, rest = named_and_rest(function)
     for unknown in {argument.name for argument in asked} - known.keys():
         raise InputError(f"A function asks for {unknown!r}; {nearest(unknown, known)}.")
@@ -350,7 +350,7 @@ def _called(function: Callable[..., Any], known: Mapping[str, Any], who: str) ->
 
 
 def start_of_data(problem: Problem) -> Values:
-    """What the problem's `start` makes of its data."""
+    """The result of the problem's `start` for its data."""
     assert problem.start is not None
     data = problem.data
     if problem.present is not None:
@@ -370,14 +370,14 @@ def start_of_data(problem: Problem) -> Values:
 
 
 def prediction(problem: Problem, values: Values, *, inputs: Any = None) -> Array:
-    """What the likelihood compares with the data.
+    """The prediction that the likelihood compares with the data.
 
     Returns of the data's shape, in its unit."""
     return give(problem, problem.predict, values, problem.inputs if inputs is None else inputs)
 
 
 def records_at(problem: Problem, values: Values) -> dict[str, Any]:
-    """The records with the values in place.
+    """The records with the given values.
 
     `values`: natural values by name, each in its own unit."""
     return replaced(
@@ -446,8 +446,8 @@ PARTS = ("least_squares", "surrogate", "log_density", "residuals", "draw")  # of
 
 
 def as_arrays(tree: Any) -> Any:
-    """Floating-point leaves as arrays: data, which are no part of a compile key. Codes of 8 and 16
-    bits get 64, in which their squares and products do not overflow."""
+    """Floating-point leaves as arrays: they are data, not part of a compile key. Codes of 8 and 16
+    bits become 64-bit, so that squares and products do not overflow."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         listed = bool(path) and isinstance(path[-1], jax.tree_util.SequenceKey)
         if listed and isinstance(leaf, str | bytes | date):
@@ -462,9 +462,9 @@ def as_arrays(tree: Any) -> Any:
 
 
 def missing_in_words(problem: Problem, *, first: int = 0) -> str:
-    """The first number that is NaN among what `predict` is given; empty without one.
+    """The first NaN among the arguments of `predict`, in words; empty if there is none.
 
-    `first`: row of all data that is the first of these."""
+    `first`: index, among all data, of the first row."""
     given = {"inputs": problem.inputs} | problem.fixed | problem.records
     for path, leaf in jax.tree_util.tree_leaves_with_path(given):
         if not eqx.is_inexact_array(leaf) or not (missing := np.isnan(on_host(leaf))).any():
@@ -479,7 +479,7 @@ def missing_in_words(problem: Problem, *, first: int = 0) -> str:
 
 
 def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Parameter:
-    """A parameter with its name, and the shape and start of the number that it replaces."""
+    """A parameter with its name, and with the shape and start of the number that it replaces."""
     known = None
     if is_path(name):
         known = np.asarray(read(records, name))
@@ -501,7 +501,7 @@ def placed(name: str, parameter: Parameter, records: Mapping[str, Any]) -> Param
 
 
 def _within(parameter: Parameter, known: np.ndarray) -> np.ndarray | None:
-    """A record's own value as a start, moved into the bounds; None where it cannot be one."""
+    """A record's own value as a start, moved inside the bounds; None if it cannot be one."""
     if parameter.transform == "log" and not (known > 0).all():
         return None
     try:
@@ -523,7 +523,7 @@ def arguments(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
 def named_and_rest(
     function: Callable[..., Any],
 ) -> tuple[tuple[inspect.Parameter, ...], bool]:
-    """Arguments of a function that derives something."""
+    """Arguments of a function that computes a derived quantity."""
     found = arguments(function).values()
     for argument in found:
         if argument.kind is argument.VAR_POSITIONAL:
@@ -536,7 +536,7 @@ def named_and_rest(
 
 
 def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
-    """What a function asks for."""
+    """The names of a function's arguments."""
     found = arguments(predict)
     for name, argument in found.items():
         if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
@@ -545,7 +545,7 @@ def argument_names(predict: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def placed_like(given: Any, values: np.ndarray) -> Array:
-    """An array on the devices of another, so that data shared out among several stay so."""
+    """An array on the devices of another, so that distributed data stay distributed."""
     if not isinstance(given, jax.Array):
         return jnp.asarray(values)
     # Not `device_put`, which compares the values of all processes.
@@ -565,7 +565,7 @@ def finite_data(data: Any) -> np.ndarray:
 
 
 def check_names(problem: "Problem", parameters: Mapping[str, Any]) -> None:
-    """Refuses names that clash, and arguments and likelihoods that name nothing."""
+    """Refuse conflicting names, and arguments and likelihoods that name nothing."""
     if not problem.free:
         raise InputError("Nothing to fit: give at least one Parameter.")
     for name in (*problem.fixed, *problem.tied):

@@ -1,7 +1,7 @@
 """Paths into records: `scene.lights[0].position`, `camera.sensor.gain`.
 
-A path names a record, then attributes, places in lists and keys of dictionaries, down to an array;
-a last `[i]` may name one number of that array.
+A path names a record, then attributes, indices in lists and keys of dictionaries, down to an array.
+A last `[i]` may select one number of that array.
 """
 
 import re
@@ -39,7 +39,7 @@ def _steps(path: str) -> list[Step]:
 
 
 def _inside(value: Any) -> dict[Step, Any]:
-    """What a step can lead to."""
+    """The fields, items or keys of a value."""
     if is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -54,7 +54,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _offers(value: Any) -> str:
-    """What is there, in words."""
+    """The available names, in words."""
     there = _inside(value)
     if _is_number(value):
         return f"an array of shape {np.shape(value)}"
@@ -76,7 +76,7 @@ def read(records: Mapping[str, Any], path: str) -> Array:
 
 
 def reach(records: Mapping[str, Any], path: str) -> Any:
-    """What a path leads to, a number or a record."""
+    """The value of a path, a number or a record."""
     if head(path) not in records:
         raise InputError(
             f"{path}: there is no record {head(path)!r}; {nearest(head(path), records)}."

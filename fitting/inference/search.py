@@ -1,14 +1,14 @@
 """The best fit of a problem: a search from many starts, then Newton's method to the mode.
 
-Likelihoods that are sums of squares are searched by Levenberg and Marquardt's method. It needs
-squares throughout, so that a prior enters the search as the Gaussian of its own mean and standard
-deviation in the unconstrained value. Newton's method then takes the best end to the mode of the
-exact posterior, with Gauss and Newton's curvature J^T J of the data. Other likelihoods are searched
-by Newton's method itself, from where Levenberg and Marquardt's ends for their surrogate of least
-squares if they have one.
+Likelihoods that are sums of squares are searched by Levenberg and Marquardt's method. It needs a
+sum of squares, so a prior enters the search as a Gaussian with its mean and standard deviation in
+the unconstrained value. Newton's method then goes from the best end to the mode of the exact
+posterior, with the Gauss-Newton curvature J^T J of the data. Other likelihoods are searched by
+Newton's method. If they have a least-squares surrogate, it starts from the Levenberg-Marquardt
+optimum of the surrogate.
 
-Of 100 single starts in the box these reached the best optimum (a Phong ball with 5 unknowns, two
-decays with 5, a peak of unknown noise with 5 and a likelihood that is no sum of squares):
+Of 100 single starts in the box, these reached the best optimum (a Phong ball with 5 unknowns, two
+decays with 5, a peak of unknown noise with 5 and a likelihood that is not a sum of squares):
 
                         ball    decays    peak    CPU seconds, ball (first, again)
     Levenberg-Marquardt  62       58        -        31,  10
@@ -17,14 +17,16 @@ decays with 5, a peak of unknown noise with 5 and a likelihood that is no sum of
     L-BFGS-B (jaxopt)    93      100       17       160,  92
     L-BFGS-B (scipy)     42      100       14        11,   6
 
-No method is safe from one start. The cheaper and steadier ones are used, whose curvature at the end
-is the information that the posterior needs; from 16 starts they reached the best optimum of all
-three problems in 100 of 100 fits. For the ball under Student's t of known scale, whose log density
-is hardly curved far from the optimum, it was 30 of 30 fits, and 55 of 100 without the surrogate.
+No method is reliable from one start. The library uses the cheaper, steadier methods, whose final
+curvature is the information that the posterior needs. From 16 starts they reached the best optimum
+of all three problems in 100 of 100 fits. For the ball under Student's t of known scale, whose log
+density has little curvature far from the optimum, it was 30 of 30 fits, and 55 of 100 without the
+surrogate.
 
-Data that are read in chunks are searched by a sample of them, which ends near every optimum. Its
-ends are compared by their cost over all data, and Newton's method goes on from the best, its cost,
-gradient and curvature summed over the chunks in float64. Every step reads all data once.
+For data that are read in chunks, the searches use a sample, whose optima are close to those of all
+data. The ends are compared by their cost over all data, and Newton's method continues from the
+best. Cost, gradient and curvature are summed over the chunks in float64. Every step reads all data
+once.
 """
 
 from dataclasses import dataclass, field, replace
@@ -81,7 +83,7 @@ SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the searches ended.
+    """The ends of the searches.
 
     Attributes:
         vector: (P,) the mode, unconstrained.
@@ -112,7 +114,7 @@ class Optimum:
 
     @property
     def saddle(self) -> bool:
-        """Whether the density rises to both sides in some direction."""
+        """Whether the density increases to both sides in some direction."""
         return bool(_scaled(self.information)[0][0] < -UNDETERMINED)
 
     @property
@@ -128,7 +130,7 @@ class Optimum:
 
 
 def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eigenvalues (ascending) and axes of a matrix whose rows are scaled alike, and the scales."""
+    """Eigenvalues (ascending) and axes of a symmetrically scaled matrix, and the scales."""
     information = np.nan_to_num(information)
     size = np.sqrt(np.linalg.norm(information, axis=1))
     size = np.where(size > 0, size, 1)
@@ -141,9 +143,9 @@ def spread_starts(
 ) -> Float[np.ndarray, "starts parameters"]:
     """Starts spread evenly over bounds and priors.
 
-    The first is each parameter's own start where it has one, by the problem's data or else as it
-    is stated. The others fill the box of prior quantiles by a Kronecker sequence; a parameter
-    without both bounds and prior lies about its start.
+    The first is each parameter's own start, from the problem's data or as stated, if it has one.
+    The others fill the box of prior quantiles by a Kronecker sequence. A parameter without both
+    bounds and prior is placed about its start.
 
     Source:
         The sequence: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
@@ -163,11 +165,10 @@ def spread_starts(
 def unstarted(
     problem: Problem, count: int, *, seed: int
 ) -> tuple[Float[np.ndarray, "starts parameters"], Float[np.ndarray, "starts parameters"]]:
-    """Starts spread over bounds and priors, whatever the data.
+    """Starts spread over bounds and priors, independent of the data.
 
     Returns (count, P) unconstrained, NaN for a parameter without both bounds and prior; and (count,
-    P) the distance from its start at which such a one lies. A number that is found in closed form
-    is 0 everywhere.
+    P) its distance from its start. A number that is solved in closed form is 0 everywhere.
     """
     closed = in_closed_form(problem)
     shares = _kronecker(count, len(problem.space), seed)
@@ -181,14 +182,15 @@ def unstarted(
 
 
 def starts_about(table: Any, distances: Any, given: Any, *, xp: Any = jnp) -> Any:
-    """`unstarted` with the given start in place, (starts, P); NaN where there is none."""
+    """`unstarted` with the given start added, (starts, P); NaN if there is none."""
     table = xp.where(xp.isnan(table), given[None] + distances, table)
     first = xp.where(xp.isnan(given), table[0], given)
     return xp.concatenate([first[None], table[1:]])
 
 
 def given_start(problem: Problem) -> Float[Array, " parameters"]:
-    """Each parameter's own start, unconstrained; NaN where it has none. Compiled, or traced."""
+    """Each parameter's own start, unconstrained; NaN where it has none. It may be compiled or
+    traced."""
     natural = [
         np.broadcast_to(np.nan if p.start is None else np.asarray(p.start), p.shape or ())
         for p in problem.free
@@ -207,7 +209,7 @@ _given_start = eqx.filter_jit(given_start)
 
 
 def _either(parameter: Parameter, found: Any, own: np.ndarray) -> Array:
-    """The start from the data, the parameter's own where that is NaN."""
+    """The start from the data, or the parameter's own where that is NaN."""
     if jnp.shape(found) != own.shape:
         raise InputError(
             f"start: {parameter.name} has the shape {own.shape}, its start {jnp.shape(found)}."
@@ -298,8 +300,8 @@ def joined(one: Optimum, other: Optimum) -> Optimum:
 def _by_surrogate(
     starts: Array, problem: Problem, mean: Array, weight: Array, as_given: bool
 ) -> Array:
-    """Where searches of the surrogate end; a start stays where it is likelier than its end, among
-    outliers for instance, or where there is no surrogate."""
+    """The ends of the searches of the surrogate. A start is kept if it is more likely than its end,
+    as with outliers, or if there is no surrogate."""
     surrogate = problem.likelihood.surrogate
     if surrogate is None:
         return starts
@@ -327,7 +329,7 @@ def _require_solver(solver: Any, problem: Problem) -> None:
 
 @eqx.filter_jit
 def _by_solver(starts: Array, problem: Problem, mean: Array, weight: Array, solver: Any) -> Array:
-    """Where a solver of optimistix ends."""
+    """The end of a search by an optimistix solver."""
     import optimistix as optx
 
     squares = isinstance(solver, optx.AbstractLeastSquaresSolver)
@@ -348,13 +350,13 @@ def _by_solver(starts: Array, problem: Problem, mean: Array, weight: Array, solv
 
 
 def negative_log_density(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    """The cost that Newton's method lowers."""
+    """The cost that Newton's method minimises."""
     return -log_density(vector, problem)
 
 
 def _with_gaussian_prior(vector: Vector, args: Any) -> Array:
-    """Residuals of the data and of a Gaussian prior of `vector`, which is all numbers or those that
-    are not found in closed form."""
+    """Residuals of the data and of a Gaussian prior on `vector`, which is all numbers or those not
+    solved in closed form."""
     problem, mean, weight = args
     if vector.size < len(problem.space):
         residuals = eliminated(vector, problem).residuals
@@ -368,14 +370,14 @@ def _whole(vector: Vector, problem: Problem) -> Vector:
 
 
 def at_a_time(vectors: Float[Array, "searches parameters"]) -> int:
-    """How many are searched at once. On a processor it is few: their residuals stay in its cache,
-    and none waits for more than one other to end. An accelerator takes all."""
+    """The number of searches that run at once. On a processor it is small: the residuals stay in
+    the cache, and a search waits for at most one other. An accelerator takes all."""
     return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
 
 
 @eqx.filter_jit
 def _costs(vectors: Array, problem: Problem) -> Array:
-    """Of each vector, infinite where it is not a number."""
+    """The cost of each vector, infinite where it is NaN."""
 
     def one(vector: Array) -> Array:
         cost = negative_log_density(vector, problem)
@@ -402,7 +404,7 @@ def _levenberg_marquardt(
 
 
 def _nonlinear(problem: Problem) -> np.ndarray:
-    """Places of the numbers that are searched."""
+    """Indices of the numbers that are searched."""
     return np.setdiff1d(np.arange(len(problem.space)), in_closed_form(problem))
 
 
@@ -410,8 +412,8 @@ _closed = eqx.filter_jit(completed)
 
 
 def _lowest_of_grid(starts: Array, problem: Problem, mean: Array, weight: Array) -> Array:
-    """(starts, 1) where the cost over the only number that is searched is lowest, of a grid over
-    its bounds or prior and the first start."""
+    """(starts, 1) the minimum of the cost over the only searched number, on a grid over its bounds
+    or prior and the first start."""
     parameter = problem.space[int(_nonlinear(problem)[0])]
     values = prior_values(parameter)
     if values is None:
@@ -454,14 +456,14 @@ def _searched(
 
 
 def _enough(start: Array) -> float:
-    """The promised fall in cost at which a search ends. In single precision, a sum over many data
-    resolves no less."""
+    """The predicted decrease of the cost at which a search ends. In single precision, a sum over
+    many data resolves no smaller decrease."""
     return 1e-7 if start.dtype == jnp.float64 else 1e-3
 
 
 @eqx.filter_jit
 def _newton(starts: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
-    """Ends of Newton's method, and the prior's information at each."""
+    """The ends of Newton's method, and the prior's information at each."""
 
     def one(start: Array) -> tuple[NewtonSolution, Array]:
         enough = _enough(start)
@@ -541,7 +543,7 @@ Derivatives = tuple[Array, Array, Array]
 
 
 def _missing(problem: Problem) -> str:
-    """As `missing_in_words`, by the row of all data."""
+    """As `missing_in_words`, with the row among all data."""
     if problem.stream is None:
         return missing_in_words(problem)
     parts = enumerate(chunks(problem))

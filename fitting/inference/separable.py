@@ -63,8 +63,8 @@ def non_negative_amplitudes(
 ) -> tuple[Float[Array, " columns"], Float[Array, ""]]:
     """The a >= 0 that minimise a^T G a - 2 a^T b.
 
-    The optimum solves the unconstrained problem on its own support, so with few columns every
-    support is tried: branch-free, hence cheap under `vmap`. A column of zeros gets 0.
+    The optimum solves the unconstrained problem on its own support. With few columns every support
+    is tried, which needs no branches and is cheap under `vmap`. A column of zeros gets 0.
 
     Example:
         >>> from fitting.inference.separable import non_negative_amplitudes
@@ -84,7 +84,8 @@ def non_negative_amplitudes(
 
 
 def _supports(signed: tuple[bool, ...]) -> list[tuple[bool, ...]]:
-    """Which columns may be other than 0, the fewest first; a free one always may."""
+    """The possible supports (columns that may be non-zero), smallest first; a free column is in all
+    of them."""
     choices = [(False, True) if one else (True,) for one in signed]
     return sorted(itertools.product(*choices), key=sum)
 
@@ -110,7 +111,7 @@ def amplitudes(
 
 
 def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
-    """Which columns are other than 0 after some sweeps, each amplitude in turn at its best."""
+    """The support after some sweeps of coordinate descent."""
     own = jnp.where(jnp.diagonal(gram) > 0, jnp.diagonal(gram), 1)
 
     def step(i: Array, a: Array) -> Array:
@@ -123,7 +124,7 @@ def _descended(gram: Array, moment: Array, signed: np.ndarray) -> Array:
 
 
 def _on_support(support: Array, gram: Array, moment: Array) -> tuple[Array, Array]:
-    """The unconstrained optimum of some columns, 0 of the others, and whether it exists."""
+    """The unconstrained optimum of some columns, 0 for the others, and whether it exists."""
     both = support[:, None] & support[None]
     own = jnp.where(both, gram, jnp.eye(len(moment), dtype=gram.dtype))
     return _solve_scaled(own, jnp.where(support, moment, 0))
@@ -180,7 +181,7 @@ def fit_separable(
 
 
 def first_knots(lower: float, upper: float) -> Float[np.ndarray, " knots"]:
-    """The grid on which the search begins: (knots,) from `lower` to `upper`."""
+    """The grid on which the search begins, (knots,) from `lower` to `upper`."""
     return np.linspace(lower, upper, KNOTS)
 
 
@@ -221,7 +222,7 @@ def _projected(
 
 
 def in_closed_form(problem: Problem) -> tuple[int, ...]:
-    """Places in a problem's space of the numbers that are found in closed form."""
+    """Indices, in a problem's space, of the numbers that are solved in closed form."""
     surrogate = problem.likelihood.surrogate
     if not (
         problem.likelihood.least_squares or (surrogate is not None and surrogate.least_squares)
@@ -231,7 +232,7 @@ def in_closed_form(problem: Problem) -> tuple[int, ...]:
 
 
 class Eliminated(eqx.Module):
-    """A problem at the best values of its linear numbers.
+    """A problem with its linear numbers eliminated.
 
     Attributes:
         residuals: (data + K,) of the data, and of the priors of the K linear numbers.
@@ -284,7 +285,7 @@ def completed(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> Float[
 
 
 def require_linear(nonlinear: Float[Array, " nonlinear"], problem: Problem) -> None:
-    """Refuses parameters that are stated to be linear and are not."""
+    """Refuse parameters that are stated as linear and are not."""
     on_line, own = (on_host(x) for x in _bends(nonlinear, problem))
     size = np.max(np.abs(on_line)) + np.finfo(on_line.dtype).tiny
     if np.isfinite(own).all() and np.max(np.abs(own)) > BEND * size:

@@ -1,9 +1,9 @@
-"""Data that need not fit into memory: rows of an array, of a memory-mapped file, or from a
-generator function, read again in every pass and divided into chunks of one shape.
+"""Data larger than memory: the rows of an array, of a memory-mapped file, or from a generator
+function. They are read again in every pass and divided into chunks of one shape.
 
 The last chunk is padded with copies of its last row, which count as missing, so that one compiled
 program serves all chunks. A sample of one chunk, drawn evenly from all rows, represents the data
-where an approximation suffices: at the beginning of a search, and in figures.
+where an approximation is enough: at the beginning of a search, and in figures.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -29,7 +29,7 @@ SEED = 0  # of the sample
 
 @dataclass(frozen=True)
 class Rows:
-    """Some of the data, with what belongs to each.
+    """Some of the data, with their inputs and likelihood fields.
 
     Attributes:
         data: (rows, ...).
@@ -42,9 +42,9 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """Where the data of a problem come from.
+    """The source of the data of a problem.
 
-    Two streams are equal: no compiled program reads one, so that any may share it.
+    All streams compare equal: no compiled program reads one, so programs can be shared.
 
     Attributes:
         data: (rows, ...) array, or the function that yields some rows after others.
@@ -76,7 +76,7 @@ class Stream:
 def opened(
     data: Any, inputs: Any, likelihood: Any, size: int
 ) -> tuple[Stream, np.ndarray, Any, Any]:
-    """Reads all data once: counts, checks and samples them.
+    """Read all data once to count, check and sample them.
 
     Returns the stream, and a sample: `size` rows of data in their order, NaN in rows that are
     missing, their inputs and their likelihood.
@@ -127,7 +127,7 @@ def opened(
 
 
 def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
-    """The problem with one chunk of its data after another, all of one shape."""
+    """The problem with each chunk of its data in turn, all of one shape."""
     stream = problem.stream
     if stream is None:
         yield problem
@@ -162,8 +162,8 @@ def chunks(problem: Any, *, advance: Advance | None = None) -> Iterator[Any]:
 def _beside(
     first: Any, inputs: Any, likelihood: Any, *, yielded: bool
 ) -> tuple[tuple[Any, Any], tuple[bool, ...]]:
-    """Inputs and likelihood, and which of their leaves belong to the rows: of all data, or of the
-    first that a function yields."""
+    """Inputs and likelihood, and which of their leaves belong to the rows: for all data, or for the
+    first piece that a function yields."""
     if not yielded:
         beside, known = (inputs, likelihood), len(first)
         return beside, tuple(_by_row(leaf, known) for leaf in jax.tree.leaves(beside))
@@ -176,7 +176,7 @@ def _beside(
 
 
 def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Rows]:
-    """As they come, the data floating; from a reading that was begun, or a new one."""
+    """The pieces in order, with floating data, from a started or a new reading."""
     data, dtype = stream.data, jnp.result_type(float)
     if not callable(data):
         own = _chosen(stream, stream.beside)
@@ -197,7 +197,7 @@ def _pieces(stream: Stream, source: Iterable[Any] | None = None) -> Iterator[Row
 
 
 def _marked(mark: int, rows: Rows) -> int:
-    """A mark with that of some rows: the bits of all numbers, added up modulo 2^64."""
+    """A checksum updated with some rows: the bits of all numbers, summed modulo 2^64."""
     for leaf in (rows.data, *rows.own):
         bits = np.ascontiguousarray(leaf).view(f"u{min(leaf.itemsize, 8)}")
         mark += int(bits.sum(dtype=np.uint64))
@@ -205,7 +205,7 @@ def _marked(mark: int, rows: Rows) -> int:
 
 
 def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
-    """That inputs which a function yields are alike in every piece."""
+    """Check that the inputs from a function have the same form in every piece."""
     alike = jax.tree.structure(beside) == jax.tree.structure(stream.beside)
     if alike:
         pairs = zip(jax.tree.leaves(beside), jax.tree.leaves(stream.beside), strict=True)
@@ -221,7 +221,7 @@ def _check_beside(stream: Stream, beside: tuple[Any, Any], count: int) -> None:
 
 
 def _chunks(stream: Stream) -> Iterator[tuple[Rows, np.ndarray]]:
-    """Chunks of one size, and which of their rows are there."""
+    """Chunks of one size, and the mask of their valid rows."""
     rest = None
     every = np.ones(stream.size, bool)
     for piece in _pieces(stream):
@@ -253,7 +253,7 @@ def _chosen(stream: Stream, beside: tuple[Any, Any]) -> tuple[Any, ...]:
 
 
 def _placed(stream: Stream, beside: tuple[Any, Any], rows: Rows) -> tuple[Any, Any]:
-    """Inputs and likelihood with what belongs to these rows, in place of others."""
+    """Inputs and likelihood with the leaves for these rows."""
     leaves, form = jax.tree.flatten(beside)
     own = iter(rows.own)
     return jax.tree.unflatten(
@@ -276,7 +276,7 @@ def _joined(first: Rows | None, second: Rows) -> Rows:
 
 
 def _filled(rows: Rows, size: int) -> tuple[Rows, np.ndarray]:
-    """Rows up to a size, and which of them are there."""
+    """Rows padded to a size, and the mask of valid ones."""
     place = np.arange(size)
     return _taken(rows, np.minimum(place, len(rows.data) - 1)), place < len(rows.data)
 
@@ -286,7 +286,7 @@ def _by_row(leaf: Any, count: int) -> bool:
 
 
 def _floating(tree: Any) -> Any:
-    """Arrays of NumPy as JAX's, the floating ones of its default width."""
+    """NumPy arrays as JAX arrays, floating ones in its default width."""
     return jax.tree.map(
         lambda x: jnp.asarray(x, jnp.result_type(float)) if eqx.is_inexact_array_like(x) else x,
         tree,

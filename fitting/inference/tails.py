@@ -1,5 +1,5 @@
-"""Logarithms of distribution functions, normal and Student's, that hold in their far tails, and
-the inverse of the first."""
+"""Logarithms of the normal and Student's t distribution functions that are accurate in the far
+tails, and the inverse of the first."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ HALF_LOG_PI = float(np.log(np.pi)) / 2
 
 
 def log1mexp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln(1 - exp(`log_p`)), (...) no unit. XLA's log1p is right from -0.29 up in float64."""
+    """ln(1 - exp(`log_p`)), (...) no unit. XLA's log1p is accurate from -0.29 upward in float64."""
     likely = log_p > -1.4
     rare = jnp.log1p(-jnp.exp(jnp.where(likely, -2, log_p)))
     return jnp.where(likely, jnp.log(-jnp.expm1(jnp.where(likely, log_p, -1))), rare)
@@ -31,9 +31,9 @@ def log1mexp(log_p: Float[Array, "..."]) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
-    """log Phi(z) at `z` deviations above the mean; its slope, phi(z) / Phi(z), tends to -z.
+    """log Phi(z) at `z` standard deviations; its slope, phi(z) / Phi(z), tends to -z.
 
-    JAX's own slope is 30 % of that at -1e4 in float32, and 1 at -1e10 in float64.
+    The relative error of JAX's own slope is 30 % at -1e4 in float32, and 1 at -1e10 in float64.
 
     Returns (...) no unit."""
     return _log_ndtr(z)
@@ -41,7 +41,8 @@ def log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
 
 @jax.jit  # one program, and one trace for each shape
 def _log_ndtr(z: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Above the mean from the small probability beyond, which JAX's own rounds to eps."""
+    """Above the mean it uses the small probability beyond, which JAX's own function rounds to
+    eps."""
     above = z > 1
     below = special.log_ndtr(jnp.where(above, -z, z))
     return jnp.where(above, log1mexp(jnp.where(above, below, -1)), below)
@@ -137,7 +138,7 @@ def _near_normal(z: Float[Array, "..."], dof: Float[Array, "..."]) -> Float[Arra
 
 
 def _over(z: Float[Array, "..."], values: np.ndarray) -> np.ndarray:
-    """Values along an axis before those of z."""
+    """Values with a new axis before those of z."""
     return values.astype(z.dtype).reshape(-1, *(1,) * z.ndim)
 
 
@@ -164,8 +165,8 @@ def _log_student_jvp(primals, tangents):
 
 
 def _half_step(a: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln Gamma(a + 1/2) - ln Gamma(a), without the digits that two large logarithms would lose: the
-    asymptotic series (DLMF 5.11.13) some steps further, where a few terms have all digits."""
+    """ln Gamma(a + 1/2) - ln Gamma(a) without cancellation of two large logarithms. The asymptotic
+    series (DLMF 5.11.13) is used some steps further on, where a few terms are exact."""
     product = jnp.ones_like(a)
     for k in range(_STEPS):
         product = product * (a + k) / (a + k + 0.5)

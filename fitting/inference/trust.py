@@ -1,4 +1,4 @@
-"""Whether draws can be trusted, in words."""
+"""Reliability of draws, as findings."""
 
 import math
 
@@ -23,8 +23,7 @@ def _diverges(posterior: Posterior) -> bool:
 
 
 def convergence_in_words(posterior: Posterior) -> str:
-    """How far the draws can be trusted, as one sentence; of a chain that is too short, by how much
-    it is."""
+    """The reliability of the draws in one sentence; for a short chain, with the missing length."""
     if posterior.endless:
         return (
             f"The data bound {posterior.endless} on one side only: a chain went on without end. "
