@@ -6,8 +6,9 @@
     chains                posteriors by Laplace, emcee and NUTS, and their lengths
     rigs                  the fits of a rig, and the curves of their knobs
 
-Results are ends and middles of intervals in units of the standard error of the whole fit. An error
-of 10 % is a tenth of a standard error. Curves, choice and pages come from `jaxvision.accuracy`.
+Results are the ends and middles of intervals, in units of the standard error of the whole fit. An
+error of 10 % is a tenth of a standard error. Curves, choice and pages come from
+`jaxvision.accuracy`.
 """
 
 from jaxvision.core.lazy_names import names_of

@@ -1,6 +1,6 @@
-"""The knobs of reflectance from images: how many pixels, or cells instead of them, to which
-tolerance, and how the posterior is drawn. Results are parameters in their standard errors, of the
-first channel in which Phong's model leaves nothing open."""
+"""The settings of reflectance from images: number of pixels, cells in place of pixels, tolerance,
+and sampling of the posterior. Results are parameters in units of their standard errors, for the
+first channel in which all parameters of Phong's model are identifiable."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -34,7 +34,7 @@ AWAY = 0.3  # of a logarithm: how far from the mode a search begins
 
 
 def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The knobs of a rig's reflectance."""
+    """The settings of a rig's reflectance fit."""
     observation = read_reflectance_observation(rig, load=load)
     form = Form("phong")
     chosen = select(observation, held_out=False, form=form, minimum_cosine=0.0)
@@ -94,7 +94,7 @@ def _cost(vector: Array, data: tuple[Samples, Samples | None]) -> Array:
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
-    """Some of the samples."""
+    """A subset of the samples."""
     size = samples.dn.size
 
     def of(leaf: Array) -> Array:

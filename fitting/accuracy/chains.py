@@ -1,4 +1,4 @@
-"""Posteriors of one density by Laplace, emcee and NUTS, and what their lengths cost."""
+"""Posteriors of one density by Laplace, emcee and NUTS, and the cost of their lengths."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ def interval_ends(posterior: Posterior, density: Density) -> Float[np.ndarray, "
 
 
 def chain_knobs(density: Density) -> Mapping[str, Turn]:
-    """The knobs of a posterior."""
+    """The settings of a posterior."""
     about = (density.log_density, density.space, density.mode, density.covariance, density.args)
 
     def drawn(options: Emcee | Nuts | None) -> Compute:

@@ -1,4 +1,4 @@
-"""Problems for the knobs that no rig turns."""
+"""Problems for the settings that no rig uses."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -61,7 +61,7 @@ EXAMPLES: Mapping[str, Callable[[], Problem]] = {"starts": _starts, "Laplace dra
 
 
 def example(knob: str) -> Problem:
-    """The problem on which a knob is measured when there is no rig.
+    """The problem on which a setting is measured when there is no rig.
 
     Args:
         knob: its name.

@@ -1,4 +1,4 @@
-"""Every approximation of `fitting` by name, as `jaxvision.accuracy.KNOBS` has those of light."""
+"""Every approximation of `fitting` by name, like `jaxvision.accuracy.KNOBS` for rendering."""
 
 from collections.abc import Mapping
 

@@ -1,5 +1,5 @@
-"""The knobs of photon transfer: how many pixels, by which likelihood, to which tolerance, and how
-the posterior is drawn. Results are figures of the sheet in their standard errors."""
+"""The settings of photon transfer: number of pixels, likelihood, tolerance, and sampling of the
+posterior. Results are figures of the sheet in units of their standard errors."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,7 +33,7 @@ FEWEST = 16  # pixels along a side of a part of an image
 
 
 def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The knobs of a rig's photon transfer."""
+    """The settings of a rig's photon transfer."""
     measurement = reduce_rig(rig, load=load)
     check(Path(rig.folder), measurement)
     calibration = calibrate(measurement)
@@ -49,7 +49,8 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         return np.array([float(np.asarray(sheet[name])) for name in names]) / errors
 
     def fitted(measured: PhotonTransfer, *, exact: bool | None = None) -> np.ndarray:
-        """The sheet of a linear camera, by moments that are exact, usual, or what is called for."""
+        """The sheet of a linear camera, with exact moments, usual moments, or those that the data
+        require."""
         usable, within = linear_levels(measured), ranges(measured)
         window = None if exact is False else needed_window(measured, usable)[0]
         if exact and window is None:
@@ -94,8 +95,8 @@ def noise_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
 
 def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tuple[slice, slice]:
-    """A part of an image of the same shape, where chance has it, beginning at even pixels, as the
-    sites of a mosaic ask for."""
+    """A random window of an image with the same aspect, beginning at even pixels for the sites of a
+    mosaic."""
     found = []
     for length in size:
         wanted = max(round(length * np.sqrt(share) / 2) * 2, min(FEWEST, length))
@@ -105,7 +106,7 @@ def _window(size: tuple[int, ...], share: float, rng: np.random.Generator) -> tu
 
 
 def _tolerance(calibration: NoiseCalibration) -> Turn:
-    """The chosen model's search, begun at the standard's figures."""
+    """The search for the chosen model, started at the standard's figures."""
     fit = calibration.chosen
     start = start_vector(fit.space, calibration.standard.values, fit.data)
     errors = np.sqrt(np.diagonal(fit.covariance))

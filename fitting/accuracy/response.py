@@ -1,5 +1,6 @@
-"""The knobs of a response curve: how many pixels, bins of codes and rounds. Results are log
-exposures of codes in their standard errors, of the first channel that can be calibrated."""
+"""The settings of a response curve: numbers of pixels, of bins of codes and of rounds. Results are
+log exposures of codes in units of their standard errors, for the first channel that can be
+calibrated."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,7 +23,7 @@ PLACES = 64  # codes at which curves are compared
 
 
 def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
-    """The knobs of a rig's response."""
+    """The settings of a rig's response curve."""
     stack = read_exposure_stack(rig, load=load)
     channel = calibrate(stack).channels[0]
     plane, whole = channel.plane, channel.curve
@@ -68,6 +69,6 @@ def response_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
 
 
 def _at(curve: ResponseCurve, codes: np.ndarray) -> np.ndarray:
-    """Log exposure of codes, 0 at the middle one of them, linear in ln code between bins."""
+    """Log exposure of codes, 0 at the middle one, linear in ln code between bins."""
     g = np.interp(np.log(codes), np.log(curve.codes), curve.log_exposure)
     return g - g[len(codes) // 2]

@@ -1,4 +1,4 @@
-"""The fits of a rig, as problems with knobs."""
+"""The fits of a rig as problems with settings."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -33,7 +33,7 @@ FITS: Mapping[str, Purpose] = {
 
 
 def fits_of(rig: Rig) -> tuple[str, ...]:
-    """The fits that a rig names all entries of."""
+    """The fits for which a rig has all entries."""
     found = tuple(
         fit
         for fit, purpose in FITS.items()
@@ -113,7 +113,7 @@ def measured(
     seconds: float = 60.0,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """The curves of a fit's knobs, the time shared equally.
+    """The curves of a fit's settings, with the time shared equally.
 
     Args:
         problem: from `problems`.

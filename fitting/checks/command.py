@@ -1,4 +1,4 @@
-"""What `jaxvision-fit check` runs."""
+"""The implementation of `jaxvision-fit check`."""
 
 from collections.abc import Callable
 from functools import partial

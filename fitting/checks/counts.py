@@ -1,10 +1,11 @@
-"""Efficiency of fits to tables of codes: the scatter of estimates beside the Cramer-Rao bound.
+"""Efficiency of fits to tables of codes: the scatter of estimates compared with the Cramer-Rao
+bound.
 
     python -m fitting.checks.counts
 
 Tables of two levels of light are drawn and fitted by `fit_map`, with the same gain, read noise and
-black level. The Fisher information of the exact law is a sum over codes in NumPy, by central
-differences of Poisson's probabilities times differences of the normal distribution function.
+black level. The Fisher information of the exact distribution is a sum over codes in NumPy. It uses
+central differences of Poisson probabilities times differences of the normal distribution function.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ REACH = 8.5  # read noises that are summed
 
 @dataclass(frozen=True)
 class Efficiency:
-    """How close fits come to the bound.
+    """The ratio of the scatter of fits to the bound.
 
     Attributes:
         read_noise: e-.
@@ -49,7 +50,7 @@ class Efficiency:
 
 
 def shares(values: Float[np.ndarray, " parameters"], codes: np.ndarray) -> np.ndarray:
-    """(levels, codes) probability of each code by plain sums; values in the order of `NAMES`."""
+    """(levels, codes) probability of each code by direct sums; values in the order of `NAMES`."""
     gain, read_noise, black, *electrons = values
     n = np.arange(200)
     law = norm(black + gain * n[:, None], gain * read_noise)
@@ -60,7 +61,7 @@ def shares(values: Float[np.ndarray, " parameters"], codes: np.ndarray) -> np.nd
 def information(
     values: Float[np.ndarray, " parameters"], codes: np.ndarray, numbers: int
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Fisher's, of tables of so many numbers."""
+    """The Fisher information of tables with so many counts."""
     slopes = []
     for i, value in enumerate(values):
         step = np.where(np.arange(len(values)) == i, DIFFERENCE * value, 0)
@@ -72,7 +73,7 @@ def information(
 
 @in_double
 def efficiency(read_noise: float, simulations: int, *, seed: int = 0) -> Efficiency:
-    """Draws tables, fits them and compares."""
+    """Draw tables, fit them and compare."""
     truth = np.array([GAIN, read_noise, BLACK, *ELECTRONS])
     beyond = REACH * GAIN * read_noise
     codes = np.arange(np.floor(BLACK - beyond), np.ceil(BLACK + GAIN * 26 + beyond))

@@ -1,11 +1,11 @@
 """Coverage of intervals, from the position of the truth in each posterior.
 
-A fit puts the truth at the place u of its posterior, its cumulative probability there. Over many
-simulations u is uniform if posteriors are right. An interval of probability q holds the truth where
-|u - 1/2| < q / 2; z = Phi^-1(u) is standard normal; and the ranks of simulation-based calibration
-(Talts et al. 2018) are u in steps. The band of the ranks is simultaneous: the largest departure of
-their distribution from the diagonal (Kolmogorov). The mean square of z, which has a chi-square
-distribution over the number of fits, tells errors of the wrong size from the fewest fits.
+For a fit, u is the cumulative probability of the true value in its posterior. Over many simulations
+u is uniform if posteriors are right. An interval of probability q covers the truth where |u - 1/2|
+< q / 2; z = Phi^-1(u) is standard normal. The ranks of simulation-based calibration (Talts et al.
+2018) are u in steps. The band of the ranks is simultaneous: the largest departure of their
+distribution from the diagonal (Kolmogorov). The mean square of z has a chi-square distribution over
+the number of fits. It detects errors of the wrong size with the fewest fits.
 """
 
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class Coverage:
 def coverage(
     places: Float[np.ndarray, "simulations parameters"], names: tuple[str, ...]
 ) -> tuple[Coverage, ...]:
-    """Judges the places of the truth in the posteriors of many fits.
+    """Test the positions of the truth in the posteriors of many fits.
 
     Example:
         >>> from fitting.checks.coverage import coverage

@@ -1,4 +1,5 @@
-"""Small simulated cameras, and where the intervals of EMVA 1288, release 4.0, put the truth."""
+"""Small simulated cameras, and the position of the truth in the intervals of EMVA 1288, release
+4.0."""
 
 from dataclasses import dataclass
 
@@ -26,7 +27,7 @@ NAMES = (
 
 @dataclass(frozen=True)
 class Camera:
-    """What is simulated, standard deviations of rows, columns and pixels.
+    """A simulated camera, with standard deviations of rows, columns and pixels.
 
     Attributes:
         offsets: electrons.
@@ -48,7 +49,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Where one sheet puts the truth."""
+    """The position of the truth in one sheet."""
     rng = np.random.default_rng(seed)
     dark, response = (
         _pattern(sizes, camera.degrees, rng) for sizes in (camera.offsets, camera.gains)

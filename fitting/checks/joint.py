@@ -1,5 +1,5 @@
-"""Photographs of a glossy sphere by an uncalibrated camera, simulated in NumPy, and where joint
-fits of surface, encoding and sensor put the truth."""
+"""Simulated photographs of a glossy sphere by an uncalibrated camera (NumPy), and the position of
+the truth in joint fits of surface, encoding and sensor."""
 
 from dataclasses import dataclass, field, replace
 
@@ -20,7 +20,7 @@ BLACK, BLACK_SD = 64.0, 0.5  # DN, and what the rig says of its error
 
 @dataclass(frozen=True)
 class Lab:
-    """What is simulated.
+    """The simulated laboratory.
 
     Attributes:
         sphere: with its lights and their errors, which the fit is told.
@@ -49,7 +49,7 @@ CASES = {
 
 
 def photographed(lab: Lab, seed: int) -> Photographs:
-    """Photographs as a fit gets them."""
+    """Photographs in the form that a fit takes."""
     rng = np.random.default_rng(seed)
     sphere, full = lab.sphere, 2.0**BITS - 1 - BLACK
     linear = np.maximum(GAIN * electrons(sphere, rng), 0)
@@ -74,7 +74,7 @@ def photographed(lab: Lab, seed: int) -> Photographs:
 
 
 def places(lab: Lab, seed: int) -> np.ndarray:
-    """Where one fit puts the truth."""
+    """The position of the truth in one fit."""
     found = calibrate(photographed(lab, seed), fit_gamma=lab.gamma != 1, seed=seed)
     if not found.posteriors:
         raise InputError("the data leave a parameter open.")

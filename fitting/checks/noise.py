@@ -1,4 +1,5 @@
-"""Flats and darks of a simulated camera, pixel by pixel in NumPy, and where fits put the truth."""
+"""Flats and darks of a simulated camera, pixel by pixel in NumPy, and the position of the truth in
+its fits."""
 
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ NAMES = ("system_gain", "responsivity", "black_level", "read_noise", "dark_curre
 
 @dataclass(frozen=True)
 class Camera:
-    """What is simulated.
+    """A simulated camera.
 
     Attributes:
         gain: DN per electron.
@@ -49,7 +50,7 @@ class Camera:
 
     @property
     def truth(self) -> dict[str, float]:
-        """The read noise with that of the rows."""
+        """The true read noise, including row noise."""
         read = float(np.hypot(self.read_noise, self.row_noise))
         values = (self.gain, self.gain * EFFICIENCY, self.black, read, DARK_CURRENT)
         return dict(zip(NAMES, values, strict=True))
@@ -74,7 +75,7 @@ CASES = {
 
 
 def places(camera: Camera, seed: int) -> np.ndarray:
-    """Where one fit puts the truth."""
+    """The position of the truth in one fit."""
     posterior = calibrate(measured(camera, seed)).posterior
     found = places_in(posterior, camera.truth)
     if len(found) < len(NAMES):
@@ -83,7 +84,7 @@ def places(camera: Camera, seed: int) -> np.ndarray:
 
 
 def measured(camera: Camera, seed: int) -> PhotonTransfer:
-    """Flats and darks of one camera: Poisson electrons, what pixels, rows, columns and frames add,
+    """Flats and darks of one camera: Poisson electrons; noise of pixels, rows, columns and frames;
     rounding and clipping.
 
     Args:

@@ -44,7 +44,7 @@ class Check:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Sentences about results outside their bands; empty if the coverage is right."""
+        """Findings on results outside their bands; empty if the coverage is right."""
         return tuple(f"{one.name}: {'; '.join(one.faults)}." for one in self.coverage if one.faults)
 
     def __str__(self) -> str:
@@ -153,7 +153,7 @@ def check(
 
 
 def _from_priors(space: tuple[Parameter, ...]) -> list[np.ndarray]:
-    """Values of each parameter that are equally likely beforehand."""
+    """Equally likely values of each parameter under its prior."""
     known = [prior_values(parameter) for parameter in space]
     labels = zip(names(space), known, strict=True)
     if unknown := [label for label, values in labels if values is None]:
@@ -165,7 +165,7 @@ def _from_priors(space: tuple[Parameter, ...]) -> list[np.ndarray]:
 
 
 def _given(problem: Problem, truth: dict[str, Any]) -> list[np.ndarray]:
-    """The one value of each number that the caller calls true."""
+    """The single true value of each number that the caller gives."""
     if absent := [p.name for p in problem.free if p.name not in truth]:
         raise InputError(f"check: truth names no {', '.join(absent)}; give a value of each.")
     if unknown := set(truth) - {p.name for p in problem.free}:

@@ -1,4 +1,5 @@
-"""Photographs of a glossy sphere, simulated in NumPy, and where their fits put the truth."""
+"""Photographs of a glossy sphere, simulated in NumPy, and the position of the truth in their
+fits."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -56,11 +57,11 @@ class Sphere:
 
     @cached_property
     def signal(self) -> np.ndarray:
-        """(lights, h, w) DN above black, where lights stand as stated."""
+        """(lights, h, w) DN above black with the lights as stated."""
         return self.shaded(directions(self.lights))
 
     def shaded(self, wi: np.ndarray) -> np.ndarray:
-        """Under some lights.
+        """The signal under some lights.
 
         Args:
             wi: (lights, 3) unit vectors toward them.
@@ -77,7 +78,7 @@ class Sphere:
 
     @cached_property
     def observed(self) -> tuple[Photographs, Selection, Grouping]:
-        """Photographs of the first seed, their samples and cells: all but the numbers of any."""
+        """Photographs of the first seed with their samples and cells, for their geometry only."""
         observation = from_photographs(
             list(photographs(self, 0)),
             directions(self.lights),
@@ -175,7 +176,7 @@ def places(sphere: Sphere, seed: int) -> np.ndarray:
 
 
 def _normals() -> np.ndarray:
-    """(h, w, 3), zeros outside of the sphere."""
+    """(h, w, 3), zeros outside the sphere."""
     row, column = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2
     x, y = column / RADIUS, -row / RADIUS
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
@@ -183,14 +184,14 @@ def _normals() -> np.ndarray:
 
 
 def _turned(wi: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
-    """Unit vectors by so much elsewhere along each of two axes across them."""
+    """Unit vectors rotated by given angles about two axes across them."""
     step = sd * rng.standard_normal(wi.shape)
     moved = wi + step - np.sum(step * wi, axis=1, keepdims=True) * wi
     return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
 
 def directions(lights: int) -> np.ndarray:
-    """Unit vectors about the view, the same for equal numbers."""
+    """Unit vectors about the view, deterministic for each count."""
     rng = np.random.default_rng(0)
     z = rng.uniform(np.cos(np.radians(WIDEST)), 1, lights)
     azimuth = rng.uniform(0, 2 * np.pi, lights)

@@ -1,5 +1,5 @@
-"""Exposure stacks of simulated scenes, as cameras and hands take them, and where fits put the
-truth."""
+"""Exposure stacks of simulated scenes, from a tripod or hand-held, and the position of the truth in
+their fits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ LEAF, LEAVES, FLUTTER = 16, 5, 4  # pixels, how many, pixels that they move
 
 @dataclass(frozen=True)
 class Stack:
-    """What is simulated.
+    """A simulated stack.
 
     Attributes:
         times: exposures, s.
@@ -79,7 +79,7 @@ CASES = {
 
 
 def places(stack: Stack, seed: int) -> np.ndarray:
-    """Where one fit puts the truth."""
+    """The position of the truth in one fit."""
     images = photographs(stack, seed)
     camera = Camera(
         bits=8, black_level=stack.black, black_sd=stack.black_sd or None, saturation=255.0
@@ -123,8 +123,8 @@ def _moved(
 
 
 def _scene(rng: np.random.Generator) -> np.ndarray:
-    """Light over three decades: texture whose spectrum falls as 1 / f, and rectangles, as a lens
-    blurs them."""
+    """Light over three decades, blurred by a lens: texture with a 1 / f spectrum, and
+    rectangles."""
     h, w = np.array(SHAPE) + 2 * RIM
     frequency = np.hypot(np.fft.fftfreq(h)[:, None], np.fft.fftfreq(w))
     frequency[0, 0] = 1
@@ -139,7 +139,7 @@ def _scene(rng: np.random.Generator) -> np.ndarray:
 
 
 def _black(stack: Stack, seed: int) -> float:
-    """DN, that of the camera."""
+    """The camera's black level, DN."""
     return stack.black + stack.black_sd * np.random.default_rng([seed, 1]).standard_normal()
 
 
@@ -154,7 +154,7 @@ def _of_code(curve: ResponseCurve, stack: Stack, code: int, black: float) -> flo
 
 
 def _of_estimate(estimate: Estimate, truth: float) -> float:
-    """The truth's place among the ends of printed intervals, on the scale of normal deviates."""
+    """The position of the truth among the ends of printed intervals, as a normal deviate."""
     assert estimate.interval_68 is not None
     assert estimate.interval_95 is not None
     low68, high68 = estimate.interval_68

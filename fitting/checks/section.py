@@ -1,4 +1,4 @@
-"""A check as its reader sees it."""
+"""The report of a coverage check."""
 
 from collections.abc import Mapping
 

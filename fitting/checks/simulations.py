@@ -29,9 +29,8 @@ def simulated(
     kept: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Float[np.ndarray, "simulations parameters"]:
-    """The places of the truth in the posteriors of many fits, on the workers of
-    `jaxvision.cluster` where there are any.
-    """
+    """The positions of the truth in the posteriors of many fits, on the workers of
+    `jaxvision.cluster` if there are any."""
     rows = np.empty((0, parameters))
     with threadpool_limits(1, user_api="blas"):  # threads cost more than systems this small
         if kept is not None and (found := _kept(kept)) is not None:
@@ -90,9 +89,8 @@ def _places(shared: tuple[Simulate, int], seed: int) -> Float[np.ndarray, " para
 
 
 def places_in(posterior: Posterior, truth: Mapping[str, float]) -> dict[str, float]:
-    """Cumulative probability of the truth in each parameter's posterior, as it is printed: a
-    quantile of draws, or of Laplace's Gaussian or Student's t.
-    """
+    """Cumulative probability of the truth in each parameter's posterior, consistent with the
+    printed intervals: from the draws, or from Laplace's Gaussian or Student's t."""
     labels = names(posterior.space)
     known = [(i, name) for i, name in enumerate(labels) if name in truth]
     if posterior.sampled:

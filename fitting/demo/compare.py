@@ -1,5 +1,5 @@
-"""`jaxvision-fit demo`: simulate a lab afternoon to files, calibrate from the files alone, and set
-truth beside estimate."""
+"""`jaxvision-fit demo`: simulate a lab afternoon to files, calibrate from the files alone, and
+compare estimates with the truth."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -46,7 +46,7 @@ class Comparison:
 
     @property
     def deviations(self) -> tuple[float, ...]:
-        """Ends of the 95 and 68 % intervals and the value between them, less the truth, in
+        """Ends of the 95 and 68 % intervals and the value between them, minus the truth, in
         standard errors, ascending."""
         unknown = (math.nan, math.nan)
         low95, high95 = self.estimate.interval_95 or unknown
@@ -76,8 +76,7 @@ def calibrate_lab(
 ) -> list[Section]:
     """The three calibrations of `simulate_lab`'s files.
 
-    The reflectance fit weighs its pixels with the gain and the read noise that photon transfer has
-    just measured.
+    The reflectance fit weights its pixels with the gain and read noise from photon transfer.
     """
 
     def noise() -> Section:
@@ -149,7 +148,7 @@ def compare(sections: Iterable[Section], truth: Truth) -> list[Comparison]:
 
 
 def with_truth(section: Section, truth: Truth) -> Section:
-    """A section whose pictures mark the values that it was simulated with."""
+    """A section whose figures mark the true values."""
     known = truths(truth).items()
     own = {(name, group): value for (kind, name, group), value in known if kind == section.kind}
     return replace(section, truth=own)

@@ -12,7 +12,7 @@ LIMIT = 4.5  # standard errors shown to either side
 
 
 def forest_figure(comparisons: Sequence[Comparison]) -> Figure:
-    """One row an estimate: 68 and 95 % intervals about the truth, in standard errors."""
+    """One row for each estimate: 68 and 95 % intervals about the truth, in standard errors."""
     figure = Figure(figsize=(5.4, 1.2 + 0.27 * len(comparisons)), layout="constrained")
     axis = figure.subplots()
     axis.axvspan(-1.96, 1.96, color="0.93", zorder=0)

@@ -2,7 +2,7 @@
 sphere under many lights, each in a folder with its `rig.toml`. The calibrations see only the files.
 
 One camera takes everything: a 12-bit CMOS-like sensor with the fixed pattern of its die. The
-exposure stack leaves it as an 8-bit gamma-encoded colour picture, the rest as raw numbers.
+exposure stack is stored as 8-bit gamma-encoded colour pictures, the rest as raw numbers.
 """
 
 import itertools
@@ -88,7 +88,7 @@ class Truth:
 
 
 class _Bench(eqx.Module):
-    """Keys and sensor that stay with one camera through the afternoon."""
+    """Keys and sensor of the one camera of the afternoon."""
 
     sensor: Sensor
     die_key: jax.Array
@@ -109,7 +109,7 @@ def _picture(bench: _Bench, scene: Scene, camera: Camera, frame: jax.Array) -> A
 
 
 def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = None) -> Truth:
-    """Writes `noise`, `response` and `brdf`, each a rig with its images.
+    """Write `noise`, `response` and `brdf`, each a rig with its images.
 
     Args:
         folder: above the three.
@@ -166,7 +166,7 @@ def _exposed(bench: _Bench, exposure: float) -> _Bench:
 
 
 class _Counted:
-    """Says how many frames of all parts are written."""
+    """Report how many frames of all parts have been written."""
 
     def __init__(self, total: int, progress: Progress | None) -> None:
         self.numbers, self.total, self.progress = itertools.count(1), total, progress
@@ -178,7 +178,7 @@ class _Counted:
 
 
 class _Film:
-    """Numbers the frames of a part, from its first one on."""
+    """Number the frames of a part from its first."""
 
     def __init__(self, first: int, counted: _Counted) -> None:
         self.next, self.counted = first, counted
@@ -218,7 +218,8 @@ def photons_at_half(truth: Truth) -> float:
 
 
 def _exposure_stack(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
-    """Three spheres on a floor, a few stops apart, as 8-bit gamma-encoded pictures."""
+    """Three spheres on a floor, a few stops different in brightness, as 8-bit gamma-encoded
+    pictures."""
     floor = Surface(Plane((0.0, -1.0, 0.0), (0.0, 1.0, 0.0)), Lambert((0.25, 0.24, 0.22)))
     balls = [
         Surface(Sphere((x, -0.5, z), 0.5), Phong(colour, (0.3, 0.3, 0.3), 30.0))
@@ -248,7 +249,7 @@ def _exposure_stack(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> N
 
 
 def _sphere_under_lights(folder: Path, film: _Film, truth: Truth, bench: _Bench) -> None:
-    """A Phong sphere, one image a distant light, raw; the highlight clips in some."""
+    """A Phong sphere, one raw image for each distant light; the highlight clips in some."""
     ball = Surface(
         Sphere((0.0, 0.0, 0.0), 1.0), Phong(truth.diffuse, truth.specular, truth.exponent)
     )

@@ -1,4 +1,4 @@
-"""The demo's summary: every known truth beside its estimate."""
+"""The demo's summary: every known truth next to its estimate."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -11,7 +11,8 @@ from .lab import Truth
 
 
 def comparison_table(comparisons: Sequence[Comparison]) -> Table:
-    """Truth against estimate with its 68 and 95 % intervals, and how many of them hold it."""
+    """Truth and estimate with 68 and 95 % intervals, and the number of intervals that cover the
+    truth."""
     rows = tuple(
         (
             f"{format_name(c.estimate.name)} {c.estimate.group}".rstrip(),
@@ -38,7 +39,7 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
 
 
 def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
-    """The demo's summary: every known truth beside its estimate.
+    """The demo's summary: every known truth next to its estimate.
 
     Args:
         sections: of the calibrations of `simulate_lab`'s files.

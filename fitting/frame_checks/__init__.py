@@ -1,1 +1,1 @@
-"""Comparison of frames that should be equal, before anything is fitted to them."""
+"""Comparison of frames that should agree, before any fit."""

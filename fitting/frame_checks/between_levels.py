@@ -23,7 +23,7 @@ CLIPPED = 1e-3  # share of the pixels at the top code
 
 
 def _lit(levels: ComparedLevels) -> list[int]:
-    """The remaining levels, in the order of their light."""
+    """The remaining levels, ordered by light."""
     there = [i for i, frames in enumerate(levels.frames) if frames and levels.light[i] > 0]
     return sorted(there, key=lambda i: levels.light[i])
 
@@ -35,8 +35,8 @@ def _signals(levels: ComparedLevels, there: list[int]) -> np.ndarray:
 
 
 def light_of_levels(levels: ComparedLevels) -> None:
-    """Levels without light, and those whose light departs from that of both neighbours in the same
-    direction, as no smooth response makes it."""
+    """Levels without light, and levels whose light deviates from both neighbours in the same
+    direction, which no smooth response explains."""
     assert levels.black is not None
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
@@ -88,15 +88,15 @@ def light_of_levels(levels: ComparedLevels) -> None:
 
 
 def _step(frames: Sequence[Shown]) -> int:
-    """The greatest common divisor of the numbers of some frames; 1 where they are no whole ones."""
+    """The greatest common divisor of the numbers in some frames; 1 if they are not whole."""
     values = np.concatenate([frame.sample.ravel() for frame in frames])
     whole = np.isfinite(values).all() and (values == np.floor(values)).all()
     return max(int(np.gcd.reduce(values.astype(np.int64))), 1) if whole else 1
 
 
 def _stated_wrongly(levels: ComparedLevels) -> None:
-    """Levels whose light departs from a smooth curve through all others: the response may bend, and
-    light may leak, but neither makes one level depart."""
+    """Levels whose light deviates from a smooth curve through all others. A nonlinear response or a
+    light leak does not affect one level alone."""
     assert levels.black is not None
     while True:
         there = _unsaturated(levels)
@@ -123,8 +123,8 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
 
 
 def _unsaturated(levels: ComparedLevels) -> list[int]:
-    """Levels with light in its order, without those that saturate, nor the one before them, of
-    which some pixels may."""
+    """Levels with light, in order of light, without the saturated ones and the one before them,
+    some of whose pixels may be saturated."""
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
         return there
@@ -138,8 +138,8 @@ def _unsaturated(levels: ComparedLevels) -> list[int]:
 
 
 def _response(light: np.ndarray) -> Float[np.ndarray, "levels terms"]:
-    """What signal over light may be: constant, bent, and with light that leaks, a shutter that is
-    late or another black level; of few levels without the second bend."""
+    """Basis functions for signal over light: constant, curvature, and a light leak, a late shutter
+    or another black level; for few levels, without the second curvature term."""
     x = light / light.max()
     terms = [np.ones_like(x), x, light.min() / light]
     return np.stack(terms if len(x) < 2 * len(terms) + 2 else [*terms, x**2], axis=1)
@@ -151,10 +151,9 @@ def _from_the_others(
     scatter: np.ndarray,
     least: np.ndarray,
 ) -> tuple[Float[np.ndarray, "levels ..."], Float[np.ndarray, " levels"], int]:
-    """How far each value is from a fit to all others, its standard deviation by how those scatter
-    about that fit, and of how many degrees of freedom: of one value a level, the ratio is Student's
-    t.
-    """
+    """The deviation of each value from a fit to all others, its standard deviation from their
+    scatter about that fit, and its degrees of freedom. For a single value the ratio is Student's
+    t."""
     q, _ = np.linalg.qr(design / scatter[:, None])
     weighted = (values.T / scatter).T.reshape(len(values), -1)
     rest = weighted - q @ (q.T @ weighted)
@@ -167,10 +166,10 @@ def _from_the_others(
 
 
 def distribution_of_levels(levels: ComparedLevels) -> None:
-    """Levels over whose frames the light is distributed unlike in all others, as with a shadow.
+    """Levels with a spatial light distribution unlike all others, as from a shadow.
 
-    What a pixel's block has of the frame's signal is constant, grows toward black where black is
-    uneven, and changes toward saturation where the response bends.
+    The share of a pixel block in the frame's signal is constant. It grows toward black if black is
+    uneven, and changes toward saturation if the response is nonlinear.
     """
     assert levels.black is not None
     while True:
@@ -212,7 +211,8 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
 
 
 def noise_of_levels(levels: ComparedLevels) -> None:
-    """Levels whose variance for their signal departs from both neighbours in one direction."""
+    """Levels whose variance for their signal deviates from both neighbours in the same
+    direction."""
     there = _lit(levels)
     if len(there) < FEWEST_LEVELS:
         return
@@ -239,8 +239,8 @@ def _beside(values: np.ndarray, place: int) -> float:
 
 
 def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
-    """Places beyond both neighbours by more than a size and than chance, the farthest first; a
-    place beside a farther one is judged without that."""
+    """Positions that deviate from both neighbours by more than a size and significantly, largest
+    first. A position next to a larger one is tested without it."""
     left, found = list(range(len(values))), []
     while len(left) > 2:
         own, around = np.array(left[1:-1]), (np.array(left[:-2]), np.array(left[2:]))
@@ -256,7 +256,7 @@ def _peaks(values: np.ndarray, size: float, chance: np.ndarray) -> list[int]:
 
 
 def _exchanged(signal: np.ndarray, light: np.ndarray, place: int) -> int | None:
-    """The level with whose light this one's is exchanged; None where it is not."""
+    """The level that was swapped with this one; None if there is none."""
     rates = signal / light
     usual = float(np.median(rates))
     for other in range(len(light)):

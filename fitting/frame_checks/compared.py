@@ -1,4 +1,4 @@
-"""Levels of light, each of several frames, from which what does not belong is taken."""
+"""Levels of light with several frames each, from which deviating frames are removed."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,7 +20,7 @@ FEWEST_TRIMMED = 50
 
 
 class ComparedLevels:
-    """Levels from which what does not belong is taken."""
+    """Levels from which deviating frames are removed."""
 
     def __init__(
         self, frames: list[list[Shown]], light: np.ndarray, black: np.ndarray | None
@@ -33,9 +33,10 @@ class ComparedLevels:
         self.noise = _noise_of_levels(frames, light, np.array(own))
 
     def pixel_noise(self, level: int, *, lines: bool = True) -> float:
-        """DN rms of a pixel between two frames, by the pair that differs least and is no copy.
+        """DN rms of a pixel's difference between two frames, from the pair that differs least
+        without being copies.
 
-        `lines`: whether what whole rows and columns share counts."""
+        `lines`: whether noise shared by whole rows and columns counts."""
         frames = self.frames[level]
         if len(frames) < 2:
             return 0.0
@@ -45,27 +46,27 @@ class ComparedLevels:
         return float(np.sqrt(min((v for v in variances if v > 0), default=0.0) / 2))
 
     def chance(self, level: int) -> float:
-        """DN rms between the means of two frames by the noise of their pixels, at least: a mean is
-        over more pixels than are kept."""
+        """DN rms between the means of two frames, from pixel noise. This is a lower bound: a mean
+        covers more pixels than the kept sample."""
         sizes = [frame.sample.size for frame in self.frames[level]]
         return float(self.noise[level]) * float(np.sqrt(2 / max(sizes, default=1)))
 
     def scale(self, level: int) -> float:
-        """DN in which departures are counted: the signal of flats, the noise of darks."""
+        """The scale, in DN, of deviations: the signal for flats, the noise for darks."""
         if self.black is None:
             return float(max(self.noise[level], 0.1))
         middle = np.median([frame.mean for frame in self.frames[level]])
         return float(max(abs(middle - self.black[level]), 1e-9))
 
     def floor(self, level: int) -> float:
-        """DN, the least departure that matters."""
+        """The smallest deviation that matters, DN."""
         if self.black is None:
             return 2 * HALF * self.scale(level)
         return max(UNEVEN * self.scale(level), HALF * self.noise[level])
 
     def blocks(self, level: int, frame: Shown) -> Float[np.ndarray, "rows columns"]:
-        """Means of blocks, less the frame's, of flats over its signal, of darks over their
-        noise."""
+        """Means of blocks minus the frame's mean, divided by the signal for flats and by the noise
+        for darks."""
         sample = frame.sample.astype(float)
         edges = [np.linspace(0, n, min(BLOCKS, n) + 1)[:-1].astype(int) for n in sample.shape]
         sums = np.add.reduceat(np.add.reduceat(sample, edges[0], 0), edges[1], 1)
@@ -77,11 +78,11 @@ class ComparedLevels:
         return (means - means.mean()) / max(signal, self.noise[level], 1e-9)
 
     def others(self, level: int) -> list[int]:
-        """Levels that can be compared with this one."""
+        """Levels to compare with this one."""
         return [i for i, frames in enumerate(self.frames) if i != level and len(frames) > 1]
 
     def expected(self, level: int) -> float | None:
-        """Mean of this level by the others, DN; None where they do not tell."""
+        """Mean of this level predicted from the others, DN; None if they do not determine it."""
         others = [i for i in self.others(level) if self.black is None or self.light[i] > 0]
         if len(others) < 2:
             return None
@@ -95,7 +96,7 @@ class ComparedLevels:
         return float(self.black[level] + rate * self.light[level])
 
     def remove(self, level: int, places: Sequence[int], reason: str) -> None:
-        """Takes frames out of a level."""
+        """Remove frames from a level."""
         names = tuple(self.frames[level][i].name for i in places)
         self.odd.append(Odd(names, reason))
         self.frames[level] = [
@@ -103,7 +104,7 @@ class ComparedLevels:
         ]
 
     def without_single_frames(self) -> None:
-        """Levels with one remaining frame give no variance."""
+        """Remove levels with one remaining frame, which give no variance."""
         for level, frames in enumerate(self.frames):
             if len(frames) == 1:
                 self.remove(level, [0], ALONE)
@@ -112,7 +113,8 @@ class ComparedLevels:
 def _noise_of_levels(
     frames: Sequence[Sequence[Shown]], light: np.ndarray, own: Float[np.ndarray, " levels"]
 ) -> Float[np.ndarray, " levels"]:
-    """DN rms of a pixel between frames; where two frames disagree, not far above other levels."""
+    """DN rms of a pixel between frames. If only two frames disagree, it is limited by the noise of
+    other levels."""
     found, order = own.copy(), np.argsort(light, kind="stable")
     for i, place in enumerate(order):
         rest = np.delete(order, i)
@@ -130,14 +132,14 @@ def trimmed_variance(residuals: np.ndarray) -> float:
 
 
 def without_lines(field: np.ndarray) -> np.ndarray:
-    """Less what whole rows or columns share, as bands of a lamp that flickers under a rolling
-    shutter do."""
+    """Samples without the parts that whole rows or columns share, such as flicker bands under a
+    rolling shutter."""
     of_columns, of_rows = field.mean(axis=0), field.mean(axis=1, keepdims=True)
     return field - of_columns - of_rows + field.mean()
 
 
 def of_one_mean(frames: Sequence[Shown], black: float | None) -> list[np.ndarray]:
-    """Samples of frames as if all had the middle one's mean: flats of a lamp that flickers are
+    """Samples of frames normalised to the middle frame's mean: flats of a flickering lamp are
     scaled above black, all others shifted."""
     means = np.array([frame.mean for frame in frames])
     middle = float(np.median(means))

@@ -1,4 +1,4 @@
-"""How far the largest of a few deviates may lie from the others by chance."""
+"""Significance limits for the largest of a few deviates."""
 
 from collections.abc import Sequence
 
@@ -15,9 +15,10 @@ def usual_size(deviates: Sequence[float] | np.ndarray) -> float:
 
 
 def beyond_chance(count: int) -> float:
-    """Times `usual_size` that the largest of so many independent deviates exceeds once in 1,000.
+    """The multiple of `usual_size` that the largest of so many independent deviates exceeds once in
+    1,000.
 
-    Of few deviates the median is known poorly; quantiles of 4 to 100 deviates, 400,000 draws and
-    more, follow 5 + 36 / n, or are up to a tenth smaller.
+    For few deviates the median is imprecise. Simulated quantiles for 4 to 100 deviates (400,000
+    draws and more) are 5 + 36 / n, or up to a tenth smaller.
     """
     return 5 + 36 / max(count, 1)

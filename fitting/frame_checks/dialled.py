@@ -1,7 +1,6 @@
-"""Exposure times that were rounded as cameras print them: 1/60 for 1/64, 1/125 for 1/128.
+"""Detection of exposure times that a camera rounded for display: 1/60 for 1/64, 1/125 for 1/128.
 
-Shutters keep to whole, half or third stops, 2^(k / 3) s, so that printed times have errors of up to
-7 %.
+Shutters use whole, half or third stops, 2^(k / 3) s, so displayed times have errors of up to 7 %.
 """
 
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ LESS = 1 / 3  # of the scatter, that exact times must leave at most
 
 
 def exact_times(times: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:
-    """Times of whole, half and third stops of which these may be the printed ones."""
+    """Exact times in whole, half or third stops that match these displayed times."""
     for parts in STOPS:
         exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)
         off = np.abs(exact / times - 1).max()
@@ -32,7 +31,7 @@ def worst_in_words(times: Float[np.ndarray, " n"], exact: Float[np.ndarray, " n"
 
 
 def _fraction(seconds: float) -> str:
-    """As a dial has it."""
+    """A time in the form of a camera dial."""
     if seconds >= 0.5:
         return f"{seconds:.4g}"
     return str(Fraction(1, round(1 / seconds)))

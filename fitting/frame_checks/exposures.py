@@ -1,4 +1,4 @@
-"""Images of one still scene at several exposures: which of them cannot be as they are stated."""
+"""Checks of images of one still scene at several exposures against their stated exposures."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -21,7 +21,8 @@ UNLIKE, LIKE = 0.6, 0.9  # rank correlation of another scene at most, of one sce
 def odd_exposures(
     where: str | Path, frames: Sequence[Shown], times: ArrayLike, *, full_scale: float
 ) -> list[Odd]:
-    """Images of one still scene that show another one, or less light than a shorter image."""
+    """Images of one still scene that show another scene, or that have less light than a shorter
+    exposure."""
     gone = {name for one in blank_images(frames) for name in one.names}
     left = [i for i, frame in enumerate(frames) if frame.name not in gone]
     odd, seconds = [], np.asarray(times, float)
@@ -34,7 +35,7 @@ def odd_exposures(
 
 
 def blank_images(frames: Sequence[Shown]) -> list[Odd]:
-    """Images that are saturated, or of one code, throughout."""
+    """Images that are saturated or have a single code throughout."""
     return [
         Odd((frame.name,), f"every pixel is {state}, which tells nothing of a scene")
         for frame in frames
@@ -46,7 +47,7 @@ def blank_images(frames: Sequence[Shown]) -> list[Odd]:
 def _clear(
     frames: Sequence[Shown], i: int, j: int, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sampled codes of two images where both are neither black nor saturated."""
+    """Sampled codes of two images at pixels that are neither black nor saturated in both."""
     one, other = frames[i].sample, frames[j].sample
     if one.shape != other.shape:
         return np.zeros(0), np.zeros(0)
@@ -59,7 +60,7 @@ def _clear(
 def _copied_exposures(
     frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Images that are equal in every pixel, though their exposures are not."""
+    """Images that are equal in every pixel although their exposures differ."""
     copies = Copies()
     for i in left:
         copies.add(frames[i].name, frames[i].sample)
@@ -94,7 +95,7 @@ def _of_another_scene(
 def _out_of_order(
     frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
-    """Images that are darker than shorter ones, or brighter than longer ones."""
+    """Images that are darker than shorter exposures, or brighter than longer ones."""
     darker = _darker(frames, left, full_scale)
     wrong = _contradictions(darker, times)
     if not wrong:
@@ -118,7 +119,7 @@ def _out_of_order(
 def _darker(
     frames: Sequence[Shown], left: list[int], full_scale: float
 ) -> Bool[np.ndarray, "frames frames"]:
-    """Whether an image is darker than another at most pixels where both are clear."""
+    """Whether an image is darker than another at most pixels that are unclipped in both."""
     found = np.zeros((len(frames), len(frames)), bool)
     for i, j in combinations(left, 2):
         one, other = frames[i].sample, frames[j].sample
@@ -136,6 +137,6 @@ def _darker(
 def _contradictions(
     darker: Bool[np.ndarray, "frames frames"], times: np.ndarray
 ) -> list[tuple[int, int]]:
-    """Pairs of a shorter and a longer image of which the longer is the darker one."""
+    """Pairs of a shorter and a longer exposure in which the longer one is darker."""
     longer = times[None, :] > LONGER * times[:, None]
     return [(int(i), int(j)) for i, j in np.argwhere(longer & darker.T)]

@@ -1,4 +1,4 @@
-"""What is kept of a frame to compare it with others, and how one is named that does not belong."""
+"""Summaries of frames for comparisons, and findings on frames that deviate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ COPIED = "{} are equal in every pixel, so that one of them at most was taken as 
 
 @dataclass(frozen=True)
 class Shown:
-    """What is kept of a frame to compare it with others.
+    """The summary of a frame for comparisons.
 
     Attributes:
         name: of the frame.
@@ -35,7 +35,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Odd:
-    """Frames that do not belong, and why.
+    """Frames that deviate, with the reason.
 
     Attributes:
         names: of the frames, at least one.
@@ -49,13 +49,13 @@ class Odd:
 
     @property
     def sentence(self) -> str:
-        """For a report."""
+        """The finding for a report."""
         verb = "was" if len(self.names) == 1 else "were"
         return f"{listed(self.names)} {verb} left out: {self.reason}."
 
 
 def shown(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> Shown:
-    """What is kept of a frame."""
+    """Make the summary of a frame."""
     steps = [-(-size // SIDE) for size in frame.shape]
     sample = frame[steps[0] // 2 :: steps[0], steps[1] // 2 :: steps[1]].astype(np.float32)
     return Shown(
@@ -64,14 +64,14 @@ def shown(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> Shown:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names in a sentence, of many the first ones."""
+    """Names for a sentence; only the first ones if there are many."""
     if len(names) > 4:
         return f"{', '.join(names[:3])} and {len(names) - 3} more"
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def refuse_half(where: str | Path, odd: Sequence[Odd], count: int) -> None:
-    """Asks the user to decide where half of the frames would be left out."""
+    """Ask the user to decide if half of the frames would be dropped."""
     wrong = [one for one in odd if not one.spare]
     if 2 * sum(len(one.names) for one in wrong) >= count > 0:
         first = wrong[0]

@@ -35,7 +35,7 @@ class Stated:
 
 
 def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], list[str]]:
-    """Frames of one gain and temperature whose heads contradict the rig, or most of the others."""
+    """Frames of one gain and temperature whose metadata contradict the rig or the majority."""
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
     for group in (frames, *(list(own) for own in _grouped(frames))):
@@ -53,7 +53,8 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], l
 
 
 def _settings(path: Path) -> ImageSettings:
-    """Of a file; empty where there is none or where it cannot be read, as its pixels will show."""
+    """The metadata of a file; empty if there are none, or if the file is unreadable, which its
+    pixels will show."""
     try:
         return read_settings(path) if path.is_file() else ImageSettings()
     except InputError:
@@ -86,7 +87,7 @@ def _alike(one: Any, other: Any) -> bool:
 def _minority(
     where: str | Path, values: Mapping[str, Any], in_words: Callable[[Any], str]
 ) -> dict[str, str]:
-    """Why, by name, of the frames whose head says something else than those of most."""
+    """The reasons, by name, for frames whose metadata differ from the majority."""
     if len(values) < 2:
         return {}
     votes = {name: sum(_alike(own, x) for x in values.values()) for name, own in values.items()}
@@ -110,7 +111,7 @@ def _minority(
 def _mistimed(
     frames: Sequence[Stated], said: Mapping[str, ImageSettings]
 ) -> tuple[dict[str, str], list[str]]:
-    """Frames whose head says another exposure than the rig, if those of most agree with it."""
+    """Frames whose exposure in the metadata differs from the rig, if most frames agree with it."""
     timed = [(one, said[one.name].exposure) for one in frames if one.exposure > 0]
     ratios = {one.name: time / one.exposure for one, time in timed if time}
     if not ratios:

@@ -1,8 +1,8 @@
 """Detection of frames that differ from the others of their light level.
 
-Frames of one level see the same light, so that their means, their unevenness and the noise between
-them agree. A frame does not belong where it departs by more than the frames of all levels scatter
-and by more than matters. If two frames disagree, the neighbouring levels show which one is wrong.
+Frames of one level see the same light, so their means, spatial distribution and noise agree. A
+frame deviates if it differs by more than the scatter of frames at all levels, and by enough to
+matter. If two frames disagree, the neighbouring levels show which one is wrong.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,12 +58,13 @@ def odd_frames(
 
 
 def _scatter(distances: Sequence[float]) -> float:
-    """Standard deviation by pairwise differences, of which most may be of frames that are odd."""
+    """Standard deviation from pairwise differences, robust even if most pairs contain a deviating
+    frame."""
     return PAIRS * float(np.quantile(distances, 0.25)) if len(distances) else 0.0
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """All pairs of a few frames, neighbours of many."""
+    """All pairs if there are few frames, neighbouring pairs if there are many."""
     return (
         list(combinations(range(count), 2))
         if count < 24
@@ -107,7 +108,7 @@ def _copies(levels: ComparedLevels) -> None:
 
 
 def _copies_across(levels: ComparedLevels) -> None:
-    """Frames of one level that are in another one too, where nothing told which is the copy."""
+    """Frames that occur in two levels, if it is unknown which is the copy."""
     copies = Copies()
     for level, frames in enumerate(levels.frames):
         for frame in frames if levels.light[level] > 0 else ():

@@ -1,8 +1,8 @@
-"""Flats between which the camera or an object in front of it moved.
+"""Detection of flats between which the camera or an object in front of it moved.
 
-The unequal gains of pixels, the dust and the light's own pattern are the same in all frames of a
-level, so that they cancel from their differences. Where a frame moved against another, the pattern
-stays in the difference: it is the same at all levels, and grows with the signal.
+Unequal pixel gains, dust and the pattern of the light are equal in all frames of a level, and
+cancel in their differences. If a frame moved, the pattern stays in the difference. It is the same
+at all levels and grows with the signal.
 """
 
 from itertools import combinations
@@ -19,8 +19,7 @@ MOST_FRAMES = 24  # whose pairs are all compared
 
 
 def moved_frames(levels: ComparedLevels) -> None:
-    """Frames that agree with each other, but not with the others of their level, by a pattern that
-    is the same at other levels."""
+    """Groups of frames that differ within a level by a pattern that also occurs at other levels."""
     if levels.black is None:
         return
     samples = {
@@ -52,17 +51,16 @@ def moved_frames(levels: ComparedLevels) -> None:
 
 
 def _difference(samples: list[np.ndarray], groups: list[list[int]]) -> np.ndarray:
-    """By what the first two groups differ, of length 1; bands of a lamp that flickers are left
-    out."""
+    """The normalised difference of the first two groups, without flicker bands."""
     first, second = (np.mean([samples[i] for i in group], axis=0) for group in groups[:2])
     field = without_lines((second - first).astype(float)).ravel()
     return field / max(float(np.linalg.norm(field)), 1e-300)
 
 
 def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
-    """Frames in groups that agree among themselves, the largest first, and by what ratio of
-    variances groups differ more than that; two frames are apart by an unknown ratio; None for one
-    group, and where frames belong to no group clearly."""
+    """Groups of mutually consistent frames, largest first, with the variance ratio between and
+    within groups. Two different frames have an unknown ratio. The result is None for one group or
+    if the groups are unclear."""
     if len(samples) == 2:
         return [[0], [1]], np.nan
     variances = {
@@ -92,7 +90,7 @@ def _parted(samples: list[np.ndarray]) -> tuple[list[list[int]], float] | None:
 def _leave_out(
     levels: ComparedLevels, groups: dict[int, list[list[int]]], ratios: list[float]
 ) -> None:
-    """The largest group of each level stays; of two frames, none does."""
+    """Keep the largest group of each level, and none if there are only two frames."""
     gone: dict[bool, list[str]] = {True: [], False: []}
     example = ""
     for level in sorted(groups):

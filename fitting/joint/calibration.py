@@ -30,7 +30,7 @@ STEPS = ("fit", "halves", "posterior")  # of each channel
 
 @dataclass(frozen=True, repr=False)
 class JointCalibration(ShownInNotebooks):
-    """One posterior a channel, of surface, response and sensor together.
+    """One posterior for each channel, of surface, response and sensor together.
 
     Attributes:
         observation: what was calibrated.
@@ -69,8 +69,8 @@ def calibrate(
 ) -> JointCalibration:
     """Reflectance, encoding, gain and noise from images of a known shape under known lights.
 
-    Images that do not belong (dark or saturated throughout, copies, under another light than the
-    rig says) are left out and named among the findings.
+    Images that deviate (dark or saturated throughout, copies, another light than the rig states)
+    are left out and named in the findings.
 
     Args:
         measurement: images, and flats and darks if there are any.

@@ -1,9 +1,9 @@
-"""Terms that a fit may lack: errors that the rig states, and a misfit.
+"""Optional terms of a fit: errors that the rig states, and a misfit.
 
 An error that all pixels of an image share is not averaged over them, so it is compared with the
-noise of all of them together (`inference.left_out`). It is taken at the upper end of its prior, so
-that the bound holds for every size that the fit may find. A misfit is needed if the cells scatter
-more than noise and the stated errors allow.
+combined noise of all (`inference.left_out`). Its scale is taken at the upper end of its prior, so
+that the bound is valid for every fitted scale. A misfit is needed if the cells scatter more than
+noise and the stated errors allow.
 """
 
 from dataclasses import replace
@@ -24,9 +24,9 @@ MOST_AT_FIRST = 0.5
 def without_small_errors(
     data: JointData, vector: Array
 ) -> tuple[JointData, Array, tuple[LeftOut, ...]]:
-    """Return data and unconstrained vector without the errors that are negligible all together,
-    which are then not traced, and what they were, in standard deviations of the noise of all
-    data."""
+    """Return data and unconstrained vector without the errors that are negligible in total, and
+    those errors in standard deviations of the noise of all data. The dropped errors are not
+    traced."""
     scatters = [parameter for parameter in data.space if parameter.name in SCATTERS]
     if not scatters:
         return data, vector, ()

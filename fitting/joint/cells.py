@@ -7,9 +7,10 @@ prediction of the cell, and the scatter is taken about the reference. At the ref
 pixels agree; away from it, they differ by the curvature of the model within a cell. Cells are
 therefore wide where an image is smooth, and divided at its highlight and at an end of the scale.
 
-A cell counts in an image if all of its pixels are lit and clear of both ends of the scale. The
-reference decides, because measured numbers would be selected by their noise. Measured numbers far
-from both ends count as well, because a wrong reference would otherwise hide them.
+A cell counts in an image if all of its pixels are lit and away from both ends of the scale. The
+reference decides this, because a selection by measured numbers would depend on their noise.
+Measured numbers far from both ends count as well, because a wrong reference would otherwise hide
+them.
 """
 
 from dataclasses import dataclass, replace
@@ -56,7 +57,7 @@ class Grid:
 
 
 def cell_width(form: Form, shape: float | None) -> float:
-    """Width in rad of the finest cells, which resolve the lobe of a natural `shape` (None for
+    """Width in rad of the finest cells, which resolve the lobe of a given `shape` (None for
     Lambert)."""
     if shape is None or not has_lobe(form.model):
         return WIDEST
@@ -82,8 +83,8 @@ def make_grid(
     """Group the pixels of an object by their normals, for the lights that are not held out.
 
     The finest cells have the given `width` in rad, where the model of the `reference` values
-    varies. `turns` adds the derivatives of cells by light directions. `shared` gives all images the
-    same cells, as errors that pixels share need.
+    varies. `turns` adds the derivatives of cells by light directions. With `shared`, all images
+    have the same cells, which errors shared by pixels require.
     """
     lights = np.flatnonzero(~observation.held_out)
     levels, ones = _levels(observation.normals, width), np.ones(len(observation.normals))
@@ -111,7 +112,8 @@ def make_grid(
 
 
 def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
-    """(pixels,) cells of each width from the widest down to `width`, each four of the next."""
+    """(pixels,) cells of each width from the widest down to `width`; each cell contains four of the
+    next."""
     x, y, z = normals.T
     plane = np.sqrt(2 / (1 + z))  # Lambert's: equal areas for equal solid angles
     row, column = (np.floor(c * plane / width).astype(np.int64) for c in (x, y))
@@ -124,7 +126,7 @@ def _levels(normals: np.ndarray, width: float) -> list[np.ndarray]:
 
 
 def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.ndarray:
-    """(pixels,) whether the cell of each is used in part, or crossed by a highlight."""
+    """(pixels,) whether the pixel's cell is only partly used, or crossed by a highlight."""
     count = np.bincount(cell)
     part = np.bincount(cell, usable)
     low, high = np.full(len(count), np.inf), np.full(len(count), -np.inf)
@@ -134,7 +136,7 @@ def _uneven(cell: np.ndarray, usable: np.ndarray, shading: np.ndarray) -> np.nda
 
 
 def _divided(levels: list[np.ndarray], split: np.ndarray) -> np.ndarray:
-    """(pixels,) of one image, the cells of the first level that need not be divided."""
+    """(pixels,) for one image, the cells of the first level that need no division."""
     level = np.cumprod(split, axis=0).sum(axis=0)
     own = np.choose(level, levels)
     _, cell = np.unique(own * len(levels) + level, return_inverse=True)
@@ -187,7 +189,7 @@ def reduce_images(
 def _usable_at(
     observation: Photographs, channel: int, light: int, reference: Values, form: Form
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `pixels_at`, without the outline's half-lit pixels."""
+    """As `pixels_at`, without the partly lit pixels of the outline."""
     expected, usable = pixels_at(observation, channel, light, reference, form)
     return expected, usable & (observation.cosine[light] > SMALLEST_COSINE)
 
@@ -195,8 +197,9 @@ def _usable_at(
 def pixels_at(
     observation: Photographs, channel: int, light: int, values: Values, form: Form
 ) -> tuple[Float[np.ndarray, " pixels"], Bool[np.ndarray, " pixels"]]:
-    """Return (pixels,) expected DN in one image, and which pixels are clear of both ends of the
-    scale, by their expected or beyond doubt by their measured numbers."""
+    """Return (pixels,) expected DN in one image, and the mask of pixels away from both ends of
+    the scale. A pixel qualifies by its expected number, or by a measured number that leaves no
+    doubt."""
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     wi = observation.wi[light]
     geometry = local_geometry(observation.normals[None], wi[None], irradiance[None])
@@ -213,7 +216,8 @@ def pixels_at(
 def _measured_clear(
     observation: Photographs, channel: int, light: int, values: Values
 ) -> np.ndarray:
-    """(pixels,) whose numbers are twice as clear of both ends as what is expected need be."""
+    """(pixels,) whose measured numbers are twice as far from both ends as the expected ones must
+    be."""
     gain, read_noise = float(values["system_gain"]), float(values["read_noise"])
     gamma, white = float(values.get("gamma", 1.0)), observation.white
     dn = observation.dn[channel, light]
@@ -236,7 +240,7 @@ def _pixel_moments(
 
 
 def _means(values: np.ndarray, cell: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """By cell; where there is none, the first cell's."""
+    """Means by cell; for an image without a cell, the first cell's."""
     columns = values.reshape(len(values), -1).T
     sums = np.stack([np.bincount(cell, column, len(count)) for column in columns], axis=1)
     means = sums / np.maximum(count, 1)[:, None]

@@ -45,7 +45,7 @@ def images_figure(calibration: JointCalibration) -> Figure:
 
 
 def noise_figure(calibration: JointCalibration) -> Figure:
-    """Mean squared residual of a pixel, the errors of its image taken off, against the model's
+    """Mean squared residual of a pixel, without the fitted errors of its image, against the model's
     variance, over the mean."""
     figure = Figure(figsize=(6.8, 4.2), layout="constrained")
     axis = figure.subplots()
@@ -82,7 +82,7 @@ def noise_figure(calibration: JointCalibration) -> Figure:
 
 
 def lights_figure(calibration: JointCalibration) -> Figure:
-    """What the fit finds of the strength of each light."""
+    """The fitted strength of each light."""
     figure = Figure(figsize=(6.8, 3.6), layout="constrained")
     axis = figure.subplots()
     width = 0.8 / len(calibration.fits)

@@ -1,4 +1,4 @@
-"""Every sentence about surface, response and sensor, with its condition, and the tables."""
+"""The findings on surface, response and sensor with their conditions, and the tables."""
 
 from functools import partial
 
@@ -90,7 +90,8 @@ def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
 
 
 def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple[float, float]:
-    """Slope of variances over means with its standard error, by weights of their own fit."""
+    """Slope of variances over means with its standard error, by iteratively weighted least
+    squares."""
     if len(mean) < 3 or np.ptp(mean) == 0:
         return np.nan, np.inf
     columns, expected = (
@@ -107,8 +108,8 @@ def _slope(mean: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> tuple
 
 
 def misses_as_noise(calibration: JointCalibration, fit: JointFit) -> bool:
-    """Whether a free gain and read noise stand for the misfit: images disagree, but their cells
-    scatter no more than that noise."""
+    """Whether the free gain and read noise absorb the misfit: images disagree, but the scatter
+    within their cells is not larger than that noise."""
     free = not {*NOISE} <= set(fit.data.known) and fit.data.levels is None
     robust = calibration.robust.get(fit.channel)
     disagree = robust is not None and robust.design_effect > 1
@@ -123,7 +124,7 @@ def _posterior(of: OfChannel):
 
 
 def _misfit(of: OfChannel) -> Numbers | None:
-    """How large it is beside the signal, in dark pixels and in bright ones."""
+    """The misfit relative to the signal, in dark and in bright pixels."""
     fit = of[1]
     if fit.unexplained is None:
         return None
@@ -137,7 +138,8 @@ def _misfit(of: OfChannel) -> Numbers | None:
 
 
 def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
-    """Unequal pixels that are seen, or that could hide gain and read noise unseen."""
+    """Unequal pixels that are significant, or that could bias gain and read noise without being
+    significant."""
     calibration, fit = of
     if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
         return None
@@ -154,7 +156,7 @@ def _unequal(of: OfChannel, *, found: bool) -> Numbers | None:
 
 
 def _gain_of_scatter(of: OfChannel) -> Numbers | None:
-    """That the gain is read off the object's pixels, where nothing else gives it."""
+    """A remark that only the scatter of the object's pixels determines the gain."""
     calibration, fit = of
     if "prnu" in fit.values or _posterior(of) is None or misses_as_noise(calibration, fit):
         return None
@@ -166,7 +168,7 @@ def _gain_of_scatter(of: OfChannel) -> Numbers | None:
 
 
 def _disagree(of: OfChannel) -> Numbers | None:
-    """Images whose scores are larger than those of independent cells."""
+    """Images whose scores exceed those of independent cells."""
     calibration, fit = of
     robust = calibration.robust.get(fit.channel)
     if _posterior(of) is None or robust is None or robust.design_effect <= 1:
@@ -176,7 +178,7 @@ def _disagree(of: OfChannel) -> Numbers | None:
 
 
 def _halves(of: OfChannel, *, agree: bool | None) -> Numbers | None:
-    """Halves of images that disagree within their noise: None for none."""
+    """Halves of the images that disagree by more than their noise; None if they agree."""
     halves = of[0].halves.get(of[1].channel)
     if _disagree(of) is None or agree != (None if halves is None else halves.agree):
         return None
@@ -199,7 +201,7 @@ def _prior_alone(of: OfChannel) -> Numbers | None:
 
 
 def _odd_light(of: OfChannel) -> Numbers | None:
-    """The image whose light is furthest off, if that is notable."""
+    """The image whose light deviates most, if the deviation is notable."""
     calibration, fit = of
     found = image_errors(fit)
     if _posterior(of) is None or found is None or "light_scatter" not in fit.values:
@@ -218,7 +220,7 @@ def _odd_light(of: OfChannel) -> Numbers | None:
 
 
 def _no_description(scores: tuple[Score, ...]) -> list[Numbers]:
-    """Channels in which the model misses most of the images."""
+    """Channels in which the model fails to describe most images."""
     errors = [(s.channel, s.fitted_error, s.unseen_error) for s in scores]
     missed = [(name, fitted if unseen is None else unseen) for name, fitted, unseen in errors]
     most = format_percent(SHOWS)
@@ -364,7 +366,7 @@ OF_CHANNEL = (
 
 
 def score_table(scores: tuple[Score, ...]) -> Table:
-    """Errors of the predicted images, and how many pixels lie within the predicted bands."""
+    """Errors of the predicted images, and the share of pixels within the predicted bands."""
     return Table(
         title="Predicted images",
         columns=(

@@ -1,12 +1,12 @@
 """The fit of one channel by Newton's method on the marginal posterior, from a start by variable
 projection.
 
-The cells are reduced about a reference model, which follows the best model until it has come to
-rest. If the cells scatter more than noise and the stated errors allow, a misfit is added.
+The cells are reduced about a reference model, which is updated to the best model until it no longer
+changes. If the cells scatter more than noise and the stated errors allow, a misfit is added.
 
-The error of a light's direction enters linearly. A highlight does not follow its light linearly:
-the mean over lights that are off by a degree is wider and weaker than each highlight, in all images
-alike. So the fit is repeated about the directions that it finds (Gauss-Newton), until no light
+The error of a light's direction enters linearly. A highlight is not linear in its light's
+direction: the mean over lights with errors of a degree is wider and weaker than each highlight, in
+all images. The fit is therefore repeated about the fitted directions (Gauss-Newton) until no light
 moves.
 """
 
@@ -80,10 +80,11 @@ def fit_channel(
     *,
     about: Float[np.ndarray, "2 images"] | None = None,
 ) -> JointFit:
-    """Return the best fit of one channel, linear in the errors of light directions about `about`:
-    (2, images) rad by which this observation's lights are rotated from the rig's, None for none.
+    """Return the best fit of one channel. It is linear in the errors of light directions about
+    `about`, the (2, images) rotations in rad of this observation's lights from the rig's; None for
+    none.
 
-    The form becomes Lambert's if no highlight is seen. Too few lit cells are an `InputError`.
+    The form becomes Lambert's if no highlight is significant. Too few lit cells raise `InputError`.
     """
     grid, data, start = _prepared(observation, channel, form)
     if about is not None:
@@ -166,7 +167,7 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
 def _rounds(
     observation: Photographs, channel: int, grid: Grid, data: JointData, vector: Array
 ) -> tuple[JointData, NewtonSolution]:
-    """The optimum, with cells about it: the reference follows until it has come to rest."""
+    """The optimum with cells about it: the reference is updated until it no longer changes."""
     solution = minimise(cost, vector, data)
     for number in range(MOST_ROUNDS):
         reference = solution.vector
@@ -216,9 +217,9 @@ def fit_turned(observation: Photographs, channel: int, form: Form) -> JointFit:
 def likeliest_turns(
     fit: JointFit,
 ) -> tuple[Float[np.ndarray, "2 images"], Float[np.ndarray, " images"]] | None:
-    """Return (2, images) rad by which the images rotate the lights from the rig's directions, and
-    the (images,) standard deviations that the rig states; None if directions are exact or the fit
-    is no optimum."""
+    """Return the most likely (2, images) rotations, in rad, of the lights from the rig's
+    directions, and the (images,) standard deviations that the rig states. It is None if directions
+    are exact or the fit is not an optimum."""
     found = image_errors(fit)
     if "direction_scatter" not in fit.data.relative or not fit.converged or found is None:
         return None
@@ -230,7 +231,7 @@ def likeliest_turns(
 def image_errors(
     fit: JointFit,
 ) -> tuple[Float[np.ndarray, "images errors"], Float[np.ndarray, "images errors"]] | None:
-    """The errors of each image that the fit sees, in units of their scale.
+    """The fitted errors of each image, in units of their scale.
 
     Args:
         fit: of one channel.

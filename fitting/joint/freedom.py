@@ -1,13 +1,13 @@
-"""How well the widths of a fit are known, as degrees of freedom.
+"""The precision of a fit's standard deviations, as degrees of freedom.
 
-The errors of a few lights tell their own scale s only roughly, and with it the width of what they
-blur. If ln s is known to t, a variance that is s^2 and nothing else has 1 / (2 t^2) degrees of
-freedom, and its interval is Student's. Where only the part
+With few lights, the scale s of their errors is poorly known, and so are the intervals that depend
+on it. If ln s has the standard error t, the variance s^2 has 1 / (2 t^2) degrees of freedom, and
+its interval is Student's. If s contributes only the part
 
     a = d ln variance / d ln s^2
 
-of a parameter's variance comes from s, Satterthwaite's rule gives 1 / (2 a^2 t^2), and parts of
-several scales add in the inverse.
+of a parameter's variance, Satterthwaite's rule gives 1 / (2 a^2 t^2). For several scales the
+inverses add.
 
 Source:
     Satterthwaite, "An Approximate Distribution of Estimates of Variance Components", Biometrics
@@ -48,11 +48,11 @@ def degrees_of_freedom(
 def laplace_miss(
     fit: JointFit, covariance: Float[np.ndarray, "parameters parameters"]
 ) -> Float[np.ndarray, " parameters"]:
-    """Return (P,) by how much the log density differs from Laplace's Gaussian at two standard
+    """Return (P,) the difference of the log density from Laplace's Gaussian at two standard
     deviations.
 
-    `gaussian_miss` sees the density along a line. The scale of an error that images share has
-    another density once the other parameters are marginalised, because their volume grows with it.
+    `gaussian_miss` evaluates the density along a line. The scale of a shared error has another
+    density after marginalising over the other parameters, because their volume grows with it.
     """
     mode = jnp.asarray(fit.vector)
     missed = gaussian_miss(log_posterior, mode, covariance, fit.data)
@@ -71,13 +71,13 @@ def laplace_miss(
 def _information(
     fit: JointFit, vector: Float[np.ndarray, " parameters"], kept: Int[np.ndarray, " kept"]
 ) -> Float[np.ndarray, "kept kept"]:
-    """Information of some parameters, the others held, anywhere."""
+    """Information of some parameters at any point, with the others fixed."""
     there = minimise(cost, jnp.asarray(vector), fit.data, max_steps=1)
     return np.asarray(there.information, np.float64)[np.ix_(kept, kept)]
 
 
 def _variances(fit: JointFit, scale: int, step: float, others: np.ndarray) -> np.ndarray:
-    """Of the other parameters, with all scales held and one of them moved."""
+    """Variances of the other parameters, with all scales fixed and one of them shifted."""
     vector = fit.vector.copy()
     vector[scale] += step
     return np.diagonal(np.linalg.inv(_information(fit, vector, others)))

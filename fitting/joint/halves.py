@@ -1,9 +1,9 @@
-"""Whether halves of the images tell the same surface, where the model misses it.
+"""Comparison of the surface from two halves of the images, if the model does not describe it.
 
-What a model misses may pull its shape to one side under some lights and to another under others, by
-steps that no curvature at one optimum foretells. Two halves of independent images differ by twice
-the standard deviation of the whole; where they differ by far more, half of their difference is the
-standard deviation that they show, the random-groups estimate of two groups.
+A wrong model may fit one shape under some lights and another under others, which the curvature at
+one optimum does not show. Two halves of independent images differ by twice the standard deviation
+of the whole. If they differ by far more, half of their difference is used as the standard deviation
+(the random-groups estimate for two groups).
 """
 
 from dataclasses import dataclass, replace
@@ -70,7 +70,7 @@ def by_halves(
 
 
 def widened(robust: Robustness, halves: Halves) -> Robustness:
-    """Widen a covariance over images to cover the difference of halves that disagree."""
+    """Widen a covariance over images to include the difference of halves that disagree."""
     if halves.agree:
         return robust
     told = halves.difference * (halves.deviations != 0)

@@ -1,17 +1,17 @@
-"""Gaussian data with errors that are shared, the shared errors integrated out in closed form.
+"""Gaussian data with shared errors, which are marginalised in closed form.
 
-A table of images j and cells c of pixels,
+For a table of images j and cells c of pixels,
 
     r_jc = e_jc + sum_k H_jkc u_jk + G_jc g_c,        e ~ N(0, 1 / w),   u, g ~ N(0, 1)
 
-has the density of r alone by Woodbury's identity: u_jk is an error of a whole image (its light, its
-direction, its stray light) and g_c one of a cell of pixels in all images (their gains). With W the
-weights, D = 1 + sum_j w G^2 and everything about g removed first, what is left to invert is
+the density of r alone follows from Woodbury's identity. u_jk is an error of a whole image (its
+light, its direction, its stray light), and g_c one of a cell of pixels in all images (their gains).
+With the weights W and D = 1 + sum_j w G^2, and with g eliminated first, the remaining matrix is
 
     M = 1 + H'W H - (H'W G) D^-1 (G'W H)
 
-with as many rows as there are image errors: block by block where nothing ties the images together.
-The shared errors are never parameters: with their scale free they have no joint maximum.
+with one row for each image error. It is block diagonal if no g couples the images. The shared
+errors are never parameters, because with a free scale they have no joint maximum.
 
 Source:
     Woodbury, "Inverting Modified Matrices", 1950; Searle, Casella & McCulloch, "Variance
@@ -36,8 +36,8 @@ def log_density(
 ) -> Float[Array, ""]:
     """ln p(r) up to a constant.
 
-    The (images, cells) residuals r, H and G are in DN and the weights w in DN^-2, 0 for a cell that
-    is not seen. H or G is None where no such error is shared.
+    The (images, cells) residuals r, H and G are in DN and the weights w in DN^-2, 0 for a cell
+    without data. H or G is None if there is no such error.
     """
     square, log_volume = _parts(residual, weight, image_errors, cell_errors)
     return -(square + log_volume) / 2
@@ -50,8 +50,8 @@ def chi_square(
     image_errors: ImageErrors | None = None,
     cell_errors: Table | None = None,
 ) -> Float[Array, ""]:
-    """r' C^-1 r with C the covariance of r; its expectation is the number of cells seen. Arguments
-    as in `log_density`."""
+    """r' C^-1 r with C the covariance of r; its expectation is the number of cells with data.
+    Arguments as in `log_density`."""
     return _parts(residual, weight, image_errors, cell_errors)[0]
 
 
@@ -96,8 +96,8 @@ def _of_cells(residual: Table, weight: Table, cell_errors: Table) -> tuple[Array
 def _of_images(
     residual: Table, weight: Table, image_errors: ImageErrors, cell_errors: Table | None
 ) -> tuple[Array, Array]:
-    """Cholesky factor of M and the right hand side H'W r less what g explains: (blocks, n, n) and
-    (blocks, n). A block is an image; where cells tie the images together there is one."""
+    """Cholesky factor of M, and the right hand side H'W r minus the part that g explains: (blocks,
+    n, n) and (blocks, n). A block is an image; if g couples the images there is one block."""
     images, errors, cells = image_errors.shape
     weighted = weight[:, None] * image_errors
     pull = jnp.einsum("jkc,jc->jk", weighted, residual)

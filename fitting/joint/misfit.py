@@ -1,17 +1,17 @@
-"""The covariance of a fit over its images, and a posterior that has it.
+"""The covariance of a fit over its images, and a posterior with that covariance.
 
-What a model misses goes together within an image, so that cells do not count as independent, and
-images stand for independent data instead, or regions of lights where neighbours err alike. Each
-image has its own scores and information; their sandwich (`inference.clustering`) replaces the
-inverse information of surface and encoding. What priors, flats and darks add to the information
-stays as it is. Where pixels share errors between images, scores are scaled to the information of
-their sum.
+The misfit of a model is correlated within an image, so cells are not independent. Images count as
+the independent data, or regions of lights if neighbours have similar errors. Each image has its own
+scores and information; their sandwich (`inference.clustering`) replaces the inverse information of
+surface and encoding. The information from priors, flats and darks is unchanged. Where pixels share
+errors between images, scores are scaled to the information of their sum.
 
-Chi-square does not tell whether the model misses: a free gain and read noise take what it misses
-for photons, and cells of single pixels leave nothing to tell these apart by. The scores of the
-images do, whose sum is zero at the best fit and whose size is that of the noise where cells err on
-their own. No test of few images sees errors as large as the noise, so the sandwich always enters,
-as in `from_images.fit`, unless the rig names errors of images and these show no more.
+Chi-square does not reveal the misfit: a free gain and read noise absorb it as photon noise, and
+cells of single pixels have no scatter to separate the two. The scores of the images do reveal it.
+Their sum is zero at the best fit, and their size is that of the noise if cells have independent
+errors. No test with few images detects errors as large as the noise. The sandwich is therefore
+always used, as in `from_images.fit`, unless the rig states errors of images and the images show no
+larger ones.
 """
 
 from dataclasses import replace
@@ -89,8 +89,8 @@ def over_images(observation: Photographs, fit: JointFit) -> Robustness | None:
 def _disagreement(
     total: np.ndarray, scores: np.ndarray, information: np.ndarray
 ) -> tuple[float, float]:
-    """Mean square of the images' scores, in units of what independent cells make it, and what
-    chance exceeds once in `CHANCE`."""
+    """Mean square of the images' scores relative to independent cells, and the limit that chance
+    exceeds once in `CHANCE`."""
     root = np.linalg.inv(np.linalg.cholesky(total))
     shares = root @ information @ root.T
     expected = float(np.trace(shares.sum(axis=0)))
@@ -106,7 +106,7 @@ def _sandwich(
     prior: np.ndarray,
     alike: np.ndarray,
 ) -> Robustness:
-    """Over regions of images, which `alike` numbers."""
+    """The sandwich over regions of images, which `alike` numbers."""
     images, count = scores.shape
     values, axes = np.linalg.eigh(information)
     halves = axes * np.sqrt(np.maximum(values, 0))[:, None]  # columns: an image's slopes
@@ -122,8 +122,8 @@ def _sandwich(
 
 
 def _at_least(covariance: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """Nowhere below the inverse of the information: a misfit that is the same under all lights
-    moves no image against another."""
+    """The covariance, at least the inverse of the information: a misfit that is equal under all
+    lights does not make images disagree."""
     root = np.linalg.cholesky(information)
     ratio, axes = np.linalg.eigh(root.T @ covariance @ root)
     half = np.linalg.solve(root.T, axes * np.sqrt(np.maximum(ratio, 1)))
@@ -132,7 +132,7 @@ def _at_least(covariance: np.ndarray, information: np.ndarray) -> np.ndarray:
 
 @eqx.filter_jit
 def _of_images(vector: Array, data: JointData) -> Float[Array, "parameters parameters"]:
-    """The information of the images, without priors and uniform frames."""
+    """The information from the images, without priors and uniform frames."""
     alone = replace(data, levels=None)
     return twice(lambda v, d: -log_likelihood(v, d), vector, alone)[2]
 
@@ -141,8 +141,8 @@ def _of_images(vector: Array, data: JointData) -> Float[Array, "parameters param
 def _by_image(
     vector: Array, data: JointData
 ) -> tuple[Float[Array, "images parameters"], Float[Array, "images parameters parameters"]]:
-    """Gradient of the log likelihood by the parameters as they enter each image, and minus its
-    second derivatives. Without errors that pixels share between images it is a sum over images."""
+    """Gradient of the log likelihood with respect to the parameters of each image, and minus its
+    second derivatives. Without pixel errors that images share, it is a sum over images."""
     if data.cells.products is None:
 
         def of(image: Images) -> tuple[Array, Array]:

@@ -1,14 +1,15 @@
 """The images that a reflectance, an encoding and a sensor predict together, and their likelihood.
 
 Numbers that the rig knows exactly are fixed, those with an `_sd` have a prior, and missing ones are
-free. A stated size of an error of lights or pixels is itself trusted to a factor of about `TRUST`.
+free. The stated scale of an error of lights or pixels is itself uncertain by a factor of about
+`TRUST`.
 
 Signal, encoding and noise of a pixel, or of a cell of pixels with similar normals, are those of
-`from_images.signal`. Cells have a count, a mean and a scatter about it, and their likelihood is the
-likelihood of their pixels, so that the scatter determines the gain K.
+`from_images.signal`. Cells have a count, a mean and a scatter about it. Their likelihood is that of
+their pixels, so the scatter determines the gain K.
 
-An error that the rig states is shared by a whole image, or by a pixel in all images. It is linear
-in its size and marginalised (`marginal`), so that only its scale is a parameter:
+A stated error is shared by a whole image, or by a pixel in all images. It is linear in its size and
+marginalised (`marginal`), so only its scale is a parameter:
 
     light_scatter      X (1 + s u)                      strength of the light, exposure
     direction_scatter  X + (s u_1 - t_1) dX/dt_1 + (s u_2 - t_2) dX/dt_2
@@ -18,13 +19,13 @@ in its size and marginalised (`marginal`), so that only its scale is a parameter
     prnu               X (1 + s g)                      gain of a pixel
     misfit             rho sqrt(W_0 D P / n) DN, of each cell in each image, of its own
 
-The misfit describes a surface that the model does not. It grows as the noise of photons does, so
-that neither shadows nor highlights carry all of the weight. A cell has n pixels and the widest
-cells have P, so that a patch has the same weight whole and divided. W_0 is a tenth of full scale. D
-is the digital number above black of the cells' reference model, because a model that set its own D
-could claim uncertainty where it fails.
+The misfit covers a surface that the model does not describe. It grows like photon noise, so that
+neither shadows nor highlights dominate. A cell has n pixels and the widest cells have P, so that a
+patch has the same weight whether or not it is divided. W_0 is a tenth of full scale. D is the
+digital number above black of the cells' reference model, because a model with its own D could
+inflate its uncertainty where it fails.
 
-A number that is known exactly is no parameter, and an error that the rig does not state is not
+A value that is known exactly is not a parameter, and an error that the rig does not state is not
 traced.
 """
 
@@ -128,8 +129,8 @@ def parameters(
 
 
 def black_level(observation: Photographs, channel: int) -> tuple[float, float | None]:
-    """The black level and its standard deviation: the rig's, or the darks', or of both the mean
-    weighted by their precisions."""
+    """The black level and its standard deviation, from the rig, from the darks, or from both with
+    weights by precision."""
     black, sd = observation.black, observation.camera.black_sd
     stated = observation.camera.black_level is not None
     levels = None if observation.levels is None else observation.levels[channel]
@@ -161,7 +162,7 @@ class Cells(eqx.Module):
 
 
 class Levels(eqx.Module):
-    """Uniform frames: what their temporal variance adds about gain and read noise."""
+    """Uniform frames, whose temporal variance adds information on gain and read noise."""
 
     mean: Float[Array, " levels"]  # DN
     variance: Float[Array, " levels"]  # DN^2
@@ -202,7 +203,7 @@ class Prediction(eqx.Module):
 
 
 def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
-    """Predict cells, or pixels as cells of one, from natural values. A cell that is left out is
+    """Predict cells, or pixels as cells of one, from natural values. A cell without data is
     predicted at a signal of W."""
     geometry, form = cells.geometry, data.form
     seen = cells.count > 0
@@ -243,7 +244,7 @@ def predicted(values: Values, data: JointData, cells: Cells) -> Prediction:
 
 def weights(cells: Cells, model: Prediction) -> Table:
     """Inverse variance of each cell's mean without shared errors, (images, cells) DN^-2; 0 for a
-    cell that is left out."""
+    cell without data."""
     seen = cells.count > 0
     variance = model.variance / jnp.where(seen, cells.count, 1)
     if model.misfit is not None:
@@ -252,8 +253,8 @@ def weights(cells: Cells, model: Prediction) -> Table:
 
 
 def cell_errors(values: Values, cells: Cells, model: Prediction) -> Table | None:
-    """G: error of a cell's mean by its pixels' gains, for gains of one standard deviation, (images,
-    cells) DN; None if pixels are alike."""
+    """G: the error of a cell's mean for pixel gains of one standard deviation, (images, cells) DN;
+    None if pixels are equal."""
     if "prnu" not in values:
         return None
     seen = cells.count > 0
@@ -263,8 +264,8 @@ def cell_errors(values: Values, cells: Cells, model: Prediction) -> Table | None
 
 @eqx.filter_jit
 def predicted_parts(vector: Array, data: JointData) -> tuple[Prediction, Array, Array | None]:
-    """Return the prediction of cells, their weights in DN^-2, and their errors by pixel gains in
-    DN, or None if pixels are alike."""
+    """Return the prediction of cells, their weights in DN^-2, and their errors from pixel gains in
+    DN, or None if pixels are equal."""
     values = values_at(vector, data)
     model = predicted(values, data, data.cells)
     return model, weights(data.cells, model), cell_errors(values, data.cells, model)
@@ -311,7 +312,8 @@ def log_likelihood_by_image(
 
 
 def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array:
-    """Of the images; of the values only the scale of the pixels' gains counts."""
+    """The log likelihood of the images; of the values only the scale of the pixels' gains
+    enters."""
     cells = data.cells
     total = marginal.log_density(
         cells.mean - model.mean,
@@ -329,8 +331,8 @@ def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array
 
 
 def _of_levels(values: Values, data: JointData) -> Array:
-    """ln p of the temporal variances of uniform frames, Gamma distributed about the model's at
-    their mean."""
+    """ln p of the temporal variances of uniform frames, Gamma distributed about the model's
+    variance at their mean."""
     assert data.levels is not None
     levels = data.levels
     above = levels.mean - values["black_level"]

@@ -1,4 +1,4 @@
-"""What a joint fit predicts of single pixels, with the standard deviation of their numbers."""
+"""A joint fit's predictions of single pixels, with the standard deviation of their numbers."""
 
 from dataclasses import dataclass
 
@@ -38,7 +38,7 @@ def predict(
     covariance: Float[np.ndarray, "parameters parameters"],
     light: int,
 ) -> PixelPrediction:
-    """The image of one light, as if it had not been taken.
+    """Predict the image under one light as if it had not been taken.
 
     Args:
         measurement: of the fit.
@@ -80,7 +80,7 @@ def _as_cells(
     usable: np.ndarray,
     fit: JointFit,
 ) -> Cells:
-    """Each pixel as a cell of its own."""
+    """Each pixel as its own cell."""
     irradiance = observation.intensity[channel, light] * observation.falloff[light]
     geometry = local_geometry(
         observation.normals[None],
@@ -116,7 +116,7 @@ def _moments(vector: Array, covariance: Array, data: JointData) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class Score:
-    """How well one channel's images are predicted."""
+    """The accuracy of one channel's predicted images."""
 
     channel: str
     # RMS of predicted less measured over the RMS signal, on the lights of the fit

@@ -1,4 +1,5 @@
-"""The photographs of a joint calibration: those of a reflectance calibration, flats and darks."""
+"""The input of a joint calibration: the photographs of a reflectance calibration, flats and
+darks."""
 
 from ..reflectance.from_images.from_memory import Camera as Camera
 from ..reflectance.from_images.from_memory import SphereGeometry as SphereGeometry

@@ -1,4 +1,4 @@
-"""Surface, response and sensor in one posterior, as a reader sees them."""
+"""The report of surface, response and sensor in one posterior."""
 
 from functools import partial
 

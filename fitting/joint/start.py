@@ -1,4 +1,4 @@
-"""Where a joint fit begins."""
+"""The start of a joint fit."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ MOST_AT_START = 100_000  # samples
 def first_reflectance(
     observation: Photographs, channel: int, form: Form
 ) -> tuple[Form, dict[str, float]]:
-    """Return the form that the images show (Lambert's without a highlight), and natural
+    """Return the form that the images support (Lambert's without a highlight), and natural
     least-squares values of reflectance and gamma."""
     chosen = select(observation, held_out=False, form=form)
     every = -(-len(chosen.light) // MOST_AT_START)
@@ -57,7 +57,7 @@ def first_noise(observation: Photographs, channel: int, gamma: float | None) -> 
 
 
 def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | None) -> float:
-    """K from the differences of neighbours in a row: their light is nearly the same."""
+    """K from the differences of neighbours in a row, whose light is nearly equal."""
     dn = np.clip(observation.dn[channel], observation.black + 1, None)
     linear = np.asarray(
         decoded(

@@ -1,11 +1,12 @@
-"""Whether pixels scatter as photons and read-out do, or also as unequal pixels or a texture would.
+"""A test of whether the scatter of pixels exceeds photon and read noise because of unequal pixels
+or a texture.
 
 The mean variance s^2 of n pixels about their cell's mean has the variance 2 v^2 / (n - 1) about the
-model's v. Unequal gains of relative size p add p^2 R^2, R being what a relative change of the light
-does to a pixel. Their score, what gain and read noise explain removed first, is a regression of
-s^2 - v on R^2 (Rao, Proc. Cambridge Phil. Soc. 44, 1948).
+model's v. Unequal gains of relative size p add p^2 R^2, where R is the response of a pixel to a
+relative change of the light. Their score, after removal of the part that gain and read noise
+explain, is a regression of s^2 - v on R^2 (Rao, Proc. Cambridge Phil. Soc. 44, 1948).
 
-What is not seen may still be there, and would move gain and read noise: by p^2 C J, C being the
+Unequal pixels below significance may still bias gain and read noise, by p^2 C J. C is the
 posterior's covariance and J = dv^T W R^2 with the weights n / (2 v^2) of variances.
 """
 
@@ -31,7 +32,7 @@ ALONE = 1e-9  # of the column R^2: the part that gain and read noise leave is ro
 
 @dataclass(frozen=True)
 class UnequalPixels:
-    """Gains of pixels, as far as the scatter of pixels shows them."""
+    """Pixel gains as estimated from the scatter of pixels."""
 
     size: float  # relative, rms; 0 where the scatter rises less than photons make it
     deviations: float  # of its square from 0, in standard errors
@@ -73,7 +74,7 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
 
 
 def _moved(fit: JointFit, weighted: np.ndarray, slopes: np.ndarray) -> float:
-    """Standard errors by which p^2 = 1 would move the gain or the read noise, whichever more."""
+    """The larger shift of gain or read noise for p^2 = 1, in standard errors."""
     covariance = np.linalg.pinv(fit.information)
     shift = covariance @ np.sum(slopes * weighted, axis=(1, 2))
     places = [i for i, parameter in enumerate(fit.space) if parameter.name in NOISE]
@@ -83,7 +84,7 @@ def _moved(fit: JointFit, weighted: np.ndarray, slopes: np.ndarray) -> float:
 
 @eqx.filter_jit
 def _of_pixels(vector: Array, data: JointData) -> tuple[Array, Array, Array]:
-    """Variance of a pixel, R, and the variance's slopes, (parameters, images, cells)."""
+    """Variance of a pixel, R, and the derivatives of the variance, (parameters, images, cells)."""
 
     def variance(v: Array) -> Array:
         return predicted(values_at(v, data), data, data.cells).variance

@@ -24,8 +24,8 @@ DRAWS = 1000  # kept at most
 def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[Material, Material]:
     """The material of one channel, a record of one band.
 
-    Amplitudes are per unit of the intensity that the rig states: sr^-1 (no unit for normalised
-    lobes) where that is the digital number, above black, of a surface that faces the light and
+    Amplitudes are per unit of the rig's intensity. They are in sr^-1 (no unit for normalised lobes)
+    if that intensity is the digital number, above black, of a surface that faces the light and
     reflects 1 sr^-1.
     """
     labels = names(posterior.space)
@@ -51,7 +51,7 @@ def fitted_material(model: Model, index: float, posterior: Posterior) -> tuple[M
 def material_files(
     fitted: dict[str, tuple[Model, float, Posterior]],
 ) -> dict[str, Callable[[Path], None]]:
-    """What writes the materials of a calibration."""
+    """The function that writes the materials of a calibration."""
     return {
         "material" if channel == "grey" else f"material_{channel}": partial(_write, *of_channel)
         for channel, of_channel in fitted.items()

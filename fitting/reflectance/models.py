@@ -1,14 +1,15 @@
-"""The reflectance models that can be fitted: one row each, the equations being `jaxvision.brdf`'s.
+"""The reflectance models that can be fitted, one row each, with the equations of `jaxvision.brdf`.
 
-A model is a diffuse part k_d plus k_s times a lobe of one shape parameter. Adding one takes a row:
-its record with unit k_s, and the shape's name, unit and range. Lobes lie about the mirror direction
-or about the half vector; a rough diffuse surface has a shape but no lobe.
+A model is a diffuse part k_d plus k_s times a lobe of one shape parameter. A new model needs one
+row: its record with unit k_s, and the shape's name, unit and range. Lobes are centred on the mirror
+direction or on the half vector. A rough diffuse surface has a shape but no lobe.
 
-The facets of `torrance-sparrow` are GGX, as the record's default is, those of
+The facets of `torrance-sparrow` are GGX, as in the record's default, and those of
 `torrance-sparrow-beckmann` Beckmann, both with Smith's height-correlated shadowing. Their Fresnel
-term is that of a clear dielectric of a given index, never fitted: k_s and the reflectance along the
-normal only enter as their product, save at grazing angles. Facets of `torrance-sparrow-metal` (GGX)
-have the same reflectance at all angles, as metals nearly do.
+term is that of a clear dielectric of a given index, which is never fitted: except at grazing
+angles, k_s and the normal reflectance enter only as their product. Facets of
+`torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is nearly true for
+metals.
 """
 
 from collections.abc import Callable
@@ -58,12 +59,12 @@ class Reflectance:
 
 
 def amplitude(name: str, symbol: str, unit: str) -> Parameter:
-    """An amplitude: positive, hence in the logarithm."""
+    """An amplitude: positive and searched as its logarithm."""
     return Parameter(name, symbol=symbol, unit=unit, transform="log")
 
 
 def _lobe(record: Callable[[Array, Array, Array], Material]) -> Callable[[Array, float], Material]:
-    """k_d = 0 and k_s = 1 in front of a record of (diffuse, specular, shape)."""
+    """The parameters (0, 1, shape) for a record of (diffuse, specular, shape)."""
 
     def material(shape: Array, index: float) -> Material:
         del index
@@ -155,20 +156,20 @@ def shape_of(model: Model) -> Parameter:
 
 
 def shape_range(model: Model) -> tuple[float, float]:
-    """Between which values the shape of any model but Lambert's is searched, in its unit."""
+    """The searched range of the shape of any model but Lambert's, in its unit."""
     return SEARCHED[shape_of(model).symbol]
 
 
 def log_range(model: Model) -> tuple[float, float]:
-    """Between which logarithms the shape of any model but Lambert's is searched."""
+    """The logarithms of the searched range of the shape of any model but Lambert's."""
     low, high = shape_range(model)
     return float(np.log(low)), float(np.log(high))
 
 
 def is_searched(model: Model, shape: float) -> bool:
-    """Whether a shape lies where it is searched. Beyond, predictions hardly change with it: a
-    search that ends there has found a plateau, no optimum. A body without roughness is Lambert's.
-    """
+    """Whether a shape is inside its searched range. Outside it, predictions hardly change with the
+    shape, so a search that ends there has found a plateau and not an optimum. A rough diffuse model
+    without roughness is Lambert's."""
     low, high = shape_range(model)
     return shape <= high and (low <= shape or not has_lobe(model))
 
@@ -183,7 +184,7 @@ def unit_brdf(
 def unit_shading(
     model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """What unit amplitude makes of the irradiance on a surface that faces the light."""
+    """The reflected light per irradiance on a surface that faces the light, for unit amplitude."""
     return _over_pairs(shading, model, shape, wi, wo, index)
 
 

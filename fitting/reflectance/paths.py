@@ -1,4 +1,4 @@
-"""Whether paths go together: one rig, or files of measured reflectance."""
+"""Checks that paths belong together: one rig, or files of measured reflectance."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ from .names import CLEAR, INDEX, Model, Objective, is_measured_brdf
 
 
 def check_one_rig(paths: Sequence[Path], objective: Objective | None) -> None:
-    """`InputError` for what is no single rig, and for options that only files take."""
+    """`InputError` for anything but a single rig, and for options that only files take."""
     if len(paths) > 1:
         raise InputError(f"{paths[1]}: a second rig; calibrate one folder of images at a time.")
     if paths[0].is_file() and paths[0].suffix != ".toml":
@@ -37,7 +37,7 @@ def check_files(paths: Sequence[Path], of_rigs: dict[str, Any]) -> None:
 
 
 def check_index_of(model: Model, index: float) -> None:
-    """`InputError` for an index of refraction beside a model that has none."""
+    """`InputError` for an index of refraction with a model that has none."""
     if index != INDEX and model not in CLEAR:
         raise InputError(
             f"--index: {model} has no index of refraction; leave it out, or fit "

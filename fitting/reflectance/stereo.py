@@ -95,7 +95,7 @@ class Stereo:
         return rows
 
     def _repr_html_(self) -> str:
-        """The maps that a notebook shows, beside their table."""
+        """The maps for a notebook, with their table."""
         table = record_html(HEADS, self._rows(), title=self._heading(), notes=self.findings)
         known = self.albedo[np.isfinite(self.albedo)]
         if not known.size:
@@ -228,7 +228,7 @@ def _deviations(
     albedo: Float[np.ndarray, " pixels"],
     covariance: Float[np.ndarray, "pixels 3 3"],
 ) -> tuple[Float[np.ndarray, " pixels"], Float[np.ndarray, " pixels"]]:
-    """Of the normal, rad, and of the albedo, from the covariance of g."""
+    """Standard deviations of the normal, rad, and of the albedo, from the covariance of g."""
     along = np.einsum("pi,pij,pj->p", normals, covariance, normals)
     aside = (np.trace(covariance, axis1=-2, axis2=-1) - along) / 2
     return np.sqrt(aside) / albedo, np.sqrt(along)
@@ -242,8 +242,8 @@ def _common(
     *,
     robust: bool,
 ) -> tuple[Common | None, Bool[np.ndarray, " lights"]]:
-    """Factors of the lights or an offset that all pixels ask for, and the few lights whose factor
-    is unlike the others', which agree."""
+    """Factors of the lights, or an offset, common to all pixels, and the few lights with a
+    deviating factor."""
     counts = _counted(rows, readings, between, limits, robust=False)
     common = common_departure(rows, readings, counts)
     if common is None or not robust:
@@ -351,8 +351,8 @@ def _images_apart(
     counts: Bool[np.ndarray, "lights pixels"],
     limits: tuple[float, float],
 ) -> tuple[Bool[np.ndarray, " lights"], tuple[str, ...]]:
-    """Images that the others contradict in most pixels that these predict between the limits, and
-    sentences that name them."""
+    """Images that most pixels contradict although the other images predict them between the limits,
+    with findings."""
     g, _, used = _least_squares(rows, readings, counts.astype(float))
     scatter = _scatter(rows, readings, counts, g, used)
     expected = _between(rows, g, scatter, limits) & ~np.isnan(readings) & (used > 3)
@@ -406,7 +406,7 @@ def _least_squares(
     readings: Float[np.ndarray, "lights pixels"],
     weights: Float[np.ndarray, "lights pixels"],
 ) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, " pixels"]]:
-    """g, its covariance by the scatter of the residuals, and how many readings count."""
+    """g, its covariance from the scatter of the residuals, and the number of readings used."""
     g, inverse = solved(rows, readings, weights)
     used = weights.sum(axis=0).astype(int)
     return g, inverse * _scatter(rows, readings, weights > 0, g, used)[:, None, None], used
@@ -430,7 +430,7 @@ def _between(
     scatter: Float[np.ndarray, " pixels"],
     limits: tuple[float, float],
 ) -> Bool[np.ndarray, "lights pixels"]:
-    """Which readings a fit predicts clear of both limits."""
+    """Readings that a fit predicts away from both limits."""
     predicted, margin = rows @ g.T, CLEAR * np.sqrt(np.nan_to_num(scatter))
     return (predicted - margin > limits[0]) & (predicted + margin < limits[1])
 
@@ -443,8 +443,8 @@ def _counted(
     *,
     robust: bool,
 ) -> Bool[np.ndarray, "lights pixels"]:
-    """The readings of the fit: those that it predicts between the limits, where they leave three
-    lights, and which no other contradicts."""
+    """The readings of the fit: those that it predicts between the limits (if at least three lights
+    remain) and that no other contradicts."""
 
     near = _consistent(rows, readings, between) if robust else between.copy()
     moving = np.arange(readings.shape[1])
@@ -472,8 +472,8 @@ def _usual_residual(
     near: Bool[np.ndarray, "lights pixels"],
     g: Float[np.ndarray, "pixels 3"],
 ) -> Float[np.ndarray, " pixels"]:
-    """Standard deviation of a reading about g by the median residual, which readings in the shadow
-    do not widen; 0 where no residual is left."""
+    """Standard deviation of a reading about g from the median residual, which shadowed readings do
+    not increase; 0 without residuals."""
     used = near.sum(axis=0)
     ordered = np.sort(np.where(near, np.abs(readings - rows @ g.T), np.inf), axis=0)
     middle = np.take_along_axis(ordered, np.maximum(used - 1, 0)[None] // 2, axis=0)[0]
@@ -486,7 +486,7 @@ def _consistent(
     readings: Float[np.ndarray, "lights pixels"],
     counts: Bool[np.ndarray, "lights pixels"],
 ) -> Bool[np.ndarray, "lights pixels"]:
-    """The readings near the fit of least absolute residuals, where five or more count."""
+    """The readings near the fit of least absolute residuals, if there are at least five."""
     used = counts.sum(axis=0)
     weights = counts.astype(float)
     size = np.abs(np.where(counts, readings, 0)).max(axis=0)
@@ -514,9 +514,9 @@ def _explained(
     apart: Bool[np.ndarray, "lights pixels"],
     near: Bool[np.ndarray, "lights pixels"],
 ) -> Bool[np.ndarray, "lights pixels"]:
-    """Which of the readings apart are as the others predict, by Student's t of their prediction
-    error for whichever of all lay farthest. Were none broken, the others would be those nearest to
-    the fit, which scatter less: by the variance of a Gaussian cut off where their share is."""
+    """Excluded readings that agree with the others' prediction, by Student's t for the largest of
+    all prediction errors. If no reading were wrong, the others would be those nearest to the fit,
+    whose scatter is too small. Their variance is corrected as that of a truncated Gaussian."""
     some = np.flatnonzero(apart.any(axis=0))
     found = np.zeros_like(apart)
     if not some.size:
@@ -538,8 +538,8 @@ def _explained(
 def _median(
     residuals: Float[np.ndarray, "lights pixels"], used: Int[np.ndarray, " pixels"]
 ) -> Float[np.ndarray, " pixels"]:
-    """The lower median of the residuals that are not 0 by construction: three are, of least
-    absolute residuals in three unknowns."""
+    """The lower median of the residuals, without the three that least absolute deviations make 0
+    for three unknowns."""
     ordered = np.sort(residuals, axis=0)  # NaN last
     place = np.clip(3 + (used - 4) // 2, 0, len(ordered) - 1)
     return np.take_along_axis(ordered, place[None], axis=0)[0]

@@ -46,7 +46,7 @@ class Common:
     explained: float
 
     def removed(self, readings: Float[np.ndarray, "lights pixels"]) -> np.ndarray:
-        """Readings without it."""
+        """Readings after removing the common error."""
         return (readings - self.offset) / self.factors[:, None]
 
 
@@ -71,7 +71,7 @@ def common_departure(
     readings: Float[np.ndarray, "lights pixels"],
     counts: Bool[np.ndarray, "lights pixels"],
 ) -> Common | None:
-    """Factors of the lights, or an offset, that all pixels ask for."""
+    """Factors of the lights, or an offset, common to all pixels."""
     mean = np.where(counts, readings, 0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
     told = (counts.sum(axis=0) > 3) & (mean > 0)
     if told.sum() < FEWEST:
@@ -89,7 +89,8 @@ def common_departure(
 def _fitted(
     rows: np.ndarray, readings: np.ndarray, counts: np.ndarray, *, by_offset: bool
 ) -> Common | None:
-    """By Gauss-Newton with Cauchy's weights; None where it is not determined or not seen."""
+    """The fit by Gauss-Newton with Cauchy weights; None if it is not determined or not
+    significant."""
     factors, offset, weights = np.ones(len(rows)), 0.0, counts.astype(float)
     normals, rights, residuals = np.zeros((3, 0))
     for _ in range(ROUNDS):

@@ -110,7 +110,7 @@ def departures(
     readings: Float[np.ndarray, "lights h w"],
     counts: Bool[np.ndarray, "lights h w"],
 ) -> Departures:
-    """Covariance of g that allows for departures from Lambert's law."""
+    """Covariance of g that includes departures from Lambert's law."""
     flat, counted = readings.reshape(len(rows), -1), counts.reshape(len(rows), -1)
     used = counted.sum(axis=0)
     g, inverse = solved(rows, flat, counted.astype(float))
@@ -228,7 +228,7 @@ class _Prior:
 
 
 def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) -> _Prior:
-    """By maximum likelihood."""
+    """The prior by maximum likelihood."""
     squares, volume = _squares(of, RATIOS)
     most = min(max(float((squares[0] / of.freedom).max()), 1e-300), LOUDEST * unshared)
     least = max(float(np.quantile(squares[-1] / of.freedom, 0.01)), QUIETEST * most)
@@ -246,8 +246,8 @@ def _prior(of: _Reduced, unshared: float, ratios: Float[np.ndarray, " ratios"]) 
 
 
 def _squares(of: _Reduced, ratios: Float[np.ndarray, " ratios"]) -> tuple[np.ndarray, np.ndarray]:
-    """The residuals' squares in units of sigma^2 and half of the logarithm of the determinant of
-    their covariance over it, both (ratios, pixels)."""
+    """The squared residuals in units of sigma^2, and half the log determinant of their covariance
+    over sigma^2, both (ratios, pixels)."""
     squares, volume = [], []
     for ratio in ratios:
         widening = 1 + ratio * of.eigenvalues

@@ -1,4 +1,4 @@
-"""The draws of a posterior: written as NetCDF, and drawn as corner plot and paths of its chains."""
+"""The draws of a posterior, written as NetCDF and drawn as corner and trace plots."""
 
 import warnings
 from collections.abc import Mapping
@@ -88,7 +88,7 @@ def corner_figure(
 
 
 def _label(parameter: Parameter, *, in_percent: bool) -> str:
-    """Its unit below its symbol, since panels are narrow."""
+    """The axis label with the unit below the symbol, because panels are narrow."""
     axis = format_axis(parameter.symbol, "%" if in_percent else parameter.unit)
     return f"{'Δ' if in_percent else ''}{axis}".replace(" [", "\n[")
 
@@ -102,12 +102,12 @@ def _relative(posteriors: Mapping[str, Posterior]) -> np.ndarray:
 
 
 def _around(low: float, high: float) -> tuple[float, float]:
-    """The range, or one about a number that all draws share."""
+    """The range of the draws, or a range about a number that all draws share."""
     return (low, high) if high > low else (low - abs(low) - 1e-9, high + abs(high) + 1e-9)
 
 
 def trace_figure(posterior: Posterior) -> Figure:
-    """Paths of some chains after burn-in: a settled chain looks like even noise."""
+    """Paths of some chains after burn-in; a converged chain looks like stationary noise."""
     figure = trace(posterior.by_name)
     for axes, parameter in zip(figure.axes, posterior.space, strict=True):
         axes.set_ylabel(format_axis(parameter.symbol, parameter.unit), fontsize=9)
@@ -124,10 +124,9 @@ def write_chains(
 ) -> None:
     """Draws of every posterior in one NetCDF file of ArviZ' layout.
 
-    The groups are `posterior` and `sample_stats` with the dimensions chain and draw, and, where
-    there are several posteriors, channel. Channels are of one length: of chains that ended at
-    different steps the last draws are kept, as many as the shortest has. A parameter that a channel
-    does not have is NaN in it.
+    The groups are `posterior` and `sample_stats` with the dimensions chain and draw, and channel if
+    there are several posteriors. All channels have the length of the shortest, with the last draws
+    of each. A parameter that a channel lacks is NaN there.
     """
     import xarray
 

@@ -13,7 +13,8 @@ OF_TAPS = "0.5", "tab:orange", "tab:purple", "tab:cyan"
 
 
 def colour_of(channel: str) -> str:
-    """The colour of a channel: of `red tap 0,1` that of red, of taps alone one each."""
+    """The colour of a channel: red for `red tap 0,1`, and one for each tap if there are only
+    taps."""
     colour, _, place = channel.partition("tap ")
     if colour:
         return OF_CHANNEL[colour.strip()]

@@ -24,7 +24,7 @@ def output() -> Console:
 
 
 def print_section(console: Console, section: Section) -> None:
-    """The estimates of a calibration as tables, its findings as sentences under them."""
+    """The estimates of a calibration as tables, with its findings below."""
     console.print()
     if section.estimates:
         found = sheet(section)
@@ -74,10 +74,9 @@ def _cell(cell: Cell) -> str:
 
 
 def plain_tables(content: Table, width: int) -> list[RichTable]:
-    """A results table as it stands, its caption under it: in parts where it is too wide, each
-    beginning with the columns of names. Cells wrap between words; no word is cut where a part of a
-    single column fits.
-    """
+    """A results table with its caption below. A wide table is split into parts that each begin with
+    the columns of names. Cells wrap between words, and no word is cut if a part of a single column
+    fits."""
     rows = [[format_cell(cell) for cell in row] for row in content.rows]
     texts = [*zip(content.columns, *rows, strict=True)]
     least = [max(map(cell_len, " ".join(column).split()), default=0) for column in texts]
@@ -112,7 +111,7 @@ def plain_tables(content: Table, width: int) -> list[RichTable]:
 
 
 def _columns_of_names(content: Table) -> int:
-    """How many columns name a row: of the first two, those of text."""
+    """The number of columns that name a row: text columns among the first two."""
     is_text = [
         all(isinstance(cell, str) for cell in column) for column in zip(*content.rows, strict=True)
     ]

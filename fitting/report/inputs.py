@@ -1,4 +1,4 @@
-"""The images of a rig as a report lists them: names, settings, sizes and small pictures."""
+"""The images of a rig for a report: names, settings, sizes and thumbnails."""
 
 import base64
 import io
@@ -26,7 +26,7 @@ DISPLAY_GAMMA = 2.2
 def with_inputs(
     section: Section, rig: Rig, purpose: Purpose, *, fit_gamma: bool = False
 ) -> Section:
-    """A section that lists the images of its rig, and the keys of it that made no difference."""
+    """A section with the images of its rig and the keys of it that had no effect."""
     idle = unused_keys(rig, section.kind, fit_gamma=fit_gamma)
     inputs = inputs_of(rig, purpose)
     found = (*section.findings, *idle, *_whole_region(rig, inputs[0].files[0]))
@@ -34,7 +34,7 @@ def with_inputs(
 
 
 def _whole_region(rig: Rig, name: str) -> tuple[str, ...]:
-    """A sentence where the region leaves out nothing."""
+    """A remark if the region covers the whole frame."""
     if rig.camera.region is None or rig.camera.region[:2] != (0, 0):
         return ()
     if read_image(rig.path(name)).shape[:2] != rig.camera.region[2:]:
@@ -89,7 +89,7 @@ def _setting(name: str, value: Any) -> str:
 
 
 def small_picture(rig: Rig, name: str) -> str | None:
-    """An image of a rig at the size of a thumbnail."""
+    """A thumbnail of an image of a rig."""
     import matplotlib.image
 
     try:

@@ -1,4 +1,4 @@
-"""Output about errors that a likelihood neglected."""
+"""Tables of the errors that a likelihood neglected."""
 
 from collections.abc import Iterable
 from itertools import compress

@@ -1,4 +1,5 @@
-"""What notebooks and `print` show of a calibration: its estimates with intervals, its findings."""
+"""The display of a calibration in notebooks and by `print`: estimates with intervals, and
+findings."""
 
 from functools import cached_property
 from html import escape
@@ -11,13 +12,13 @@ from .sheet import Cell, sheet
 
 
 class ShownInNotebooks:
-    """A calibration that a notebook and `print` show by the section of its report, which the module
-    `section` beside its own makes."""
+    """A calibration whose display in notebooks and by `print` comes from the `section` module next
+    to its own."""
 
     @cached_property
     def section(self) -> Section:
-        """The calibration as its reader sees it: estimates, findings in sentences, tables, and
-        pictures, which `section.figure` draws by name."""
+        """The report section of the calibration: estimates, findings, tables, and figures, which
+        `section.figure` draws by name."""
         return _section_of(self)
 
     def _repr_html_(self) -> str:
@@ -65,7 +66,7 @@ def _cell(cell: Cell) -> str:
 
 
 def _whole(text: str) -> str:
-    """Text that no line may end in."""
+    """Text without a line break inside."""
     return (
         f'<span style="white-space: nowrap">{escape(text)}</span>' if " " in text else escape(text)
     )

@@ -1,6 +1,6 @@
-"""A calibration written down: `report.html` (self-contained), `results.json`, and the posterior
+"""The files of a calibration: `report.html` (self-contained), `results.json`, and the posterior
 draws as NetCDF in ArviZ' layout. Everything is prepared first and written last, so that a failure
-leaves nothing half-written."""
+leaves no incomplete file."""
 
 import csv
 import json
@@ -50,7 +50,7 @@ def as_json(sections: Sequence[Section], *, seed: int, settings: dict[str, Any])
 
 
 def as_html(sections: Sequence[Section], *, title: str) -> str:
-    """The report as one HTML page with its pictures inside."""
+    """The report as one HTML page with embedded figures."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -71,7 +71,7 @@ def as_html(sections: Sequence[Section], *, title: str) -> str:
 def write_report(
     folder: Path, sections: Sequence[Section], *, title: str, seed: int, settings: dict[str, Any]
 ) -> list[Path]:
-    """Writes a report, and the draws of its posteriors."""
+    """Write a report and the draws of its posteriors."""
     page = as_html(sections, title=title)
     data = as_json(sections, seed=seed, settings=settings)
     written = []
@@ -115,7 +115,7 @@ class _Drawn:
 
     @property
     def is_wide(self) -> bool:
-        """Whether half a page is too narrow for its letters."""
+        """Whether a figure is illegible at half a page."""
         return sum(width for _, width in self.strips) > WIDE
 
 
@@ -138,7 +138,7 @@ def _now() -> str:
 
 
 def _finite(content: Any) -> Any:
-    """JSON without NaN: arrays as lists, non-finite numbers as null."""
+    """JSON without NaN: arrays become lists, non-finite numbers null."""
     match content:
         case Input():
             return {part: getattr(content, part) for part in ("files", "kind", "settings", "bytes")}

@@ -1,5 +1,4 @@
-"""The results of a calibration for its reader: estimates, findings in words, tables and
-pictures."""
+"""The results of a calibration for a report: estimates, findings, tables and figures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,7 +21,7 @@ Columns = dict[str, np.ndarray]  # of equal length, by their heads
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or numbers under column heads.
+    """Rows of text or numbers with column heads.
 
     Attributes:
         title: above it.
@@ -39,7 +38,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure, drawn only when a report asks for it.
+    """A figure that is drawn only on request.
 
     Attributes:
         name: a word.
@@ -57,7 +56,7 @@ class Picture:
     is_whole: bool = False
 
     def drawn(self) -> "Figure":
-        """The figure, of numbers in double precision."""
+        """The figure, drawn with numbers in double precision."""
         return in_double(self.draw)()
 
     def __repr__(self) -> str:
@@ -66,7 +65,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Input:
-    """An image file, or several of one setting, that a calibration has used.
+    """An image file, or several of one setting, that a calibration used.
 
     Attributes:
         files: names.
@@ -86,7 +85,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Section:
-    """One calibration as its reader sees it.
+    """The report of one calibration.
 
     Attributes:
         kind: a word; chains are stored under it.
@@ -126,11 +125,11 @@ class Section:
     failure: str = ""
 
     def estimate(self, name: str, *, method: str = "", group: str = "") -> Estimate:
-        """The first estimate of a name."""
+        """The first estimate with a given name."""
         return find(self.estimates, name, method=method, group=group)
 
     def figure(self, name: str) -> "Figure":
-        """A picture, drawn."""
+        """A figure, drawn."""
         drawn = {picture.name: picture.drawn for picture in self.pictures}
         if name not in drawn:
             raise InputError(

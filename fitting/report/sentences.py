@@ -32,7 +32,7 @@ class Finding(NamedTuple):
 
 
 def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
-    """The sentences of a table that a calibration calls for.
+    """The sentences of a table whose conditions a calibration meets.
 
     Example:
         >>> from fitting.report.sentences import Finding, said
@@ -57,7 +57,7 @@ def said(table: Iterable[Finding], calibration: Any) -> tuple[str, ...]:
 
 
 def said_once(findings: Sequence[str]) -> tuple[str, ...]:
-    """Sentences that differ in the channel before their colon and in numbers alone, as one."""
+    """Combine sentences that differ only in numbers and in the channel before their colon."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for finding in findings:
         labelled = _LABELLED.fullmatch(finding)

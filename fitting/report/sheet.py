@@ -1,4 +1,4 @@
-"""Estimates as a table of one row a quantity, its methods or channels side by side."""
+"""Estimates as a table with one row for each quantity and its methods or channels in columns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -120,7 +120,7 @@ def _apart(pair: Sequence[Estimate | None]) -> str:
 
 
 def _methods(found: Sequence[Estimate]) -> str:
-    """Which method made which channel."""
+    """The method of each channel."""
     by_method: dict[str, list[str]] = {}
     for one in found:
         if one.method:

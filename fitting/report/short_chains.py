@@ -1,11 +1,11 @@
-"""Chains that cannot be trusted yet."""
+"""Results of chains that are too short."""
 
 from ..inference.trust import convergence_in_words
 from .section import Section
 
 
 def without_short_chains(section: Section, *, kept: bool) -> Section:
-    """Return a section, without the results of chains that are too short."""
+    """Return a section without the results of chains that are too short."""
     short = [(group, one) for group, one in section.posteriors.items() if one.missing_steps]
     if not short:
         return section

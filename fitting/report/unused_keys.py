@@ -14,7 +14,7 @@ OF_PHOTONS = "pixel_pitch", "wavelength"
 
 
 def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, ...]:
-    """What of a rig makes no difference to a calibration."""
+    """The keys of a rig that a calibration does not use."""
     found = [*REASONS[kind](rig), *_sites(rig, kind)]
     if fit_gamma:
         found.append((_camera(GAMMA), "the encoding exponent was fitted"))
@@ -43,7 +43,7 @@ def _camera(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _is_given(rig: Rig, key: str) -> bool:
-    """Of a key as `camera.gain`, `[[dark]]`, or `flat.photons` of any flat."""
+    """Whether a key such as `camera.gain`, `[[dark]]`, or `flat.photons` of any flat is present."""
     section, _, name = key.strip("[]").partition(".")
     entries = getattr(rig, section)
     entries = entries if isinstance(entries, tuple) else (entries,)

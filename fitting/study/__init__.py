@@ -1,6 +1,6 @@
 """Calibration of many folders, with the results in one table.
 
-outcomes   one folder: calibrated, reported, remembered
+outcomes   one folder: its calibration, report and stored result
 table      all folders as one xarray data set
 compare    outliers among cameras, drift with date or temperature
 page       the comparison as a page with links to each report

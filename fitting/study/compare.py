@@ -86,7 +86,7 @@ def compared(found: xr.Dataset) -> tuple[Compared, ...]:
 
 
 def drifts(found: xr.Dataset) -> tuple[Drift, ...]:
-    """Quantities that change with date or temperature more than chance does."""
+    """Quantities that change significantly with date or temperature."""
     dates = [str(date) for date in found["date"].values]
     days = [datetime.date.fromisoformat(d).toordinal() / YEAR if d else np.nan for d in dates]
     axes = {"year": np.array(days), "K": found["temperature"].values}
@@ -105,7 +105,8 @@ Column = tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _quantities(found: xr.Dataset) -> Iterator[Column]:
-    """Name, channel, unit, cameras, values and standard errors of each that two cameras have."""
+    """Name, channel, unit, cameras, values and standard errors of each quantity that at least two
+    cameras have."""
     cameras = found["camera"].values
     for i, quantity in enumerate(found["quantity"].values):
         for j, channel in enumerate(found["channel"].values):
@@ -119,7 +120,7 @@ def _quantities(found: xr.Dataset) -> Iterator[Column]:
 def _scatter(
     x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " cameras"]
 ) -> tuple[float, bool]:
-    """Standard deviation beyond the errors, and whether there surely is one."""
+    """Standard deviation beyond the errors, and whether it is significant."""
     weights = errors**-2
     mean = np.sum(weights * x) / np.sum(weights)
     excess, freedom = float(np.sum(weights * (x - mean) ** 2)), len(x) - 1
@@ -129,7 +130,8 @@ def _scatter(
 
 
 def _unlike(x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " cameras"]) -> np.ndarray:
-    """Which are further from the median than their error and the scatter of most allow."""
+    """The cameras that differ from the median by more than their error and the scatter of most
+    allow."""
     if len(x) < FEWEST:
         return np.zeros(len(x), bool)
     away = x - np.median(x)
@@ -141,7 +143,7 @@ def _unlike(x: Float[np.ndarray, " cameras"], errors: Float[np.ndarray, " camera
 def _line(
     at: np.ndarray, x: np.ndarray, errors: np.ndarray, chance: float
 ) -> tuple[float, float] | None:
-    """Slope and its standard error by the scatter about the line, where it is not chance."""
+    """Slope and its standard error from the scatter about the line, if it is significant."""
     there = np.isfinite(at)
     at, x = at[there], x[there]
     if len(x) < FEWEST or np.ptp(at) == 0:

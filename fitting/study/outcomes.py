@@ -1,5 +1,5 @@
-"""One folder of a study: calibrated as its command would, reported, and remembered beside the
-report, so that another run of the study takes it from there."""
+"""One folder of a study: calibrated and reported like a single command, with the result stored next
+to the report for later runs."""
 
 import hashlib
 import json
@@ -83,7 +83,7 @@ class Folder:
 
 @dataclass(frozen=True)
 class Settings:
-    """What all folders of a study share.
+    """The settings that all folders of a study share.
 
     Attributes:
         kind: of calibration.
@@ -97,7 +97,7 @@ class Settings:
 
     @property
     def shown(self) -> str:
-        """What a folder's results are read in."""
+        """The form in which a folder's results are read."""
         return "report.html" if self.reports else RESULTS
 
 
@@ -115,7 +115,7 @@ def digest_of(path: Path) -> str:
 
 
 def frames_of(path: Path) -> frozenset[str]:
-    """Fingerprint the images of a folder, whatever their names and the rest of the rig."""
+    """Fingerprints of the images of a folder, independent of names and the rest of the rig."""
     rig = load_rig(path)
     region = repr(rig.camera.region).encode()
     files = (file for file in _images(rig) if file.is_file())
@@ -123,7 +123,7 @@ def frames_of(path: Path) -> frozenset[str]:
 
 
 def _excerpt(file: Path) -> bytes:
-    """Return the size of a file and three parts of it, in which any two images differ by noise."""
+    """Return the size of a file and three excerpts of it. Any two images differ there by noise."""
     size = file.stat().st_size
     parts = [f"{size}\n".encode()]
     try:
@@ -137,14 +137,14 @@ def _excerpt(file: Path) -> bytes:
 
 
 def changed_at(path: Path) -> int:
-    """When the newest image of a folder was written."""
+    """The modification time of the newest image of a folder."""
     return max(
         (file.stat().st_mtime_ns for file in _images(load_rig(path)) if file.exists()), default=0
     )
 
 
 def memory_of(path: Path) -> float:
-    """Bytes that calibrating a folder takes: its programs and several copies of its images."""
+    """Memory for calibrating a folder, in bytes: its programs and several copies of its images."""
     files = [file for file in _images(load_rig(path)) if file.exists()]
     return PROGRAMS + _LARGER + _COPIES * sum(file.stat().st_size for file in files)
 
@@ -166,7 +166,7 @@ def key_of(settings: Settings, folder: Folder) -> dict[str, Any]:
 
 
 def remembered(settings: Settings, folder: Folder) -> Outcome | None:
-    """The calibration of an earlier run on the same data, or None; what failed is tried again."""
+    """The result of an earlier run on the same data, or None; failed folders are tried again."""
     try:
         found = json.loads((folder.out / REMEMBERED).read_text())
         outcome = _read(found["outcome"]) if found["key"] == key_of(settings, folder) else None
@@ -177,9 +177,8 @@ def remembered(settings: Settings, folder: Folder) -> Outcome | None:
 
 @in_double
 def calibrated(settings: Settings, folder: Folder) -> Outcome:
-    """Calibrates a folder, writes its report, and remembers the outcome. A folder that cannot be
-    calibrated gives an outcome that says why.
-    """
+    """Calibrate a folder, write its report, and store the outcome. If a folder cannot be
+    calibrated, the outcome gives the reason."""
     try:
         digest, rig = digest_of(folder.path), load_rig(folder.path)
     except InputError as error:
@@ -252,7 +251,7 @@ def _remember(settings: Settings, folder: Folder, found: Outcome) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers of NumPy as those of Python."""
+    """NumPy numbers as Python numbers."""
     return np.asarray(value).tolist()
 
 

@@ -1,4 +1,4 @@
-"""The comparison of a study's cameras as one page, with links to the report of each."""
+"""The comparison of a study's cameras as one page with links to the reports."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -67,7 +67,7 @@ def page(
 
 
 def _unlike(quantities: Sequence[Compared]) -> dict[str, str]:
-    """In which quantities each camera is unlike the others, those with the largest ratio first.
+    """The quantities in which each camera deviates from the others, largest ratio first.
 
     One cause affects many quantities, so a few are named and the others counted.
     """

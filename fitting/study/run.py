@@ -32,7 +32,7 @@ SHARED = 0.5  # of the images, of which more make two folders one camera
 
 @dataclass(frozen=True)
 class Study:
-    """Many folders, calibrated alike.
+    """Many folders, calibrated with the same settings.
 
     Attributes:
         outcomes: one a folder, in the order in which they were given.
@@ -54,8 +54,8 @@ def study(
     *,
     progress: Progress = lambda done, total: None,
 ) -> Study:
-    """Calibrates folders, on the workers of `jaxvision.cluster` where there are any. Folders that
-    an earlier run has calibrated, from the same data by the same version, are taken from there.
+    """Calibrate folders, on the workers of `jaxvision.cluster` if there are any. Results of an
+    earlier run of the same version on the same data are reused.
 
     Args:
         paths: of rigs; workers find them under the same paths.
@@ -95,7 +95,7 @@ def study(
 
 
 def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
-    """Of folders that hold the images of one before them: these are one camera."""
+    """Folders with the same images as an earlier one, which are one camera."""
     before: dict[str, frozenset[str]] = {}
     found = {}
     for folder in folders:
@@ -117,7 +117,7 @@ def _copies(folders: Sequence[Folder]) -> dict[str, Outcome]:
 
 
 def _named(paths: Sequence[Path], out: Path) -> list[Folder]:
-    """The folders by name; what cannot be read is found when its turn comes."""
+    """The folders by name. Unreadable folders are detected when they are processed."""
     if not paths:
         raise InputError("a study needs folders; name at least one.")
     if not any(path.exists() for path in paths):

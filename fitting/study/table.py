@@ -1,4 +1,5 @@
-"""All folders of a study as one data set: camera, channel and quantity by value and interval."""
+"""All folders of a study as one data set, with dimensions camera, channel and quantity, and values
+with intervals."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ COLUMNS = ("value", "standard_error", "low_95", "high_95")
 
 
 def label(estimate: Estimate) -> str:
-    """The name of a quantity with how it was estimated."""
+    """The name of a quantity with its method of estimation."""
     name = estimate.name.replace("_", " ")
     return f"{name} ({estimate.method})" if estimate.method else name
 

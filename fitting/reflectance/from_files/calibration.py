@@ -99,7 +99,7 @@ def calibrate(
     sampling: Emcee | None = None,
     seed: int = 0,
 ) -> BRDFCalibration:
-    """Fits every model to a material and reports one in full.
+    """Fit every model to a material and report one in full.
 
     Args:
         measured: samples of one material.
@@ -156,7 +156,7 @@ def calibrate(
 
 
 def parameter_space(model: Model) -> ParameterSpace:
-    """diffuse; specular; shape: as far as the model has them, amplitudes averaged over bands."""
+    """diffuse; specular; shape: those that the model has, with amplitudes averaged over bands."""
     row = REFLECTANCES[model]
     space = [amplitude("diffuse", "k_d", "sr^-1")]
     if has_lobe(model):
@@ -189,9 +189,9 @@ def _jackknife(
 def _log_covariance(
     fit: ModelFit, space: ParameterSpace
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Of the logarithms: amplitudes, which may vanish without an incidence, by their relative
-    deviations. If there are at most as many incidences as parameters, correlations are unknown and
-    set to 0."""
+    """The covariance of the logarithms. Amplitudes that may vanish without an incidence enter by
+    their relative deviations. If there are at most as many incidences as parameters, correlations
+    are unknown and set to 0."""
     whole = _natural(fit.whole, space)
     left_out = np.stack([_natural(one, space) for one in fit.without])
     scale = np.where(whole > 0, whole, 1)
@@ -231,7 +231,7 @@ def albedo(fit: ModelFit, index: float) -> Float[np.ndarray, " bands"]:
 def _open_parameters(
     model: Model, space: ParameterSpace, mean: np.ndarray, covariance: np.ndarray
 ) -> dict[str, str]:
-    """Parameters that the samples do not determine, and why."""
+    """Parameters that the samples do not determine, with the reasons."""
     reasons: dict[str, str] = {}
     for i, parameter in enumerate(space):
         if parameter.name in ("diffuse", "specular"):
@@ -261,7 +261,7 @@ def _posterior(
     sampling: Emcee | None,
     seed: int,
 ) -> Posterior:
-    """By the jackknife's covariance; of a chain the density is stretched to it."""
+    """The posterior with the jackknife's covariance; for a chain the density is stretched to it."""
     space, mode = problem.space, jnp.asarray(np.log(mean))
     if sampling is not None:
         curvature = np.linalg.inv(laplace(log_density, space, mode, problem).covariance)

@@ -1,4 +1,4 @@
-"""Errors of predictions of measured reflectance in both metrics, and models compared by them."""
+"""Errors of predictions of measured reflectance in both metrics, and comparisons of models."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -43,8 +43,8 @@ class Errors:
 
 
 def errors(measured: MeasuredBRDF, predicted: Float[np.ndarray, "n bands"]) -> Errors:
-    """Both metrics of a prediction of f_r in sr^-1. What rounding alone misses counts as a
-    billionth of the signal in either, so that no model wins by it."""
+    """Both metrics of a prediction of f_r in sr^-1. Rounding errors count as a billionth of the
+    signal, so that they do not decide between models."""
     signal = reflected(measured, measured.values)
     missed = reflected(measured, predicted) - signal
     roots, root_signal = (
@@ -81,7 +81,7 @@ def metric(errors: Errors, objective: Objective) -> float:
 
 
 def in_words(errors: Errors, objective: Objective) -> str:
-    """An error as a report says it: percent of the signal, or sr^(-1/3) of the cube roots."""
+    """An error in words: per cent of the signal, or sr^(-1/3) for cube roots."""
     value = metric(errors, objective)
     return f"{100 * value:.3g} %" if objective == "cosine" else f"{value:.3g} sr⁻¹ᐟ³"
 
@@ -102,8 +102,8 @@ class Ratio:
 
     @property
     def told(self) -> bool:
-        """Whether it differs from 1 by more than chance: its logarithm exceeds Student's 95 % of
-        its standard error, the jackknife's over incidences."""
+        """Whether the ratio differs significantly from 1: its logarithm exceeds Student's 95 %
+        limit in units of its standard error from the jackknife over incidences."""
         count, log = len(self.without), abs(np.log(self.value))
         if count < FEWEST_INCIDENCES or log < SAME:
             return False
@@ -127,13 +127,13 @@ class Ratio:
     def ordered(self) -> bool:
         """Whether the same model has the larger error at so many incidences that chance is
         unlikely. A single outlier may make the size of the difference uncertain, so that `told` is
-        False, but not its sign."""
+        False, while its sign is certain."""
         return self.chance <= LIKELY and abs(np.log(self.value)) >= np.log(NOTABLE)
 
 
 def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
-    """The ratio of two models' errors of the same samples; 1 of incidences where rounding is all
-    that one of them misses."""
+    """The ratio of two models' errors on the same samples; 1 for incidences at which one of them
+    has only rounding errors."""
     value = metric(one, objective) / metric(other, objective)
     column = 0 if objective == "cosine" else 1
     ours, theirs = one.parts[:, column], other.parts[:, column]
@@ -147,8 +147,8 @@ def ratio(one: Errors, other: Errors, objective: Objective) -> Ratio:
 
 
 def exceeds_signal(errors: Errors, objective: Objective) -> bool:
-    """Whether a prediction misses more than one of no reflectance would; never of cube roots, whose
-    errors are not relative to their signal."""
+    """Whether the error of a prediction exceeds the error of predicting zero; never for cube roots,
+    whose errors are not relative to their signal."""
     return objective == "cosine" and errors.relative > 1
 
 
@@ -159,8 +159,8 @@ def describes(errors: Errors, objective: Objective) -> bool:
 
 
 def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
-    """Which of two lobes, about the half vector and the mirror direction, errs less by more than
-    chance; neither where both describe nothing."""
+    """The axis of the lobe with the significantly smaller error, half vector or mirror direction;
+    None if neither model describes the data."""
     useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
     if useless or not ratio(half, mirror, objective).told:
         return "neither"
@@ -170,7 +170,7 @@ def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
 def weight_by_incidence(
     measured: MeasuredBRDF, objective: Objective
 ) -> Float[np.ndarray, " incidences"]:
-    """Share of each incidence in the sum of squares that a fit of nothing would have."""
+    """Share of each incidence in the sum of squares of the data."""
     signal = reflected(measured, measured.values)
     if objective == "cube-root":
         signal = np.cbrt(np.maximum(signal, 0))
@@ -179,7 +179,7 @@ def weight_by_incidence(
 
 
 def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.ndarray, "n bands"]:
-    """f_r in sr^-1 of every sample by the fit that has not seen its incidence."""
+    """f_r in sr^-1 of every sample, predicted by the fit without its incidence."""
     predicted = np.empty_like(measured.values)
     for i, without in enumerate(fit.without):
         own = measured.incidence == i
@@ -188,7 +188,7 @@ def prediction_of_held_out(measured: MeasuredBRDF, fit: ModelFit) -> Float[np.nd
 
 
 def best(scores: Mapping[Model, Errors], objective: Objective) -> Model:
-    """The model of least error in the metric of an objective; of equal ones the first."""
+    """The model of smallest error in the metric of an objective; the first of equal ones."""
     return min(scores, key=lambda model: metric(scores[model], objective))
 
 

@@ -201,7 +201,7 @@ def _heat_table(
     *,
     style: str = ".0f",
 ) -> Figure:
-    """A table of numbers, each cell shaded by the logarithm of its number."""
+    """A table of numbers with cells shaded by the logarithm of their number."""
     from matplotlib.colors import LogNorm
 
     figure = Figure(
@@ -233,7 +233,7 @@ def _heat_table(
 
 
 def amplitudes_figure(calibration: BRDFCalibration) -> Figure:
-    """Spectra of both amplitudes, or points where there are few bands."""
+    """Spectra of both amplitudes, or points if there are few bands."""
     measured, found, model = calibration.measured, calibration.amplitudes, calibration.model
     row = REFLECTANCES[model]
     terms = [("k_d", found.diffuse, found.diffuse_error, "sr$^{-1}$")]

@@ -1,5 +1,5 @@
-"""Every sentence about fitted measured reflectance, with its condition: who wins, by how much, how
-sure; of one material, and of several."""
+"""The findings on fits to measured reflectance with their conditions: the best model, its lead and
+significance, for one material and for several."""
 
 from collections.abc import Iterable, Sequence
 
@@ -56,7 +56,7 @@ def findings(calibration: BRDFCalibration) -> tuple[str, ...]:
 
 
 def which_axis_wins(calibrations: Sequence[BRDFCalibration]) -> tuple[str, ...]:
-    """Over several materials: does the half vector win, as the literature has it, and why?"""
+    """Whether the half vector wins over several materials, as in the literature, and why."""
     return said(OVER_MATERIALS, calibrations)
 
 
@@ -81,7 +81,7 @@ def _no_description(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _impossible(calibration: BRDFCalibration) -> Numbers | None:
-    """Energy that the reported surface would add."""
+    """A finding if the reported surface reflects more energy than it receives."""
     found = albedo(calibration.fits[calibration.model], calibration.index)
     most = int(np.argmax(found))
     if found[most] <= 1 + ROUNDING:
@@ -92,7 +92,7 @@ def _impossible(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _black(calibration: BRDFCalibration) -> Numbers | None:
-    """A surface darker than any but the blackest coatings."""
+    """A finding if the surface is darker than any but the blackest coatings."""
     most = float(albedo(calibration.fits[calibration.model], calibration.index).max())
     return {"albedo": 100 * most} if most < BLACK else None
 
@@ -141,8 +141,8 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     angles = np.degrees(calibration.measured.incidences)
 
     def compared(models: Sequence[Model], *, counted: bool = False) -> str:
-        """How much more models err than the best one, between which bounds with an incidence left
-        out, and at how many."""
+        """The ratio of each model's error to the best one's, its range with an incidence left out,
+        and the number of incidences."""
         told = []
         for m in models:
             one = found[m]
@@ -180,7 +180,7 @@ def _described(model: Model) -> str:
 
 
 def _weight(calibration: BRDFCalibration) -> Numbers | None:
-    """That a single incidence decides the fit, where one does."""
+    """A finding if a single incidence dominates the fit."""
     shares = weight_by_incidence(calibration.measured, calibration.objective)
     most = int(np.argmax(shares))
     if shares[most] <= MOST_WEIGHT:
@@ -190,7 +190,7 @@ def _weight(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _pairs(calibration: BRDFCalibration) -> Numbers:
-    """The axis by itself: pairs of lobes that differ in nothing else."""
+    """The effect of the axis alone: pairs of lobes that differ in nothing else."""
     objective, held_out = calibration.objective, calibration.held_out
     told = []
     for mirror, half in PAIRS:
@@ -222,7 +222,7 @@ def _open(calibration: BRDFCalibration) -> Iterable[Numbers]:
 
 def _ends(calibration: BRDFCalibration) -> tuple[list[Model], list[Model]]:
     """Other models with a shape at an end of its range: rough bodies without roughness, and the
-    others."""
+    rest."""
     smooth: list[Model] = []
     stuck: list[Model] = []
     for model, fit in calibration.fits.items():
@@ -250,7 +250,7 @@ def _stuck(calibration: BRDFCalibration) -> Numbers | None:
 
 
 def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
-    """Searches that did not settle, or ended above Lambert's model, which all others contain."""
+    """Searches that did not converge, or ended above Lambert's model, which all others contain."""
     measured = calibration.measured
     signal = in_metric(measured, calibration.objective, measured.values)
     nothing = NOTHING**2 * float(np.sum(measured.weights[:, None] * signal**2))
@@ -274,7 +274,8 @@ def _intervals(calibration: BRDFCalibration) -> Numbers:
 
 
 def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
-    """The best lobe about the half vector, that about the mirror direction, and which wins."""
+    """The best lobe about the half vector, the best about the mirror direction, and the better of
+    the two."""
     held_out, objective = calibration.held_out, calibration.objective
     half = best_about_axis(held_out, "half", objective)
     mirror = best_about_axis(held_out, "mirror", objective)
@@ -282,7 +283,8 @@ def _of_best_lobes(calibration: BRDFCalibration) -> tuple[Model, Model, Side]:
 
 
 def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
-    """The best lobe of each axis, whatever else it differs in, and where it does."""
+    """The best lobe of each axis regardless of other differences, and the incidences at which it
+    wins."""
     wins: dict[Side, list[str]] = {"half": [], "mirror": [], "neither": []}
     confounded = []
     for calibration in calibrations:
@@ -310,8 +312,8 @@ def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
 
 
 def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
-    """Which axis wins comparisons of lobes that differ in nothing else, and what follows where
-    these tell and the best lobes, which differ in more than that, do not disagree."""
+    """The axis that wins comparisons of lobes that differ only in it, and the conclusion if these
+    are significant and the best lobes do not disagree."""
     results = [
         winner_of(c.held_out[half], c.held_out[mirror], c.objective)
         for c in calibrations
@@ -337,7 +339,7 @@ def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
 
 
 def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
-    """Where clear facets win, how much of its lead GGX loses without Fresnel reflectance."""
+    """If clear facets win, the part of GGX's lead that is lost without Fresnel reflectance."""
     objective = calibrations[0].objective
     told = []
     for calibration in calibrations:
@@ -361,13 +363,13 @@ Pair = tuple[Errors, Errors, Ratio, Objective]  # of a lobe about the half vecto
 
 
 def _useless(pair: Pair) -> tuple[bool, bool]:
-    """Which of both miss more than the whole signal."""
+    """Which of two models have errors larger than the signal."""
     half, mirror, _, objective = pair
     return exceeds_signal(half, objective), exceeds_signal(mirror, objective)
 
 
 def _order(pair: Pair) -> Numbers | None:
-    """An order of both whose size is open."""
+    """The ordering of two models if the size of their difference is uncertain."""
     found = pair[2]
     if not found.ordered:
         return None

@@ -70,7 +70,7 @@ class LobeFit:
 
 @dataclass(frozen=True)
 class ModelFit:
-    """A model on all samples, and on all but those of each incidence in turn.
+    """A model fitted to all samples, and with each incidence left out in turn.
 
     Attributes:
         model: its name.
@@ -99,8 +99,8 @@ def brdf(
 def problem_of(
     measured: MeasuredBRDF, fit: ModelFit, space: ParameterSpace, index: float
 ) -> Problem:
-    """One model of a material as a problem of its mean amplitudes and its shape: the spectra of the
-    amplitudes keep their form, and every sample errs alike in the objective's metric."""
+    """One model of a material as a problem in its mean amplitudes and its shape. The spectra of the
+    amplitudes are fixed, and all samples have equal errors in the objective's metric."""
     whole = fit.whole
     mean = {"diffuse": whole.diffuse.mean(), "specular": whole.specular.mean() or 1.0}
     wanted = in_metric(measured, fit.objective, measured.values)
@@ -131,10 +131,11 @@ def problem_of(
 
 @lru_cache
 def _predict_of(model: Model) -> Any:
-    """One function a model: it is part of the compile key."""
+    """One function for each model, because it is part of the compile key."""
 
     def predict(values: Values, inputs: dict[str, Any]) -> Array:
-        """In the objective's metric, the logarithms of the parameters stretched about the mode."""
+        """The prediction in the objective's metric, with the logarithms of the parameters stretched
+        about the mode."""
         names = list(values)
         vector = jnp.log(jnp.stack([values[name] for name in names]))
         stretched = inputs["mode"] + inputs["stretch"] @ (vector - inputs["mode"])
@@ -168,7 +169,7 @@ def compressed(measured: MeasuredBRDF, values: np.ndarray) -> Float[np.ndarray, 
 def in_metric(
     measured: MeasuredBRDF, objective: Objective, values: np.ndarray
 ) -> Float[np.ndarray, "n bands"]:
-    """What an objective compares."""
+    """The quantity that an objective compares."""
     return (reflected if objective == "cosine" else compressed)(measured, values)
 
 
@@ -184,7 +185,7 @@ def _columns(model: Model, wi: Vec, wo: Vec, index: float, log_shapes: Array) ->
 
 @dataclass(frozen=True)
 class _Search:
-    """What every search of one model shares."""
+    """The data that every search of one model shares."""
 
     measured: MeasuredBRDF
     model: Model
@@ -193,7 +194,7 @@ class _Search:
 
     @cached_property
     def range(self) -> tuple[float, float]:
-        """Of the logarithm of the shape."""
+        """The range of the logarithm of the shape."""
         return (0.0, 0.0) if self.model == "lambert" else log_range(self.model)
 
     @cached_property
@@ -213,7 +214,7 @@ class _Search:
     def at(
         self, kept: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, shape: float | None
     ) -> LobeFit:
-        """The fit at some parameters, `kept` being the share of each sample's weight."""
+        """The fit at some parameters; `kept` is the fraction of each sample's weight."""
         measured = self.measured
         parameters = self.model, diffuse, specular, shape
         predicted = np.asarray(brdf(*parameters, measured.wi, measured.wo, self.index))
@@ -246,7 +247,8 @@ class _Search:
         return diffuse, specular, float(np.exp(found.nonlinear))
 
     def minimum(self, kept: np.ndarray, matt: LobeFit | None, near: LobeFit | None) -> LobeFit:
-        """The best fit; of cube roots begun also at Lambert's and at `near`, where these are."""
+        """The best fit. For cube roots the search also starts at Lambert's model and at `near`, if
+        given."""
         measured = self.measured
         weights = (kept * measured.weights * measured.cosine**2)[:, None]
         weights = np.broadcast_to(weights, measured.values.shape)
@@ -303,7 +305,7 @@ def fit_model(
     index: float,
     matt: ModelFit | None = None,
 ) -> ModelFit:
-    """Fits one model to all samples and, for testing, with each incidence left out."""
+    """Fit one model to all samples and, for testing, with each incidence left out."""
     if model == "lambert" or objective == "cosine":
         matt = None
     elif matt is None:

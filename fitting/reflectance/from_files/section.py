@@ -1,5 +1,5 @@
-"""Fits of measured reflectance as their reader sees them: a section for each material, and one
-that compares them where there are several."""
+"""The report of fits to measured reflectance: a section for each material, and a comparison if
+there are several."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -21,7 +21,7 @@ AXES = {"mirror": "mirror direction", "half": "half vector", "none": None}
 
 
 def section(calibration: BRDFCalibration) -> Section:
-    """One material as its reader sees it: estimates, findings, tables and pictures."""
+    """The section of one material: estimates, findings, tables and figures."""
     measured = calibration.measured
     posterior = calibration.posterior
     return Section(
@@ -45,7 +45,8 @@ def section(calibration: BRDFCalibration) -> Section:
 
 
 def materials_section(calibrations: Sequence[BRDFCalibration]) -> Section:
-    """Several materials compared: held-out errors of every model, and which kind of lobe wins.
+    """The comparison of several materials: held-out errors of every model, and the winning kind of
+    lobe.
 
     Args:
         calibrations: one a material.
@@ -97,7 +98,7 @@ def materials_table(calibrations: Sequence[BRDFCalibration], which: Objective) -
 
 
 def error_table(calibration: BRDFCalibration) -> Table:
-    """Both metrics of every model, on samples that its fit has and has not seen."""
+    """Both metrics of every model, on fitted and on held-out samples."""
     order = sorted(
         MODELS, key=lambda model: metric(calibration.held_out[model], calibration.objective)
     )

@@ -1,4 +1,4 @@
-"""Fits of reflectance models to the lights of a rig, and what they leave open."""
+"""Fits of reflectance models to the lights of a rig, and their unidentifiable parameters."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -71,7 +71,7 @@ class ReflectanceCalibration(ShownInNotebooks):
 
     @property
     def gamma(self) -> float | None:
-        """Fitted encoding exponent of the first channel; None where it was not free."""
+        """Fitted encoding exponent of the first channel; None if it was not free."""
         fit = self.reported[0]
         return float(fit.natural[-1]) if fit.form.free_gamma else None
 
@@ -90,10 +90,10 @@ def calibrate(
     minimum_cosine: float = 0.0,
     progress: Progress | None = None,
 ) -> ReflectanceCalibration:
-    """Fits a model and its rivals to the lights that are not held out.
+    """Fit a model and its rivals to the lights that are not held out.
 
-    Images that do not belong (dark or saturated throughout, copies, under another light than the
-    rig says) are left out and named among the findings.
+    Images that deviate (dark or saturated throughout, copies, another light than the rig states)
+    are left out and named in the findings.
 
     Args:
         observation: of a known shape under known lights.
@@ -177,8 +177,8 @@ def calibrate(
 def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]:
     """Return, by name, why the data do not determine a parameter of the requested form.
 
-    A lobe counts as seen if BIC prefers the fit to Lambert's (`without_lobe`). The best of many
-    lobes always fits a little better, whatever its own curvature says (Davies, Biometrika 64,
+    A lobe counts as significant if BIC prefers the fit to Lambert's (`without_lobe`). The best of
+    many lobes always fits slightly better, regardless of its own curvature (Davies, Biometrika 64,
     1977).
     """
     wanted = [parameter.name for parameter in parameter_space(fit.requested)]

@@ -1,11 +1,12 @@
-"""Which model describes the surface, by the prediction of held-out lights and by AIC and BIC.
+"""The model that describes the surface best, by its prediction of held-out lights and by AIC and
+BIC.
 
 The relative error on held-out lights decides. Two models see the same lights, so their difference
-is judged light by light. Its standard error is the jackknife's over lights, and models count as
+is tested light by light. Its standard error is the jackknife's over lights, and models count as
 equal if the difference is within its Student's 95 % interval in every channel. A difference within
-the precision of the solvers is none. AIC and BIC judge the fit itself. Pixels of one image share
-their errors, so the log likelihood and the sample size are divided by the design effect of the best
-model:
+the precision of the solvers counts as zero. AIC and BIC assess the fit itself. Pixels of one image
+share their errors, so the log likelihood and the sample size are divided by the design effect of
+the best model:
 
     AIC = -2 log L / d + 2 P,      BIC = -2 log L / d + P log(N / d).
 """
@@ -34,7 +35,7 @@ DECISIVE = 10.0  # difference of BIC, summed over channels, that counts as very 
 
 @dataclass(frozen=True)
 class ModelScore:
-    """How one model does in one channel."""
+    """The scores of one model in one channel."""
 
     model: Model
     channel: str
@@ -50,7 +51,7 @@ class ModelScore:
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much more one model errs than another on held-out lights."""
+    """The difference of two models' errors on held-out lights."""
 
     value: float  # of the relative RMS
     error: float  # its standard error; infinite with fewer than two lights
@@ -58,19 +59,19 @@ class Difference:
 
     @property
     def half_width(self) -> float:
-        """Of the 95 % interval."""
+        """Half the width of the 95 % interval."""
         return (
             float("inf") if self.freedom < 1 else self.error * float(stdtrit(self.freedom, LEVEL))
         )
 
     @property
     def none(self) -> bool:
-        """Whether both predict the same."""
+        """Whether both predictions are equal."""
         return self.value == 0 and self.error == 0
 
 
 def difference(one: ModelScore, other: ModelScore) -> Difference:
-    """Return the relative RMS of one model less that of another, paired by light.
+    """Return the difference of the relative RMS of two models, paired by light.
 
     Its error is infinite without held-out lights. A difference below a millionth of the errors is 0
     with an error of 0.
@@ -184,7 +185,7 @@ def _by_model(scores: Sequence[ModelScore]) -> dict[Model, list[ModelScore]]:
 
 
 def _bic(by_model: Mapping[Model, Sequence[ModelScore]]) -> dict[Model, float]:
-    """Summed over channels."""
+    """BIC summed over channels."""
     return {m: float(sum(score.bic for score in own)) for m, own in by_model.items()}
 
 

@@ -1,4 +1,4 @@
-"""Derivatives of the likelihood of a picture, of all samples and in blocks of them."""
+"""Derivatives of the likelihood of a picture, over all samples and in blocks."""
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +35,7 @@ def scores_and_slopes(
 
 
 def _cost(vector: Array, data: tuple[Samples, Counts]) -> Array:
-    """Negative log likelihood of the samples that count."""
+    """Negative log likelihood of the valid samples."""
     samples, counts = data
     each = log_likelihoods(vector, samples)
     return -jnp.sum(each if counts is None else jnp.where(counts, each, 0))

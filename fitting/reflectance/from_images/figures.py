@@ -72,7 +72,7 @@ def images_figure(calibration: ReflectanceCalibration) -> Figure:
 
 
 def lobes_figure(calibration: ReflectanceCalibration) -> Figure:
-    """Diffuse and specular term, each with the other taken away."""
+    """Diffuse and specular term, each after subtracting the other."""
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     diffuse, specular = figure.subplots(1, 2)
     for fit in calibration.reported:
@@ -152,7 +152,8 @@ def residual_map_figure(calibration: ReflectanceCalibration) -> Figure:
 
 
 def _shown_lights(observation: Photographs) -> list[int]:
-    """Of each kind, a light near the view, where the highlight is whole, and an oblique one."""
+    """For both sets of lights, one near the view, where the whole highlight is visible, and an
+    oblique one."""
     lit = (observation.cosine > 0).mean(axis=1)
     chosen = []
     for kept in (False, True):
@@ -197,7 +198,7 @@ def _per_unit_light(
     calibration: ReflectanceCalibration, fit: ChannelFit
 ) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Decoded signal per irradiance, n.l, mirror angle and unit lobe of the fitted, unsaturated
-    samples (a regular choice of them where there are many)."""
+    samples (regularly subsampled if there are many)."""
     observation = calibration.observation
     step = max(1, len(calibration.fitted.light) // MOST_POINTS)
     selection = Selection(calibration.fitted.light[::step], calibration.fitted.pixel[::step])
@@ -220,7 +221,7 @@ def _per_unit_light(
 
 
 def _lobe_reach(angle: np.ndarray, unit: np.ndarray) -> float:
-    """Angle in rad a little beyond the end of the highlight, or 1 without a highlight."""
+    """Angle in rad slightly beyond the end of the highlight, or 1 without a highlight."""
     inside = unit > OFF_HIGHLIGHT
     return float(min(1.3 * angle[inside].max(), np.pi)) if inside.any() else 1.0
 
@@ -235,7 +236,7 @@ def _draw_medians(
     *,
     label: str | None = None,
 ) -> None:
-    """Medians in bins: markers with bars over the middle 68 %, or without a marker a line."""
+    """Medians in bins: markers with bars over the middle 68 %, or a line if there is no marker."""
     place = np.digitize(x, edges) - 1
     rows = [
         (np.median(x[chosen]), *np.quantile(y[chosen], [0.16, 0.5, 0.84]))
@@ -256,7 +257,7 @@ def _draw_medians(
 def _picture(
     observation: Photographs, values: Float[np.ndarray, "channels pixels"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Linear values as an sRGB-like picture, grey where there is one channel."""
+    """Linear values as an sRGB-like picture, grey if there is one channel."""
     displayed = np.clip(values, 0, 1) ** (1 / DISPLAY_GAMMA)
     picture = np.zeros((*observation.shape, 3))
     picture[observation.rows, observation.columns] = np.broadcast_to(

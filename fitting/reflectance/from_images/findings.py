@@ -1,6 +1,6 @@
-"""Every sentence about photographs of a surface, with its condition.
+"""The findings on photographs of a surface, with their conditions.
 
-The joint calibration shares its rows about the images and the search, and adds those about the
+The joint calibration shares the entries on the images and the search, and adds those on the
 sensor."""
 
 from collections.abc import Iterable, Sequence
@@ -49,7 +49,7 @@ def findings(calibration: ReflectanceCalibration) -> tuple[str, ...]:
 def said_of_channels(
     table: Iterable[Finding], calibration: Any, fits: Sequence[Any]
 ) -> tuple[str, ...]:
-    """The sentences of a table about each fit; its conditions take the calibration and the fit."""
+    """The findings of a table on each fit; its conditions take the calibration and the fit."""
     return tuple(
         sentence if len(fits) == 1 else f"{fit.channel}: {sentence}"
         for fit in fits
@@ -58,7 +58,7 @@ def said_of_channels(
 
 
 def told(sentences: Iterable[str]) -> list[Numbers]:
-    """Sentences that are made elsewhere."""
+    """Findings that other modules make."""
     return [{"sentence": sentence} for sentence in sentences]
 
 
@@ -73,7 +73,7 @@ def _clipped(of: OfChannel) -> Numbers | None:
 
 
 def _misfit(of: OfChannel, *, hopeless: bool) -> Numbers | None:
-    """Residuals above the sensor's noise, larger than the signal or not."""
+    """Residuals above the sensor's noise, and whether they exceed the signal."""
     chi_square, relative = of[1].sensor_chi_square, of[1].spread.relative
     if chi_square is None or relative is None or (relative >= HOPELESS) != hopeless:
         return None
@@ -92,12 +92,12 @@ def _lights(fit: ChannelFit) -> int:
 
 
 def _regions(fit: ChannelFit) -> int:
-    """Of lights that err alike; as many as lights where each errs on its own."""
+    """The number of regions of lights with similar errors, if fewer than the lights."""
     return len(np.unique(fit.regions[fit.selection.light]))
 
 
 def _unjudged(of: OfChannel) -> bool:
-    """Whether the lights are too few for their disagreement to be measured."""
+    """Whether the lights are too few to measure their disagreement."""
     return of[1].robustness is not None and bool(np.isnan(of[1].robustness.by_light))
 
 
@@ -142,7 +142,7 @@ def _in_regions(of: OfChannel) -> Numbers | None:
 def _turned(
     calibration: ReflectanceCalibration, *, followed: bool, wider: bool = False
 ) -> Numbers | None:
-    """By how many standard deviations lights were rotated, in the channels concerned."""
+    """The rotations of lights in standard deviations, in the channels concerned."""
     sizes = {
         fit.channel: f"{fit.turned.size:.2g}"
         for fit in calibration.reported
@@ -154,7 +154,8 @@ def _turned(
 
 
 def _unseen_winner(calibration: ReflectanceCalibration) -> Numbers | None:
-    """That a model predicts best is no sign of a highlight where BIC sees none."""
+    """A remark that the best prediction by a glossy model is no evidence of a highlight if BIC
+    rejects it."""
     best = equally_good(calibration.scores)[0]
     pairs = zip(calibration.fits[best], calibration.fits["lambert"], strict=True)
     unseen = [fit.channel for fit, matt in pairs if open_parameters(fit, matt)]
@@ -165,7 +166,7 @@ def _unseen_winner(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _better_model(calibration: ReflectanceCalibration) -> Numbers | None:
-    """That the model reported in full is not the one that the comparison prefers."""
+    """A finding if the reported model is not the one that the comparison prefers."""
     found = surpassed_by(calibration.scores, calibration.model)
     if found is None or _unseen_winner(calibration) is not None:
         return None
@@ -187,8 +188,8 @@ def _sampling(calibration: ReflectanceCalibration) -> list[Numbers]:
 
 
 def _coloured(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers | None:
-    """A clear surface reflects the light's own colour: unequal k_s under calibrated intensities is
-    worth a word, if all lobes that predict equally well say it."""
+    """A finding on unequal k_s under calibrated intensities, because a clear surface reflects the
+    colour of the light. All lobes that predict equally well must agree."""
     reported, fits = _colour(calibration.reported), calibration.reported
     if reported is None or any(f.channel not in calibration.posteriors for f in fits):
         return None
@@ -218,7 +219,7 @@ def _coloured(calibration: ReflectanceCalibration, *, by_all: bool) -> Numbers |
 
 
 def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
-    """ln k_s of three channels and their standard errors; None where one has none."""
+    """ln k_s of three channels and their standard errors; None if a channel has none."""
     known = [
         (fit.vector[1], np.sqrt(fit.robustness.covariance[1, 1]))
         for fit in fits
@@ -233,12 +234,12 @@ def _colour(fits: Sequence[ChannelFit]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _contrast(logs: np.ndarray, errors: np.ndarray, low: int, high: int) -> float:
-    """By how many standard errors k_s of one channel lies above that of another."""
+    """The difference of ln k_s between two channels, in standard errors."""
     return float((logs[high] - logs[low]) / np.hypot(errors[low], errors[high]))
 
 
 def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
-    """The outline, and the side of the object that the model misses most, if worth a word."""
+    """The outline, and the side of the object with the largest misfit, if notable."""
     residual, normals = mean_residual(calibration), calibration.observation.normals
     seen = np.isfinite(residual)
     parts = {"outline": normals[:, 2] < OUTLINE}
@@ -268,7 +269,8 @@ def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
 
 
 def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
-    """That the misfit is the pixels' own: a mean over lights lessens whatever else is missed."""
+    """A finding if the misfit belongs to the pixels themselves: the average over lights reduces any
+    other misfit."""
     misfits = [fit.spread.relative for fit in calibration.reported if fit.spread.relative]
     own = float(np.nanstd(mean_residual(calibration)))
     if len(misfits) < len(calibration.reported) or own < TEXTURED * np.mean(misfits):
@@ -277,7 +279,7 @@ def _texture(calibration: ReflectanceCalibration) -> Numbers | None:
 
 
 def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
-    """What a fit assumes of files, lights and camera, and what would change it."""
+    """The assumptions of a fit on files, lights and camera, and how to change them."""
     observation = calibration.observation
     granted = []
     if observation.gamma is None and not calibration.reported[0].form.free_gamma:

@@ -1,4 +1,4 @@
-"""One channel, one model: the best parameters (`optimum`) with everything needed to judge them."""
+"""One channel, one model: the best parameters (`optimum`) and the data to assess them."""
 
 from dataclasses import dataclass
 
@@ -80,7 +80,7 @@ class ChannelFit:
 
             ln L(e) - e^2 / 2 - ln det(1 + S^T S) / 2,
 
-        with ln L and S^T S divided by a design effect.
+        where ln L and S^T S are divided by a design effect.
         """
         evidence = self.log_likelihood / design_effect
         if self.told_of_turns is None:

@@ -1,4 +1,5 @@
-"""Images of a known shape under known lights from memory: what a rig of the same images gives."""
+"""Images of a known shape under known lights from memory: the same input as from a rig with these
+images."""
 
 from collections.abc import Sequence
 from typing import Any

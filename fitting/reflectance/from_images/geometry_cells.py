@@ -1,8 +1,8 @@
-"""Many pixels as few cells: samples of one light that share their geometry, averaged.
+"""Many pixels as few cells: averages of samples of one light with similar geometry.
 
-A fit's work then no longer grows with the number of pixels. A cell is a sample at the mean
-geometry with the mean digital number; what the curvature of the model inside the cell does to its
-mean is a correction known at any given parameters, so that there cells and pixels agree exactly.
+The work of a fit is then independent of the number of pixels. A cell is a sample at the mean
+geometry with the mean digital number. The curvature of the model inside the cell changes its mean.
+This correction is computed at given parameters, where cells and pixels then agree exactly.
 """
 
 from collections.abc import Callable
@@ -83,8 +83,8 @@ def average(
 
 
 def _mean_geometry(seen: Geometry, mean: Callable[[Array], Array]) -> Geometry:
-    """Return directions with the mean cosines between light, normal and viewer, which hold in any
-    frame: the viewer in the xz plane, the light at positive y."""
+    """Return directions with the mean cosines between light, normal and viewer, in a frame with the
+    viewer in the xz plane and the light at positive y."""
     cos_i, cos_o = mean(seen.wi.z), mean(seen.wo.z)
     between = mean(seen.wi.x * seen.wo.x + seen.wi.y * seen.wo.y + seen.wi.z * seen.wo.z)
     sin_i, sin_o = (jnp.sqrt(jnp.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
@@ -100,8 +100,8 @@ def _mean_geometry(seen: Geometry, mean: Callable[[Array], Array]) -> Geometry:
 def saturated_only(samples: Samples) -> Samples | None:
     """The saturated samples by themselves; None if there are none.
 
-    As many as the next power of two, so that channels share a compiled program: those added count
-    as measured, with an enormous deviation.
+    Their number is padded to a power of two, so that channels share a compiled program. The padding
+    counts as measured, with an enormous deviation.
     """
     if samples.saturated is None or not bool(np.any(samples.saturated)):
         return None

@@ -1,7 +1,7 @@
 """Samples of photographs, their prediction by a surface and an encoding, and their likelihood.
 
-A pixel at or above the clip level says only that its value lies there: it is censored (Tobin,
-Econometrica 26, 1958), contributing log Phi((predicted - clip) / deviation).
+A pixel at or above the clip level states only that its value is at least that large. It is censored
+(Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation).
 """
 
 import equinox as eqx
@@ -17,14 +17,14 @@ from .signal import GAMMA, Form, Geometry, encoded, signal, surface_parameters
 
 
 def parameter_space(form: Form) -> ParameterSpace:
-    """Parameters of the surface, the ambient term and gamma, as far as the form has them. All are
-    positive and searched as logarithms."""
+    """Parameters of the surface, the ambient term and gamma, as the form requires. All are positive
+    and searched as logarithms."""
     ambient = (amplitude("ambient", "k_a", "DN"),) if form.ambient else ()
     return (*surface_parameters(form), *ambient, *((GAMMA,) if form.free_gamma else ()))
 
 
 class Samples(eqx.Module):
-    """Lit pixels of one channel, or cells of like pixels."""
+    """Lit pixels of one channel, or cells of similar pixels."""
 
     form: Form = eqx.field(static=True)
     geometry: Geometry
@@ -92,6 +92,6 @@ def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Sample
 def total_log_likelihood(
     vector: Float[Array, " parameters"], data: tuple[Samples, Samples | None]
 ) -> Array:
-    """Log likelihood of cells, and of the saturated samples, which are in no cell."""
+    """Log likelihood of cells, and of the saturated samples, which belong to no cell."""
     each = [jnp.sum(log_likelihoods(vector, own)) for own in data if own is not None]
     return jnp.sum(jnp.stack(each))

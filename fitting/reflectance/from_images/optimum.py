@@ -1,11 +1,11 @@
 """The best parameters of one channel: variable projection, weighted squares, maximum likelihood.
 
 Variable projection finds the global optimum of unweighted least squares, without start values. Its
-residuals give the spread, and with it the weights, of the fit proper: one step of feasible
-generalised least squares. Where the model misses more than the sensor's noise, the weights take
-that for a constant (`spread`): a wrong model must not discount the very highlights that it misses.
-Where pixels are saturated, the likelihood counts them as "at least this bright"; leaving them out,
-or trusting them, would bias the highlight.
+residuals give the spread and the weights of the final fit, which is one step of feasible
+generalised least squares. If the misfit of the model exceeds the sensor's noise, the weights treat
+it as a constant (`spread`), because a wrong model must not reduce the weight of the highlights that
+it misses. Saturated pixels enter the likelihood as "at least this bright". Dropping them, or using
+their numbers, would bias the highlight.
 """
 
 from dataclasses import dataclass, replace
@@ -46,7 +46,7 @@ SMALLEST_SHARE = 1e-9  # of the brightest reflection: an amplitude below is abse
 
 @dataclass(frozen=True)
 class Optimum:
-    """The likeliest parameters."""
+    """The most likely parameters."""
 
     samples: Samples  # with the deviations of the weights
     spread: Spread  # of the residuals that gave the weights
@@ -112,7 +112,7 @@ def _projected(samples: Samples, gamma: Array | None) -> SeparableFit:
 
 @compiled_briefly
 def _linearised(samples: Samples, gamma: Array | None) -> tuple[Array, Array, Array]:
-    """Fixed columns, decoded values and weights, the latter two as one band."""
+    """The fixed columns, and the decoded values and weights as one band each."""
     form = samples.form
     linear = decoded(samples.dn, samples.black, samples.white, gamma)
     slope = encoding_slope(linear, samples.white, gamma)
@@ -161,7 +161,7 @@ def residual_signal_slope(
     vector: Array, samples: Samples
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return measured - predicted (DN), linear signal (DN) and d DN / d X of the unsaturated
-    samples, to which a spread is fitted."""
+    samples, from which a spread is fitted."""
     trusted = slice(None) if samples.saturated is None else ~np.asarray(samples.saturated)
     signal, slope, predicted = _predicted(vector, samples)
     left = samples.dn - predicted

@@ -1,9 +1,8 @@
-"""Which light to photograph next, so that a parameter of the reflectance is known better.
+"""The choice of the next light to photograph, for a smaller error of a reflectance parameter.
 
-Candidates are the rig's own lights again, those that were held out among them, and distant lights
-all over the hemisphere in front of the object, as strong as the rig's. Each adds the Fisher
-information of its pixels; where residuals move together, by light or by pixel, it counts as many
-times less as the design effect says.
+Candidates are the rig's own lights, including those held out, and distant lights of the same
+strength over the hemisphere in front of the object. Each adds the Fisher information of its pixels,
+divided by the design effect if residuals are correlated by light or by pixel.
 """
 
 from dataclasses import replace
@@ -40,9 +39,9 @@ SHOWN = 12  # candidates in the table
 
 
 def plan(calibration: ReflectanceCalibration, target: str) -> dict[str, Plan]:
-    """Rank lights by how far each would narrow a parameter of the reported model, in each channel
-    whose parameters are all determined. Raises `InputError` if the model has no such parameter, and
-    if no channel is determined."""
+    """Rank lights by how much each would reduce the error of a parameter of the reported model, in
+    each channel whose parameters are all determined. Raises `InputError` if the model has no such
+    parameter, and if no channel is determined."""
     rigs = calibration.observation
     new, described = _all_around(rigs)
     lights = [(f"{file} again", rigs, i) for i, file in enumerate(rigs.files)]
@@ -79,7 +78,7 @@ def check_target(target: str, model: Model) -> None:
 def added_information(
     observation: Photographs, fit: ChannelFit, light: int
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Fisher information (P, P) of one more image of independent pixels, if the fit is true."""
+    """Fisher information (P, P) of one more image of independent pixels, if the model is right."""
     lit = observation.cosine[light] > 0
     pixel = np.arange(len(lit))  # all of them: one shape, one compilation
     selection = Selection(np.full_like(pixel, light), pixel)
@@ -101,7 +100,7 @@ def added_information(
 
 
 def _all_around(rigs: Photographs) -> tuple[Photographs, list[str]]:
-    """The object under distant lights over the hemisphere, and where they stand."""
+    """The object under distant lights over the hemisphere, and the positions of these lights."""
     described, directions = [], []
     for tilt in FROM_VIEW:
         for turn in AROUND if tilt else (0,):

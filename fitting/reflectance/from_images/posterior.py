@@ -1,14 +1,14 @@
 """The posterior of a channel: Laplace's approximation, or draws from an adjusted likelihood.
 
-Pixels of one image share errors, so that the product of their densities is a composite likelihood.
-Its mode is right, but not its curvature. Its argument is therefore stretched about the mode until
+Pixels of one image share errors, so the product of their densities is a composite likelihood. Its
+mode is right, but its curvature is not. Its argument is therefore stretched about the mode until
 its curvature is the inverse of the covariance over images (Ribatet, Cooley & Davison, "Bayesian
 Inference from Composite Likelihoods", Statistica Sinica 22, 2012). Priors of a surface are flat in
 the logarithms.
 
 A step of the chain evaluates cells instead of pixels. At the mode both predict the same mean of
-each cell, but its derivatives differ inside a cell, and with them the slope. The slope of the cells
-is therefore subtracted, so that their density has the mode of all pixels.
+each cell, but derivatives vary inside a cell, so the gradients differ. The gradient of the cells at
+the mode is therefore subtracted, so that their density has the mode of all pixels.
 """
 
 from collections.abc import Callable
@@ -72,8 +72,8 @@ def channel_posterior(
 
 
 def robust(covariance: Robustness) -> dict[str, Any]:
-    """What `adjusted_posterior` needs of a covariance over images: an interval of Student's t is
-    wider than its standard deviation, and a density that is not Gaussian is stretched to it."""
+    """The input of `adjusted_posterior` from a covariance over images. An interval of Student's t
+    is wider than its standard deviation, and a non-Gaussian density is stretched to it."""
     return {
         "covariance": covariance.covariance,
         "wider": covariance.gaussian_covariance,
@@ -92,7 +92,8 @@ def adjusted_posterior(
     seed: int,
     **judged: Any,
 ) -> Posterior:
-    """Return draws by emcee if `sampling` says how, else Laplace's approximation where it holds."""
+    """Return draws by emcee if `sampling` is given, else Laplace's approximation, where it is
+    accurate."""
     if sampling is None:
         of = adjusted_log_density, space, data.mode, covariance, data
         return laplace_where_it_holds(*of, seed=seed, wider=wider, **judged)

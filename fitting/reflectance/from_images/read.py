@@ -1,4 +1,4 @@
-"""Images of a known shape under known lights, as samples: for every light and pixel the digital
+"""Images of a known shape under known lights, as samples. Each light and pixel has the digital
 number, the cosine of incidence, the angle to the mirror direction and the irradiance.
 
 The view is orthographic along +z (x right, y up, z toward the camera), so that the viewer's
@@ -56,7 +56,7 @@ PILED = (
 
 @dataclass(frozen=True)
 class UniformLevels:
-    """Flats and darks of one channel, a level an entry of the rig."""
+    """Flats and darks of one channel, one level for each entry of the rig."""
 
     mean: Float[np.ndarray, " levels"]  # over frames and pixels, DN
     variance: Float[np.ndarray, " levels"]  # temporal, of one pixel, DN^2
@@ -67,7 +67,7 @@ class UniformLevels:
 
 @dataclass(frozen=True)
 class Photographs:
-    """What was measured, for the pixels of the object, and how well the rig knows what made it.
+    """The measurements at the pixels of the object, with the rig's values and their uncertainties.
 
     intensity x falloff is the irradiance on a surface that faces the light.
 
@@ -134,10 +134,10 @@ class Photographs:
 def read_reflectance_observation(
     rig: Rig | str | os.PathLike[str], *, load: Load = read_image
 ) -> Photographs:
-    """Reads and checks all that a rig's `[[light]]` and `[geometry]` entries name.
+    """Read and check all files that a rig's `[[light]]` and `[geometry]` entries name.
 
-    Lights marked `held_out` are kept for testing; if none is and there are at least four, every
-    fourth is. Normals are scaled to unit length.
+    Lights marked `held_out` are kept for testing. If none is marked and there are at least four,
+    every fourth is kept. Normals are scaled to unit length.
 
     Args:
         rig: with `[[light]]` and `[geometry]`, or its folder or file.
@@ -211,8 +211,8 @@ def read_reflectance_observation(
 
 
 def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float, int] | None:
-    """The largest number, DN, and how many samples have it, where they are far more than at any of
-    the next smaller ones, in several images: a camera clipped them."""
+    """The largest number, DN, and how many samples have it, if they far outnumber those of the next
+    smaller numbers in several images: the camera clipped them."""
     top = dn.max()
     values, counts = np.unique(dn[dn >= BRIGHT * top], return_counts=True)
     several = np.count_nonzero((dn == top).any(axis=(0, 2))) > 1
@@ -223,7 +223,7 @@ def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """A rig without the lights whose images' heads speak against those of most, and why."""
+    """A rig without the lights whose metadata contradict the majority, with the reason."""
     stated = [Stated(light.file, rig.path(light.file), 0.0) for light in rig.light]
     odd, _ = odd_heads(rig.folder, stated)
     refuse_half(rig.folder, odd, len(stated))
@@ -275,7 +275,7 @@ def _mask_without_effect(rig: Rig, shape: tuple[int, int], load: Load) -> tuple[
 def _sphere_normals(
     sphere: SphereGeometry, shape: tuple[int, int], camera: Camera
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """Normals of an orthographic sphere; pixels that its outline may cross are left out."""
+    """Normals of an orthographic sphere, without pixels that its outline may cross."""
     top, left = (camera.region or (0, 0))[:2]
     row, column = np.indices(shape, dtype=np.float64) + np.reshape((top, left), (2, 1, 1))
     x = (column - sphere.centre[0]) / sphere.radius
@@ -317,7 +317,7 @@ def _stored_normals(
 def _light_field(
     rig: Rig, normals: Float[np.ndarray, "pixels 3"]
 ) -> tuple[Float[np.ndarray, "lights pixels 3"], Float[np.ndarray, "lights pixels"]]:
-    """Unit vectors toward each light and the fall-off of its intensity, at every pixel."""
+    """Unit vectors toward each light and the falloff of its intensity, at every pixel."""
     directions, falloffs = [], []
     for light in rig.light:
         if light.direction is not None:
@@ -431,8 +431,8 @@ def lightless_images(observation: Photographs) -> dict[int, str]:
 
 
 def _dark(observation: Photographs) -> Bool[np.ndarray, " lights"]:
-    """Which images lie at the black level within their own noise, where the others' brightness
-    lets one expect far more."""
+    """Images at the black level within their noise, although the other images imply a much brighter
+    one."""
     signal = (observation.dn - observation.black).mean(axis=0)
     driven = observation.intensity.mean(axis=0)[:, None] * observation.falloff * observation.cosine
     median, error, drive = np.zeros((3, len(signal)))

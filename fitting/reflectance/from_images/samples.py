@@ -14,7 +14,7 @@ from .signal import Form, Geometry, local_geometry
 
 @dataclass(frozen=True)
 class Selection:
-    """Which samples a fit sees."""
+    """The samples that a fit uses."""
 
     light: Int[np.ndarray, " samples"]  # indices, lights in order
     pixel: Int[np.ndarray, " samples"]  # indices
@@ -37,7 +37,7 @@ def select(
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What the fits of one selection share: its values, gathered from an observation once."""
+    """Values that all fits of one selection share, gathered once from an observation."""
 
     observation: Photographs  # of the object
     selection: Selection  # of its samples

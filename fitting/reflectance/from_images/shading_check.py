@@ -1,9 +1,9 @@
-"""Whether the images show the lights, and the object, where the rig puts them.
+"""A check of the rig's light directions and object position against the images.
 
-Under a distant light a matt surface shows g.n, so that each image by itself tells the direction of
-its light (Woodham 1980, the normals being known), the highlight left out as an outlier. A sign
-turned around, files in another order or a sphere in another place show in the angle between the
-direction that is told and the one that is stated, whatever the model of the surface.
+Under a distant light a matt surface shows g.n, so each image determines its own light direction
+from known normals (Woodham 1980), with the highlight left out as an outlier. A wrong sign, files in
+another order or a displaced sphere appear as an angle between this direction and the stated one,
+for any model of the surface.
 """
 
 from dataclasses import replace
@@ -125,7 +125,7 @@ def without_strangers(observation: Photographs) -> Photographs:
 
 
 def _stated(observation: Photographs) -> Float[np.ndarray, "lights 3"]:
-    """Unit directions of the lights by the rig."""
+    """The rig's unit directions of the lights."""
     stated = observation.wi.mean(axis=1)
     return stated / np.linalg.norm(stated, axis=1, keepdims=True)
 
@@ -136,7 +136,7 @@ def _odd(
     told: Bool[np.ndarray, " lights"],
     median: float,
 ) -> np.ndarray:
-    """Lights that alone are elsewhere, beyond what the rig calls uncertain."""
+    """Lights that individually deviate by more than the rig's uncertainty."""
     known = np.degrees(observation.uncertain.get("direction_sd", np.zeros(len(off))))
     return np.flatnonzero(told & (off > np.maximum(max(FAR, 4 * median), 4 * known)))
 
@@ -149,7 +149,7 @@ def _copies(observation: Photographs) -> Copies:
 
 
 def _of_copies(observation: Photographs) -> list[str]:
-    """Images of equal numbers, which noise rules out for two exposures."""
+    """Images with equal numbers, which noise rules out for two exposures."""
     copies = _copies(observation)
     if not copies.found:
         return []
@@ -163,7 +163,7 @@ def _of_copies(observation: Photographs) -> list[str]:
 
 
 def _spread(normals: Float[np.ndarray, "pixels 3"]) -> float:
-    """Root mean square of their components along the direction in which they are least."""
+    """Root mean square of the components along the direction in which they are smallest."""
     return float(np.linalg.svd(normals, compute_uv=False)[2] / np.sqrt(len(normals)))
 
 
@@ -202,7 +202,7 @@ def _of_single_lights(
     told: Bool[np.ndarray, " lights"],
     median: float,
 ) -> list[str]:
-    """Lights that alone are elsewhere."""
+    """Findings on lights that deviate individually."""
     odd, files = _odd(observation, angles, told, median), observation.files
     names = ", ".join(f"{files[i]} {angles[i]:.0f}°" for i in odd[np.argsort(-angles[odd])][:5])
     return [

@@ -6,12 +6,12 @@
     E[DN]   = b + f + f'' v / 2
     Var[DN] = f'^2 v + f' f'' K^2 X + (f''^2 / 2 + f' f''') v^2 + 1 / 12
 
-the latter two to second order in the noise, which is enough for X of five deviations and more. E is
-the irradiance on a surface facing the light, in the rig's unit, so k_d and k_s are in DN per unit
-of E. `lobe` is the SHADING of one of `reflectance.models` with unit k_s: of Phong, Blinn and the
-Gaussian lobe as published, without a cosine, of all others f_r cos(theta_i). Oren-Nayar has
-k_d lobe in place of both terms. Parts that a `Form` does not name are neither parameters nor
-traced.
+The latter two are accurate to second order in the noise, which is enough if X is at least five
+standard deviations. E is the irradiance on a surface facing the light, in the rig's unit, so k_d
+and k_s are in DN per unit of E. `lobe` is the SHADING of one of `reflectance.models` with unit k_s.
+Phong, Blinn and the Gaussian lobe are as published, without a cosine. All others are f_r
+cos(theta_i). Oren-Nayar has k_d lobe in place of both terms. Terms that a `Form` does not name are
+not parameters and not traced.
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ Values = dict[str, Array]  # natural, by the parameter's name
 
 @dataclass(frozen=True)
 class Form:
-    """Which terms a fit has."""
+    """The terms of a fit."""
 
     model: Model  # one of `reflectance.models`
     ambient: bool = False  # whether an ambient term is free
@@ -50,8 +50,8 @@ class Form:
 
 
 def surface_parameters(form: Form) -> ParameterSpace:
-    """diffuse; specular; the lobe's shape: as far as the model has them. All positive, hence in
-    logarithms."""
+    """diffuse; specular; the lobe's shape: those that the model has. All are positive and therefore
+    searched as logarithms."""
     space = [amplitude("diffuse", "k_d", COEFFICIENT_UNIT)]
     if has_lobe(form.model):
         space.append(amplitude("specular", "k_s", COEFFICIENT_UNIT))
@@ -61,7 +61,7 @@ def surface_parameters(form: Form) -> ParameterSpace:
 
 
 class Geometry(eqx.Module):
-    """How light falls on pixels, or on cells of them, in their local frames."""
+    """The illumination geometry of pixels, or of cells of pixels, in their local frames."""
 
     wi: Vec  # components toward the light
     wo: Vec  # components toward the viewer
@@ -82,7 +82,8 @@ def local_geometry(
 ) -> Geometry:
     """Directions in the frames of normals.
 
-    With `turns`, for (images, cells) normals, also how `wi` changes as the light of an image turns.
+    With `turns`, also the derivative of `wi` with respect to rotations of the light, for (images,
+    cells) normals.
     """
     normals, wi = jnp.asarray(normals), jnp.asarray(wi)
     frame = local_frame(as_vec(normals))
@@ -105,14 +106,14 @@ def local_geometry(
 
 @eqx.filter_jit
 def unit_lobe(form: Form, shape: Float[Array, ""], geometry: Geometry) -> Array:
-    """The shading of unit amplitude, 0 in attached shadows; of any model but Lambert's."""
+    """The shading of unit amplitude, 0 in attached shadows, for any model but Lambert's."""
     wi, wo = jax.tree.map(jnp.ravel, (geometry.wi, geometry.wo))
     unit = unit_shading(form.model, shape, wi, wo, form.index).reshape(geometry.wi.z.shape)
     return jnp.where(geometry.wi.z > 0, unit, 0)
 
 
 def signal(values: Values, form: Form, geometry: Geometry) -> Array:
-    """X, as a linear camera would give it, DN above black."""
+    """X, the signal of a linear camera, DN above black."""
     reflected = 0.0
     if form.model == "lambert" or has_lobe(form.model):
         reflected = values["diffuse"] * jnp.maximum(geometry.wi.z, 0)
@@ -124,7 +125,7 @@ def signal(values: Values, form: Form, geometry: Geometry) -> Array:
 
 
 def decoded(dn: Array, black: Array, white: Array, gamma: Array | None) -> Array:
-    """X of stored digital numbers; below black 0 where a gamma is undone.
+    """X of stored digital numbers; with a gamma, values below black give 0.
 
     `white`: DN of full scale above black."""
     if gamma is None:
@@ -138,7 +139,7 @@ def encoded(x: Array, white: Array, gamma: Array | None) -> Array:
 
 
 def encoding_slope(x: Array, white: Array, gamma: Array | None) -> Array:
-    """f'(X), no unit; X counts as 1 DN at least."""
+    """f'(X), no unit; X is taken as at least 1 DN."""
     if gamma is None:
         return jnp.ones_like(x)
     ratio = jnp.maximum(x, DARKEST) / white

@@ -1,18 +1,19 @@
-"""The variance of pixels about a fit: the sensor's noise and what the model misses.
+"""The variance of pixels about a fit: the sensor's noise and the misfit of the model.
 
-A linear signal X (DN) scatters with the variance
+A linear signal X (DN) has the variance
 
     floor + shot X + (relative X)^2
 
-in which floor and shot are the sensor's, and `relative` is what the model misses: the pixels' own
-gains (PRNU), or a surface that is not the model's.
+floor and shot are those of the sensor. `relative` is the misfit of the model: the pixels' own gains
+(PRNU), or a surface that differs from the model.
 
-What a model misses is no noise: weights that fall with it would discount the highlights that it
-misses, which the errors of its pictures consist of. A fit therefore takes a misfit for a constant,
+A misfit is not noise. Weights that decrease with it would reduce the weight of the highlights that
+the model misses, although they dominate the errors of its pictures. A fit therefore treats a misfit
+as a constant,
 
     floor + shot X + misfit^2,
 
-with which it is plain least squares where the misfit rules, and efficient where there is none.
+which is plain least squares if the misfit dominates, and efficient if there is none.
 """
 
 from dataclasses import dataclass

@@ -1,19 +1,19 @@
-"""What the rig calls uncertain, carried through a fit.
+"""Propagation of the uncertainties that a rig states through a fit.
 
-An error e moves the prediction of each sample by s e. The best parameters follow it, to first
-order, by
+An error e changes the prediction of each sample by s e. To first order, the best parameters change
+by
 
     d theta = I^-1 p e,    p = sum slope * s / deviation,
 
-slope being the gradient of the prediction in standard deviations and I the information. Errors of
-a light (`intensity_sd`, `exposure_sd`, `stray_sd`, and `direction_sd`, unless turns are found with
-the parameters: `turns`) shift the samples of its image alone. The residuals show them too, so the
-covariance of few lights gives way to what the rig states, unless the residuals show more. Errors
-of all images at once (`black_sd`, `gamma_sd`) are like another surface; no residual shows them,
-and their covariance is added. The gain only weighs the samples: its `gain_sd` moves no parameter
-to first order.
+where slope is the gradient of the prediction in standard deviations and I the information. Errors
+of a light (`intensity_sd`, `exposure_sd`, `stray_sd`, and `direction_sd` unless `turns` fits the
+directions) shift the samples of its image only. The residuals contain them too, so the covariance
+over a few lights is replaced by the stated one, unless the residuals are larger. Errors of all
+images at once (`black_sd`, `gamma_sd`) look like another surface. No residual shows them, and their
+covariance is added. The gain only weights the samples, so `gain_sd` changes no parameter to first
+order.
 
-What moves the law of the samples by no more than a tenth of their noise is left out
+Errors that change the distribution of the samples by at most a tenth of their noise are dropped
 (`inference.left_out`).
 """
 
@@ -43,7 +43,7 @@ CHANCE = 0.05  # that residuals of lights as good as stated seem to show more
 
 @dataclass(frozen=True)
 class StatedErrors:
-    """Pulls p e of the errors that a rig states, each of one standard deviation."""
+    """The vectors p e for the errors that a rig states, each of one standard deviation."""
 
     of_lights: Float[np.ndarray, "errors parameters"]  # each of one image
     common: Float[np.ndarray, "more parameters"]  # each of all images
@@ -58,8 +58,9 @@ class StatedErrors:
     ) -> Float[np.ndarray, "parameters parameters"]:
         """Return the (P, P) information left after marginalising over light directions.
 
-        It is Gauss and Newton's. If the model misses, the curvature of the likelihood is no sum of
-        squares, and less the part of the light directions it need not be positive.
+        It is the Gauss-Newton information. If the model has a misfit, the curvature of the
+        likelihood is not a sum of squares. After subtracting the part of the light directions, it
+        need not be positive.
         """
         return information if self.slopes is None else self.slopes @ self.slopes.T
 
@@ -72,8 +73,8 @@ def stated_errors(
     selection: Selection,
     turns: Float[np.ndarray, "lights 2"] | None,
 ) -> StatedErrors:
-    """Return the pulls of all errors that the rig states and a fit can notice. `turns` are the
-    (lights, 2) rotations of the samples' lights in units of `direction_sd`, if they were fitted."""
+    """Return p e for all errors that the rig states and a fit can notice. `turns` are the (lights,
+    2) rotations of the samples' lights in units of `direction_sd`, if they were fitted."""
     sizes, light, count = observation.uncertain, selection.light, len(vector)
     lights = len(next(iter(sizes.values()), ()))
     own = _shifts_of_lights(observation, channel, vector, samples, selection, turns)
@@ -128,14 +129,15 @@ def stated_errors(
 
 
 def _squares(shifts: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """(samples,) of all shifts, (shifts, samples) DN, in standard deviations."""
+    """(samples,) sum over all shifts, (shifts, samples) DN, of their squares in standard
+    deviations."""
     return ((shifts / deviation) ** 2).sum(0)
 
 
 def _shifts_of_all(
     observation: Photographs, vector: Array, samples: Samples
 ) -> dict[str, np.ndarray]:
-    """(1, samples) DN that each error of all images at once moves a prediction by."""
+    """(1, samples) DN, the change of a prediction by each error of all images at once."""
     found = {}
     if observation.black_sd:
         found["black_sd"] = np.full((1, len(samples.dn)), observation.black_sd)
@@ -156,7 +158,7 @@ def _shifts_of_lights(
     selection: Selection,
     turns: np.ndarray | None,
 ) -> dict[str, np.ndarray]:
-    """(shifts, samples) DN that each kind of error of the lights moves a prediction by."""
+    """(shifts, samples) DN, the change of a prediction by each kind of error of the lights."""
     known = {n: sd[selection.light] for n, sd in observation.uncertain.items() if np.any(sd)}
     signal = linear_signal(vector, samples)
     slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
@@ -180,7 +182,7 @@ def _shifts_of_lights(
 
 
 def no_more_than(robust: Robustness, model: Float[np.ndarray, "parameters parameters"]) -> bool:
-    """Whether images show no larger variances than a model's, as far as chance allows."""
+    """Whether the images' variances exceed a model's by no more than chance."""
     least = np.maximum(robust.freedom, 1)
     known = np.isfinite(robust.freedom)
     likely = np.where(known, chdtri(least, CHANCE / len(least)) / least, 1 + ROUNDING)

@@ -1,20 +1,21 @@
-"""Light directions that the rig calls uncertain, found from the images with the parameters.
+"""Uncertain light directions, estimated from the images together with the parameters.
 
-A rig's `direction_sd` is a normal prior of the two rotations e of each light. In units of standard
+A rig's `direction_sd` is a normal prior for the two rotations e of each light. In units of standard
 deviations, the residuals r of an image change by S e to first order, so that
 
     e = K^-1 S^T r,    K = 1 + S^T S,
 
-are the most likely rotations at given parameters. Marginalising over them leaves the information
+are the most likely rotations for given parameters. Marginalising over them leaves the information
 
     I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S S^T)^-1,
 
-on the parameters, whose slopes are J and whose information was I.
+for the parameters, whose derivatives are J and whose information was I.
 
-A highlight does not follow its light linearly. If lights are off by a degree and left where the rig
-puts them, the fit shows the mean of highlights that lie apart, which is wider and weaker than each
-of them. All images show it alike, so that no scatter between them reveals it. Rotations and
-parameters are therefore found in alternation, each about the last ones (Gauss-Newton).
+A highlight is not linear in its light's direction. If lights have errors of a degree and the rig's
+directions are kept, the fit shows the mean of displaced highlights, which is wider and weaker than
+each of them. All images are affected equally, so scatter between them does not reveal it. Rotations
+and parameters are therefore fitted in alternation, each linearised about the last ones
+(Gauss-Newton).
 """
 
 from dataclasses import dataclass, replace
@@ -62,8 +63,8 @@ def shifts_of_turns(
     samples: Samples,
     selection: Selection,
 ) -> Float[np.ndarray, "2 samples"]:
-    """Return (2, samples) DN by which a rotation of its light by one standard deviation along each
-    axis moves a prediction, about `turns`."""
+    """Return (2, samples) DN, the change of a prediction when its light rotates by one standard
+    deviation about each axis, at `turns`."""
 
     def predicted(axis: int, step: float) -> np.ndarray:
         aside = turns + step * np.eye(2)[axis]
@@ -95,7 +96,7 @@ def likeliest_turns(
 def information_on_turns(
     shifts: Float[np.ndarray, "2 samples"], samples: Samples, selection: Selection, lights: int
 ) -> Float[np.ndarray, "lights 2 2"]:
-    """S^T S, the information of the images on the rotations without the rig's, (lights, 2, 2) in
+    """S^T S, the information of the images about the rotations without the rig's, (lights, 2, 2) in
     units of `direction_sd`."""
     return _standard(shifts, samples, selection, lights)[1] - np.eye(2)
 
@@ -136,7 +137,7 @@ def _standard(
 
 @dataclass(frozen=True)
 class TurnedLights:
-    """Where the images put the lights."""
+    """The light directions from the images."""
 
     turns: Float[np.ndarray, "lights 2"]  # in units of `direction_sd`
     size: float  # their rms over the lights of uncertain direction
@@ -186,8 +187,8 @@ def _settled(
     grouping: Grouping,
     sensor: Spread | None,
 ) -> tuple[Optimum, np.ndarray]:
-    """Return the optimum and the rotations that agree with each other. Of many samples, a part is
-    used until no light moves, then all of them twice. It ends if lights go astray."""
+    """Return the optimum and the rotations that agree with each other. With many samples, a subset
+    is used until no light moves, then all of them twice. It stops if lights move too far."""
     whole = gathered.observation, gathered.selection
     found, turns = nominal, np.zeros((len(known), 2))
     step = max(1, len(whole[1].light) // ENOUGH)

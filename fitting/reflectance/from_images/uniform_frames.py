@@ -1,5 +1,5 @@
-"""Flats and darks of the camera that photographed an object, in the same rig: what their temporal
-noise tells of gain and read noise, and what darks tell of the black level."""
+"""Flats and darks of the camera in the same rig. Their temporal noise gives gain and read noise,
+and darks give the black level."""
 
 import os
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from .read import Photographs, UniformLevels, read_reflectance_observation
 def read_joint_measurement(
     rig: Rig | str | os.PathLike[str], *, load: Load = read_image
 ) -> Photographs:
-    """Reads and checks the images of a rig, its flats and its darks.
+    """Read and check the images of a rig, its flats and its darks.
 
     Args:
         rig: with `[[light]]` and `[geometry]`, and with `[[flat]]` and `[[dark]]` where there are
@@ -50,7 +50,7 @@ def read_joint_measurement(
 
 
 def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
-    """A rig without the flats and darks that do not belong with the others, and why."""
+    """A rig without the flats and darks that deviate from the others, with the reason."""
     told: list[str] = []
     black = np.zeros(0)
     kept: dict[str, list[Flat | Dark]] = {"dark": [], "flat": []}
@@ -76,7 +76,7 @@ def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
 
 
 def _shown(rig: Rig, entry: Flat | Dark, load: Load) -> list[Shown]:
-    """What is kept of the frames of a level, of colours their mean."""
+    """The summaries of a level's frames; for colours, of their mean."""
     stack = read_stack(rig, entry.files, load=load)
     grey = stack.mean(axis=3) if stack.ndim == 4 else stack
     top = one_site(rig.camera).clip_level
