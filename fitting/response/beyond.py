@@ -1,9 +1,9 @@
-"""The curve at codes beyond those that pixels were seen at.
+"""The curve at codes beyond the observed ones.
 
 A smooth prior alone would continue with the exponent of the last observed codes, with too small an
-error. What cameras do is a family of curves of a few shapes, as the empirical model of response has
-it (Grossberg & Nayar, IEEE TPAMI 26, 2004). Here the family is made by formula, with u the code
-above black over full scale and X the exposure:
+error. The responses of real cameras form a family of curves of a few shapes, as in the empirical
+model of response (Grossberg & Nayar, IEEE TPAMI 26, 2004). Here the family is given by formulas,
+with u the code above black over full scale and X the exposure:
 
     gamma        X = u^g
     toe          linear up to where its slope meets ((u + a) / (1 + a))^g: sRGB, Rec. 709
@@ -12,18 +12,19 @@ above black over full scale and X the exposure:
     film         the same, n > 1: an S-shaped curve
     tone         u = (1 - k) x + k (3 x^2 - 2 x^3), x = X^(1/g)
 
-Each kind is a Gaussian with the mean and the covariance of its curves' ln X, and so are all of them
-together. To each a departure is added whose exponent wanders along ln u, as no camera obeys a
-formula: it is small for a linear camera. The seen codes give each Gaussian its weight and condition
-it. The variance is that of their mixture. Its mean would lie between a pure gamma and one with a
-toe where the codes show the former, so that the prediction is the mean of another mixture: every
-curve is a member by itself, with departures that may be small.
+Each kind, and all of them together, is a Gaussian with the mean and the covariance of its curves'
+ln X. No camera follows a formula exactly, so each has an additional deviation whose exponent varies
+randomly along ln u. It is small for a linear camera. The observed codes weight each Gaussian and
+condition it. The variance is that of their mixture. The mean of that mixture would lie between a
+pure gamma and a gamma with a toe, even if the codes indicate the former. The prediction is
+therefore the mean of another mixture, in which every single curve is a member with small
+deviations.
 
-Each kind predicted from the other five, of six ranges of codes, the 95 % band covers .74 to 1.00 of
-the codes above the range for film and .92 or more of all others. Of fifteen other curves (tone
-curves of pictures, tangents, logarithms, sums of powers) the bands of fourteen cover .82 or more
-below and .83 or more above. A linear camera with a knee above the codes seen is not foreseen: .07
-to .5.
+In a test, each kind was predicted from the other five, for six ranges of codes. The 95 % band
+covers .74 to 1.00 of the codes above the range for film, and .92 or more for all others. For
+fourteen of fifteen other curves (tone curves of pictures, tangents, logarithms, sums of powers),
+the bands cover .82 or more below and .83 or more above the range. A linear camera with a knee above
+the observed codes is not predicted: .07 to .5.
 """
 
 from collections.abc import Sequence
@@ -51,7 +52,7 @@ def extrapolated(
     covariance: Float[np.ndarray, "bins bins"],
     seen: Bool[np.ndarray, " bins"],
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, "bins bins"]]:
-    """The curve with the family's prediction at codes below and above the seen ones."""
+    """The curve with the family's prediction at codes below and above the observed ones."""
     places = np.flatnonzero(seen)
     if len(places) < FEWEST:
         return log_exposure, covariance
@@ -79,7 +80,7 @@ def _way(
     edge: int,
     beyond: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """ln X from the edge of the seen codes to those beyond, and its variance."""
+    """ln X from the edge of the observed codes to those beyond, and its variance."""
     used = places[np.unique(np.linspace(0, len(places) - 1, MOST).astype(int))]
     used = used[used != edge]
     both = np.concatenate([used, beyond])
@@ -115,8 +116,9 @@ def _mixture(
     measured: np.ndarray,
     error: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance, beyond the seen codes, of Gaussians that the seen ones weight and
-    condition: mean, covariance and prior weight of each, with departures of several sizes."""
+    """Mean and variance beyond the observed codes, for a mixture of Gaussians weighted and
+    conditioned by the observed ones. Each has a mean, a covariance and a prior weight, with
+    deviations of several sizes."""
     own, evidence, means, variances = np.arange(len(measured)), [], [], []
     for (mean, covariance, prior), size in product(members, sizes):
         spread = covariance + size**2 * departure
@@ -134,7 +136,7 @@ def _mixture(
 
 
 def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndarray, "codes codes"]:
-    """Covariance of ln X relative to the edge, of a unit exponent that is an Ornstein-Uhlenbeck
+    """Covariance of ln X relative to the edge, for a unit exponent that is an Ornstein-Uhlenbeck
     process in ln u."""
     off = (log_u - edge) / REACH
     size, side = np.abs(off), np.sign(off)
@@ -147,7 +149,7 @@ def _wandering(log_u: Float[np.ndarray, " codes"], edge: float) -> Float[np.ndar
 
 @lru_cache(maxsize=8)
 def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]:
-    """ln X at codes u of the curves of each kind, up to a constant each."""
+    """ln X at codes u for the curves of each kind, up to a constant each."""
     u = np.array(shares)
     log_u = np.log(u)
     gammas = [g * log_u for g in np.linspace(1, 3, 9)]
@@ -167,7 +169,7 @@ def _family(shares: tuple[float, ...]) -> list[Float[np.ndarray, "curves bins"]]
 
 
 def _with_toe(u: np.ndarray, g: float, a: float) -> np.ndarray:
-    """ln X of a power that is linear below where a line through black touches it."""
+    """ln X of a power law that is linear below its tangent through black."""
     end = a / (g - 1)
     power = g * np.log((np.maximum(u, end) + a) / (1 + a))
     return power + np.minimum(np.log(u / end), 0)

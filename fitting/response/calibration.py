@@ -30,7 +30,7 @@ MOST_PIXELS = 100_000  # of a plane, by which an image is suspected
 
 @dataclass(frozen=True)
 class ChannelResponse:
-    """What one plane gave.
+    """The results for one plane.
 
     Attributes:
         plane: its codes and exposures.
@@ -77,7 +77,7 @@ def calibrate(
 ) -> ResponseCalibration:
     """The response of every plane of a stack.
 
-    A plane that cannot be calibrated (too dark, all clipped) is set aside with its reason.
+    A plane that cannot be calibrated (too dark, all clipped) is left out with its reason.
 
     Args:
         stack: exposures of still scenes.
@@ -108,8 +108,8 @@ def calibrate(
 def _as_dialled(
     stack: ExposureStack, channels: list[ChannelResponse], sampling: Emcee | None, seed: int
 ) -> tuple[ExposureStack, list[ChannelResponse]]:
-    """The stack, and what it gives, with exact times where the images agree on these and the stated
-    ones are rounded as cameras print them."""
+    """The stack and its calibration with exact exposure times, if the images agree with these and
+    the stated times are rounded for display."""
     stated = _shutter_error_of(channels)
     times = np.unique(np.concatenate([channel.plane.exposures for channel in channels]))
     for exact in exact_times(times) if stated else ():
@@ -137,14 +137,13 @@ def _as_dialled(
 
 
 def _shutter_error_of(channels: Sequence[ChannelResponse]) -> float:
-    """The largest; 0 where no channel shows one."""
+    """The largest shutter error; 0 if no channel shows one."""
     return max(channel.curve.shutter_error or 0.0 for channel in channels)
 
 
 def _suspects(plane: Plane, stack: ExposureStack, seed: int) -> list[str]:
     """Return the images whose removal makes the others agree, and of several the ones with the best
-    agreement. (A free curve may bend to an image near the end of a stack.) The test uses a part of
-    the pixels."""
+    agreement. (A free curve can adapt to a wrong image near the end of a stack.)"""
     count = len(plane.files)
     if count < FEWEST_TO_LEAVE_OUT:
         return []
@@ -225,8 +224,8 @@ def _calibrate(
 def _first_that_fits(
     curve_of: Callable[..., ResponseCurve], attempts: Sequence[np.ndarray]
 ) -> tuple[ResponseCurve, np.ndarray]:
-    """The curve of the first codes that have one, and these, of any that reaches mid-scale before
-    one that does not; the last ones' error is raised."""
+    """The curve for the first set of codes that has one and reaches mid-scale, or else for the
+    first that has one, with its codes. If none has, the last error is raised."""
     *others, (last, dim) = [(codes, dim) for dim in (False, True) for codes in attempts]
     for codes, may_be_dim in others:
         with contextlib.suppress(InputError):
@@ -258,15 +257,15 @@ def radiance_images(calibration: ResponseCalibration) -> dict[str, Float[np.ndar
 
 
 def alike(planes: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Planes cut to the size of the smallest: the sites of a frame of odd size differ by a row or a
+    """Planes cut to the size of the smallest: sites of a frame with odd size differ by a row or a
     column."""
     rows, columns = (min(plane.shape[axis] for plane in planes) for axis in (0, 1))
     return [plane[:rows, :columns] for plane in planes]
 
 
 def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
-    """One map of the taps of a colour. Their exposures are relative to mid-scale of each, so that
-    neighbours tell how they compare."""
+    """One map from the taps of a colour. Their exposures are relative to each one's mid-scale, so
+    the values of neighbours give the ratio."""
     first = taps[0]
     if len(taps) == 1:
         return first.radiance.radiance * _of_mid_scale(first.curve)
@@ -294,8 +293,7 @@ def _side_by_side(taps: Sequence[ChannelResponse]) -> Float[np.ndarray, "h w"]:
 
 
 def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
-    """Puts the map of a part of the frame into that of all, at the scale at which nothing steps
-    over their border."""
+    """Insert the map of a part of the frame, scaled so that there is no step at the border."""
     own = part.radiance.radiance
     (row, column), (height, width) = part.plane.start, own.shape
     rows, columns = np.s_[row : row + height], np.s_[column : column + width]
@@ -314,7 +312,7 @@ def _put_beside(whole: Float[np.ndarray, "h w"], part: ChannelResponse) -> None:
 
 
 def _at_border(lines: np.ndarray) -> np.ndarray:
-    """Values half a line before the first, by the first two."""
+    """Values half a line before the first, extrapolated from the first two."""
     return lines[0] if len(lines) < 2 else 1.5 * lines[0] - 0.5 * lines[1]
 
 
@@ -334,7 +332,7 @@ def _log_radiance(channel: ChannelResponse) -> np.ndarray:
 
 
 def _further(values: np.ndarray, rows: float, columns: float) -> np.ndarray:
-    """Values of places a part of a pixel further, by linear interpolation; 0 to 1 each."""
+    """Values displaced by a fraction of a pixel (0 to 1), by linear interpolation."""
     for axis, part in ((0, rows), (1, columns)):
         if part > 0:
             one, next_one = np.moveaxis(values, axis, 0)[:-1], np.moveaxis(values, axis, 0)[1:]

@@ -1,13 +1,14 @@
-"""Pixels that lack light which neighbours lost when they clipped.
+"""Detection of pixels that lack light because their neighbours clipped.
 
-Demosaicking, resampling, denoising and the blocks of a JPEG mix neighbours after the sensor has
-clipped, so that a pixel near a clipped one is too dark. It is so in every tile and exposure:
-nothing else would show it. Such pixels count as clipped.
+Demosaicking, resampling, denoising and JPEG blocks mix neighbours after the sensor has clipped, so
+a pixel near a clipped one is too dark. The error is equal in every tile and exposure, so no other
+check reveals it. Such pixels count as clipped.
 
-A camera that blurs its picture also hides the peaks that clipped: none of their codes says so. The
-next shorter exposure does. Among pixels of one code there, those around a peak that clips in the
-longer exposure come out darker in it than the others, if peaks hide; if not, alike. Where they do,
-by more than tiles of the picture differ, pixels around such peaks count as clipped too.
+A camera that blurs its picture also hides clipped peaks, whose codes then look unclipped. The next
+shorter exposure reveals them. If peaks are hidden, pixels around a peak that clips in the longer
+exposure are darker in it than other pixels with the same code in the shorter one. If not, they are
+equal. If they are darker by more than tiles of the picture differ, pixels around such peaks also
+count as clipped.
 """
 
 import numpy as np
@@ -31,7 +32,7 @@ def clear_of_clipping(
     mask: Bool[np.ndarray, "h w"] | None = None,
     hidden: bool = True,
 ) -> Integer[np.ndarray, "exposures h w"]:
-    """Codes of which those near a clipped one count as clipped.
+    """The codes with all codes near a clipped one marked as clipped.
 
     Args:
         codes: (exposures, h, w) DN, by exposure time.
@@ -66,8 +67,8 @@ def _around(mask: np.ndarray) -> np.ndarray:
 
 
 def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarray) -> np.ndarray:
-    """Where the shorter exposure, its contrast to the mean of 3 x 3 raised, reaches the codes that
-    clip in the longer."""
+    """Where the shorter exposure, with its contrast to the mean of 3 x 3 increased, reaches the
+    codes that clip in the longer one."""
     lost = np.zeros(codes.shape, bool)
     for shorter, longer, where in zip(codes, codes[1:], lost[1:], strict=False):
         clipped = (longer >= clip) & scene
@@ -79,10 +80,10 @@ def _lost_peaks(codes: np.ndarray, clip: float, contrast: float, scene: np.ndarr
 
 
 def _by_chance(codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.ndarray) -> float:
-    """Probability that pixels around lost peaks are as much darker than others of their code in the
-    shorter exposure by chance, as tiles differ; 1 where nothing can be compared.
+    """p-value for pixels around lost peaks being darker than others with the same code in the
+    shorter exposure, from the scatter of tiles; 1 if nothing can be compared.
 
-    A pixel's own noise stays out of it: peaks are two to four pixels away.
+    A pixel's own noise does not enter, because peaks are two to four pixels away.
     """
     rows, columns = np.indices(codes.shape[1:])
     tile = rows * SIDE // codes.shape[1] * SIDE + columns * SIDE // codes.shape[2]
@@ -112,7 +113,7 @@ def _by_chance(codes: np.ndarray, clip: float, lost: np.ndarray, left_out: np.nd
 
 
 def _ring(mask: np.ndarray) -> np.ndarray:
-    """Pixels that have one of a mask within `MIXED`, neighbours aside."""
+    """Pixels within `MIXED` of a mask, without direct neighbours."""
     one, reach = mask.astype(np.float32), 2 * MIXED + 1
     wide, narrow = (uniform_filter(one, size, mode="constant") for size in (reach, 3))
     return reach**2 * wide - 9 * narrow > 0.5
@@ -123,7 +124,7 @@ def _without(
     regressor: Float[np.ndarray, " pixels"],
     group: Integer[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, " pixels"]:
-    """What a regressor does not explain within each group."""
+    """The residual of a regression within each group."""
     square = np.bincount(group, regressor**2)
     slope = np.bincount(group, value * regressor) / np.where(square > 0, square, 1)
     return value - slope[group] * regressor

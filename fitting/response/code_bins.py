@@ -1,4 +1,4 @@
-"""Intervals of codes: the places at which a response curve is known. Codes are DN."""
+"""Intervals of codes, at which a response curve is known. Codes are DN."""
 
 from dataclasses import dataclass
 
@@ -36,21 +36,20 @@ class CodeBins:
 
     @property
     def log_codes(self) -> Float[np.ndarray, " bins"]:
-        """Mean of ln (code - black) over each bin, of light that is log-uniform across it."""
+        """Mean of ln (code - black) over each bin, for light that is log-uniform across it."""
         above = np.maximum(self.edges[:-1] - self.black, (self.centres - self.black) / 4)
         return (np.log(above) + np.log(self.edges[1:] - self.black)) / 2
 
     def pace(self, codes: Float[np.ndarray, " codes"]) -> Float[np.ndarray, " codes"]:
-        """Ticks for each DN of a clock in which measured curves are about equally rough all along:
-        1 / z + sqrt(F) / (F - z)^1.5, F being full scale (z counted from black).
-        """
+        """Ticks per DN of a scale on which measured curves have about constant roughness: 1 / z +
+        sqrt(F) / (F - z)^1.5, with F the full scale (z counted from black)."""
         z = codes - self.black
         full = self.edges[-1] - self.black + 0.5
         return 1 / z + np.sqrt(full) / (full - z) ** 1.5
 
     @property
     def middle(self) -> int:
-        """The bin where g = 0: at mid-scale, or where the anchor lies."""
+        """The bin with g = 0: at mid-scale, or at the anchor."""
         halfway = (self.black + self.edges[-1]) / 2
         return int(np.searchsorted(self.centres, halfway if self.anchor is None else self.anchor))
 
@@ -65,9 +64,8 @@ def code_bins(
     origin: int = 0,
     black_sd: float = 0.0,
 ) -> CodeBins:
-    """Bins of codes: one per code up to a number; beyond, bins of equal width in sqrt(DN - black),
-    which follow shot noise.
-    """
+    """Bins of codes: one per code up to a limit, and above it bins of equal width in sqrt(DN -
+    black), as shot noise."""
     first = int(np.floor((black - origin) / step)) + 1
     last = min(int(np.ceil((clip - origin) / step)), (2**bits - 1 - origin) // step) - 1
     if last - first + 1 <= count:
@@ -82,5 +80,5 @@ def code_bins(
 
 
 def interval_variance(means: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:
-    """Variance of ln X within each bin, its light being log-uniform."""
+    """Variance of ln X within each bin for log-uniform light."""
     return np.gradient(means) ** 2 / 12

@@ -1,4 +1,4 @@
-"""The sufficient statistics of a response: how often, and how surely, codes occur in pairs.
+"""The sufficient statistics of a response: weighted counts of code pairs.
 
 Each pixel has an unknown irradiance. With residuals r_ij = g(z_ij) - s_j - ln E_i of weight w_ij,
 eliminating ln E_i leaves the energy
@@ -6,13 +6,13 @@ eliminating ln E_i leaves the energy
     chi^2 = sum_ij w_ij (g(z_ij) - s_j)^2 - sum_i (sum_j w_ij (g(z_ij) - s_j))^2 / sum_j w_ij
           = theta^T A theta,    theta = (g, s),
 
-g being the curve's mean over each bin of codes and s the log exposure times: A holds all that the
-pixels say about any curve. Its expected gradient at the true curve, the score b, is not zero:
+where g is the curve's mean over each bin of codes and s the log exposure times. A contains the
+whole information of the pixels about any curve. Its expected gradient at the true curve, the score
+b, is not zero:
 
-- noise in a code moves its own g along: E[w r h(z)] = (1 - w / sum w) (share) h' / g', the share
+- noise in a code shifts its own g: E[w r h(z)] = (1 - w / sum w) (share) h' / g', the share
   of the variance that is independent of the light;
-- rounding without noise follows the light, not the code, and moves the g of the pixel's other
-  codes instead: E[w r h(z)] = (w / sum w) h' / g' sum over the others of (1 - share);
+- rounding without noise depends on the light, not the code, and shifts the g of the pixel's other E[w r h(z)] = (w / sum w) h' / g' sum over the others of (1 - share);
 - noise before the curve lowers a logarithm, on average by half its variance;
 - a weight that changes across an interval of codes favours one of its ends.
 
@@ -35,7 +35,7 @@ SMOOTHED = 0.3  # over what share of a code its exponent is smoothed; of the res
 
 @dataclass(frozen=True)
 class PairStatistics:
-    """All that the pixels say about a curve: A and b over (bins, exposures).
+    """The information of the pixels about a curve: A and b over (bins, exposures).
 
     Attributes:
         matrix: A.
@@ -74,10 +74,10 @@ def statistics_of_parts(
     rule: WeightRule,
     means: Float[np.ndarray, " bins"],
 ) -> list[PairStatistics]:
-    """A and b of several sets of pixels, whose sum is that of all of them together.
+    """A and b of several sets of pixels, whose sum is that of all of them.
 
-    The score of a set takes the scale of the noise, and which codes lie next to one another, from
-    all sets: a few pixels would not know.
+    The score of each set uses the noise scale and the adjacency of codes from all sets, because a
+    few pixels do not determine them.
     """
     every = []
     for part in parts:
@@ -189,9 +189,10 @@ def _count_score(sums: _Sums, seen: Observations, rule: WeightRule) -> None:
 def _pull_of_noise(
     of_all: np.ndarray, bins: CodeBins, means: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What noise below and above each end of a bin adds to sum (noise share) h' / g', h stepping
-    there: by the density of observations at the end, exact where it grows or falls exponentially
-    across both bins. Half of it is laid to either bin, so that sets of pixels share it out."""
+    """The contribution to sum (noise share) h' / g' from noise across each end of a bin, where h
+    has a step. It uses the density of observations at the end, which is exact for a density that is
+    exponential across both bins. Half of it is assigned to either bin, so that sets of pixels add
+    up."""
     width = np.diff(bins.edges)
     near, far = width[:-1], width[1:]
     below, above = of_all[:-1] / near, of_all[1:] / far
@@ -212,8 +213,8 @@ def _mean_over_centre(x: np.ndarray) -> np.ndarray:
 
 
 def _slope_at_ends(means: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """dg / dcode where bins end, its exponent smoothed: a curve rough from noise has slopes that
-    err together with the noise they are to correct."""
+    """dg / dcode at the ends of bins, with a smoothed exponent: the slopes of a noisy curve have
+    errors that correlate with the noise to be corrected."""
     apart, step = np.diff(bins.centres), np.diff(bins.log_codes)
     clock = np.cumsum(apart * bins.pace(bins.edges[1:-1]))
     near = step * np.exp(-(((clock[:, None] - clock) / SMOOTHED) ** 2) / 2)

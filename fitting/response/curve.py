@@ -1,9 +1,10 @@
 """The whole response curve: log exposure of every code, from all pixels of an exposure stack.
 
-Debevec & Malik (SIGGRAPH 1997) write  g(z_ij) = ln E_i + s_j + noise  for the code z of pixel i in
+Debevec & Malik (SIGGRAPH 1997) write g(z_ij) = ln E_i + s_j + noise for the code z of pixel i in
 image j. The shutter has an error of its own, s_j = ln t_j + delta_j, delta_j ~ N(0, tau^2), shared
-by all pixels of an image. With weights w = 1 / variance the irradiances drop out in closed form
-(`code_pairs.py`), leaving normal equations of the size of the curve, whatever the number of pixels:
+by all pixels of an image. With weights w = 1 / variance the irradiances are eliminated in closed
+form (`code_pairs.py`). The remaining normal equations have the size of the curve, for any number of
+pixels:
 
     A (g, s) = b,    precision of the posterior = A / phi + prior    (`solve.py`).
 
@@ -131,7 +132,7 @@ class ResponseCurve:
 
     @property
     def monotone(self) -> bool:
-        """Whether g rises over the codes that were seen, three standard errors aside."""
+        """Whether g rises over the observed codes, within three standard errors."""
         g, covariance = self.log_exposure[self.seen], self.covariance[np.ix_(self.seen, self.seen)]
         step = np.diff(g)
         variance = np.diagonal(np.diff(np.diff(covariance, axis=0), axis=1))
@@ -139,9 +140,8 @@ class ResponseCurve:
 
 
 def slope_error(noise: NoiseModel) -> float:
-    """Relative error of the slope of a curve, and of gamma, that correcting for a relative variance
-    may be.
-    """
+    """Relative error of the slope of a curve, and of gamma, from a correction for a relative
+    variance."""
     return DOUBTFUL * noise.relative
 
 
@@ -161,7 +161,7 @@ def ripple(exposures: Float[np.ndarray, " exposures"], smoothness: float) -> flo
 
 
 def _room(smoothness: float) -> float:
-    """Return the relative error that a rough curve may have."""
+    """Return the relative error that the roughness of a curve may cause."""
     return min(1.0, float(np.sqrt(BENT / smoothness)))
 
 
@@ -276,7 +276,8 @@ def fit_response_curve(
 
 
 def _require_rising(curve: ResponseCurve) -> None:
-    """Refuses a curve that falls far: no camera's does, so the search ended elsewhere."""
+    """Refuse a curve that decreases by far: no camera has one, so the search ended at a wrong
+    optimum."""
     g, codes = curve.log_exposure[curve.seen], curve.codes[curve.seen]
     falls = np.maximum.accumulate(g) - g
     if falls.size and falls.max() > FALLS:
@@ -314,14 +315,14 @@ def _parts(
 
 
 def _well_exposed(codes: np.ndarray, bins: CodeBins) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels neither dark nor clipped in two images, and those beyond mid-scale in one."""
+    """Pixels that are unclipped in two images, and those beyond mid-scale in one."""
     usable = np.where(bins.lookup >= 0, hat_rule(bins).by_bin[0][bins.lookup], 0) > 0
     bright = usable & (np.arange(len(usable)) > bins.centres[bins.middle])
     return usable[codes].sum(axis=0) >= 2, bright[codes].any(axis=0)
 
 
 def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
-    """Exposures that share enough pixels with another; they must hang together."""
+    """Exposures that share enough pixels with another, as one connected set."""
     usable = (bins.lookup[codes] >= 0).astype(int)
     shared = usable @ usable.T
     np.fill_diagonal(shared, 0)
@@ -338,8 +339,8 @@ def _exposures_in_use(codes: np.ndarray, bins: CodeBins) -> np.ndarray:
 
 
 def _shutter_error(found: Solution) -> float | None:
-    """tau as the images alone show it (Paule & Mandel, J. Res. NBS 87, 1982), or None where the
-    errors are within what the pixels' noise explains."""
+    """tau from the images alone (Paule & Mandel, J. Res. NBS 87, 1982), or None if the pixels'
+    noise explains the errors."""
     if not len(found.free):
         return None
     pull, information = _by_the_images(found)
@@ -356,12 +357,12 @@ def _shutter_error(found: Solution) -> float | None:
 
 
 def _bound(shutter_error: float, free: int) -> float:
-    """tau below which it lies by 95 %, of the rms of so many errors."""
+    """95 % upper limit on tau from the rms of so many errors."""
     return shutter_error * float(np.sqrt(free / chdtri(free, SIGNIFICANCE))) if free else np.inf
 
 
 def _by_the_images(found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Score and information of the images on free shutter errors, without their prior."""
+    """Score and information of the images about free shutter errors, without their prior."""
     precision, size = np.linalg.inv(found.free_covariance), len(found.means)
     information = precision - found.prior[size:, size:]
     return precision @ found.free, information
@@ -379,9 +380,9 @@ def _at_ends_of_light(
     density: np.ndarray, g: np.ndarray, noise: np.ndarray, seen: np.ndarray
 ) -> Float[np.ndarray, "2 bins"]:
     """Return the error that a rough curve may have at codes near the first and the last observed
-    one, and beyond. It is not 0 where the density of light over ln X falls to less than half within
-    the noise of a pixel. Pixels observed there have brighter or darker true values, which bends the
-    curve."""
+    one, and beyond. It is not 0 if the density of light over ln X decreases by more than half
+    within the noise of a pixel. The true values of pixels observed there are then biased upward or
+    downward, which bends the curve."""
     bent = np.zeros((2, len(g)))
     places = np.flatnonzero(seen)
     for row, end in zip(bent, places[[0, -1]] if len(places) else (), strict=False):

@@ -73,13 +73,13 @@ def _draw_curve(axis: Axes, channel: ChannelResponse, *, width: float) -> None:
 
 
 def _gamma_in_words(channel: ChannelResponse) -> str:
-    """Gamma with its error; without one where the response is no pure gamma, as its table says."""
+    """Gamma with its error, or a remark that the response is not a pure gamma."""
     gamma, (shape,) = channel.gamma.gamma, shapes([channel])
     return f"γ = {format_value(gamma)}" if shape.pure else f"best γ {gamma.value or np.nan:.3g}"
 
 
 def departure_figure(calibration: ResponseCalibration) -> Figure:
-    """Departure of the measured curve from the best gamma (left) and from sRGB (right)."""
+    """Deviation of the measured curve from the best gamma (left) and from sRGB (right)."""
     shown = calibration.channels[: 4 * MOST_GROUPS]
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -133,9 +133,8 @@ def offsets_figure(calibration: ResponseCalibration) -> Figure:
 def radiance_figure(
     calibration: ResponseCalibration, images: dict[str, Float[np.ndarray, "h w *rgb"]]
 ) -> Figure:
-    """The map of each group beside its middle exposure alone, first at the map's white and then
-    brightened, so that its shadows are seen. Both are radiance, drawn by one curve.
-    """
+    """The map of each group next to its middle exposure alone, first at the map's white and then
+    brightened to show its shadows. Both are radiance with the same tone curve."""
     shown = list(images.items())[:MOST_MAPS]
     tall = shown[0][1].shape[0] / shown[0][1].shape[1]
     figure = Figure(figsize=(5.2, 2 * len(shown) * (2.6 * tall + 0.3)), layout="constrained")
@@ -155,13 +154,13 @@ def radiance_figure(
 
 
 def _shadow_gain(image: Float[np.ndarray, "h w *rgb"], white: float) -> int:
-    """The power of two that brings the darkest fifth of a map up to middle grey; 4 at least."""
+    """The power of two that raises the darkest fifth of a map to middle grey; at least 4."""
     dark = max(float(np.nanquantile(image, 0.2)), 1e-4 * white)
     return int(2 ** max(2, round(np.log2(MIDDLE_GREY * white / dark))))
 
 
 def coverage_figure(calibration: ResponseCalibration) -> Figure:
-    """How many exposures each pixel rests on, in the worst channel of its group."""
+    """The number of exposures for each pixel, in the worst channel of its group."""
     groups = _groups(calibration)[:MOST_GROUPS]
     columns = min(3, len(groups))
     rows = -(-len(groups) // columns)
@@ -188,8 +187,8 @@ def encoded(radiance: Float[np.ndarray, "h w *rgb"], white: float) -> np.ndarray
 def _middle_exposure(
     calibration: ResponseCalibration, group: str
 ) -> tuple[Float[np.ndarray, "h w *rgb"], float]:
-    """The radiance that the middle exposure of a group alone tells, and its time in s; what clips
-    has the radiance of the brightest code."""
+    """The radiance from the middle exposure of a group alone, and its time in s; clipped pixels
+    have the radiance of the brightest code."""
     channels = [channel for channel in calibration.channels if channel.plane.group == group]
     exposures = channels[0].plane.exposures
     alone = replace(calibration, channels=tuple(map(_by_middle_exposure, channels)))
@@ -197,7 +196,7 @@ def _middle_exposure(
 
 
 def _by_middle_exposure(channel: ChannelResponse) -> ChannelResponse:
-    """A channel whose map rests on one exposure."""
+    """A channel whose map uses a single exposure."""
     plane, curve = channel.plane, channel.curve
     middle = len(plane.exposures) // 2
     log_exposure = np.interp(plane.codes[middle], curve.codes, curve.log_exposure)

@@ -1,4 +1,4 @@
-"""Findings of a response calibration, in sentences: shape, shutter times, and dropped data."""
+"""Findings of a response calibration: shape, shutter times, and dropped data."""
 
 from collections.abc import Sequence
 
@@ -89,7 +89,7 @@ def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | None:
-    """The lowest code of all images, where a black of 0 DN was only assumed and lies below it."""
+    """The lowest code of all images, if a black of 0 DN was only assumed and lies below it."""
     if any(c.plane.black_measured or c.plane.black >= 0.5 for c in channels):
         return None
     lowest = min(int(c.plane.codes.min()) for c in channels)
@@ -97,7 +97,8 @@ def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | No
 
 
 def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """That all images have the same lowest code, which few pixels hold at the longest exposure."""
+    """A finding if all images have the same lowest code, which few pixels have at the longest
+    exposure."""
     for channel in channels:
         plane = channel.plane
         lowest = np.array([int(image.min()) for image in plane.codes])
@@ -163,8 +164,8 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
-    """What to check where the times scatter by more than shutters do: the image that stands apart
-    most, or all times; empty where they do not."""
+    """The exposure times to check if their scatter exceeds that of shutters: the most deviating
+    image, or all times; empty if it does not."""
     shaky = [c for c in channels if (c.curve.shutter_error or 0.0) > SHAKY]
     if not shaky:
         return ""
@@ -180,7 +181,7 @@ def _oddest_time(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """The codes that channels are judged by, each by its own."""
+    """The codes used for the verdict, for each channel."""
     judged = [channel.curve.codes[judged_codes(channel.curve)] for channel in channels]
     ends = [(codes[0], codes[-1]) for codes in judged if len(codes)]
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
@@ -189,7 +190,7 @@ def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """What the figure shows outside the judged codes, where that is more, and more than chance."""
+    """A finding on significant larger deviations outside the codes used for the verdict."""
     beyond = [_beyond_judged(channel) for channel in channels]
     judged = [largest_departure(c.curve, c.gamma.departure)[0] for c in channels]
     sizes = [size for size, _ in beyond]
@@ -208,7 +209,7 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _beyond_judged(channel: ChannelResponse) -> tuple[float, float]:
-    """The largest departure, and its code, of those that no chance explains."""
+    """The largest significant deviation and its code."""
     curve, error = channel.curve, error_of_departure(channel.curve)
     drawn = curve.seen & (curve.standard_error < DRAWN)
     limit = stdtrit(curve.freedom, 1 - CHANCE / (2 * max(np.count_nonzero(drawn), 1)))
@@ -218,7 +219,7 @@ def _beyond_judged(channel: ChannelResponse) -> tuple[float, float]:
 
 
 def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """The codes of each channel that no usable pixel has, where they are many."""
+    """The codes of each channel without usable pixels, if there are many."""
     told = []
     for channel in channels:
         curve = channel.curve
@@ -318,7 +319,7 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _felt_ripple(channel: ChannelResponse) -> float:
-    """The ripple that the bands allow for; 0 where it is a small part of them."""
+    """The ripple included in the bands; 0 if it is a small part of them."""
     curve = channel.curve
     size = ripple(curve.exposures, curve.smoothness)
     return size if size**2 > FELT * np.median(curve.standard_error[curve.seen] ** 2) else 0.0
@@ -342,7 +343,7 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
-    """Not of a channel whose curve is a gamma within its errors: no bend of it shows."""
+    """A finding on roughness, except for channels whose curve is a gamma within its errors."""
     if not any(c.curve.smoothness <= ROUGHEST for c in channels):
         return ""
     rough = [

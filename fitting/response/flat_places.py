@@ -1,18 +1,19 @@
-"""The curve that flat places tell.
+"""The curve corrected to that of flat parts of the picture.
 
-A camera that sharpens adds to a code a share of its difference to the codes around, so that pixels
-of one light are written as other codes where the picture is busy. That is no noise, and unless the
-response is a pure gamma it biases a curve, in proportion to the local variance a of the logarithm.
-Classes of pixels differ in a, so that the curves g_(k) of all classes but one tell the slope, and
-with it what a curve of all places departs by:
+A camera that sharpens adds to a code a share of its difference from the surrounding codes. Pixels
+with equal light then have different codes where the picture is busy. This is not noise. Unless the
+response is a pure gamma, it biases a curve in proportion to the local variance a of the logarithm.
+Classes of pixels differ in a, so the curves g_(k) of all classes but one determine the slope, and
+with it the deviation d of the curve for all places:
 
     d = a_all  sum_k (a_(k) - m) g_(k) / sum_k (a_(k) - m)^2,    m the mean of the a_(k).
 
-Its covariance V comes from the pulls of tiles. Where d exceeds chance, by an F test of the mean q
-of d^2 / V over the codes, lambda d = (1 - 1 / q) d is taken off (James & Stein 1961). Whether d is
-a bias at all stays in doubt, with those weights: the covariance grows by lambda^2 V + lambda (1 -
-lambda) d d^T. Nothing is taken off where activity goes with the codes, as on a ramp, or is alike
-everywhere; nor from images out of register, whose errors are not proportional to a.
+Its covariance V comes from the scores of tiles. If d is significant by an F test of the mean q of
+d^2 / V over the codes, lambda d = (1 - 1 / q) d is subtracted (James & Stein 1961). Whether d is a
+bias at all remains uncertain with these weights, so the covariance grows by lambda^2 V + lambda (1
+- lambda) d d^T. Nothing is subtracted if activity correlates with the codes, as on a ramp, or is
+equal everywhere. Misregistered images are not corrected either, because their errors are not
+proportional to a.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,8 @@ APART = 0.5  # of the mean activity, its deviation at a code, from which it show
 
 
 def in_register(noises: Sequence[NoiseModel | None], rounding: float) -> bool:
-    """Whether the classes of steepness are about as quiet: twice the noise is misregistration."""
+    """Whether the steepness classes have similar noise; twice the noise indicates
+    misregistration."""
     if any(noise is None for noise in noises):
         return False
     at = np.zeros(1)  # mid-scale
@@ -49,7 +51,7 @@ def to_flat_places(
     log_t: Float[np.ndarray, " exposures"],
     bins: CodeBins,
 ) -> Solution:
-    """A solution with the contribution of busy places subtracted."""
+    """A solution without the contribution of busy places."""
     size, phi = len(found.means), found.used.design_effect
     each = [[equations_of(cell, log_t, found.basis) for cell in tile] for tile in cells]
     matrices = [np.sum([cell.matrix for cell in kind], axis=0) for kind in zip(*each, strict=True)]
@@ -81,9 +83,9 @@ def to_flat_places(
 
 
 def _told_apart(weights: np.ndarray, activity: np.ndarray) -> float:
-    """Standard deviation of the activity among observations of one code: small where codes go with
-    places, as on a ramp, and where all places are alike. The median over codes, under weights
-    (classes, bins)."""
+    """Standard deviation of the activity among observations of one code. It is small if codes
+    correlate with places, as on a ramp, and if all places are equal. The result is the median over
+    codes, with weights (classes, bins)."""
     seen = weights[:, weights.sum(axis=0) > 0]
     mean = activity @ seen / seen.sum(axis=0)
     variance = activity**2 @ seen / seen.sum(axis=0) - mean**2
@@ -93,7 +95,7 @@ def _told_apart(weights: np.ndarray, activity: np.ndarray) -> float:
 def _less(
     found: Solution, departure: np.ndarray, by_tile: np.ndarray, seen: np.ndarray
 ) -> Solution:
-    """The solution less a departure, as far as its scatter over tiles, (tiles, bins), allows."""
+    """The solution minus a deviation, as far as the scatter over tiles, (tiles, bins), allows."""
     deviation = np.sqrt(np.sum(by_tile**2, axis=0))
     if not (deviation[seen] > 0).all():
         return found

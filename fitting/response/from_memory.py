@@ -1,4 +1,4 @@
-"""Exposure stacks from images in memory: the stack that a rig of the same images gives."""
+"""Exposure stacks from images in memory: the same stack as from a rig with these images."""
 
 from collections.abc import Sequence
 

@@ -1,19 +1,19 @@
-"""The gamma of a response, f(x) = x^(1/gamma), with the shutter's error in its uncertainty.
+"""The gamma of a response, f(x) = x^(1/gamma), with the error of the shutter in its uncertainty.
 
-With a pure gamma, g(z) = gamma ln(z - black) + const: one column of the code-pair statistics, so
-that all pixels enter through a handful of sums (`code_pairs.py`) and a step of a sampler costs
-microseconds. Their score keeps the slope free of the attenuation that noisy and rounded codes
-cause in a log regression.
+With a pure gamma, g(z) = gamma ln(z - black) + const is one column of the code-pair statistics. All
+pixels then enter through a few sums (`code_pairs.py`), and a step of a sampler costs microseconds.
+Their score avoids the attenuation of the slope by noisy and rounded codes in a log regression.
 
-The pixels of one image share the error of its exposure time, delta_j ~ N(0, tau^2). Its part
-delta = c (ln t - mean) cannot be told from another gamma and moves it by the factor 1 + c with
-Var(c) = tau^2 / sum (ln t - mean)^2; the rest shows in the images and tells tau. So
+The pixels of one image share the error of its exposure time, delta_j ~ N(0, tau^2). Its component
+delta = c (ln t - mean) is indistinguishable from another gamma and changes it by the factor 1 + c
+with Var(c) = tau^2 / sum (ln t - mean)^2. The other components are visible in the images and
+determine tau. Therefore
 
     gamma | tau ~ N(q / P, 1 / P + (q / P)^2 tau^2 / sum (ln t - mean)^2),
 
-P and q being the information and the score of gamma once the visible shutter errors are
-integrated out, and the interval integrates over ln tau: Student's t when the images dominate, the
-prior on tau when they are few.
+where P and q are the information and the score of gamma after marginalising over the visible
+shutter errors. The interval integrates over ln tau: it is Student's t if the images dominate, and
+follows the prior on tau if they are few.
 """
 
 from dataclasses import dataclass, replace
@@ -55,8 +55,8 @@ SPACE: ParameterSpace = (GAMMA, SHUTTER_ERROR)
 
 
 def space_of(free: int, *, stated: float = 0.0) -> ParameterSpace:
-    """Gamma and the shutter error, or what comes on top of a stated one, by how many of its errors
-    are visible."""
+    """The parameters gamma and shutter error (or the error in addition to a stated one), by the
+    number of visible shutter errors."""
     return GAMMA, replace(SHUTTER_ERROR, prior=prior_of(free, stated=stated))
 
 
@@ -194,7 +194,7 @@ def fit_gamma(
 
 
 def log_code_means(curve: ResponseCurve, *, shift: float = 0.0) -> Float[np.ndarray, " bins"]:
-    """Mean of ln(code - black) over each bin of codes, less that of the middle bin."""
+    """Mean of ln(code - black) over each bin of codes, minus that of the middle bin."""
     ends = np.log(np.maximum(curve.bins.edges - curve.bins.black - shift, 1e-3))
     means = (ends[1:] + ends[:-1]) / 2
     return means - means[len(means) // 2]
@@ -239,8 +239,8 @@ def log_density(vector: Float[Array, " parameters"], sums: GammaSums) -> Float[A
 
 
 def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Covariance of (ln gamma, ln tau): where the shutter shows no error, the density is nearly
-    flat in ln tau and has no curvature to tell it by."""
+    """Covariance of (ln gamma, ln tau). If the shutter shows no error, the density is nearly flat
+    in ln tau, and its curvature does not give the covariance."""
     mean = np.asarray(given.mean)
     away = np.stack([np.log(mean), log_tau])
     away -= (away @ weights)[:, None]
@@ -250,8 +250,8 @@ def _spread(given: GivenShutter, log_tau: np.ndarray, weights: np.ndarray) -> np
 
 
 def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
-    """How much the best gamma misfits the pixels beyond their noise: its chi-square over that of
-    the free curve, at least 1. Stretches the intervals of a curve that is not a gamma."""
+    """The misfit of the best gamma beyond the pixels' noise: its chi-square over that of the free
+    curve, at least 1. It widens the intervals of a curve that is not a gamma."""
     matrix = curve.statistics.matrix
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     of_gamma = np.concatenate([_least_squares(curve, column) * column, log_t])
@@ -260,7 +260,7 @@ def _dispersion(curve: ResponseCurve, column: np.ndarray) -> float:
 
 
 def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
-    """The gamma of least squares, at the shutter errors of the curve."""
+    """The least-squares gamma at the shutter errors of the curve."""
     matrix, size = curve.statistics.matrix, len(column)
     log_t = np.log(curve.exposures) + curve.shutter_offsets
     return -float(
@@ -271,9 +271,9 @@ def _least_squares(curve: ResponseCurve, column: np.ndarray) -> float:
 def _from_elsewhere(
     curve: ResponseCurve, sums: GammaSums, dispersion: float, black_sd: float
 ) -> Array:
-    """Variance of gamma that the pixels' weighted fit does not know: of the black level, of the
-    correction for errors that are no noise, and what another weighting changes beyond that one's
-    own error (Hausman, Econometrica 46, 1978)."""
+    """Variance of gamma from sources outside the weighted fit: the black level, the correction for
+    errors that are not noise, and the change under another weighting beyond its own error (Hausman,
+    Econometrica 46, 1978)."""
     tau = jnp.asarray(SHUTTER_PRIOR.median)
     mean = float(given_shutter(sums, tau).mean)
     shifted = log_code_means(curve, shift=BLACK_STEP)
@@ -285,8 +285,8 @@ def _from_elsewhere(
 
 
 def _other_weightings(curve: ResponseCurve) -> list[tuple[float, float]]:
-    """(gamma, its variance) as the slope of the curve: codes of the central range weighted alike,
-    and light of each magnitude weighted alike."""
+    """(gamma, its variance) from the slope of the curve, with equal weights for codes of the
+    central range, and with equal weights for magnitudes of light."""
     z = curve.codes - curve.bins.black
     share = z / (curve.bins.edges[-1] - curve.bins.black)
     used = curve.seen & (share > EDGES[0]) & (share < EDGES[1])
@@ -308,8 +308,8 @@ def _gamma_sums(
     known: float = 0.0,
     stated: float = 0.0,
 ) -> GammaSums:
-    """The sums; a stated shutter error that is too small to enter them, so that none is `known`,
-    makes the prior all the same."""
+    """The sums. A stated shutter error too small to enter them (none is `known`) still gives the
+    prior."""
     overstated = dispersion * curve.design_effect
     size, matrix = len(column), curve.statistics.matrix / overstated
     score = curve.statistics.score / overstated
@@ -334,8 +334,8 @@ def _gamma_sums(
 
 
 def _most_of_shutter(curve: ResponseCurve, free: int) -> float:
-    """Return the upper limit of tau. Without it, shutter errors of a half would make a gamma of a
-    response that is none. Few errors that show do not bound those that do not."""
+    """Return the upper limit of tau. Without it, shutter errors of a half could explain a response
+    that is not a gamma. A few visible errors do not limit the invisible ones."""
     if free < FEWEST_SHOWN:
         return TABULATED[1]
     return max(BELIEVED, curve.shutter_bound)
@@ -362,7 +362,7 @@ def _srgb(curve: ResponseCurve) -> np.ndarray:
 
 
 def _departure(curve: ResponseCurve, model: np.ndarray) -> np.ndarray:
-    """Measured less modelled log exposure, a common factor aside, where pixels were seen."""
+    """Measured minus modelled log exposure at observed codes, without a common factor."""
     gap = np.where(curve.seen, curve.log_exposure - model, np.nan)
     weight = np.where(curve.seen, 1 / np.maximum(curve.standard_error, 1e-3) ** 2, 0)
     return gap - np.nansum(weight * gap) / weight.sum()

@@ -1,8 +1,8 @@
 """Stated errors of a rig that the pixels of a response cannot detect.
 
-The energy of the code pairs, v' A v / 2 of a shift v of the curve and of the log exposures, is half
-of the square of what the shift is in standard deviations of all pixels, their irradiances
-eliminated: so |h|^2 = v' A v of an error of one standard deviation (`inference.left_out`).
+The energy of the code pairs, v' A v / 2 for a shift v of the curve and of the log exposures, is
+half the squared shift in standard deviations of all pixels, with their irradiances eliminated.
+Therefore |h|^2 = v' A v for an error of one standard deviation (`inference.left_out`).
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ def without_effect(
     black_sd: float,
     exposure_sd: float,
 ) -> tuple[LeftOut, ...]:
-    """Stated errors of the black level and the exposures that no pixel can show.
+    """Stated errors of the black level and the exposures that no pixel can detect.
 
     Args:
         curve: with the sufficient statistics of its pixels.

@@ -1,4 +1,5 @@
-"""A number that is Gaussian for each size tau of a shared error, integrated over tau on a grid."""
+"""A parameter that is Gaussian given the size tau of a shared error, marginalised over tau on a
+grid."""
 
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ REACH, HALVINGS = 40.0, 50  # standard deviations in which a quantile is sought,
 
 @dataclass(frozen=True)
 class Mixture:
-    """The posterior of the number and of tau.
+    """The posterior of the parameter and of tau.
 
     Attributes:
         log_tau: (grid,) ln tau, evenly spaced.
@@ -29,7 +30,7 @@ class Mixture:
     variance: Float[np.ndarray, " grid"]
 
     def of_mean(self, what: Parameter, group: str) -> Estimate:
-        """The number, with the quantiles of the mixture."""
+        """The estimate of the parameter, with the quantiles of the mixture."""
         centre = float(self.weights @ self.mean)
         spread = float(np.sqrt(self.weights @ (self.variance + (self.mean - centre) ** 2)))
         low, high = (centre + side * spread * np.full(len(QUANTILES), REACH) for side in (-1, 1))
@@ -42,15 +43,15 @@ class Mixture:
         return quantile_estimate(what, centre, spread, ends, method="marginal", group=group)
 
     def of_tau(self, what: Parameter, group: str, *, stated: float = 0.0) -> Estimate:
-        """Tau with what is stated of it, its median as value."""
+        """The estimate of tau, with its median as the value."""
         tau = np.hypot(np.exp(self.log_tau), stated)
         ends = np.interp(QUANTILES, np.cumsum(self.weights), tau)
         spread = float(np.sqrt(self.weights @ (tau - self.weights @ tau) ** 2))
         return quantile_estimate(what, ends[2], spread, ends, method="marginal", group=group)
 
     def draws(self, count: int, seed: int) -> Float[np.ndarray, "count 2"]:
-        """Of the number and of tau: tau by its weights, even between the grid's points, then the
-        number given tau."""
+        """Draws of the parameter and tau: tau by its weights, uniform between the grid's points,
+        then the parameter given tau."""
         rng = np.random.default_rng(seed)
         which = rng.choice(len(self.log_tau), size=count, p=self.weights)
         step = (self.log_tau[1] - self.log_tau[0]) * rng.uniform(-0.5, 0.5, count)

@@ -1,9 +1,9 @@
 """A test whether the exposures of a stack are registered, as with a camera on a tripod.
 
-Each image is cut at a quantile of its codes into bright and dark (Ward, J. Graphics Tools 8, 2003):
-the same places are bright however long the exposure and whatever the response. The shift of two
-images is where most of their pixels agree. It is believed where they agree in more pixels than
-where they lie, by far more than those pixels' number scatters.
+Each image is thresholded at a quantile of its codes (Ward, J. Graphics Tools 8, 2003). The same
+places are bright for any exposure and response. The shift of two images is that at which most of
+their pixels agree. It is accepted if it increases the number of agreeing pixels significantly
+compared with no shift.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def moved_exposures(
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
 ) -> list[Odd]:
-    """Exposures that show the scene at another place than most."""
+    """Exposures that are displaced relative to most others."""
     if len({np.shape(frame) for frame in frames}) != 1:
         return []  # refused where they are read
     size: Any = list(cell)  # SciPy's types know one number for all axes only
@@ -88,8 +88,8 @@ def _shift(
 def _cut(
     one: np.ndarray, other: np.ndarray, quantile: float, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where two images are brighter (1) and darker (-1) than a quantile; None where it is black or
-    saturated in one."""
+    """Pixels that are brighter (1) or darker (-1) than a quantile in two images; None if it is
+    black or saturated in one."""
     found = []
     for image in (one, other):
         level, black = np.quantile(image, quantile), float(image.min())
@@ -100,7 +100,7 @@ def _cut(
 
 
 def _middle(frame: Shaped[np.ndarray, "h w *channels"]) -> Float[np.ndarray, "h w"]:
-    """The middle of a picture, where it is large, as grey."""
+    """The middle of a large picture, as grey."""
     top, left = (max(0, size - WIDEST) // 2 for size in frame.shape[:2])
     middle = np.asarray(frame[top : top + WIDEST, left : left + WIDEST], float)
     return middle.mean(axis=2) if middle.ndim == 3 else middle

@@ -1,4 +1,4 @@
-"""A first curve, the noise models and the hyperparameters, from few pixels and bins."""
+"""A first curve, the noise models and the hyperparameters, from a few pixels and bins."""
 
 from dataclasses import dataclass, replace
 
@@ -61,8 +61,8 @@ def fit_pilot(
 
     A class with too few pixels after the noise model is dropped, because its errors are not noise.
 
-    The smoothness has two fixed points if the residual of the score's corrections looks like a
-    bend. The last pass starts from both sides, and takes the smoother curve unless the images
+    The smoothness has two fixed points if the residual of the score's corrections looks like
+    curvature. The last pass starts from both sides, and takes the smoother curve unless the images
     clearly support the other.
     """
     x = bins.log_codes
@@ -102,7 +102,7 @@ def fit_pilot(
 
 
 def degrees_of_freedom(statistics: PairStatistics) -> float:
-    """Observations beyond one a pixel: what a curve is known from."""
+    """Observations minus one for each pixel, which determine a curve."""
     free = float(statistics.observations.sum() - statistics.pixels)
     if free <= 0:
         raise InputError(NO_CURVE)
@@ -110,7 +110,7 @@ def degrees_of_freedom(statistics: PairStatistics) -> float:
 
 
 def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarray, " bins"]:
-    """Bin means made rising, at least a third as fast as a linear response would."""
+    """Bin means made monotone, with at least a third of the slope of a linear response."""
     floor = bins.log_codes / SLOWEST
     return np.maximum.accumulate(means - floor) + floor
 
@@ -118,7 +118,7 @@ def rising(means: Float[np.ndarray, " bins"], bins: CodeBins) -> Float[np.ndarra
 def on_bins(
     means: Float[np.ndarray, " bins"], bins: CodeBins, other: CodeBins
 ) -> Float[np.ndarray, " others"]:
-    """Bin means of a curve on other bins."""
+    """Bin means of a curve, interpolated to other bins."""
     spline = CubicSpline(bins.log_codes, means)
     return spline(other.log_codes)
 

@@ -24,6 +24,6 @@ class NoiseModel:
 def noise_variance(
     noise: NoiseModel, log_exposure: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, " points"]:
-    """Variance that noise gives the logarithm of an exposure."""
+    """Variance of the logarithm of an exposure because of noise."""
     inverse = np.exp(-log_exposure)
     return noise.relative + noise.shot * inverse + noise.read * inverse**2

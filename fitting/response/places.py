@@ -2,11 +2,10 @@
 with common errors.
 
 A misregistration of half a pixel causes an error of half the local slope of ln E. JPEG edges and
-moving leaves have similar errors. Such errors are no noise of the pixel, and steep places have far
-more of them than flat ones: pixels are put into classes of steepness, each with a noise model of
-its own. Sharpening causes errors where the picture is busy, at peaks and at slopes
-(`flat_places.py`). Errors of neighbours are correlated: tiles of the picture are independent, and
-pixels are not.
+moving leaves have similar errors. Such errors are not pixel noise, and steep places have far larger
+ones. Pixels are therefore divided into classes of steepness, each with its own noise model.
+Sharpening causes errors where the picture is busy, at peaks and at slopes (`flat_places.py`).
+Errors of neighbours are correlated: tiles of the picture are independent, and pixels are not.
 """
 
 from dataclasses import dataclass
@@ -39,7 +38,7 @@ class Layout:
     columns: Int[np.ndarray, " pixels"]
 
     def at(self, chosen: Integer[np.ndarray, " some"] | slice) -> "Layout":
-        """Of some of the pixels."""
+        """The layout of some of the pixels."""
         every = self.steepness, self.activity, self.rows, self.columns
         return Layout(*(column[chosen] for column in every))
 
@@ -51,12 +50,12 @@ def layout_of(
     black: float,
     clip: float,
 ) -> Layout:
-    """Steepness, activity and place of a plane's pixels.
+    """Steepness, activity and position of a plane's pixels.
 
-    The slope is a mean over exposures, weighted by Debevec & Malik's hat, squared; it is taken
-    between the neighbours of a pixel, so that its own noise does not choose its class. The activity
-    is the covariance of two successive exposures, so that their noise is none of it, over the 24
-    pixels around, and a mean as well.
+    The slope is a mean over exposures, weighted by Debevec & Malik's squared hat. It is taken
+    between the neighbours of a pixel, so that the pixel's own noise does not select its class. The
+    activity is the covariance of two successive exposures over the 24 surrounding pixels, which
+    contains no noise, averaged in the same way.
 
     Args:
         codes: (exposures, h, w) DN.
@@ -98,7 +97,7 @@ def _around(image: np.ndarray) -> np.ndarray:
 def equal_classes(
     values: Float[np.ndarray, " pixels"], counted: Bool[np.ndarray, " pixels"]
 ) -> Int[np.ndarray, " pixels"]:
-    """Classes of steepness or activity, equally full of the pixels that count."""
+    """Classes of steepness or activity with equally many valid pixels."""
     edges = np.quantile(values[counted], np.arange(1, CLASSES) / CLASSES)
     return np.digitize(values, edges).astype(np.int32)
 
@@ -106,7 +105,7 @@ def equal_classes(
 def tiles_of(
     rows: Int[np.ndarray, " pixels"], columns: Int[np.ndarray, " pixels"]
 ) -> list[Int[np.ndarray, " tile"]]:
-    """Tiles of a picture: its pixels halved again and again along the longer side."""
+    """Tiles of a picture: pixels halved repeatedly along the longer side."""
     tiles = [np.arange(len(rows))]
     while len(tiles) < TILES:
         tiles = [half for tile in tiles for half in _halves(tile, rows, columns)]

@@ -5,14 +5,14 @@ maximum-likelihood radiance of a pixel is
 
     E_i = sum_j u_ij X_ij / t_j / sum_j u_ij,    u_ij = E_i^2 t_j^2 / Var(X_ij),
 
-with u at the predicted exposure, so that noise does not choose its own weight. Clipped codes are
+with u at the predicted exposure, so that noise does not affect its own weight. Clipped codes are
 not used, nor codes within three standard deviations of clipping, nor noisy codes if there is a
 better exposure.
 
-A pixel with no such observation takes what all its unclipped codes say together: coverage 0. Its
-noise may carry a code to black or below it. Such a code counts too, as an exposure below zero,
-X(black - d) = -X(black + d): the codes above black alone would be the upper half of the noise. The
-code 0, where a camera cuts noise off, says nothing but a bound, as a clipped one does.
+A pixel without such an observation uses all of its unclipped codes together, with coverage 0. Noise
+may reduce its code to black or below. Such a code counts as a negative exposure, X(black - d) =
+-X(black + d), because the codes above black alone are only the upper half of the noise. The code 0,
+at which a camera clips noise, is only a bound, as a clipped code is.
 
 Radiance is relative, per second, with g = 0 at mid-scale.
 """
@@ -52,9 +52,9 @@ def merge(
     *,
     signed: bool = True,
 ) -> RadianceMap:
-    """The radiance map of codes, the exposure times being trusted as given.
+    """The radiance map of codes for given exposure times, which are taken as exact.
 
-    What looks like an offset of the shutter may be a slight misfit of the curve.
+    An apparent shutter offset may be a slight misfit of the curve.
     """
     flat = codes.reshape(len(exposures), -1)
     count = flat.shape[1]
@@ -94,7 +94,7 @@ def _merge(
 
 
 def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
-    """X of every code, at black 0 and below it negative."""
+    """X of every code: 0 at black and negative below it."""
     bins = curve.bins
     away = np.arange(bins.full_scale + 1) - bins.black
     near, log_z = np.abs(away) > 0, np.log(bins.centres - bins.black)
@@ -109,7 +109,8 @@ def exposure_of_codes(curve: ResponseCurve) -> Float[np.ndarray, " codes"]:
 def _of_noise(
     codes: np.ndarray, times: np.ndarray, curve: ResponseCurve
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radiance and relative error of pixels without an exposure clear of noise and clipping."""
+    """Radiance and relative error of pixels whose exposures are all within noise of black or
+    clipped."""
     table, t = exposure_of_codes(curve), times[:, None]
     x = table[codes]
     used = (codes > 0) & (codes < curve.bins.edges[-1])

@@ -1,7 +1,7 @@
 """Exposure stacks: one still scene at several exposure times, as planes of integer codes.
 
 A plane is one colour channel or one site of a Bayer mosaic of one group of images. Codes stay the
-integers of the files (uint16), so sixteen 8-bit colour images of 768 x 512 take 38 MB.
+integers of the files (uint16): sixteen 8-bit colour images of 768 x 512 take 38 MB.
 """
 
 import os
@@ -138,7 +138,7 @@ def read_exposure_stack(
 
 
 def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
-    """A rig without the exposures whose heads speak against it, and what is said of them."""
+    """A rig without the exposures whose metadata contradict it, with findings."""
     groups = list(dict.fromkeys(entry.group for entry in rig.exposure))
     stated = [
         Stated(entry.file, rig.path(entry.file), entry.exposure, groups.index(entry.group))
@@ -154,7 +154,7 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, list[str]]:
 def _without_odd_images(
     rig: Rig, entries: tuple[Exposure, ...], images: dict[str, np.ndarray], remarks: list[str]
 ) -> tuple[Exposure, ...]:
-    """Those of a stack that show one scene in the order of their exposures."""
+    """The images of a stack that show one scene in the order of their exposures."""
     top, seen = rig.camera.at(rig.camera.sites[0]).clip_level, []
     for entry in entries:
         frame = images[entry.file]
@@ -177,7 +177,7 @@ def _without_odd_images(
 
 
 def _grid_of(converter: Converter) -> tuple[int, int]:
-    """Step and origin of whole codes; 1 and 0 where the numbers lie on no wider grid."""
+    """Step and origin of whole codes; 1 and 0 if the numbers lie on no coarser grid."""
     step = round(converter.step)
     even = converter.even and step > 1 and step == converter.step
     return (step, round(converter.origin)) if even else (1, 0)
@@ -290,9 +290,8 @@ def _starts(camera: Camera, shape: tuple[int, ...]) -> list[tuple[int, int]]:
 def floor_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Black level read off the pixels whose code stays within one step while the exposure grows at
-    least eightfold.
-    """
+    """Black level from pixels whose code changes by at most one step while the exposure grows at
+    least eightfold."""
     longer = np.flatnonzero(exposures >= LONGER * exposures[0])
     if not len(longer):
         return 0.0
@@ -313,10 +312,10 @@ def floor_level(
 def ceiling_level(
     codes: Codes, exposures: Float[np.ndarray, " exposures"], camera: SiteCamera, *, step: int = 1
 ) -> float:
-    """Clip level read off the pixels beyond half scale whose code stays within one step while the
-    exposure grows by 1.9 at least.
+    """Clip level from pixels above half scale whose code changes by at most one step while the
+    exposure grows by at least 1.9.
 
-    Sensors saturate at codes that vary from pixel to pixel, so it is nearly the lowest of them.
+    Sensors saturate at codes that vary between pixels, so it is nearly the lowest of them.
     """
     shorter = np.flatnonzero(exposures * BRIGHTER <= exposures[-1])
     if not len(shorter):
@@ -356,8 +355,8 @@ def _scene_mask(
 
 
 def _black_levels(rig: Rig, load: Load) -> dict[str, float]:
-    """Mean of the dark frames in each channel, DN; none where the rig states the black level, or
-    has no darks."""
+    """Mean of the dark frames in each channel, DN; None if the rig states the black level or has no
+    darks."""
     if rig.camera.black_level is not None or not rig.dark:
         return {}
     means = [read_stack(rig, entry.files, load=load).mean(axis=0) for entry in rig.dark]

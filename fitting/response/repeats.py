@@ -33,7 +33,7 @@ FEWEST_PREDICTED = 30  # pixels of a left-out exposure that judge its prediction
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How well exposures are predicted by a curve and a radiance that never saw them.
+    """The error of predicting exposures that the curve and the radiance did not use.
 
     Attributes:
         rms: DN, of each exposure; NaN where too few pixels can be predicted.
@@ -50,7 +50,7 @@ class HeldOut:
 
     @property
     def standard_error(self) -> float:
-        """Of `mean`, by the scatter between exposures, DN."""
+        """Standard error of `mean`, from the scatter between exposures, DN."""
         square = self.rms[np.isfinite(self.rms)] ** 2
         if len(square) < 2:
             return float("nan")
@@ -59,7 +59,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Repeats:
-    """Departures of g at the centres of bins, scaled so that their products sum to a covariance.
+    """Deviations of g at the centres of bins, scaled so that their products sum to a covariance.
 
     Attributes:
         departures: (fits, bins).
@@ -76,8 +76,8 @@ class Repeats:
     def beyond(
         self, explained: Float[np.ndarray, " bins"], lost: int
     ) -> tuple[Float[np.ndarray, " bins"], int]:
-        """Variance beyond what is explained, where that is more than chance, and its degrees of
-        freedom: the fits less those that are lost."""
+        """Significant excess variance beyond the explained one, and its degrees of freedom: the
+        fits minus the lost parameters."""
         freedom = len(self.departures) - lost
         likely = chdtri(freedom, CHANCE) / freedom * explained
         return np.where(self.variance > likely, self.variance - explained, 0), freedom
@@ -108,7 +108,7 @@ def over_exposures(
     bins: CodeBins,
     fraction: float,
 ) -> tuple[Repeats | None, HeldOut | None]:
-    """The jackknife over exposures, and how well each is predicted without it."""
+    """The jackknife over exposures, and the prediction of each exposure without it."""
     if len(log_t) < FEWEST_PREDICTING:
         return None, None
 
@@ -141,12 +141,12 @@ def widened(
     tiles: Repeats | None,
     exposures: Repeats | None,
 ) -> tuple[Float[np.ndarray, "bins bins"], Float[np.ndarray, " bins"]]:
-    """A covariance widened to what repeats, and what its variances rest on.
+    """A covariance widened to the observed scatter, with its degrees of freedom.
 
-    What tiles show beyond their pixels is added, what exposures show beyond pixels and shutter, and
-    the shutter's errors, whatever their size (`shutter.py`); correlations stay. Degrees of freedom
-    of the repeats are Satterthwaite's: one less than tiles, two less than exposures (a factor and
-    an exponent are lost), none counted for what pixels explain.
+    The scatter of tiles beyond their pixels is added, the scatter of exposures beyond pixels and
+    shutter, and the shutter's errors of any size (`shutter.py`). Correlations are kept. Degrees of
+    freedom are Satterthwaite's: tiles minus one, exposures minus two (a factor and an exponent are
+    lost), and infinite for the part that pixels explain.
     """
     parts = []
     if tiles is not None:
@@ -184,7 +184,8 @@ def _prediction_error(
     coarse: CodeBins,
     pilot: Pilot,
 ) -> float:
-    """Root mean square, DN, of exposure j's codes less those that the others predict."""
+    """Root mean square difference, DN, between exposure j's codes and their prediction from the
+    others."""
     kept = np.arange(len(log_t)) != j
     g = np.maximum.accumulate(fit.means) + 1e-9 * np.arange(len(fit.means))
     binned, rule = coarse.lookup[codes], pilot.rule

@@ -1,4 +1,4 @@
-"""A response calibration as its reader sees it: estimates, findings, tables and pictures."""
+"""The report of a response calibration: estimates, findings, tables and figures."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -51,7 +51,7 @@ def section(calibration: ResponseCalibration) -> Section:
 
 
 def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
-    """The curves whole, one row a code and channel."""
+    """The complete curves, one row for each code and channel."""
     curves = [channel.curve for channel in channels]
     labels = [channel.plane.label or "grey" for channel in channels]
     log_exposure = np.concatenate([curve.log_exposure for curve in curves])
@@ -70,8 +70,8 @@ def curve_columns(channels: Sequence[ChannelResponse]) -> Columns:
 
 
 def _gamma_estimates(channel: ChannelResponse, shape: Shape) -> list[Estimate]:
-    """Gamma and the shutter error; neither where the response is not a pure gamma: the misfit
-    would pass for one or the other."""
+    """Gamma and the shutter error; neither if the response is not a pure gamma, because the misfit
+    would bias both."""
     if shape.pure:
         return [channel.gamma.gamma, channel.gamma.shutter_error]
     reason = (
@@ -152,7 +152,7 @@ def _curve_table(channels: Sequence[ChannelResponse]) -> Table:
 
 
 def _at_code(curve: ResponseCurve, code: float) -> str | None:
-    """Exposure at a code, straight between codes in logarithms of both above black."""
+    """Exposure at a code, by linear interpolation in the logarithms above black."""
     if not max(curve.bins.black, curve.bins.edges[0]) < code <= curve.bins.edges[-1]:
         return None
     place = np.log(code - curve.bins.black)

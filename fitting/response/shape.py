@@ -32,7 +32,7 @@ SURELY_KNOWN = 1e-3  # standard error below which codes weigh alike
 
 @dataclass(frozen=True)
 class Shape:
-    """How far a response departs from the best pure gamma, among the codes that are judged.
+    """The deviation of a response from the best pure gamma, over the codes used for the verdict.
 
     Attributes:
         size: largest departure, in ln exposure; NaN where no code is judged.
@@ -50,14 +50,13 @@ class Shape:
 
     @property
     def pure(self) -> bool:
-        """Whether gamma describes the response, as far as the data tell."""
+        """Whether the data are consistent with a pure gamma."""
         return not self.shown > PURE
 
 
 def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
-    """Codes by which a departure is judged: between 5 and 95 % of the range, where the curve is
-    known to 5 % and pixels to 10 %.
-    """
+    """Codes used for the verdict: between 5 and 95 % of the range, if the curve is known to 5 % and
+    pixels to 10 %."""
     share = (curve.codes - curve.bins.black) / (curve.bins.edges[-1] - curve.bins.black)
     central = (share > EDGES[0]) & (share < EDGES[1])
     known = (curve.standard_error < SURE) & (curve.pixel_noise < QUIET)
@@ -67,14 +66,14 @@ def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:
 def largest_departure(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """The largest departure among the codes that are judged."""
+    """The largest deviation among the codes used for the verdict."""
     return largest(curve, departure, judged_codes(curve))
 
 
 def largest(
     curve: ResponseCurve, departure: Float[np.ndarray, " bins"], counted: Bool[np.ndarray, " bins"]
 ) -> tuple[float, float]:
-    """The largest departure among some codes."""
+    """The largest deviation among some codes."""
     counted = counted & np.isfinite(departure)
     if not counted.any():
         return float("nan"), float("nan")
@@ -83,12 +82,12 @@ def largest(
 
 
 def error_of_departure(curve: ResponseCurve) -> Float[np.ndarray, " bins"]:
-    """Standard error of a departure, with what noise leaves of second order."""
+    """Standard error of a deviation, including second-order terms of the noise."""
     return np.hypot(curve.standard_error, curve.pixel_noise**2)
 
 
 def shapes(channels: Sequence[ChannelResponse]) -> list[Shape]:
-    """The shape of each channel, all judged together."""
+    """The shape of each channel, from one common test."""
     chance = CHANCE / max(len(channels), 1)
     return [_shape(channel.curve, channel.gamma.departure, chance) for channel in channels]
 
@@ -112,8 +111,8 @@ def _shape(curve: ResponseCurve, departure: np.ndarray, chance: float) -> Shape:
 def _beyond_chance(
     curve: ResponseCurve, judged: np.ndarray, chance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Codes whose departure from a straight line is larger than that of all codes by chance, and
-    its standard errors."""
+    """Codes with a significant deviation from a straight line, in a common test of all codes, and
+    the standard errors."""
     log_z = np.log(curve.codes[judged] - curve.bins.black)
     line = np.stack([np.ones(len(judged)), log_z], axis=1)
     weight = np.maximum(curve.standard_error[judged], SURELY_KNOWN) ** -2

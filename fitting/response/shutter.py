@@ -1,15 +1,15 @@
 """The effect of errors of the exposure times, delta_j ~ N(0, tau^2), on a curve.
 
 A common exponent of the times is indistinguishable from another curve. Its size, tau, follows from
-the visible errors. Few of them show: of three exposures one, which may be small by chance where tau
-is not. So an error of the curve is a mixture over tau,
+the visible errors. Few of the errors are visible. With three exposures there is one, which may be
+small by chance when tau is not. An error of the curve is therefore a mixture over tau,
 
     sum_k w_k N(0, v + r tau_k^2),    w_k ~ p(shown errors | tau_k) p(tau_k),
 
-v being the variance from elsewhere and r = g^2 / sum (ln t - mean)^2. A variance at the most likely
-tau, with a Student's t of as many degrees of freedom as visible errors, has too low a coverage if
-these errors happen to be small. The mixture is given as the Student's t whose 68 and 95 % intervals
-it has.
+where v is the variance from other sources and r = g^2 / sum (ln t - mean)^2. The variance at the
+most likely tau, with Student's t for the number of visible errors, has too low a coverage if these
+errors happen to be small. The mixture is represented by the Student's t with the same 68 and 95 %
+intervals.
 """
 
 from collections.abc import Callable
@@ -55,7 +55,7 @@ class Shutter:
 
     @property
     def variance(self) -> Float[np.ndarray, " bins"]:
-        """Of g, at the likeliest tau."""
+        """Variance of g at the most likely tau."""
         return self.per_square * self.likeliest**2
 
 
@@ -94,7 +94,7 @@ def over_tau(
 def mixed(
     variance: Float[np.ndarray, " bins"], freedom: Float[np.ndarray, " bins"], shutter: Shutter
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
-    """Student's t of the errors that a variance and the shutter make together.
+    """Student's t for the combined errors of a variance and the shutter.
 
     Args:
         variance: (bins,) from elsewhere.
@@ -111,7 +111,7 @@ def mixed(
     gaussian = bool((freedom >= MOST_FREE).all())
 
     def reached(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The distribution function and the density, at one place a bin."""
+        """The distribution function and the density at one value for each bin."""
         scales = np.sqrt(some)
         z = at[:, None] / scales
         if gaussian:
@@ -134,8 +134,8 @@ def _quantile(
     variances: np.ndarray,
     level: float,
 ) -> np.ndarray:
-    """Where a mixture's distribution reaches a level above one half, by Newton's steps: concave
-    there, it is approached from the near side."""
+    """The value at which a mixture's distribution function reaches a level above one half. The
+    function is concave there, and Newton's steps approach from below."""
     least = np.sqrt(variances.min(axis=1)) * ndtri(level)
     at = least
     for _ in range(MOST_STEPS):

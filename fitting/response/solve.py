@@ -115,7 +115,8 @@ def roughness(bins: CodeBins) -> Float[np.ndarray, "bins bins"]:
 
 
 def _increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
-    """D of the roughness D^T D: increments of the exponent over roots of the clock's ticks."""
+    """D of the roughness D^T D: increments of the exponent over square roots of the scale's
+    ticks."""
     z, step = bins.centres, 1 / np.diff(bins.log_codes)
     clock = (z[2:] - z[:-2]) / 2 * bins.pace(z[1:-1])
     rows = np.arange(len(z) - 2)
@@ -126,9 +127,8 @@ def _increments(bins: CodeBins) -> Float[np.ndarray, "rows bins"]:
 
 
 def shutter_basis(log_t: Float[np.ndarray, " exposures"]) -> Float[np.ndarray, "exposures free"]:
-    """Orthonormal basis of the shutter errors that the data can show: those orthogonal to a common
-    factor and to a common exponent.
-    """
+    """Orthonormal basis of the visible shutter errors: those orthogonal to a common factor and to a
+    common exponent."""
     absorbed = np.stack([np.ones_like(log_t), log_t], axis=1)
     return np.linalg.svd(absorbed)[0][:, 2:]
 
@@ -218,7 +218,7 @@ def _from_another_black(
 def inverse(
     normal: Float[np.ndarray, "unknowns unknowns"], bins: CodeBins
 ) -> Float[np.ndarray, "unknowns unknowns"]:
-    """Inverse of a matrix of normal equations, g = 0 being held at mid-scale."""
+    """Inverse of a matrix of normal equations with g = 0 fixed at mid-scale."""
     held = normal.copy()
     held[bins.middle, bins.middle] += normal.trace() / len(bins.centres)
     try:
@@ -267,10 +267,10 @@ def _design_effect(
 def at_centres(
     means: Float[np.ndarray, " bins *more"], bins: CodeBins
 ) -> Float[np.ndarray, " bins *more"]:
-    """g at the centres of bins, 0 at mid-scale, from its means over them.
+    """g at the centres of bins, 0 at mid-scale, from its means over the bins.
 
-    Light being log-uniform across a bin, the mean is that of g at the two ends. In u = ln (code -
-    black), those lie a half apart about the mean of u, from which the centre departs a little:
+    Light is log-uniform across a bin, so the mean is that of g at the two ends. In u = ln (code -
+    black), the ends lie `half` from the mean of u, and the centre deviates slightly from that mean:
 
         g(centre) = mean + g' (u(centre) - mean of u) - g'' half^2 / 2.
     """
@@ -290,6 +290,6 @@ def _column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def spread_of_times(exposures: Float[np.ndarray, " exposures"]) -> float:
-    """sum (ln t - mean)^2: what a common exponent is measured by."""
+    """sum (ln t - mean)^2, which determines the precision of a common exponent."""
     log_t = np.log(exposures)
     return float(np.sum((log_t - log_t.mean()) ** 2))

@@ -1,9 +1,9 @@
 """The weights of observations, and their residuals under a curve.
 
-Weights come from a noise model,  var(ln X) = relative + shot / X + read / X^2 + (width of the
-interval)^2 / 12,  at the PREDICTED exposure X = E_i t_j, and observations are chosen by it:
-weights and choices that follow the noisy code would bias the curve. Pixels of several classes
-(`places.py`) have a noise model each.
+Weights come from a noise model, var(ln X) = relative + shot / X + read / X^2 + (width of the
+interval)^2 / 12, at the PREDICTED exposure X = E_i t_j. Observations are selected in the same way,
+because weights and selections that depend on the noisy code would bias the curve. Pixels of several
+classes (`places.py`) have a noise model each.
 
 Codes are DN; log exposures are relative.
 """
@@ -30,8 +30,8 @@ MARGIN = 3.0  # standard deviations that a predicted exposure stays clear of wha
 
 @dataclass(frozen=True)
 class WeightRule:
-    """Tables over a uniform grid of log exposure, with an empty cell at either end, a row for each
-    class of pixels.
+    """Tables over a uniform grid of log exposure, with an empty cell at either end and one row for
+    each class of pixels.
 
     Attributes:
         by_bin: (classes, bins) weight to start from, by observed code.
@@ -55,7 +55,7 @@ class WeightRule:
 
 @dataclass(frozen=True)
 class Observations:
-    """Linked pixels: those with two weights at least.
+    """Linked pixels: those with at least two weights.
 
     Attributes:
         binned: (exposures, pixels) bins.
@@ -101,7 +101,7 @@ def noise_rule(
 
 
 def coarsest(log_t: Float[np.ndarray, " exposures"]) -> float:
-    """Return the largest rounding, in ln X, of codes used in a fit, if no noise dithers it.
+    """Return the largest rounding, in ln X, of codes used in a fit if no noise dithers it.
 
     The rounding error of a code is the same in all pixels. It adds a ripple to the curve, with the
     period of the exposures, which the exposures do not contradict. Linear 8-bit cameras with little
@@ -141,15 +141,15 @@ def _of_class(
 def undithered(
     variance: Float[np.ndarray, " points"],
 ) -> Float[np.ndarray, " points"]:
-    """How far the error of rounding still follows the light under noise: its covariance with the
-    light, over that without noise.
+    """The covariance of the rounding error with the light under noise, relative to that without
+    noise.
 
-    A rounded x + n errs by u; with n normal of variance s^2, in squares of the interval,
+    A rounded x + n has an error u. If n is normal with variance s^2, in squares of the interval,
 
         Cov(u, x) = -sum_k exp(-2 pi^2 k^2 s^2) / (2 pi^2 k^2),
 
-    -1/12 for s = 0. With at least half an interval of noise this effect vanishes, and rounding is
-    an independent error (Widrow and Kollar, "Quantization Noise", 2008).
+    which is -1/12 for s = 0. With at least half an interval of noise this effect vanishes, and
+    rounding is an independent error (Widrow and Kollar, "Quantization Noise", 2008).
     """
     squares = np.arange(1, HARMONICS + 1)[:, None] ** 2
     decay = np.exp(-2 * np.pi**2 * squares * variance) / squares
@@ -165,7 +165,7 @@ def observe(
     *,
     screened: bool = True,
 ) -> Observations:
-    """Weights and residuals of the linked among some pixels."""
+    """Weights and residuals of the linked pixels among the given ones."""
     by_each = means[binned] - log_t[:, None]
     rough = rule.by_bin.ravel()[np.maximum(binned, 0) + classes * len(means)]
     weights = np.where(binned >= 0, rough, 0)
@@ -198,7 +198,7 @@ def cells_of(
     log_exposure: Float[np.ndarray, "*exposures pixels"],
     classes: Int[np.ndarray, " pixels"],
 ) -> Int[np.ndarray, "*exposures pixels"]:
-    """Cells of a rule's tables, flattened, that hold given log exposures."""
+    """Flattened indices of the cells of a rule's tables that contain given log exposures."""
     assert rule.weight is not None
     count = rule.weight.shape[1]
     position = (log_exposure - rule.start) / rule.step + 1.5

@@ -1,7 +1,7 @@
 """Angles and cosines between cells, lights and the eye, each bounded over the whole of a cell.
 
-For c cells and s places of light, at all points of a cell and all normals of its cone. Angles in
-rad, lengths in m.
+Bounds for each of c cells and s light positions, valid for every point of the cell and every normal
+of its cone. Angles in rad, lengths in m.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from .cells import Cells, Eye
 
 
 def half_width(radius: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """rad, of the cone in which a ball is seen; pi from inside it."""
+    """Half-angle, rad, of the cone that a ball subtends; pi from inside it."""
     inside = radius >= distance
     ratio = np.where(inside, 1, radius / np.where(distance > 0, distance, 1))
     return np.where(inside, np.pi, np.arcsin(np.minimum(ratio, 1)))
@@ -23,7 +23,7 @@ def cosine(angles: np.ndarray) -> np.ndarray:
 
 
 def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
-    """The unit direction to the viewer, (c, 3), and by how much it varies, (c,) rad."""
+    """The unit direction to the viewer, (c, 3), and its variation over each cell, (c,) rad."""
     if eye.everywhere:
         return cells.axis, np.full(len(cells.radius), np.pi)
     if eye.parallel:
@@ -34,7 +34,7 @@ def toward_eye(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest cosine at which a cell is seen, (c,), 0 from behind."""
+    """The smallest and the largest cosine at which a cell is seen, (c,), 0 from behind."""
     wo, width = toward_eye(cells, eye)
     middle, slack = angle(cells.axis, wo), width + cells.spread
     return cosine(middle + slack), cosine(np.maximum(middle - slack, 0))
@@ -43,9 +43,9 @@ def cos_seen(cells: Cells, eye: Eye) -> tuple[np.ndarray, np.ndarray]:
 def lobe_angles(
     cells: Cells, eye: Eye, wi: np.ndarray, width: np.ndarray, cos_i: np.ndarray
 ) -> Angles:
-    """The angles of lobes of c cells toward the eye, for light from `wi`, (c, s, 3) unit toward the
-    middle of each place, which varies by `width`, (c, s) rad, with the largest cosine of incidence
-    `cos_i`, (c, s)."""
+    """The angles between the lobes of c cells and the eye, for light from `wi`, (c, s, 3) unit
+    vectors toward the middle of each light position. `width`, (c, s) rad, is the variation of that
+    direction, and `cos_i`, (c, s), the largest cosine of incidence."""
     wo, seen = toward_eye(cells, eye)
     axis, wo, spread, seen = cells.axis[:, None], wo[:, None], cells.spread[:, None], seen[:, None]
     mirrored = 2 * (wi * axis).sum(-1, keepdims=True) * axis - wi

@@ -1,13 +1,13 @@
-"""Which surfaces may come between a light and a surface: `False` is certain.
+"""Which surfaces may lie between a light and a surface. `False` is certain.
 
 A one-sided convex surface does not shade itself, nor does the outer side of a convex body. A ball
-or a box that holds lamp and receiver, such as a room, blocks nothing between them: what joins two
-points of a convex body stays in it. Nothing is blocked where lamp, receiver and occluder are parted
-by the plane of one of them: both of the others on one closed side of a flat occluder, the lamp or
-the occluder behind a flat receiver, the receiver or the occluder behind the lamp. Elsewhere nothing
-is blocked only if the occluder is apart from the convex hull of lamp and receiver (`bodies.gap`). A
-point within a few rounding errors of a plane counts as in it: far fewer than
-`geometry.offset_length`, within which no ray meets it either. Lengths in m.
+or a box that contains lamp and receiver, such as a room, blocks nothing between them, because it is
+convex. Nothing is blocked if the plane of lamp, receiver or occluder separates them. This is so if
+the other two are on one closed side of a flat occluder, if the lamp or the occluder is behind a
+flat receiver, or if the receiver or the occluder is behind the lamp. Otherwise nothing is blocked
+only if the occluder is disjoint from the convex hull of lamp and receiver (`bodies.gap`). A point
+within a few rounding errors of a plane counts as in it. This is far less than
+`geometry.offset_length`, within which no ray meets the plane either. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ _FACES = 2000  # of a mesh, up to which it is looked at whether it is convex
 
 
 def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> float:
-    """m, the largest distance of anything bounded from the origin."""
+    """m, the largest distance of any bounded surface from the origin."""
     bodies = [body_of(surface.of("shape")) for surface in surfaces]
     bodies += [source.body for source in sources]
     far = [
@@ -53,7 +53,7 @@ def reach_of(surfaces: Sequence[Ends[Surface]], sources: Sequence[Source]) -> fl
 
 
 def touching(surfaces: Sequence[Ends[Surface]]) -> float:
-    """The relative rounding error of coordinates where shapes touch: a few roundings of their own
+    """The relative rounding error of coordinates where shapes touch, a few ULP of their
     precision."""
     leaves = jax.tree.leaves([surface.low.shape for surface in surfaces])
     kinds = {leaf.dtype for leaf in leaves if np.issubdtype(leaf.dtype, np.floating)}
@@ -79,14 +79,14 @@ def is_convex(shape: Ends[Shape]) -> bool:
 
 
 def certain(reach: float) -> float:
-    """m, by which sums of coordinates so large may be off in float64."""
+    """m, the possible float64 error of sums of such large coordinates."""
     return _SAFELY * float(np.finfo(np.float64).eps) * reach
 
 
 def slack_over(
     bodies: Bodies, point: np.ndarray, normal: np.ndarray, relative: float
 ) -> np.ndarray:
-    """Return (n,) m, the largest error of each body's height over a plane."""
+    """Return (n,) m, the largest error of each body's height above a plane."""
     size = (np.abs(bodies.points) @ np.abs(normal) + bodies.radii).max(1)
     return relative * (size + np.abs(point) @ np.abs(normal))
 
@@ -106,8 +106,8 @@ def _parts(
 def _extent(
     bodies: Bodies, bounded: np.ndarray, own: dict[int, tuple], plane: tuple, relative: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest height of each body over a plane, m, 0 where it touches; an endless
-    plane parallel to it has one height."""
+    """The smallest and the largest height of each body above a plane, m, 0 where it touches; an
+    endless plane parallel to it has one height."""
     point, normal = plane
     moved = Bodies(bodies.points - point, bodies.radii)
     slack = slack_over(bodies, point, normal, relative)
@@ -124,7 +124,7 @@ def _extent(
 
 
 def _height_range(source: Source, plane: tuple, relative: float) -> tuple[float, float]:
-    """The least and the largest height of a light over a plane, m, 0 where it touches."""
+    """The smallest and the largest height of a light above a plane, m, 0 where it touches."""
     point, normal = plane
     if source.body is not None:
         body = stacked([source.body])
@@ -202,8 +202,8 @@ def may_block(
 def _within(
     surface: Ends[Surface], bodies: Bodies, relative: float, reach: float, *, strictly: bool = False
 ) -> np.ndarray:
-    """(n,) whether each body lies within a ball or a box that stays as it is. Unless `strictly` it
-    may touch a box from within, but for roundings, `relative` to its coordinates."""
+    """(n,) whether each body lies inside a fixed ball or box. Unless `strictly`, it may touch a box
+    from inside within rounding errors, `relative` to its coordinates."""
     shape = surface.low.shape
     ends = (jax.tree.leaves(end.shape) for end in surface)
     fixed = all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in zip(*ends, strict=True))
@@ -253,7 +253,7 @@ def _apart(
 
 
 def swept(source: Source, bodies: Bodies, reach: float) -> Bodies:
-    """The hull of each body and a light; toward a light that is infinitely far away, the body moved
+    """The hull of each body and a light; for a light at infinity, the hull of the body and its copy
     beyond all others."""
     if source.body is not None:
         points, radii = source.body

@@ -1,11 +1,11 @@
-"""Convex bodies, lower bounds of their distances, and bodies that may be between two of them.
+"""Convex bodies, lower bounds on their distances, and bodies between two of them.
 
 A body is the convex hull of balls: a box is eight points, a sphere one ball, a disc the polygon
-around it. Every direction u gives a certain lower bound of the distance of two bodies: the least
-height of one body along u minus the greatest height of the other. Gilbert's algorithm searches for
-the best u. If it stops early, the bound is less sharp but still valid. Source: Gilbert, "An
-Iterative Procedure for Computing the Minimum of a Quadratic Form on a Convex Set", SIAM J. Control
-4(1) (1966). Lengths in m; NumPy float64.
+around it. Every direction u gives a certain lower bound on the distance of two bodies: the smallest
+height of one along u minus the largest height of the other. Gilbert's algorithm searches for the
+best u. If it stops early, the bound is less sharp but still valid. Source: Gilbert, "An Iterative
+Procedure for Computing the Minimum of a Quadratic Form on a Convex Set", SIAM J. Control 4(1)
+(1966). Lengths in m; NumPy float64.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ def _quad_corners(shape: Quad) -> np.ndarray:
 
 
 def disc_polygon(shape: Disc, *, within: bool = False) -> np.ndarray:
-    """(n, 3) m, the corners of a polygon about a disc, or in it, in order."""
+    """(n, 3) m, the corners of a polygon around a disc, or inside it, in order."""
     normal = unit(numbers(shape.normal))
     first = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
@@ -65,8 +65,8 @@ _POINTS = {Quad: _quad_corners, Disc: disc_polygon, Box: _box_corners, TriangleM
 
 
 def corners(shape: Shape) -> np.ndarray | None:
-    """Points whose hull holds a shape: (n, 3) m; of a sphere the corners of the box about it; None
-    for an unbounded plane."""
+    """Points whose hull contains a shape, (n, 3) m; for a sphere the corners of its bounding box;
+    None for an unbounded plane."""
     if isinstance(shape, Sphere):
         return numbers(shape.centre) + SIGNS * numbers(shape.radius)
     return _POINTS[type(shape)](shape) if type(shape) in _POINTS else None
@@ -74,8 +74,8 @@ def corners(shape: Shape) -> np.ndarray | None:
 
 @once
 def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
-    """A body's points, (p, 3) m, and radii, (p,) m, which holds the shape at both ends and between
-    them; None for an unbounded plane and for a free tilt."""
+    """A body's points, (p, 3) m, and radii, (p,) m, that contain the shape at both ends of its free
+    parameters and between them; None for an unbounded plane and for a free rotation."""
     low, high = shape
     if isinstance(low, Sphere) and isinstance(high, Sphere):
         points = box_about(numbers(low.centre), numbers(high.centre))
@@ -97,7 +97,7 @@ def body_of(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def faces_of(mesh: TriangleMesh) -> np.ndarray:
-    """(faces, 3) numbers of vertices, those out of range at its ends."""
+    """(faces, 3) vertex indices, with those out of range clipped."""
     return np.clip(np.asarray(mesh.faces), 0, len(mesh.vertices) - 1)
 
 
@@ -149,7 +149,7 @@ def plane_of(shape: Shape) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def stacked(bodies: Sequence[tuple[np.ndarray, np.ndarray]]) -> Bodies:
-    """Bodies side by side, the last ball of each repeated to the largest number."""
+    """Bodies as one batch, with the last ball of each repeated to the largest number."""
     most = max((len(points) for points, _ in bodies), default=1)
     points, radii = np.zeros((len(bodies), most, 3)), np.zeros((len(bodies), most))
     for i, (own, size) in enumerate(bodies):
@@ -169,21 +169,21 @@ def hulls(a: Bodies, b: Bodies) -> Bodies:
 
 
 def heights(bodies: Bodies, directions: np.ndarray) -> np.ndarray:
-    """The greatest height, m, of each body along each of the unit directions (d, 3): (n, d)."""
+    """The largest height, m, of each body along each of the unit directions (d, 3), as (n, d)."""
     return (bodies.points @ directions.T + bodies.radii[..., None]).max(1)
 
 
 def _farthest(bodies: Bodies, direction: np.ndarray) -> np.ndarray:
-    """The point of each body that lies farthest along a unit direction of its own: (n, 3) m."""
+    """The farthest point of each body along its own unit direction, (n, 3) m."""
     height = np.einsum("npk,nk->np", bodies.points, direction) + bodies.radii
     best, row = height.argmax(1), np.arange(len(height))
     return bodies.points[row, best] + bodies.radii[row, best, None] * direction
 
 
 def gap(a: Bodies, b: Bodies, *, enough: float = np.inf) -> np.ndarray:
-    """A lower bound of the distance of each pair, (n,) m, that is certain; 0 where none was found.
+    """A certain lower bound on the distance of each pair, (n,) m; 0 if none was found.
 
-    `enough`: m beyond which a bound need not be improved.
+    `enough`: m above which a bound need not be improved.
     """
     found = np.zeros(len(a.points))
     for start in range(0, len(found), _AT_ONCE):
@@ -216,8 +216,9 @@ def _gap(a: Bodies, b: Bodies, enough: float) -> np.ndarray:
 
 
 def _nearest_of_triangle(v: np.ndarray, w: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The point nearest to the origin of each triangle of (n, 3) corners: within it, or on a side.
-    The third corner, of the step before, keeps the search from zigzagging between two."""
+    """The point of each triangle, (n, 3) corners, that is nearest to the origin, in its interior or
+    on a side. The third corner, from the previous step, keeps the search from alternating between
+    two."""
     p, q = w - v, x - v
     pp, pq, qq = (np.einsum("nk,nk->n", s, t) for s, t in ((p, p), (p, q), (q, q)))
     vp, vq = np.einsum("nk,nk->n", v, p), np.einsum("nk,nk->n", v, q)

@@ -1,17 +1,17 @@
 """Bounds on interreflections: the largest light of paths with a given number of segments.
 
-The light of one more piece is T of the last, in the sup norm over each surface:
+One more segment of the path applies T to the light, in the sup norm over each surface:
 
     T_i L = rho_i sum_j F_ij L_j + s_i sum_j G_ij L_j + m_i max L
 
-with rho of the body, s of the lobe and m of a mirror or glass, which may pass on all of the
-brightest. F_ij, the share of a body's light that may come from j, is at most 1, at most (R / d)^2
-of the ball about j seen from i, and 0 where i is flat and j wholly behind it. A lobe may be turned
-toward j, whose solid angle is at most 2 pi (R / d)^2: its share is G_ij = min(1, g_i F_ij) with
-g_i = 2 pi sup(f_r cos) / s_i. The shares of a row sum to at most 1, which is spent on the brightest
-first. What is emitted is seen in paths of one piece, and what a surface makes of a lamp in paths of
-two. Proof is good in open scenes of dull surfaces; in a bright closed room it is far too large, and
-its paths are kept.
+with rho of the body, s of the lobe, and m of a mirror or glass, which may pass on all of the
+brightest light. F_ij is the largest share of a body's light that can come from j. It is at most 1,
+at most (R / d)^2 for the bounding ball of j seen from i, and 0 if i is flat and j entirely behind
+it. A lobe may point toward j, whose solid angle is at most 2 pi (R / d)^2. Its share is G_ij =
+min(1, g_i F_ij) with g_i = 2 pi sup(f_r cos) / s_i. The shares of a row sum to at most 1, and are
+assigned to the brightest surfaces first. Emitted light is seen in paths of one segment, and the
+light that a surface reflects from a lamp in paths of two. The bound is sharp in open scenes with
+dark surfaces. In a bright closed room it is far too large, and its paths are kept.
 """
 
 from collections.abc import Sequence
@@ -37,8 +37,8 @@ _MOST = 400  # pieces after which a sum that does not settle has no bound
 
 
 def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
-    """Rows "bounces", of the shortest paths first, for each n what paths of more pieces add at
-    most, W m^-2 sr^-1; none for direct light, `depth` None."""
+    """Rows "bounces", shortest paths first. For each n they bound the light of longer paths, W m^-2
+    sr^-1; none for direct light (`depth` None)."""
     if depth is None:
         return ()
     onward, wanted = Onward(sums, depth), shorter(depth)
@@ -53,8 +53,7 @@ def bounce_rows(sums: Sums, depth: int | None) -> tuple[Row, ...]:
 
 
 def shorter(depth: int) -> list[int]:
-    """Numbers of pieces below `depth` that paths may be cut to: each up to 16, from there on in
-    steps of a quarter."""
+    """Path lengths below `depth` to try: each up to 16, then in steps of a quarter."""
     found, pieces = [], DIRECT
     while pieces < depth:
         found.append(pieces)
@@ -63,8 +62,8 @@ def shorter(depth: int) -> list[int]:
 
 
 def pieces_row(amount: np.ndarray, pieces: int, depth: int, *, assumes: str = "") -> Row:
-    """The row of paths of at most `pieces` of the `depth` pieces that were followed; longer ones
-    add at most `amount`, (bands,) W m^-2 sr^-1, which is proved where `assumes` is ""."""
+    """The row for paths of at most `pieces` of the `depth` segments. Longer paths add at most
+    `amount`, (bands,) W m^-2 sr^-1, which is proved if `assumes` is ""."""
     bound = float(np.max(amount))
     why = f"paths of at most {pieces} pieces"
     rank = "estimate" if assumes else "exact" if bound == 0 else "bound"
@@ -89,7 +88,7 @@ class Transport(NamedTuple):
 
     @property
     def norm(self) -> float:
-        """The most by which the largest of all grows."""
+        """The largest factor by which the maximum grows."""
         body, lobe = (
             times(share, np.minimum(part.sum(1), 1))
             for share, part in ((self.body, self.factors), (self.lobe, self.of_lobes))
@@ -106,7 +105,8 @@ class Transport(NamedTuple):
 
 
 class Onward:
-    """From what each cell sends at first to the most that it sends after all further pieces."""
+    """The map from the light that each cell sends at first to the largest light after all further
+    segments."""
 
     def __init__(self, sums: Sums, depth: int | None) -> None:
         self.sums, self.depth = sums, depth
@@ -127,7 +127,8 @@ class Onward:
 
     @cached_property
     def lamps(self) -> np.ndarray:
-        """(n, bands) W m^-2 sr^-1, the most that each surface makes of all lamps."""
+        """(n, bands) W m^-2 sr^-1, a bound on the light that each surface reflects from all
+        lamps."""
         found = np.zeros_like(self.sums.own)
         for k in range(len(self.sums.sources)):
             found += self._largest_of_surfaces(sent(self.sums, k, around=True))
@@ -135,8 +136,8 @@ class Onward:
 
     @cached_property
     def arriving(self) -> np.ndarray:
-        """(n, bands) W m^-2 sr^-1, the most that each surface sends by paths that may be reflected
-        once more; 0 in direct light."""
+        """(n, bands) W m^-2 sr^-1, a bound on the light of each surface by paths that may be
+        reflected once more; 0 in direct light."""
         found = np.zeros_like(self.sums.own)
         if self.depth is None:
             return found
@@ -146,13 +147,13 @@ class Onward:
         return found
 
     def of_body(self, i: int) -> np.ndarray:
-        """(bands,) W m^-2 sr^-1, the mean of what arrives at a body from other surfaces."""
+        """(bands,) W m^-2 sr^-1, the mean light that arrives at a body from other surfaces."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.factors[i : i + 1], self.arriving)[0]
 
     def of_lobe(self, i: int) -> np.ndarray:
-        """(bands,) W m^-2 sr^-1, the mean of what arrives at a lobe from other surfaces."""
+        """(bands,) W m^-2 sr^-1, the mean light that arrives at a lobe from other surfaces."""
         if self.depth is None:
             return self.arriving[i]
         return gathered(self.transport.of_lobes[i : i + 1], self.arriving)[0]
@@ -163,8 +164,8 @@ class Onward:
         return self.tails(sent, [1], last)[0]
 
     def tails(self, sent: np.ndarray, firsts: Sequence[int], last: int) -> np.ndarray:
-        """The sums of T^k from each of several `firsts`, (f, n, bands). T shrinks the largest of
-        all by t at least, so that what follows a term is at most t / (1 - t) of its largest."""
+        """The sums of T^k from each of several `firsts`, (f, n, bands). T reduces the maximum by at
+        least a factor t, so the terms after one sum to at most t / (1 - t) of its maximum."""
         found, whole = np.zeros((len(firsts), *sent.shape)), np.zeros_like(sent)
         t = self.transport.norm
         for k in range(1, min(last, _MOST) + 1):
@@ -239,7 +240,7 @@ def _form_factors(sums: Sums) -> np.ndarray:
 
 
 def _lies_in_front(plane: tuple, body: tuple | None, other: tuple | None) -> bool:
-    """Whether any of a body, or of an endless plane, lies before a flat surface."""
+    """Whether any part of a body, or of an endless plane, is in front of a flat surface."""
     point, normal = plane
     if body is None:
         if other is None or not np.allclose(np.abs(other[1] @ normal), 1):

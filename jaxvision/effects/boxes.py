@@ -1,7 +1,7 @@
-"""What a fit may change: fields by name, each with the least and the largest value it may take.
+"""The box of a fit: fields by name, each with its smallest and largest value. A name is a path:
 
-A name is a path: "surfaces[0].material.specular", "lights[1].position", "ambient.radiance",
-"view.focal_length", "sensor.gain". Values are in the field's own unit.
+"surfaces[0].material.specular", "lights[1].position", "ambient.radiance", "view.focal_length",
+"sensor.gain". Values are in the field's own unit.
 """
 
 import re
@@ -24,7 +24,7 @@ _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 
 def refuse_tracers(*records: Any) -> None:
-    """`ValueError` for a record of traced numbers: what a scene calls for is decided before."""
+    """`ValueError` for a record with traced numbers, because pruning happens before tracing."""
     for leaf in jax.tree.leaves(records):
         if not is_known(leaf):
             raise ValueError(
@@ -33,8 +33,8 @@ def refuse_tracers(*records: Any) -> None:
 
 
 def unbounded(scene: Scene, camera: Camera) -> str:
-    """The name of a number that leaves nothing to prove: one of the scene that is not finite, or a
-    NaN of the camera; "" if there is none."""
+    """The name of a number that makes every bound infinite: one of the scene that is not finite, or
+    a NaN of the camera; "" if there is none."""
     for record, wrong in ((scene, _not_finite), (camera, _is_nan)):
         if any(wrong(leaf) for leaf in jax.tree.leaves(record)):
             return next(name for name in _names(record, "") if wrong(value_at(record, name)))
@@ -61,7 +61,7 @@ def _at(record: Any, step: str | int) -> Any:
 
 
 def value_at(record: Any, name: str) -> Any:
-    """The field of that name, None where there is none."""
+    """The field of that name, or None."""
     for step in _steps(name):
         record = _at(record, step)
     return record
@@ -78,7 +78,7 @@ def _put(record: Any, steps: list[str | int], value: Any) -> Any:
 
 
 def _names(record: Any, prefix: str) -> Iterator[str]:
-    """Those of all numbers in a record."""
+    """The names of all numbers in a record."""
     if isinstance(record, tuple):
         for i, own in enumerate(record):
             yield from _names(own, f"{prefix}[{i}]")
@@ -124,7 +124,7 @@ def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndar
 
 
 def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
-    """Whether a draft still has the field of that name, in its first shape and meaning."""
+    """Whether a draft still has the field of that name, with its original shape and meaning."""
     if name in _OF_A_LENS and type(draft.camera.view) is not type(camera.view):
         return False
     of_scene = value_at(scene, name)
@@ -134,7 +134,7 @@ def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
 
 
 def corners(ends: Ends[Any]) -> list[Any]:
-    """The record with each of its numbers at either end, in all combinations."""
+    """The record with its numbers at either end, in all combinations."""
     low, tree = jax.tree.flatten(ends.low)
     high = jax.tree.leaves(ends.high)
     choices = [(a,) if np.array_equal(a, b) else (a, b) for a, b in zip(low, high, strict=True)]

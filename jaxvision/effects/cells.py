@@ -1,9 +1,8 @@
-"""Surfaces cut into small cells, each a ball of places with a cone of normals.
+"""Surfaces divided into small cells, each a ball of points with a cone of normals.
 
 Distances, cosines and mirror directions are bounded for every point and normal of each cell. These
-bounds are much sharper than bounds for a whole surface. A cell that no pixel sees, for it lies
-outside of the picture or turns its back, counts for nothing there. Lengths in m, angles in rad;
-NumPy float64.
+bounds are much sharper than bounds for a whole surface. A cell that no pixel sees, because it is
+outside the picture or faces away, does not count there. Lengths in m, angles in rad; NumPy float64.
 """
 
 import math
@@ -65,7 +64,7 @@ class Eye(NamedTuple):
 
 
 def eye_of(view: Ends[View]) -> Eye:
-    """Where a view, between its two ends, may look from and at; lengths in m."""
+    """The position and field of view of a picture, between the two ends of a view; lengths in m."""
     low, high = view
     place, other = numbers(low.position), numbers(high.position)
     same = all(_equal(low, high, name) for name in ("rotation", "focal_length", "pixel_pitch"))
@@ -96,8 +95,8 @@ def eye_of(view: Ends[View]) -> Eye:
 
 
 def lens_radius(lens: ThinLens) -> float:
-    """m, from the axis to the farthest point of the aperture: the corner of a rectangle; all other
-    shapes reach as far as the lens's diameter."""
+    """m, from the axis to the farthest point of the aperture: the corner of a rectangle, else the
+    lens's radius."""
     radius = float(lens.focal_length) / float(lens.f_number) / 2
     if isinstance(lens.aperture, RectangularAperture):
         return radius * math.hypot(float(lens.aperture.width), float(lens.aperture.height))
@@ -105,7 +104,7 @@ def lens_radius(lens: ThinLens) -> float:
 
 
 def anywhere(eye: Eye) -> Eye:
-    """The same for any viewer, such as another surface that receives the light."""
+    """The same for an arbitrary viewer, such as another surface that receives the light."""
     return eye._replace(everywhere=True)
 
 
@@ -115,9 +114,9 @@ def _equal(low: View, high: View, name: str) -> bool:
 
 
 def in_view(eye: Eye, bodies: Bodies) -> np.ndarray:
-    """Whether a pixel may see any of each body, (n,): False is certain. A ray of a thin lens starts
-    within its size, m, of the middle and goes at a slope of up to the pixel's and r / z_f: at a
-    depth z it is r (1 + z / z_f) off the pixel's chief ray at most."""
+    """Whether a pixel may see any part of each body, (n,); False is certain. A ray through a thin
+    lens starts within its radius r, m, of the middle. Its slope is at most the pixel's plus r /
+    z_f, so at a depth z it is at most r (1 + z / z_f) from the pixel's chief ray."""
     if eye.everywhere:
         return np.ones(len(bodies.points), bool)
     moved = Bodies(bodies.points - eye.place, bodies.radii)
@@ -168,7 +167,7 @@ def _cells(shape: Ends[Shape], side: int, about: np.ndarray) -> Parts:
 
 
 def _anywhere(shape: Ends[Shape]) -> Parts:
-    """One cell of any normal about all places where a free shape may be."""
+    """One cell with any normal that contains all positions of a free shape."""
     body = body_of(shape)
     if body is None:
         return [np.zeros((1, 3)), np.array([np.inf]), np.eye(3)[:1], np.array([np.pi])]
@@ -198,7 +197,7 @@ def _disc_cells(shape: Disc, side: int) -> Parts:
 
 
 def _sphere_cells(shape: Sphere, side: int) -> Parts:
-    """The cells of a cube about it, thrown onto the sphere."""
+    """The cells of a cube around the sphere, projected onto it."""
     axis, spread = _sphere_axes(side)
     r = float(shape.radius)
     return [numbers(shape.centre) + r * axis, 2 * r * np.sin(spread / 2), axis, spread]
@@ -247,7 +246,7 @@ def has_faces_apart(shape: TriangleMesh) -> bool:
 
 
 def _mesh_cells(shape: TriangleMesh) -> Parts:
-    """Each triangle, or of many triangles runs of neighbours in the list."""
+    """One cell for each triangle, or for runs of neighbours in the list if there are many."""
     vertices = numbers(shape.vertices)
     faces = faces_of(shape)
     own = vertices[faces]
@@ -271,12 +270,12 @@ def _mesh_cells(shape: TriangleMesh) -> Parts:
 
 
 def part_of(cells: Cells, surface: int) -> slice:
-    """The cells of a surface, which stand side by side."""
+    """The cells of a surface, which are contiguous."""
     return slice(*np.searchsorted(cells.surface, [surface, surface + 1]))
 
 
 def bodies_of(cells: Cells) -> Bodies:
-    """The ball about each cell; an endless one reaches beyond any number."""
+    """The ball around each cell; an endless one has infinite radius."""
     return Bodies(
         cells.centre[:, None], np.where(np.isinf(cells.radius), 1e300, cells.radius)[:, None]
     )
@@ -284,5 +283,5 @@ def bodies_of(cells: Cells) -> Bodies:
 
 @once
 def plane_between(shape: Ends[Shape]) -> tuple[np.ndarray, np.ndarray] | None:
-    """`bodies.plane_of` of a flat shape that stays where it is; None for a free one."""
+    """`bodies.plane_of` for a flat fixed shape; None for a free one."""
     return plane_of(shape.low) if shape.low is shape.high else None

@@ -106,7 +106,7 @@ def parse(text: str, *, place: float | None = None, rare: float | None = None) -
 
 @dataclass(frozen=True)
 class Effect:
-    """One thing that a scene or a camera does to a picture, and the most that it can do.
+    """One effect of a scene or a camera on a picture, with a bound on it.
 
     Attributes:
         name: that of the field, by its place in the scene as it was given: "lights[2]",
@@ -141,7 +141,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What a pruned scene and camera leave out, and the bound on it.
+    """The dropped effects of a pruned scene and camera, with the total bound.
 
     Attributes:
         kept: the effects that remain, bounds in `unit`.
@@ -182,7 +182,7 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Pruned:
-    """A scene and a camera without what does not matter, ready for `render` and `capture`.
+    """A scene and a camera without negligible effects, ready for `render` and `capture`.
 
     Attributes:
         scene: what is left of the scene.
@@ -239,7 +239,7 @@ def summary(certificate: Certificate) -> str:
 
 
 def explain(certificate: Certificate) -> str:
-    """A certificate in words: a line for each effect, what the bounds rest on, and the total.
+    """A certificate in words: a line for each effect, the assumptions of the bounds, and the total.
 
     Args:
         certificate: from `prune`.

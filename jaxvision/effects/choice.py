@@ -1,8 +1,7 @@
-"""Choice of the effects to drop, in the order of their bound over the saved time, until the
-tolerance is used up.
+"""Choice of the effects to drop, by bound per saved time, until the tolerance is used up.
 
-Those of bound 0 go first. Bounds add, for the distance obeys the triangle inequality; each holds on
-every picture on the way from the full to the pruned one.
+Effects with bound 0 are dropped first. Bounds add by the triangle inequality. Each is valid for
+every picture between the full and the pruned one.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -34,7 +33,7 @@ class Chain:
 
 
 def concerns(field: str, effect: str) -> bool:
-    """Whether a free field is that of an effect, or within it."""
+    """Whether a free field belongs to an effect."""
     return field == effect or field.startswith((f"{effect}.", f"{effect}["))
 
 
@@ -60,7 +59,7 @@ class Choice:
         self.all_bands = ""  # why none of them can go
 
     def bound(self, row: Row) -> float:
-        """What a row changes at most, in the unit of the tolerance."""
+        """The bound of a row in the unit of the tolerance."""
         chain, gone = self.chain, frozenset(row.effect.name for row in self.gone)
         value = np.atleast_1d(row.amount if row.after is None else row.after(gone))
         if not value.any():
@@ -81,7 +80,7 @@ class Choice:
         return found if found >= 0 else np.inf
 
     def decide(self) -> None:
-        """Drops what fits: ordinary rows by what they change over what they save, then ladders."""
+        """Drop what the tolerance allows: ordinary rows by bound per saved time, then ladders."""
         plain = [row for row in self.chain.rows if not row.ladder and row.effect.present]
         parties = [(row,) for row in plain if not row.together]
         joint = sorted((row for row in plain if row.together), key=lambda row: row.together)
@@ -100,7 +99,7 @@ class Choice:
         return cost > 0, cost / sum(row.saves for row in party)
 
     def _try(self, party: tuple[Row, ...]) -> bool:
-        """Drops the rows of a party if all of them fit."""
+        """Drop the rows of a group if all of them fit."""
         gone = {row.effect.name for row in self.gone}
         rows = [row for row in party if row.part_of not in gone]
         allowed = all(
@@ -149,7 +148,7 @@ class Choice:
         return both[0], both[1]
 
     def _take_bands(self, draft: Draft) -> bool:
-        """Whether a camera with a sensor can take fewer bands, and no free spectrum is cut."""
+        """Whether a camera with a sensor can use fewer bands without cutting a free spectrum."""
         if any(_is_spectrum(name, *self.records) for name in self.free):
             self.all_bands = "a free spectrum has all of them"
             return False
@@ -223,7 +222,7 @@ class Choice:
 
 
 def _assumed_of(scene: Scene) -> Iterator[str]:
-    """What bounds of a scene rest on, a sentence each."""
+    """The assumptions of a scene's bounds, one sentence each."""
     if any(has_size(light) for light in scene.lights):
         yield (
             "bounds are of the exact integrals over lamps and skies; a rule with too few nodes for "
@@ -235,7 +234,7 @@ def _assumed_of(scene: Scene) -> Iterator[str]:
 
 
 def _is_spectrum(name: str, scene: Scene, camera: Camera) -> bool:
-    """Whether a field holds one number a band."""
+    """Whether a field has one number per band."""
     word = name.rpartition(".")[2]
     words = "emission radiance intensity irradiance diffuse specular ambient reflectance"
     return word in f"{words} transmission quantum_efficiency infrared_cut wavelength".split()

@@ -35,7 +35,7 @@ SRGB_SLOPE = 12.92
 
 
 class Factor(NamedTuple):
-    """By how much a step magnifies a change."""
+    """The factor by which a step magnifies a change."""
 
     value: float  # the factor, in the unit of the output per unit of the input; inf: there is none
     why: str  # what it rests on, or why there is none
@@ -43,7 +43,7 @@ class Factor(NamedTuple):
 
 
 def black_level(development: Development) -> Factor:
-    """A shift: 1."""
+    """A shift, with factor 1."""
     return Factor(1.0, "a shift", float(_known(development.black_level)) == 0)
 
 
@@ -56,7 +56,8 @@ def white_level(development: Development) -> Factor:
 
 def demosaicing(development: Development) -> Factor:
     """Bilinear and normalised interpolation: means, 1. Malvar's filters: absolute sums of 20 / 8 at
-    most. Menon chooses between directions: a small change may choose the other."""
+    most. Menon's method selects directions, so a small change may select the other one and there is
+    no bound."""
     how = development.demosaicing
     assert how is not None
     match how.method:
@@ -69,7 +70,8 @@ def demosaicing(development: Development) -> Factor:
 
 
 def white_balance(development: Development) -> Factor:
-    """The largest gain. Gains that the picture decides are ratios of means, which may vanish."""
+    """The largest gain. If the picture determines the gains, they are ratios of means, whose
+    denominators may vanish."""
     match development.white_balance:
         case WhiteBalance(gains=gains):
             gains = np.asarray(gains, float)
@@ -80,13 +82,13 @@ def white_balance(development: Development) -> Factor:
 
 
 def saturation(development: Development) -> Factor:
-    """Clipping: 1, at a level that the gains fix."""
+    """Clipping at a level that the gains determine, with factor 1."""
     return Factor(1.0, "clipping")
 
 
 def denoising(development: Development) -> Factor:
-    """Weights that depend on the picture bring a factor that grows with the neighbourhood: none is
-    claimed. Over a neighbourhood of one pixel the filters are the identity."""
+    """Weights that depend on the picture give a factor that grows with the neighbourhood, so there
+    is no bound. Over a neighbourhood of one pixel the filters are the identity."""
     how = development.denoising
     assert isinstance(how, Bilateral | NonLocalMeans)
     alone = how.radius == 0
@@ -103,9 +105,9 @@ def colour_matrix(development: Development) -> Factor:
 
 
 def tone_map(development: Development) -> Factor:
-    """The largest slope: Reinhard's falls from 1 to 1 / white^2 or rises to it; a spline that is
-    monotone between its points is nowhere steeper than three times the steepest chord (Fritsch and
-    Carlson, "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 17 (1980))."""
+    """The largest slope. Reinhard's goes monotonically from 1 to 1 / white^2. A monotone spline is
+    nowhere steeper than three times its steepest chord (Fritsch and Carlson, "Monotone Piecewise
+    Cubic Interpolation", SIAM J. Numer. Anal. 17 (1980))."""
     match development.tone_map:
         case Reinhard(white=None):
             return Factor(1.0, "largest slope, at 0")
@@ -121,8 +123,9 @@ def tone_map(development: Development) -> Factor:
 
 
 def tone(development: Development) -> Factor:
-    """The factor of sRGB: its slope at 0. Its rounded constants cause a step of 3e-8 at 0.0031308,
-    which is ignored. A power below 1 has an infinite slope there, one above 1 far away."""
+    """The factor of sRGB: its slope at 0. Its rounded constants cause a step of 3e-8 at
+    0.0031308, which is ignored. A power below 1 has an infinite slope at 0, and one above 1 at
+    large values."""
     match development.tone:
         case SRGB():
             return Factor(SRGB_SLOPE, "slope of sRGB at 0")
@@ -135,7 +138,7 @@ def tone(development: Development) -> Factor:
 
 
 def sharpening(development: Development) -> Factor:
-    """f + a (f - g * f) with a g of sum 1: 1 + 2 |a|."""
+    """f + a (f - g * f), where g has sum 1: 1 + 2 |a|."""
     how = development.sharpening
     assert how is not None
     amount = abs(float(how.amount))
@@ -143,7 +146,7 @@ def sharpening(development: Development) -> Factor:
 
 
 def compression(development: Development) -> Factor:
-    """Rounded coefficients jump."""
+    """Rounded coefficients are discontinuous."""
     return Factor(INF, "JPEG rounds its coefficients: they jump")
 
 
@@ -202,8 +205,8 @@ def lipschitz(development: Development | None) -> Factor:
 
 
 def development_stage(development: Ends[Development | None]) -> tuple[Row, ...]:
-    """A row for each step of a development that is present, bounds in DN of the raw data: only
-    steps that are the identity can go. `ValueError` for traced numbers."""
+    """A row for each step of a development, with bounds in DN of the raw data. Only steps that are
+    the identity can be dropped. `ValueError` for traced numbers."""
     refuse_tracers(development)
     low, high = development
     if low is None or high is None:

@@ -20,9 +20,9 @@ from .sums import Sums, lobe_sent, pictured
 
 
 def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
-    """The most by which the radiance of any point in the picture differs between two points of the
-    lens, (bands,) W m^-2 sr^-1: 0 of a pinhole, inf where a mirror or glass is in view; `onward` is
-    what light does after its first reflection."""
+    """A bound on the difference in radiance of any point in the picture between two points of the
+    lens, (bands,) W m^-2 sr^-1. It is 0 for a pinhole and inf if a mirror or glass is in view.
+    `onward` bounds the light after its first reflection."""
     eye, cells, of_cell = sums.eye, sums.cells, sums.cells.surface
     radius = eye.size - eye.moves
     if radius <= 0:
@@ -53,7 +53,8 @@ def over_lens(sums: Sums, onward: Onward) -> np.ndarray:
 
 
 def _slope(own: Reflection) -> float:
-    """sr^-1 rad^-1, of a lobe with the direction of view: that with the direction of light."""
+    """sr^-1 rad^-1, the slope of a lobe with respect to the view direction, which equals that with
+    respect to the light direction."""
     if own.lobe is None:
         return 0.0
     return np.inf if own.lobe.slope is None else own.lobe.slope
@@ -71,7 +72,7 @@ def _is_smooth(shape: Shape) -> bool:
 
 
 def _of_others(sums: Sums, onward: Onward, plain: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-    """(n, bands) the same of what surfaces send to each other."""
+    """(n, bands) the same for the light between surfaces."""
     found = np.zeros_like(sums.own)
     if onward.depth is None:
         return found

@@ -1,6 +1,7 @@
-"""What a sensor's own numbers say: electrons freed by light, dark rates, variances of the read-out.
+"""Quantities that follow from a sensor's parameters: electrons freed by light, dark rates,
+variances of the read-out.
 
-NumPy float64, electrons unless said otherwise.
+NumPy float64, in electrons unless stated otherwise.
 """
 
 import math
@@ -34,7 +35,7 @@ def freed(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
 
 
 def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
-    """Electrons that photons free in the pixel that sees most of them, behind all filters."""
+    """Photoelectrons in the pixel with the most of them, behind all filters."""
     electrons = photons
     with np.errstate(invalid="ignore"):  # 0 of inf: nothing is known
         for factor in (sensor["infrared_cut"], sensor["quantum_efficiency"]):
@@ -47,7 +48,7 @@ def detected(sensor: Mapping[str, Any], photons: np.ndarray) -> float:
 
 
 def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
-    """Electrons that the light offset frees at most beside the light, or takes away."""
+    """The largest number of electrons that the light offset adds to or removes from a pixel."""
     match sensor["light_offset"]:
         case None:
             return 0.0
@@ -59,13 +60,13 @@ def beside_light(sensor: Mapping[str, Any], irradiance: np.ndarray) -> float:
 
 
 def share_of_light(aperture: PixelAperture) -> float:
-    """What a pixel's aperture gathers of the light on it."""
+    """The share of the light on a pixel that its aperture collects."""
     fill = float(aperture.fill_factor)
     return fill if aperture.microlens is None else fill + float(aperture.microlens) * (1 - fill)
 
 
 def exposure(sensor: Mapping[str, Any]) -> float:
-    """s, or 1 where rates are counts already."""
+    """s, or 1 if rates are already counts."""
     return 1.0 if sensor["exposure_time"] is None else float(sensor["exposure_time"])
 
 
@@ -95,15 +96,15 @@ def read_out_variances(sensor: Mapping[str, Any]) -> dict[str, float]:
 
 
 def kernel_slopes(kernel: Any) -> float:
-    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets of 0, 1, ... rows and columns,
-    of both together, per electron."""
+    """Half of the sum of |K_l - K_(l + neighbour)| over all offsets, in rows and in columns, per
+    electron."""
     rows, columns = (np.abs(np.arange(1 - n, n)) for n in np.shape(kernel))
     whole = np.pad(np.asarray(kernel, float)[np.ix_(rows, columns)], 1)
     return float(sum(np.abs(np.diff(whole, axis=axis)).sum() for axis in (0, 1))) / 2
 
 
 def dark_rate(law: Any) -> float:
-    """e- s^-1 of a dark current, a number or a law of temperature."""
+    """e- s^-1 of a dark current, given as a number or as a law of temperature."""
     match law:
         case DoublingDarkCurrent():
             warmer = float(law.temperature) - float(law.reference_temperature)

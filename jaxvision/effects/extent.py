@@ -1,17 +1,17 @@
-"""A rectangle as a small light at its middle: how far the two may differ.
+"""A rectangle replaced by a small light at its middle: bounds on the difference.
 
 Over the lamp's plane the integrand is cos_l cos_s / r^2 = H (n.(y - x)) / r^4 with H the receiver's
-constant height above it. Its second derivative along a unit vector t, with c = t.(y - x) / r, is
-H r^-5 [(24 c^2 - 4) cos_s - 8 c n.t], at most H r^-5 sqrt((16 c^2 - 4)^2 + 64 c^2 (1 - c^2)) over
-all normals, which is largest at c = 1: 12 H r^-5. The midpoint's error is at most half of that
-times the mean square m2 = (u^2 + v^2) / 12 of places about the middle:
+constant height above it. Its second derivative along a unit vector t, with c = t.(y - x) / r, is H
+r^-5 [(24 c^2 - 4) cos_s - 8 c n.t]. It is at most H r^-5 sqrt((16 c^2 - 4)^2 + 64 c^2 (1 - c^2))
+over all normals, which is largest at c = 1: 12 H r^-5. The error of the midpoint rule is at most
+half of that times the mean square m2 = (u^2 + v^2) / 12 of positions about the middle:
 
     |E - E_middle| <= L A / d^2 (H / d) [6 m2 / (d^2 (1 - q)^5) + kink],   q = half diagonal / d
 
-with d the distance from the middle; kink = sqrt(m2) / (2 d (1 - q)^4), only where the receiver's
-horizon can cross the lamp. A lobe changes by its slope along the lamp, and never by more than its
-largest value under either light, which also bounds everything inside a penumbra, and a lobe that
-ends at a horizon which can cross the lamp. Lengths in m.
+Here d is the distance from the middle, and kink = sqrt(m2) / (2 d (1 - q)^4), needed only if the
+receiver's horizon can cross the lamp. A lobe changes by its slope along the lamp, and by at most
+its largest value under either light. The latter also bounds points in a penumbra, and lobes that
+end at a horizon which can cross the lamp. Lengths in m.
 """
 
 import numpy as np
@@ -69,8 +69,8 @@ def extent_change(sums: Sums, k: int) -> tuple[np.ndarray, Light | None, str]:
 
 
 def _distance(place: Source, cells: Cells) -> np.ndarray:
-    """(c,) m, the least from the lamp's middle: to the ball about a cell, and over the plane of a
-    flat one."""
+    """(c,) m, the smallest distance from the lamp's middle to the ball around a cell, and above the
+    plane of a flat one."""
     apart = place.places[0] - cells.centre
     ball = np.maximum(np.linalg.norm(apart, axis=1) - cells.radius, 0)
     height = np.abs((apart * cells.axis).sum(-1))
@@ -80,7 +80,7 @@ def _distance(place: Source, cells: Cells) -> np.ndarray:
 
 
 def _height(place: Source, cells: Cells) -> np.ndarray:
-    """(c,) m, the largest height of a cell over the lamp's plane."""
+    """(c,) m, the largest height of a cell above the lamp's plane."""
     over = (cells.centre - place.places[0]) @ place.normal
     return np.maximum(over + cells.radius, 0)
 
@@ -105,8 +105,8 @@ def _lobes(
     peak: np.ndarray,
     lamp: tuple[np.ndarray, np.ndarray, float],
 ) -> np.ndarray:
-    """(c, bands): a lobe's slope along the lamp, and the change of E under it; `either`: the most
-    that lobes send under either light."""
+    """(c, bands): a lobe's slope along the lamp, and its change through E; `either` bounds the
+    light of lobes under either light."""
     q, d, rms = lamp
     slope = np.full(len(sums.reflections), np.inf)
     for i, own in enumerate(sums.reflections):
@@ -123,7 +123,7 @@ def _lobes(
 def _small_light_suprema(
     sums: Sums, k: int, place: Source, area: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(c, bands) suprema of what bodies and lobes send under the small light."""
+    """(c, bands) suprema of the light of bodies and lobes under the small light."""
     lobes = [own.lobe for own in sums.reflections]
     body, lobe = geometry_of(sums, place, np.zeros(len(lobes)), lobes)
     of_cell, spectrum = sums.cells.surface, sums.spectrum[k]

@@ -21,13 +21,13 @@ from .cells import Cells, Eye
 
 
 def has_size(light: Light) -> bool:
-    """Whether a light may reach a point from many directions, as one that was never registered."""
+    """Whether a light may reach a point from many directions, as an unregistered one may."""
     own = kinds().get(type(light))
     return own is None or hasattr(own, "seen")
 
 
 def source_of(light: Ends[Any]) -> Source:
-    """A light between its two ends; inf for a kind that brings no bound."""
+    """A light between the two ends of its free parameters; inf for a kind without a bound."""
     own = kinds().get(type(light.low))
     if own is not None and own.bound is not None:
         return own.bound(light)
@@ -41,7 +41,7 @@ def source_of(light: Ends[Any]) -> Source:
 
 
 class Arrived(NamedTuple):
-    """The light of a source on c cells, from each of its s places."""
+    """The light of a source on c cells, from each of its s positions."""
 
     wi: np.ndarray | None  # (c, s, 3) unit, toward the middle of each place; None of a sky
     width: np.ndarray  # (c, s) rad, by how much that varies
@@ -77,8 +77,8 @@ def arriving(source: Source, cells: Cells, least: np.ndarray) -> Arrived:
 def of_lobes(
     arrived: Arrived, source: Source, lobes: Sequence[Lobe | None], cells: Cells, eye: Eye
 ) -> np.ndarray:
-    """(c,) sup of E f_r cos / k_s of the lobes of each surface (None: none), per unit of the
-    source's spectrum, toward the eye; lengths in m."""
+    """(c,) sup of E f_r cos / k_s of the lobes of each surface toward the eye, per unit of the
+    source's spectrum; None if it has no lobe. Lengths in m."""
     found, e = np.zeros(len(cells.radius)), arrived.e
     has = np.array([own is not None for own in lobes], bool)[cells.surface]
     angles = None
@@ -101,7 +101,7 @@ def of_lobes(
 
 
 def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
-    """The product in which 0 times inf is 0: no light, or nothing that reflects it."""
+    """The product with 0 times inf = 0: no light, or no reflectance."""
     nothing = (a == 0) | (b == 0)
     return np.where(nothing, 0, np.where(nothing, 1, a) * np.where(nothing, 1, b))
 
@@ -109,8 +109,8 @@ def times(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
 def _toward_places(
     source: Source, cells: Cells, least: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Toward each place the unit direction, (c, s, 3), by how much that varies, rad, the largest
-    cosine of incidence and the largest E, (c, s)."""
+    """For each position, the unit direction, (c, s, 3), its variation, rad, the largest cosine of
+    incidence, and the largest E, (c, s)."""
     apart = source.places - cells.centre[:, None]
     distance = np.linalg.norm(apart, axis=-1)
     wi, size = unit(apart), cells.radius[:, None] + source.size

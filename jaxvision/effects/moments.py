@@ -1,4 +1,4 @@
-"""The rows of a scene that moves: each bound at its largest over all moments of the exposure."""
+"""The rows of a moving scene, each with its largest bound over all moments of the exposure."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -66,7 +66,7 @@ def scene_rows(
 
 
 def _uncut(row: Row) -> Row:
-    """Of all longer paths, as what stays."""
+    """All longer paths as a row that is kept."""
     effect = replace(row.effect, why="what follows paths to their end cannot cut them")
     return replace(row, effect=effect, drop=None, saves=0.0)
 
@@ -80,7 +80,7 @@ def _free(row: Row) -> Row:
 
 
 def _ladder_order(row: Row) -> float:
-    """In order as they stand, and after all others those of paths, from short to long ones."""
+    """Rows in their order, with the rows of paths last, from short to long."""
     return -row.saves if row.ladder == "bounces" else -2.0
 
 
@@ -109,7 +109,7 @@ def _unique_rows(moments: Sequence[Sequence[Row]]) -> Iterator[Row]:
 
 
 def _most(rows: Sequence[Row]) -> Row:
-    """One row with the largest amount of all."""
+    """One row with the largest bound of all."""
     amount = np.max([row.amount for row in rows], axis=0)
     bound = float(np.max(amount))
     first = rows[0]

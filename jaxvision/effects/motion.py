@@ -1,15 +1,15 @@
-"""The stage of motion: how far anything moves in the picture during an exposure.
+"""The stage of motion: displacement of points in the picture during an exposure.
 
-A motion is a function of time, asked at the few moments that are rendered: those are looked at, all
-of them. A body is the hull of its corners, moved with them: x' = sum w_i x'_i wherever x = sum w_i
-x_i. With X, Z across and along the axis of the camera, a point in view (of slope up to M) moves by
+A motion is a function of time that rendering evaluates at a few moments, and the bound uses exactly
+these. A body is the hull of its corners, which move with it: x' = sum w_i x'_i if x = sum w_i x_i.
+With X and Z across and along the axis of the camera, a point in view (of slope up to M) moves by
 
     |X' / Z' - X / Z| = |(X' - X) - (X / Z)(Z' - Z)| / Z' <= (max |dX_i| + M max |dZ_i|) / min Z_i,
 
-over the pitch and times the distance to the sensor in pixels; through a point of a lens's aperture,
-at most r from the axis, rays of slope up to M + r / z_f pass. What light does on the way is not
-bounded: a body that turns, or passes a lamp, changes its shading and the shadows around it. So the
-bound is an estimate, unless nothing moves at all.
+over the pitch and times the distance to the sensor, in pixels. Rays through a point of the aperture
+at most r from the axis have slopes up to M + r / z_f. The effect on light transport is not bounded:
+a body that rotates, or passes a lamp, changes its shading and the shadows around it. The bound is
+therefore an estimate, unless nothing moves.
 """
 
 from collections.abc import Callable, Sequence
@@ -79,7 +79,7 @@ def motion_stage(
 
 
 def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
-    """The times, (moments,) s, at which a motion is asked for a picture of that many rows."""
+    """The times, (moments,) s, at which a motion is evaluated for a picture with that many rows."""
     assert sensor.exposure_time is not None
     times, _ = exposure_slots(sensor.shutter, sensor.exposure_time, rows=rows, slots=moments)
     return np.asarray(times, float)
@@ -88,8 +88,8 @@ def moments_of(sensor: Sensor, rows: int, moments: int) -> np.ndarray:
 def moved(
     motion: Motion, scene: Scene, view: View, times: Sequence[float] | np.ndarray
 ) -> tuple[float, bool, str]:
-    """How far anything moves from where it rests at any of the times, s: pixels, inf where it is
-    not bounded; whether nothing at all changes; and why."""
+    """The largest displacement from rest at any of the times s, in pixels, inf if it is not
+    bounded; whether nothing changes; and the reason."""
     farthest, still = 0.0, True
     dtype = view.pixel_pitch.dtype
     for time in times:
@@ -107,7 +107,7 @@ def moved(
 
 
 def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, str]:
-    """Pixels between a scene at rest and at one moment."""
+    """Displacement in pixels between a scene at rest and at one moment."""
     if jax.tree.structure((scene, view)) != jax.tree.structure((now, seen)):
         return INF, "the motion changes kinds, not only numbers"
     if not same(_without_places(scene, view), _without_places(now, seen)):
@@ -137,7 +137,7 @@ def _between(scene: Scene, view: View, now: Scene, seen: View) -> tuple[float, s
 
 
 def _displacement(view: View, seen: View, points: np.ndarray, others: np.ndarray) -> float:
-    """Pixels by which a hull of corners (n, 3) m moves in the picture at most."""
+    """The largest displacement in the picture, in pixels, of a hull of corners (n, 3) m."""
     rest, now = _camera_coordinates(view, points), _camera_coordinates(seen, others)
     across = float(np.hypot(*(now - rest)[:, :2].T).max())
     if isinstance(view, Orthographic):
@@ -185,7 +185,7 @@ def _points(shape: Any) -> np.ndarray | None:
 
 
 def _without_places(scene: Scene, view: View) -> tuple[Any, ...]:
-    """What a motion that only moves things leaves as it is."""
+    """The parts of a record that a pure motion leaves unchanged."""
     surfaces = [(s.material, s.emission) for s in scene.surfaces]
     optics = {k: v for k, v in vars(view).items() if k not in ("position", "rotation")}
     return scene.lights, scene.ambient, surfaces, optics

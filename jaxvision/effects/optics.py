@@ -45,8 +45,8 @@ GEOMETRY = {
 def optics_stage(
     view: Ends[View], arriving: Arriving, *, samples: Any = None, oversampling: int = 1
 ) -> tuple[tuple[Row, ...], OnSensor]:
-    """A row for each part of a view that is present, and irradiance and opening on the sensor at
-    most; the lens acts on a grid finer by `oversampling`. `ValueError` for traced numbers."""
+    """A row for each part of a view, and the largest irradiance and opening on the sensor. The lens
+    uses a grid finer by `oversampling`. `ValueError` for traced numbers."""
     refuse_tracers(view)
     radiance = np.asarray(arriving.radiance, float)
     grids = _Grids(view, oversampling)
@@ -70,8 +70,8 @@ def optics_stage(
 
 
 class _Grids:
-    """Pictures of a scene of radiance 1, with and without the parts of a lens, each made once, on
-    the grid of all samples of pixels' apertures."""
+    """Pictures of a scene of radiance 1, with and without the parts of a lens, each rendered once
+    on the grid of all samples of the pixel apertures."""
 
     def __init__(self, view: Ends[View], oversampling: int) -> None:
         self.view, self.oversampling = view, oversampling
@@ -79,7 +79,7 @@ class _Grids:
         self.slopes = cache(self._slopes)
 
     def without(self, *parts: str) -> View:
-        """The view without some of its parts, sampled as finely as the aperture asks."""
+        """The view without some of its parts, sampled as finely as the aperture needs."""
         view, n = self.view.high, self.oversampling
         rows, columns = view.resolution
         view = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
@@ -87,12 +87,12 @@ class _Grids:
         return replace(view, **there) if there else view
 
     def has(self, part: str) -> bool:
-        """Whether the view holds a part."""
+        """Whether the view has a part."""
         return getattr(self.view.high, part, None) is not None
 
     @property
     def fixed(self) -> bool:
-        """Whether nothing that pictures depend on may change."""
+        """Whether all parameters that the pictures depend on are fixed."""
         view = self.view
         same = {"position", "rotation", "resolution"}
         names = set(vars(view.high)) - same
@@ -122,7 +122,7 @@ class _Grids:
         return np.asarray(_brightness_of(view, ones), float)[..., 0]
 
     def _slopes(self, *gone: str) -> np.ndarray:
-        """(2, h + 2, w + 2) slopes of the chief rays, from edge to edge of the picture."""
+        """(2, h + 2, w + 2) slopes of the chief rays, up to the edges of the picture."""
         view = self.without(*gone)
         dtype = view.pixel_pitch.dtype
         rows, columns = (
@@ -141,9 +141,9 @@ _brightness_of = jax.jit(sensor_irradiance)
 
 
 def opening_of(view: View) -> float:
-    """W m^-2 per W m^-2 sr^-1 on the axis: pi / (4 N^2), or the aperture's area over the square of
-    the distance to the sensor; 1 for a view that passes radiance on. Rim, distortion and
-    diffraction are not looked at."""
+    """W m^-2 per W m^-2 sr^-1 on the axis: pi / (4 N^2), or the aperture's area over the squared
+    distance to the sensor; 1 for a view that returns radiance. Rim, distortion and diffraction are
+    ignored."""
     if isinstance(view, ThinLens):
         area = float(aperture_area(view.aperture, view.focal_length / view.f_number))
         return area * float(sensor_vergence(view)) ** 2
@@ -151,10 +151,11 @@ def opening_of(view: View) -> float:
 
 
 def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
-    """What the rim cuts off in the darkest corner: sup of the brightness without it less with it.
+    """The light that the rim removes in the darkest corner: sup of the brightness without it minus
+    that with it.
 
-    It is exactly nothing where the whole aperture is seen through the rim from every pixel. Holds
-    with the distortion that the lens has, and without.
+    It is exactly 0 if the whole aperture is visible through the rim from every pixel. The bound is
+    valid with and without the lens's distortion.
     """
     if not grids.fixed:
         return np.full_like(radiance, INF), 0.0, "the lens may change"
@@ -168,8 +169,8 @@ def rim(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
 
 
 def _passes(grids: _Grids, *gone: str) -> bool:
-    """Whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R, with r that
-    of its farthest point."""
+    """Whether the rim clears the aperture for every pixel: r |1 - l / z_f| + l t <= R, with r the
+    radius of its farthest point."""
     view = grids.view.high
     assert isinstance(view, ThinLens)
     assert view.rim is not None
@@ -181,8 +182,8 @@ def _passes(grids: _Grids, *gone: str) -> bool:
 
 
 def distortion(grids: _Grids, radiance: np.ndarray) -> tuple[np.ndarray, float, str]:
-    """The largest displacement over the grid, and the largest change of the brightness, with the
-    rim that the lens has and without."""
+    """The largest displacement over the grid, and the largest change of the brightness, with and
+    without the rim."""
     if grids.straight:
         return np.zeros_like(radiance), 0.0, "all coefficients are 0"
     if not grids.fixed:
@@ -228,8 +229,8 @@ def diffraction(
 
 
 def on_pixel(width: np.ndarray) -> np.ndarray:
-    """Share of Airy's pattern, (...) no unit, that falls on the pixel in its middle for a `width`
-    of lambda N in pixels: the least of any pattern that is no wider.
+    """The smallest share of any Airy pattern, no wider than the given `width` of lambda N in
+    pixels, on the pixel in its middle, (...) no unit.
 
         1 - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds   around the pixel
 
@@ -275,9 +276,9 @@ def defocus(view: Ends[View], near: float, far: float, *, wider: float = 1.0) ->
 
 
 def stretch(view: Pinhole | ThinLens, steepest: float) -> float:
-    """By how much distortion magnifies small distances on the sensor at most, relative, >= 1: the
-    norm of its derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r, r being the largest
-    slope of a chief ray in the picture."""
+    """The largest relative factor, >= 1, by which distortion magnifies small distances on the
+    sensor. The norm of its derivative is at most 1 + sum (2 i + 1) |k_i| r^2i + 6 |p| r, with r the
+    largest slope of a chief ray in the picture."""
     if view.distortion is None:
         return 1.0
     radial = np.abs(np.asarray(view.distortion.radial, float))
@@ -333,7 +334,7 @@ def _to_pinhole(draft: Draft) -> Draft:
 
 
 def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
-    """The row of a part of the lens, which goes by becoming None."""
+    """The row of a part of the lens, which is dropped by setting it to None."""
     amount = np.maximum(np.nan_to_num(amount, nan=INF, posinf=INF), 0)
 
     def drop(draft: Draft) -> Draft:
@@ -349,7 +350,7 @@ def _row(name: str, amount: np.ndarray, place: float, why: str) -> Row:
 
 
 def _rounding(grids: _Grids) -> float:
-    """Of a brightness in the view's dtype."""
+    """The rounding error of a brightness in the view's dtype."""
     dtype = grids.view.high.pixel_pitch.dtype
     return 0.0 if dtype == np.float64 else 16 * float(jnp.finfo(dtype).eps) * grids.opening
 

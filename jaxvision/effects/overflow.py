@@ -1,4 +1,4 @@
-"""By how much a random charge exceeds a level: bounds from its moment-generating function.
+"""Bounds on the excess of a random charge above a level, from its moment-generating function.
 
 For every theta > 0 and x >= 0, x <= exp(theta x) / (e theta) and x^2 <= (2 / (e theta))^2
 exp(theta x). With x = (N - w)+ this gives (Chernoff)
@@ -6,15 +6,15 @@ exp(theta x). With x = (N - w)+ this gives (Chernoff)
     E (N - w)+    <=  E exp(theta (N - w)) / (e theta),
     E (N - w)+^2  <=  E exp(theta (N - w)) (2 / (e theta))^2,
 
-and the least over a grid of theta is taken. Given its mean m, a charge has E exp(theta N) = exp(m
-u):
+and the smallest value over a grid of theta is used. Given its mean m, a charge has E exp(theta N) =
+exp(m u) with
 
     u = theta                 not counted
     u = exp(theta) - 1        counted, Poisson
     u = theta + theta^2 / 2   counted, Gaussian
 
-and m is itself random: light max(1 + p g, 0) + dark + the excess of a hot pixel, with g Gaussian
-and the excess exponential.
+m is random, too: light max(1 + p g, 0) + dark + the excess of a hot pixel, with g Gaussian and the
+excess exponential.
 """
 
 import math
@@ -27,7 +27,7 @@ _SLOPES = np.geomspace(1e-7, 30.0, 600)  # per electron
 
 
 class Excess(NamedTuple):
-    """Bounds on the mean and the root mean square of what exceeds a level, electrons."""
+    """Bounds on the mean and the root mean square of the excess above a level, electrons."""
 
     mean: float
     rms: float
@@ -95,7 +95,7 @@ def _below(rms: float) -> float:
 
 
 def _tail_mean(rms: float) -> float:
-    """E max(1 + rms g, 0) - 1: what cutting sensitivities at 0 adds to their mean."""
+    """E max(1 + rms g, 0) - 1, the increase of the mean sensitivity by clipping at 0."""
     if rms == 0:
         return 0.0
     z = 1 / rms
@@ -103,6 +103,6 @@ def _tail_mean(rms: float) -> float:
 
 
 def sensitivity_bias(prnu: float) -> float:
-    """What cutting the pixels' sensitivities of relative rms `prnu` at 0 adds to their mean,
-    relative to it."""
+    """The relative increase of the mean sensitivity by clipping the pixels' sensitivities of
+    relative rms `prnu` at 0."""
     return max(_tail_mean(prnu), 0.0)

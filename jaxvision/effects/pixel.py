@@ -26,8 +26,8 @@ A pixel's electrons are read as
 A change of the charge by D changes DN by at most K sqrt((1 + c^2)(1 + q^2)) D. With more noise, a
 change of the variance has less effect on the rms. All pixels have at least the noise in the dark.
 
-All quantities are NumPy float64, in electrons unless said otherwise. A quantity that lowers a bound
-is taken at the end of its range that lowers it least.
+All quantities are NumPy float64, in electrons unless said otherwise. A quantity that reduces a
+bound is taken at the end of its range where it reduces it least.
 """
 
 import math
@@ -63,15 +63,15 @@ ASSUMED = (
 
 
 class Flood(NamedTuple):
-    """The shares of all pixels' excess that reach one pixel: their sum, and the root of the sum of
-    their squares, no unit."""
+    """The shares of all pixels' excess charge that reach one pixel: their sum, and the root of the
+    sum of their squares, no unit."""
 
     all: float
     independent: float
 
 
 class Bound(NamedTuple):
-    """What leaving an effect out changes at most."""
+    """The largest change by dropping an effect."""
 
     dn: float  # DN, the distance at the top of this module; 0: it changes nothing; inf: not bounded
     why: str  # what the bound rests on, or why there is none
@@ -86,7 +86,7 @@ def clean(x: Any) -> float:
 
 
 def growth(before: float, by: float) -> float:
-    """sqrt(before + by) - sqrt(before), with all digits."""
+    """sqrt(before + by) - sqrt(before) without cancellation."""
     if by == 0:
         return 0.0
     return by / (math.sqrt(before + by) + math.sqrt(before))
@@ -102,30 +102,30 @@ class Pixel:
     shape: tuple[int, int]  # (rows, columns) of the sensor
 
     def high(self, name: str) -> float:
-        """The largest value of a number; 0 where it is None."""
+        """The largest value of a parameter; 0 if it is None."""
         value = self.sensor.high[name]
         return 0.0 if value is None else float(value)
 
     def low(self, name: str) -> float:
-        """The least value of a number; 0 where it is None."""
+        """The smallest value of a parameter; 0 if it is None."""
         value = self.sensor.low[name]
         return 0.0 if value is None else float(value)
 
     @cached_property
     def gain(self) -> float:
-        """K: DN per electron."""
+        """K, DN per electron."""
         return 1.0 if self.sensor.high["gain"] is None else self.high("gain")
 
     @cached_property
     def gain_low(self) -> float:
-        """The least K."""
+        """The smallest K."""
         value = self.sensor.low["gain"]
         return 1.0 if value is None else float(value)
 
     @cached_property
     def light(self) -> float:
-        """Electrons of light in the brightest pixel, smear included: m (1 + s (rows - 1)), and what
-        charges push there."""
+        """Electrons of light in the brightest pixel, including smear, m (1 + s (rows - 1)), and
+        repulsion."""
         return self._arriving * self.pushing
 
     @cached_property
@@ -135,20 +135,21 @@ class Pixel:
 
     @cached_property
     def beside(self) -> float:
-        """Electrons that a light offset frees or takes away at most."""
+        """The largest number of electrons that a light offset adds or removes."""
         return max(beside_light(end, self.irradiance) for end in self.sensor)
 
     @cached_property
     def missing(self) -> float:
-        """Electrons that it takes from a pixel without light."""
+        """Electrons that it removes from a pixel without light."""
         offset = self.sensor.low["light_offset"]
         below = offset is not None and not isinstance(offset, ShutterOffset) and np.min(offset) < 0
         return self.beside if below else 0.0
 
     @cached_property
     def repulsion(self) -> float:
-        """c = 2 m (D_rows + D_columns), the share by which charges change what a pixel gets; D:
-        half of sum |K_l - K_(l + neighbour)|, so that D m bounds a difference of potentials."""
+        """c = 2 m (D_rows + D_columns), the largest relative change of a pixel's charge by the
+        brighter-fatter effect. D is half of sum |K_l - K_(l + neighbour)|, so D m bounds a
+        difference of potentials."""
         effect = self.sensor.high["brighter_fatter"]
         if effect is None:
             return 0.0
@@ -157,13 +158,13 @@ class Pixel:
 
     @cached_property
     def pushing(self) -> float:
-        """exp c, by how much charges that repel each other enlarge a charge or a change of one at
-        most: q' = 1 + c q, and d' = e^(c t) + c d."""
+        """exp c, the largest factor of the brighter-fatter effect on a charge or a change of one:
+        q' = 1 + c q, and d' = e^(c t) + c d."""
         return math.exp(self.repulsion) if self.repulsion < 700 else INF
 
     @cached_property
     def smearing(self) -> float:
-        """By how much smear raises the brightest pixel at most: all its column being as bright."""
+        """The largest factor of smear on the brightest pixel, if its whole column is as bright."""
         return 1 + self.high("smear") * (self.shape[0] - 1)
 
     @cached_property
@@ -173,7 +174,8 @@ class Pixel:
 
     @cached_property
     def _darks(self) -> list[float]:
-        """At each corner of what may change: every law is monotone in each of its numbers."""
+        """The dark electrons at each corner of the box: every law is monotone in each of its
+        parameters."""
         dark = Ends(self.sensor.low["dark_current"], self.sensor.high["dark_current"])
         if dark.low is None:
             return [0.0]
@@ -182,13 +184,13 @@ class Pixel:
 
     @cached_property
     def hot(self) -> float:
-        """Mean electrons that a hot pixel has more; 0 without hot pixels."""
+        """The mean excess of a hot pixel, electrons; 0 without hot pixels."""
         hot = self.sensor.high["hot_pixels"]
         return 0.0 if hot is None else float(hot.rate) * exposure(self.sensor.high)
 
     @cached_property
     def bright(self) -> float:
-        """Electrons of the brightest pixel; of a hot one the root mean square excess."""
+        """Electrons of the brightest pixel; for a hot one the root mean square excess."""
         return self.light + self.dark + math.sqrt(2) * self.hot
 
     @property
@@ -202,7 +204,7 @@ class Pixel:
         return Ends(read_out_variances(self.sensor.low), read_out_variances(self.sensor.high))
 
     def added(self, name: str = "") -> float:
-        """Variance added behind the conversion by all sources but one, at their low ends."""
+        """Variance added after the conversion by all sources but one, at their low ends."""
         return sum(v for key, v in self.variances.low.items() if key != name)
 
     @property
@@ -214,14 +216,14 @@ class Pixel:
 
     @property
     def rank_of_counts(self) -> Rank:
-        """Rank of a bound that takes counts for Poisson's. Where charges repel each other they are
-        not, and a bound for more light stands in as an estimate."""
+        """Rank of a bound that assumes Poisson counts. With the brighter-fatter effect counts are
+        not Poisson, and a bound for more light is used as an estimate."""
         return "bound" if self.repulsion == 0 else "estimate"
 
     @cached_property
     def counted_dark(self) -> float:
-        """Least variance of any charge: of dark electrons that are counted, less what charge
-        transfer leaves behind. A well that cuts a charge lowers its rms by the excess at most."""
+        """Smallest variance of any charge: counted dark electrons, minus those that charge transfer
+        leaves behind. A well that clips a charge lowers its rms by at most the excess."""
         if not self.counted or self.acting or self.sensor.high["brighter_fatter"] is not None:
             return 0.0
         dark = max(min(self._darks) - self.missing, 0.0)
@@ -229,7 +231,7 @@ class Pixel:
 
     @cached_property
     def read_share(self) -> float:
-        """Least share of its charge that a pixel of an evenly lit sensor is read with."""
+        """Smallest share of its charge with which a pixel of an evenly lit sensor is read."""
         transfer = self.sensor.high["charge_transfer"]
         if transfer is None:
             return 1.0
@@ -239,48 +241,48 @@ class Pixel:
 
     @cached_property
     def quiet(self) -> float:
-        """Least variance of a pixel, referred to its charge: that of the darkest."""
+        """Smallest variance of a pixel, referred to its charge: that of the darkest."""
         larger = (1 + self.high("conversion_prnu") ** 2) * self.grown**2
         return self.counted_dark + self.added() / larger
 
     @cached_property
     def behind_column(self) -> float:
-        """DN per electron added behind the conversion: K sqrt(1 + q^2)."""
+        """DN per electron added after the conversion: K sqrt(1 + q^2)."""
         return self.gain * math.hypot(1, self.high("column_prnu"))
 
     @cached_property
     def behind_charge(self) -> float:
-        """DN per electron of charge that arrives: K sqrt((1 + c^2)(1 + q^2)); with the
-        brighter-fatter effect e^(3 c) more, e^(2 c) for variances over rms that are smaller by up
-        to e^-c."""
+        """DN per electron of arriving charge: K sqrt((1 + c^2)(1 + q^2)). The brighter-fatter
+        effect adds a factor e^(3 c), or e^(2 c) for variances divided by an rms that is smaller by
+        up to e^-c."""
         return self.behind_own * self.pushing**3
 
     @cached_property
     def behind_own(self) -> float:
-        """The same of charge that effects from outside act on, with what they multiply it by."""
+        """The same for charge on which external effects act, including their largest factor."""
         return self.behind_conversion * self.grown
 
     @cached_property
     def grown(self) -> float:
-        """By how much the effects on charge multiply it, or a change of it, at most."""
+        """The largest factor of the effects on charge on a charge or a change of it."""
         return math.prod(own_bound(effect, self.rms)[1] for effect in self.acting)
 
     @cached_property
     def own(self) -> tuple[Ends[Any], ...]:
-        """Effects from outside."""
+        """External (registered) effects."""
         both = (end["own"] or () for end in self.sensor)
         return tuple(Ends(low, high) for low, high in zip(*both, strict=True))
 
     @cached_property
     def acting(self) -> tuple[Ends[Any], ...]:
-        """Effects on the charge that is there: those from outside, mixing, and a curve."""
+        """Effects on charge: external ones, mixing, and a nonlinearity."""
         last = (Ends(*(end[name] for end in self.sensor)) for name in ("mixing", "nonlinearity"))
         return (*self.own, *(ends for ends in last if ends.low is not None))
 
     def moved_by(self, effect: Ends[Any]) -> float:
-        """Root mean square of the electrons by which an effect on charge moves any pixel. A curve g
-        moves charges of mean m and rms s about it by |g(m) - m| + L s, L being the most by which
-        its slope differs from 1."""
+        """Root mean square displacement, in electrons, of any pixel by an effect on charge. A curve
+        g moves charges of mean m and rms s by |g(m) - m| + L s, where L is the largest deviation of
+        its slope from 1."""
         curve, electrons = stage_of(effect.low).curve, self.rms * self.grown
         leaning = own_bound(effect, 1.0)[0]
         known = effect.low is effect.high and math.isfinite(electrons * leaning)
@@ -297,7 +299,7 @@ class Pixel:
 
     @cached_property
     def read_bright(self) -> float:
-        """Electrons of the brightest pixel behind the effects on charge."""
+        """Electrons of the brightest pixel after the effects on charge."""
         return self.bright * self.grown
 
     @cached_property
@@ -308,7 +310,7 @@ class Pixel:
 
     @cached_property
     def behind_conversion(self) -> float:
-        """DN per electron of charge that is there: K sqrt((1 + c^2)(1 + q^2))."""
+        """DN per electron of charge: K sqrt((1 + c^2)(1 + q^2))."""
         return self.behind_column * math.hypot(1, self.high("conversion_prnu"))
 
     @cached_property
@@ -325,15 +327,15 @@ class Pixel:
 
     @cached_property
     def spilt(self) -> Excess:
-        """The brightest charge less the full well. It is 0 without a full well."""
+        """The brightest charge minus the full well. It is 0 without a full well."""
         well = self.sensor.low["full_well"]
         return Excess(0.0, 0.0) if well is None else excess(self.charge, float(well))
 
     @cached_property
     def flood(self) -> Flood:
         """Share of the spilt charge of all other pixels of a column that reaches one pixel. From a
-        distance of d rows the share b^d / 2 arrives, because every full well on the way passes on
-        b. It is largest in the middle of a column."""
+        distance of d rows the share b^d / 2 arrives, because every full well on the way passes on a
+        share b. It is largest in the middle of a column."""
         blooming, others = self.high("blooming"), self.shape[0] - 1
         distances = np.concatenate([np.arange(others // 2), np.arange(others - others // 2)]) + 1
         shares = blooming**distances / 2
@@ -341,7 +343,7 @@ class Pixel:
 
     @cached_property
     def received(self) -> float:
-        """Root mean square of what spills into a pixel, electrons: a full well at most.
+        """Root mean square of the charge that spills into a pixel, electrons: at most a full well.
 
             R = sum s_i X_i,   E R^2 <= (E X sum s)^2 + E X^2 sum s^2,   R <= w
 
@@ -357,18 +359,18 @@ class Pixel:
         return min(spilt, math.sqrt(well * self.flood.all * mean), well)
 
     def read(self, by: float) -> float:
-        """DN by which a number moves where every charge moves by so many electrons before the
-        wells. What overflows gathers in the pixels between: half of each change comes by either
-        way where it spills, all of it where a well is filled on the way. That moves a number by no
-        more than it receives before and after, either."""
+        """DN by which a reading changes if every charge changes by so many electrons before the
+        wells. Overflow collects in the pixels between: half of each change arrives from either side
+        where it spills, and all of it where a well is filled on the way. The change is also at most
+        the charge received before and after."""
         if self.received == 0:
             return self.behind_charge * by
         return self.behind_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)
 
     @cached_property
     def reach(self) -> float:
-        """How many pixels one charge may change: itself, the trail that transfers leave behind it,
-        the column that it may flood, or, where charges repel each other, all of them."""
+        """The number of pixels that one charge may change: itself, the trail of charge transfer,
+        the column that it may flood, or all of them under the brighter-fatter effect."""
         pixels = math.prod(self.shape)
         mixing = self.sensor.high["mixing"]
         shared = 1 if mixing is None else mixing.kernel.size
@@ -381,8 +383,8 @@ class Pixel:
         return min(rows * trail * columns * shared, pixels)
 
     def tap_change(self, name: str) -> float:
-        """By how much a number of the taps differs from none at most: from 0 for the offset, DN,
-        from 1 for factors."""
+        """The largest difference of a tap's parameter from the value without taps: 0 DN for the
+        offset, 1 for factors."""
         none = 0.0 if name == "offset" else 1.0
         values = [getattr(end["taps"], name, None) for end in self.sensor]
         changes = (np.abs(np.asarray(v, float) - none) for v in values if v is not None)
@@ -405,7 +407,7 @@ class Pixel:
     def at_the_well(self, by: float) -> tuple[float, float]:
         """Effect of a full well on the distance between two charges that differ by d electrons.
 
-        The result is the largest V to be counted on, electrons^2, and electrons to be added. If the
+        The result is the largest V that is certain, electrons^2, and electrons to be added. If the
         well is rarely reached, the limit changes each charge by at most the excess. Otherwise the
         limit reduces the distance. Then the noise that is added to the change is only that of the
         light, at least a quarter of the well where this matters.
@@ -441,7 +443,7 @@ def pixel_of(
 
 
 def _of_one_tap(kept: Mapping[str, Any], extreme: Callable[[Any], Any]) -> dict[str, Any]:
-    """The numbers of the sensor with the least or the largest factors of its taps."""
+    """The parameters of the sensor with the smallest or the largest factors of its taps."""
     taps = kept["taps"]
     found: dict[str, Any] = {"untapped": kept}
     for name in ("gain", "read_noise", "prnu", "quantum_efficiency"):

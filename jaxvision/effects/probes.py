@@ -7,7 +7,8 @@ factor r by which it falls. The factor is assumed to be the same for all further
 
     sum over k > m of D r^(k - n - 1) = D r^(m - n) (1 - r^(depth - m)) / (1 - r)
 
-with D the brightest pixel's, and r two standard errors above what was seen. W m^-2 sr^-1.
+where D is that of the brightest pixel, and r two standard errors above the observed factor. W m^-2
+sr^-1.
 """
 
 from dataclasses import replace

@@ -1,6 +1,5 @@
-"""`inspect` and `prune`: what the effects of a scene and a camera do, and the two without those
-that a tolerance allows to leave out. Eager; radiance in W m^-2 sr^-1.
-"""
+"""`inspect` lists the effects of a scene and a camera, and `prune` drops those within a tolerance.
+Eager; radiance in W m^-2 sr^-1."""
 
 from dataclasses import replace
 from typing import Any
@@ -78,7 +77,7 @@ def _chain_of(
     moments: int,
     **asked: Any,
 ) -> Chain:
-    """The same, none of the rows bounded where a number is not finite."""
+    """The rows, without bounds if a number is not finite."""
     refuse_tracers(scene, camera)
     if depth is not None and (depth < 1 or depth != int(depth)):
         raise InputError(
@@ -126,7 +125,7 @@ def inspect(
     time: bool = False,
     advance: Advance | None = None,
 ) -> tuple[Effect, ...]:
-    """Every effect of a scene and a camera, and the most that it does to the picture.
+    """Every effect of a scene and a camera, with a bound on its change of the picture.
 
     Args:
         scene: surfaces and lights.
@@ -207,7 +206,7 @@ def _start(
     moments: int,
     depth: Any,
 ) -> Draft:
-    """All of it."""
+    """The complete scene and camera."""
     everything = scene.surfaces, scene.lights, frozenset[int](), scene.ambient, camera
     return Draft(*everything, samples, motion, moments, depth)
 
@@ -227,7 +226,7 @@ def prune(
     whole_paths: bool = False,
     caustics: bool = False,
 ) -> Pruned:
-    """A scene and a camera without the effects that a tolerance allows to leave out.
+    """A scene and a camera without the effects within a tolerance.
 
     Args:
         scene, camera, free, samples, motion, moments, depth: as in `inspect`. What is free is never
@@ -310,8 +309,8 @@ def prune(
 
 
 def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
-    """Materials whose pruning would add a kind of material: each kind is shaded by a program of its
-    own, so the whole would grow."""
+    """Materials whose pruning would add a new kind of material, and with it one more shading
+    program."""
     before, after = (
         [jax.tree.structure(surface.material) for surface in surfaces]
         for surfaces in (scene.surfaces, draft.surfaces)
@@ -348,7 +347,7 @@ def _moves_alike(motion: Any, choice: Choice, start: Draft, scene: Scene) -> boo
 
 
 def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
-    """The row; of an effect of one of these names without a way to drop it."""
+    """The row as kept, for an effect with one of these names."""
     if row.drop is None or not row.effect.name.startswith(names):
         return row
     why = f"{row.effect.why}; {reason}"
@@ -356,7 +355,7 @@ def _kept_with(row: Row, names: tuple[str, ...], reason: str) -> Row:
 
 
 def _level(scene: Scene, view: View) -> float:
-    """W m^-2 sr^-1 of the brightest of a few pixels."""
+    """The radiance, W m^-2 sr^-1, of the brightest of a few pixels."""
     rows, columns = view.resolution
     scale = max(rows, columns) / _PROBE
     small = (max(round(rows / scale), 1), max(round(columns / scale), 1))

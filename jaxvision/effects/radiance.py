@@ -1,7 +1,7 @@
-"""What each effect of a scene does to its radiance at most.
+"""Bounds on the change of radiance by each effect of a scene.
 
-Each function is named after its effect and gives a row. A bound is a supremum over the cells that a
-pixel may see; all of them ignore what only takes light away, so that they hold on every scene
+Each function has the name of its effect and returns a row. A bound is a supremum over the cells
+that a pixel may see. It ignores effects that only remove light, so that it is valid for every scene
 between the full and the pruned one. W m^-2 sr^-1, lengths in m; NumPy float64.
 """
 
@@ -69,7 +69,7 @@ def top(sums: Sums, onward: Onward) -> np.ndarray:
 
 
 def depths(sums: Sums) -> tuple[float, float]:
-    """m along the axis, of all that may be in view or blur into it."""
+    """Depths, m along the axis, of everything that may be in view or blur into it."""
     eye = sums.eye
     found = [body_of(surface.of("shape")) for surface in sums.surfaces]
     lamps = [
@@ -99,7 +99,7 @@ def _row(
     part_of: str = "",
     together: str = "",
 ) -> Row:
-    """A row whose bound is never NaN nor below 0, and whose rank is "exact" where it is 0."""
+    """A row with a valid bound (not NaN, at least 0) and rank "exact" if the bound is 0."""
     amount = np.maximum(np.where(np.isnan(amount), np.inf, amount), 0)
     bound = float(np.max(amount))
     rank = "exact" if bound == 0 else "bound"
@@ -118,10 +118,10 @@ def _light_rows(sums: Sums, onward: Onward, k: int) -> Iterator[Row]:
 
 
 def light(sums: Sums, onward: Onward, k: int) -> Row:
-    """The effect of a whole light. One that may be seen also hides what is behind it, however dark
-    it is: there the picture changes by at most its own radiance or the most that the picture holds.
-    In a mirror the same holds of the lights behind it. As long as there are shadows, what is in
-    full shadow counts for nothing."""
+    """The effect of a whole light. A visible light also hides objects behind it, even if it is
+    dark. There the picture changes by at most its own radiance or the largest radiance of the
+    picture. The same is true in mirrors for the lights behind it. While shadows are kept, cells in
+    full shadow do not count."""
     source, dark = sums.sources[k], sums.dark[k]
     why = source.why or type(sums.lights[k].low).__name__
     hides = source.kind == "area" and (sums.visible[k] or onward.depth is not None)
@@ -148,7 +148,7 @@ def light(sums: Sums, onward: Onward, k: int) -> Row:
 
 
 def _mirrored(sums: Sums, k: int, within: np.ndarray) -> np.ndarray:
-    """(bands,) the most that mirrors among some of the cells, (c,), show behind a lamp."""
+    """(bands,) the largest radiance that mirrors among the cells, (c,), show behind a lamp."""
     if sums.sources[k].kind != "area":
         return np.zeros(sums.spectrum.shape[1])
     extended = np.array([own.extended for own in sums.sources])[:, None]
@@ -162,7 +162,7 @@ def _without(records: tuple, k: int, value: Any = None) -> tuple:
 
 
 def shadows(sums: Sums, onward: Onward, k: int) -> Row:
-    """At most all light of the lamp on the surfaces that anything may shade; 0 if nothing can."""
+    """At most all light of the lamp on surfaces that may be shaded; 0 if none can be."""
     count, whole = int(sums.blocked[k].sum()), sums.blocked[k].size
     amount = pictured(sums, sent(sums, k, only=sums.shaded[k]))
     why = f"{count} of {whole} pairs of receiver and occluder may block"
@@ -266,7 +266,7 @@ def _with(draft: Draft, i: int, **fields: Any) -> Draft:
 
 
 def lobe(sums: Sums, onward: Onward, i: int) -> Row:
-    """The lobe's own light; a Lambertian of the same k_d remains."""
+    """The light of the lobe; a Lambertian with the same k_d remains."""
     material, part = sums.surfaces[i].low.material, part_of(sums.cells, i)
     others = times(_size(sums.reflections[i].lobe) * sums.k_lobe[i], onward.of_lobe(i))
     lamp, around = (
@@ -293,7 +293,7 @@ def _is_plain_without_lobe(material: Material) -> bool:
 
 
 def interface(sums: Sums, onward: Onward, i: int) -> Row:
-    """Fresnel's reflectance of facets: at most what the lobe would gain if they reflected all."""
+    """Fresnel reflectance of facets: at most the gain of the lobe if they reflected everything."""
     facets = sums.reflections[i].facets
     assert facets is not None
     full: list[Lobe | None] = [None] * len(sums.surfaces)
@@ -312,7 +312,7 @@ def interface(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def roughness(sums: Sums, onward: Onward, i: int) -> Row:
-    """All in which a rough or a measured body differs from a Lambertian."""
+    """The difference of a rough or measured body from a Lambertian."""
     reflection, material = sums.reflections[i], sums.surfaces[i].low.material
     plain = np.broadcast_to(reflection.plain, sums.k_body.shape[1:])
     grazing = times(np.array(reflection.grazing), sums.k_body[i])
@@ -334,7 +334,7 @@ def roughness(sums: Sums, onward: Onward, i: int) -> Row:
 
 
 def emission(sums: Sums, onward: Onward, i: int) -> Row:
-    """What a surface sends of its own."""
+    """The radiance that a surface emits."""
     own = emitted(sums.surfaces, sums.own.shape[1])
     own[np.arange(len(own)) != i] = 0
     amount = pictured(sums, onward(own[sums.cells.surface], pieces=EMITTED))

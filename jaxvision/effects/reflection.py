@@ -1,8 +1,8 @@
-"""What a material makes of light at most: the suprema of its shading.
+"""Upper bounds on the light that a material reflects.
 
-The shading f_r cos of a family is a body, at most `body` times the cosine, and a lobe, at most a
-function of the angles of a cell. A family brings them by `register`; one without them is not
-bounded, and what depends on it is kept. No units but sr^-1.
+The shading f_r cos of a family is a body, at most `body` times the cosine, plus a lobe, at most a
+function of the angles of a cell. A family states these bounds in `register`. Without them it is not
+bounded, and effects that depend on it are kept. Everything is without a unit, except sr^-1 values.
 """
 
 from typing import Any

@@ -21,8 +21,8 @@ _COS4_SLOPE = 1.04  # sup of d cos^4 / d slope = 4 t (1 + t^2)^-3, at t = 1 / sq
 
 
 def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
-    """Rays inside a pixel reach to its corners. A ray through its middle replaces them. The
-    radiance is at most (bands,) W m^-2 sr^-1, and a lens must have stopped blurring before."""
+    """Rays inside a pixel extend to its corners. A ray through its middle replaces them. The
+    radiance is at most (bands,) W m^-2 sr^-1. Lens blur must have been dropped before."""
 
     def drop(draft: Draft) -> Draft:
         return replace(draft, samples=None)
@@ -37,9 +37,9 @@ def samples_row(view: Ends[View], radiance: np.ndarray) -> Row:
 def oversampling_row(
     view: Ends[View], opening: float, radiance: np.ndarray, oversampling: int
 ) -> Row:
-    """One sample in a pixel's middle for all: none is farther away than those in the corners, and
-    the fall-off by cos^4 changes by 1.04 of the slope at most. The opening is in W m^-2 per W m^-2
-    sr^-1, and no part of the view acts between pixels."""
+    """One sample in a pixel's middle replaces all. None is farther away than the corners, and the
+    cos^4 falloff changes by at most 1.04 of the slope. The opening is in W m^-2 per W m^-2 sr^-1,
+    and no part of the view acts between pixels."""
 
     def drop(draft: Draft) -> Draft:
         sensor = draft.camera.sensor

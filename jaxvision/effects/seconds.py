@@ -90,7 +90,7 @@ def _without(party: Sequence[Row], start: Draft) -> Draft | None:
 
 
 class _Calls:
-    """The programs of drafts, on the light of the whole picture."""
+    """The programs of drafts, run on the light of the whole picture."""
 
     def __init__(self, scene: Scene, start: Draft, *, whole: bool) -> None:
         self.scene, self.whole = scene, whole
@@ -134,7 +134,8 @@ def _part(
 
 
 def _sorted_scene(scene: Scene) -> Scene:
-    """The scene with its surfaces sorted by their records and sizes, where nothing numbers them."""
+    """The scene with its surfaces sorted by records and sizes, if nothing refers to them by
+    number."""
     if scene.occluders:
         return scene
 
@@ -148,7 +149,7 @@ def _sorted_scene(scene: Scene) -> Scene:
 def _median_seconds(
     runs: dict[Hashable, Callable[[], Any]], advance: Advance | None
 ) -> dict[Hashable, float]:
-    """s, the median of each; the first calls, which compile, do not count."""
+    """s, the median for each; the first calls, which compile, do not count."""
     found: dict[Hashable, list[float]] = {kind: [] for kind in runs}
     for done, run in enumerate(runs.values()):
         if advance is not None:

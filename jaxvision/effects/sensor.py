@@ -1,8 +1,8 @@
-"""The stage of the sensor: a row for each effect, and what a change of light becomes in DN.
+"""The stage of the sensor: a row for each effect, and the change in DN for a change of light.
 
-The bounds stand in `sensor_light`, `sensor_charge` and `sensor_reading`, in the order of the
-light's path. Each is taken of the sensor without what is gone already: the less noise is left, the
-more the rest shows, and the bounds of successive drops add.
+The bounds are in `sensor_light`, `sensor_charge` and `sensor_reading`, in the order of the light's
+path. Each bound is for the sensor without the effects dropped before. With less noise an effect is
+more visible, and the bounds of successive drops add.
 """
 
 import math
@@ -88,9 +88,9 @@ def sensor_stage(
 
 
 def dark_noise(pixel: Pixel) -> float:
-    """Noise of a pixel in the dark, temporal and pattern, with rounding: the least of all.
+    """Smallest noise of a pixel in the dark, temporal and fixed, including rounding.
 
-    Pixels with defects or traps are not counted in: they are noisier.
+    Pixels with defects or traps are excluded, because they are noisier.
     """
     conversion, column = pixel.low("conversion_prnu"), pixel.low("column_prnu")
     dark = pixel.counted_dark
@@ -101,7 +101,8 @@ def dark_noise(pixel: Pixel) -> float:
 
 
 def _response(pixel: Pixel, change: np.ndarray) -> float:
-    """DN by which a change of irradiance, (bands,) W m^-2, moves the law of any pixel."""
+    """DN by which a change of irradiance, (bands,) W m^-2, changes the distribution of any
+    pixel."""
     if not np.any(change):
         return 0.0
     ends = (
@@ -118,7 +119,7 @@ def _row(
     sensor: Ends[Sensor],
     pixel: Callable[[Gone], Pixel],
 ) -> Row:
-    """The row of one field, which goes by becoming None."""
+    """The row of one field, which is dropped by setting it to None."""
     field = f"sensor.{name}"
     identity = _is_identity(name, sensor)
 
@@ -150,7 +151,7 @@ def _row(
 
 
 def _without(sensor: Sensor, name: str) -> Sensor:
-    """The sensor without a field, and without the factors that taps have on it."""
+    """The sensor without a field and without the factors of taps on it."""
     left: dict[str, Any] = {name: None}
     taps = sensor.taps
     if taps is not None and name in ("read_noise", "prnu", "quantum_efficiency"):
@@ -159,7 +160,7 @@ def _without(sensor: Sensor, name: str) -> Sensor:
 
 
 def _own(i: int, ends: Ends[SensorEffect], pixel: Callable[[Gone], Pixel]) -> Row:
-    """The row of an effect from outside, by the bound that it brings."""
+    """The row of an external effect, with its own bound."""
     name, kind = f"sensor.own[{i}]", type(ends.low).__name__
 
     def after(gone: Gone) -> float:
@@ -184,7 +185,7 @@ def _faster(
     kind: type[ShotNoise],
     pixel: Callable[[Gone], Pixel],
 ) -> Row:
-    """The row of a faster way of counting."""
+    """The row of a faster counting method."""
     field = f"sensor.shot_noise.{name}"
 
     def after(gone: Gone) -> float:
@@ -208,7 +209,7 @@ def _faster(
 
 
 def _is_identity(name: str, sensor: Ends[Sensor]) -> bool:
-    """Whether a factor is 1, and leaving it out changes no number."""
+    """Whether a factor is 1, so that dropping it changes nothing."""
     if name in ("gain", "infrared_cut", "quantum_efficiency"):
         return all(bool(np.all(np.asarray(getattr(end, name), float) == 1)) for end in sensor)
     if name == "pixel_aperture":

@@ -1,6 +1,7 @@
-"""What leaving out an effect on counted charge changes: counting, wells, and charge transfer.
+"""Bounds for dropping effects on counted charge: counting, wells, and charge transfer.
 
-Each takes the sensor without what is gone already and gives a bound in DN, the distance of `pixel`.
+Each function takes the sensor without the effects dropped before, and returns a bound in DN, the
+distance of `pixel`.
 """
 
 import math
@@ -26,7 +27,7 @@ INVERSION = math.sqrt(1.4e-4)
 
 
 def shot_noise(pixel: Pixel) -> Bound:
-    """sqrt(V + m) - sqrt(V) at the brightest m, V being all other noise of the darkest pixel."""
+    """sqrt(V + m) - sqrt(V) at the brightest m, with V all other noise of the darkest pixel."""
     rest = pixel.quiet - pixel.counted_dark
     counted = pixel.light + pixel.dark + pixel.hot
     if not math.isfinite(counted):
@@ -36,23 +37,24 @@ def shot_noise(pixel: Pixel) -> Bound:
 
 
 def exact_counting(pixel: Pixel) -> Bound:
-    """Poisson draws by inversion instead of by rejection: `sensor.count` states their accuracy,
-    measured; here as an estimate."""
+    """Poisson draws by inversion instead of rejection, with the measured accuracy stated in
+    `sensor.count`, as an estimate."""
     return Bound(pixel.read(INVERSION), "measured up to 2^31 e-", rank="estimate")
 
 
 def whole_electrons(pixel: Pixel) -> Bound:
-    """A Gaussian of the same moments instead of whole numbers of electrons: mean and rms do not
-    move; the laws themselves differ by 0.42 e- at most, tabulated over means."""
+    """A Gaussian with the same moments instead of whole numbers of electrons. Mean and rms do not
+    change. The distributions differ by at most 0.42 e-, tabulated over means."""
     return Bound(pixel.read(WHOLE), "tabulated over means", rank="estimate")
 
 
 def brighter_fatter(pixel: Pixel) -> Bound:
-    """What charges push over the borders of the brightest pixel, and what its noise changes by.
+    """The charge that repulsion moves over the borders of the brightest pixel, and the change of
+    its noise.
 
-    With c = 2 m (D_rows + D_columns) the charge follows q' = 1 + c q at most, so that the mean
-    moves by m ((e^c - 1) / c - 1); covariances grow by c from either side, so that the variance
-    moves by m (e^c (e^(2 c) - 1) / (2 c) - 1), and that of a pattern by e^(2 c) - 1.
+    With c = 2 m (D_rows + D_columns) the charge follows at most q' = 1 + c q. The mean changes by m
+    ((e^c - 1) / c - 1). Covariances grow by c from either side, so the variance changes by m (e^c
+    (e^(2 c) - 1) / (2 c) - 1), and that of a pattern by e^(2 c) - 1.
     """
     c, light = pixel.repulsion, pixel.light / pixel.pushing
     if c == 0:
@@ -77,7 +79,7 @@ def full_well(pixel: Pixel) -> Bound:
 
 
 def blooming(pixel: Pixel) -> Bound:
-    """What spills into a pixel from all others of its column (`Pixel.received`)."""
+    """The charge that spills into a pixel from all others of its column (`Pixel.received`)."""
     if pixel.received == 0:
         return Bound(0.0, "no charge spills")
     why = f"{pixel.spilt.mean:.3g} e- over the well at most expected"
@@ -102,7 +104,7 @@ def charge_transfer(pixel: Pixel) -> Bound:
 
 
 def on_charge(name: str, pixel: Pixel) -> Bound:
-    """What an effect on the charge that is there moves a pixel by (`Pixel.moved_by`)."""
+    """The change of a pixel by an effect on charge (`Pixel.moved_by`)."""
     ends = Ends(*(end[name] for end in pixel.sensor))
     moved = pixel.moved_by(ends)
     why = type(ends.low).__name__
@@ -114,9 +116,8 @@ def on_charge(name: str, pixel: Pixel) -> Bound:
 
 
 def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[float, float]:
-    """The largest share of a packet that is not read in its place, and the largest sum of shares
-    of other packets that is.
-    """
+    """The largest share of a packet that is not read in its own place, and the largest sum of
+    shares of other packets read there."""
     serial = transfer.serial_inefficiency
     rows = shares_along(float(transfer.inefficiency), shape[0], transfer.trail)
     columns = shares_along(0.0 if serial is None else float(serial), shape[1], transfer.trail)
@@ -125,7 +126,7 @@ def transfer_shares(transfer: ChargeTransfer, shape: tuple[int, int]) -> tuple[f
 
 
 def shares_along(inefficiency: float, size: int, trail: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each place the share of its own packet that is read there, and the sum of all shares.
+    """For each place, the share of its own packet that is read there, and the sum of all shares.
 
     The packet of place i is transferred i + 1 times and left behind k times with the binomial
     probability C(i + k, k) (1 - e)^(i + 1) e^k. Charge that is left behind `trail` times or more is

@@ -1,6 +1,7 @@
-"""What leaving out an effect between the light and the electrons changes: a function an effect.
+"""Bounds for dropping effects between light and electrons, one function for each.
 
-Each takes the sensor without what is gone already and gives a bound in DN, the distance of `pixel`.
+Each function takes the sensor without the effects dropped before, and returns a bound in DN, the
+distance of `pixel`.
 """
 
 import math
@@ -15,17 +16,17 @@ from .stages import Ends
 
 
 def photon_conversion(pixel: Pixel) -> Bound:
-    """Not an effect: without it light would be in other units."""
+    """Not an effect: without it, light would have another unit."""
     return Bound(INF, "converts W m^-2 to photons: nothing can be left out")
 
 
 def colour_filter(pixel: Pixel) -> Bound:
-    """Not an effect of some size: it says which bands a pixel measures."""
+    """Not an effect with a size: it selects the band of each pixel."""
     return Bound(INF, "says which bands a pixel measures")
 
 
 def exposure_time(pixel: Pixel) -> Bound:
-    """Not an effect: it scales light and dark current alike."""
+    """Not an effect: it scales light and dark current equally."""
     return Bound(INF, "scales all charge: nothing can be left out")
 
 
@@ -36,22 +37,22 @@ def light_offset(pixel: Pixel) -> Bound:
 
 
 def infrared_cut(pixel: Pixel) -> Bound:
-    """The light that the filter takes away: (1 - transmission) of each band."""
+    """The light that the filter removes: (1 - transmission) of each band."""
     least = np.asarray(pixel.sensor.low["infrared_cut"], float)
     return _attenuator(pixel, "infrared_cut", least, "what the filter absorbs")
 
 
 def quantum_efficiency(pixel: Pixel) -> Bound:
-    """The photons that free no electron: (1 - efficiency) of each band, and of each tap, which may
-    be above 1."""
+    """The photons that free no electron: (1 - efficiency) of each band and tap. An efficiency may
+    exceed 1."""
     ends = (np.asarray(end["quantum_efficiency"], float) for end in pixel.sensor)
     least = 1 - np.maximum(*(np.abs(1 - efficiency) for efficiency in ends))
     return _attenuator(pixel, "quantum_efficiency", least, "photons that free no electron")
 
 
 def pixel_aperture(pixel: Pixel) -> Bound:
-    """The light beside the active area; inf where the aperture is sampled more than once, which no
-    bound on a value covers at an edge."""
+    """The light outside the active area; inf if the aperture is sampled more than once, because no
+    bound on a value covers an edge."""
     low = pixel.sensor.low["pixel_aperture"]
     if low.oversampling > 1:
         return Bound(INF, f"light is sampled {low.oversampling} times along each side")
@@ -59,14 +60,15 @@ def pixel_aperture(pixel: Pixel) -> Bound:
 
 
 def crosstalk(pixel: Pixel) -> Bound:
-    """4 c m: what a dark pixel among bright ones gains, and a bright one among dark ones loses."""
+    """4 c m: the gain of a dark pixel among bright ones, and the loss of a bright one among dark
+    ones."""
     share = 4 * pixel.high("crosstalk")
     why = f"{share:.3g} of the brightest charge drifts"
     return Bound(pixel.moved(share * pixel.light, patterned=True), why)
 
 
 def smear(pixel: Pixel) -> Bound:
-    """s (rows - 1) m: what a dark pixel gathers in a column that is bright throughout."""
+    """s (rows - 1) m: the light that a dark pixel collects in an otherwise bright column."""
     share = pixel.high("smear") * (pixel.shape[0] - 1)
     gathered = share * pixel.light / pixel.smearing
     why = f"{share:.3g} of the brightest charge, gathered along its column"
@@ -76,8 +78,8 @@ def smear(pixel: Pixel) -> Bound:
 def prnu(pixel: Pixel) -> Bound:
     """sqrt(V + m + p^2 m^2) - sqrt(V + m) at the brightest m, where it is largest.
 
-    With counted light its own noise m hides some of the pattern. Where a full well is reached V
-    belongs to what comes after it and is left out. Cutting sensitivities at 0 also moves the mean.
+    With counted light its own noise m hides a part of the pattern. If a full well is reached, V
+    belongs to the later stages and is left out. Clipping sensitivities at 0 also changes the mean.
     """
     rms, light = pixel.high("prnu"), pixel.light
     if not math.isfinite(light):
@@ -91,14 +93,14 @@ def prnu(pixel: Pixel) -> Bound:
 
 
 def dead_pixels(pixel: Pixel) -> Bound:
-    """All the light of a dead pixel; others do not change but within its `reach`."""
+    """All the light of a dead pixel; other pixels change only within its `reach`."""
     rare = pixel.high("dead_pixels") * math.prod(pixel.shape) * pixel.reach
     why = f"{rare:.3g} pixels see nothing; the bound is theirs"
     return Bound(pixel.moved(pixel.light, patterned=True), why, rare=rare)
 
 
 def dark_current(pixel: Pixel) -> Bound:
-    """Its electrons go, and their noise with them: in the dark sqrt(V) - sqrt(V - d)."""
+    """Its electrons and their noise are dropped: in the dark sqrt(V) - sqrt(V - d)."""
     dark = pixel.dark
     rest = pixel.quiet - pixel.counted_dark
     most_quiet, cut = pixel.at_the_well(dark)
@@ -107,8 +109,8 @@ def dark_current(pixel: Pixel) -> Bound:
 
 
 def hot_pixels(pixel: Pixel) -> Bound:
-    """An excess of mean H, exponential: it moves a hot pixel's mean by H and its variance by H^2,
-    and by H more where it is counted."""
+    """An exponential excess of mean H changes a hot pixel's mean by H and its variance by H^2, and
+    by H more if it is counted."""
     fraction = float(pixel.sensor.high["hot_pixels"].fraction)
     rare = fraction * math.prod(pixel.shape) * pixel.reach
     hot = pixel.hot
@@ -119,7 +121,7 @@ def hot_pixels(pixel: Pixel) -> Bound:
 
 
 def _attenuator(pixel: Pixel, name: str, factor: float | np.ndarray, why: str) -> Bound:
-    """The light that a factor of at most 1 on each band takes away. Other pixels are brighter."""
+    """The light that a factor of at most 1 on each band removes. Other pixels become brighter."""
     ends = (dict(end, **{name: None}) for end in pixel.sensor)
     without = replace(pixel, sensor=Ends(*ends))
     with np.errstate(invalid="ignore"):  # of inf nothing is known, though the factor be 1

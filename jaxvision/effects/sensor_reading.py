@@ -1,7 +1,8 @@
-"""What leaving out an effect of the read-out changes: pattern, noise, amplifiers and the ADC.
+"""Bounds for dropping effects of the read-out: pattern, noise, amplifiers and the ADC.
 
-Each takes the sensor without what is gone already and gives a bound in DN, the distance of `pixel`.
-Noise of variance v that every pixel has shows most in the darkest one, whose other noise is V:
+Each function takes the sensor without the effects dropped before, and returns a bound in DN, the
+distance of `pixel`. Noise of variance v in every pixel has the largest effect in the darkest one,
+whose other noise is V:
 
     K sqrt(1 + q^2) (sqrt(V + v) - sqrt(V)).
 """
@@ -36,7 +37,7 @@ def conversion_prnu(pixel: Pixel) -> Bound:
 
 
 def column_prnu(pixel: Pixel) -> Bound:
-    """sqrt(v + q^2 (v + m^2)) - sqrt(v) at the brightest m, v being all its noise."""
+    """sqrt(v + q^2 (v + m^2)) - sqrt(v) at the brightest m, with v its whole noise."""
     rms, charge = pixel.high("column_prnu"), pixel.read_bright
     if not math.isfinite(charge):
         return Bound(INF, "the light is not bounded")
@@ -60,7 +61,7 @@ def every_pixel(name: str, pixel: Pixel) -> Bound:
 
 
 def telegraph_noise(pixel: Pixel) -> Bound:
-    """A trapped pixel is wrong by +-a in half of its frames: a variance of a^2 / 2."""
+    """A trapped pixel has an error of +-a in half of its frames: a variance of a^2 / 2."""
     rare = float(pixel.sensor.high["telegraph_noise"].fraction) * math.prod(pixel.shape)
     trapped = _trap(pixel)
     rest = (1 + pixel.low("conversion_prnu") ** 2) * pixel.counted_dark + pixel.added()
@@ -70,19 +71,19 @@ def telegraph_noise(pixel: Pixel) -> Bound:
 
 
 def gain(pixel: Pixel) -> Bound:
-    """Not an effect: it says what a DN is."""
+    """Not an effect: it defines the DN."""
     return Bound(INF, "says what a DN is: nothing can be left out")
 
 
 def offset(pixel: Pixel) -> Bound:
-    """The mean moves by it."""
+    """The mean changes by the offset."""
     ends = (pixel.sensor.low["offset"], pixel.sensor.high["offset"])
     return Bound(max(abs(float(x)) for x in ends), "moves all numbers alike")
 
 
 def taps(pixel: Pixel) -> Bound:
-    """Offsets move the mean of a tap, factors its gain, its read noise, its pattern and its light:
-    each by what it differs from 1."""
+    """Offsets change the mean of a tap. Factors change its gain, read noise, pattern and light,
+    each by its difference from 1."""
     named = ("offset", "gain", "read_noise", "prnu", "quantum_efficiency")
     offset, gain, read, pattern, light = (pixel.tap_change(name) for name in named)
     plain = pixel.sensor.high["untapped"]
@@ -103,10 +104,10 @@ def taps(pixel: Pixel) -> Bound:
 
 
 def bits(pixel: Pixel) -> Bound:
-    """Rounding moves a number by at most 1/2 DN, and clipping by what lies outside the range.
+    """Rounding changes a number by at most 1/2 DN, and clipping by the part outside the range.
 
-    With Gaussian noise of variance V in DN^2, of at least 1/4, rounding moves the mean by at most
-    exp(-2 pi^2 V) / pi and adds a variance of 1/12 + (4 V + 1/pi^2) exp(-2 pi^2 V) at most (Widrow
+    With Gaussian noise of variance V in DN^2, at least 1/4, rounding changes the mean by at most
+    exp(-2 pi^2 V) / pi, and adds a variance of at most 1/12 + (4 V + 1/pi^2) exp(-2 pi^2 V) (Widrow
     and Kollar, "Quantization Noise", 2008, chapter 5, first terms with their remainders doubled).
     """
     rounding = 0.5
@@ -137,8 +138,8 @@ def _gaussian(pixel: Pixel) -> float:
 
 
 def _widest(pixel: Pixel) -> float:
-    """Variance of a Gaussian whose moment-generating function exceeds the one of all noise behind
-    the conversion: the wider part of a mixture, and a^2 for noise within +-a."""
+    """Variance of a Gaussian whose moment-generating function bounds that of all noise after the
+    conversion: the wider part of a mixture, and a^2 for noise within +-a."""
     variances = dict(pixel.variances.high)
     read = pixel.sensor.high["read_noise"]
     if isinstance(read, HeavyTailedReadNoise):
@@ -150,8 +151,8 @@ def _widest(pixel: Pixel) -> float:
 def _clipped(pixel: Pixel) -> float:
     """Root mean square of the excess below 0 or above the largest number, DN.
 
-    Gains of columns and pixels are random: within 9 standard deviations they are replaced by their
-    largest values, and what lies beyond is bounded by its own second moment.
+    Gains of columns and pixels are random. Within 9 standard deviations they are replaced by their
+    largest values, and the rest is bounded by its second moment.
     """
     conversion, column = pixel.high("conversion_prnu"), pixel.high("column_prnu")
     if max(conversion, column) * _WIDE >= 1 or not math.isfinite(pixel.bright):
@@ -172,7 +173,7 @@ def _clipped(pixel: Pixel) -> float:
 
 
 def _offsets(pixel: Pixel) -> list[float]:
-    """The least and the largest offset of a pixel, DN."""
+    """The smallest and the largest offset of a pixel, DN."""
     found = []
     for end, extreme in zip(pixel.sensor, (np.min, np.max), strict=True):
         of_taps = getattr(end["taps"], "offset", None)
@@ -182,8 +183,8 @@ def _offsets(pixel: Pixel) -> list[float]:
 
 
 def _negative(pixel: Pixel) -> float:
-    """By how many electrons a charge may lie below 0, on the root mean square: light that an offset
-    takes away where none is, and entries of a mixing kernel below 0."""
+    """Root mean square of a charge below 0, electrons: light that an offset removes where there is
+    none, and negative entries of a mixing kernel."""
     mixing = [end["mixing"] for end in pixel.sensor]
     below = [float(-np.minimum(np.asarray(m.kernel), 0).sum()) for m in mixing if m is not None]
     return pixel.grown * (pixel.missing + max(below, default=0.0) * pixel.rms)
@@ -192,8 +193,8 @@ def _negative(pixel: Pixel) -> float:
 def _above(pixel: Pixel, level: float, noise: float) -> float:
     """Root mean square of charge and Gaussian noise above a level, electrons.
 
-    (N + G - w)+ is at most (N - s w)+ + (G - (1 - s) w)+ for any share s; the best of some is
-    taken. A well that is left cuts N.
+    (N + G - w)+ is at most (N - s w)+ + (G - (1 - s) w)+ for any share s; the best of several is
+    used. A remaining well clips N.
     """
     if level <= 0:
         return INF
@@ -208,13 +209,13 @@ def _above(pixel: Pixel, level: float, noise: float) -> float:
 
 
 def _below(pixel: Pixel, offset: float) -> float:
-    """Root mean square of the excess below 0 DN where a count is Gaussian, with variance M equal to
-    its mean M. With v the variance of the read-out and o the offset in electrons,
+    """Root mean square of the excess below 0 DN for Gaussian counts, with variance M equal to their
+    mean M. With v the variance of the read-out and o the offset in electrons,
 
         E (-(N + G) - o)+^2  <=  u / 2 exp(-(M + o)^2 / (2 u)),   u = v + a M,
 
-    a being the largest gain of a pixel, is largest at u = a^2 + sqrt(a^4 + (a o - v)^2) of all
-    M >= 0, or at the brightest.
+    with a the largest gain of a pixel. The bound is largest over M >= 0 at u = a^2 + sqrt(a^4 + (a
+    o - v)^2), or at the brightest M.
     """
     spare = (1 + _WIDE * pixel.high("conversion_prnu")) * pixel.grown
     per_electron = pixel.gain * (1 + _WIDE * pixel.high("column_prnu"))
@@ -233,8 +234,8 @@ def _below(pixel: Pixel, offset: float) -> float:
 
 
 def _gaussian_excess(rms: float, level: float) -> float:
-    """Root mean square of a Gaussian above a level: sqrt((1 + z^2) Q(z) - z phi(z)) rms, taken from
-    above by E x+^2 <= exp(-z^2 / 2) / 2 for z >= 0."""
+    """Root mean square of a Gaussian above a level, sqrt((1 + z^2) Q(z) - z phi(z)) rms, bounded by
+    E x+^2 <= exp(-z^2 / 2) / 2 for z >= 0."""
     if rms == 0:
         return max(-level, 0.0)
     z = level / rms

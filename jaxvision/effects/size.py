@@ -1,4 +1,5 @@
-"""How much program a picture takes: equations counted, which no machine's load changes."""
+"""The size of a picture's program, as a number of equations, which is independent of the machine's
+load."""
 
 from typing import Any
 
@@ -9,7 +10,7 @@ from ..scene import Scene, View
 
 
 def equations(scene: Scene, view: View) -> int:
-    """The number of equations of `render`, those in loops counted once, before XLA compiles it.
+    """The number of equations of `render` before XLA compiles it; those in loops count once.
 
     Args:
         scene: surfaces and lights.

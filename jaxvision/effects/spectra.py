@@ -1,10 +1,10 @@
-"""Fewer bands: the picture of all bands from that of a few.
+"""Fewer bands: all bands of the picture reconstructed from a few.
 
-The radiance of a pixel is a sum of terms, a geometry that no band changes times a product of
-spectra (`sums`). A few bands carry all others where the products are nearly linear in them: pivoted
-QR of the table of products, each weighted by the supremum of its geometry, says which bands to
-keep, and least squares how the others follow. The residual of each product, weighted likewise and
-summed over the terms of one cell, bounds the error of a pixel.
+The radiance of a pixel is a sum of terms, each a geometry that is equal in all bands times a
+product of spectra (`sums`). A few bands determine the others if the products nearly are linear in
+them. Pivoted QR of the table of products, weighted by the supremum of each geometry, selects the
+bands, and least squares reconstructs the others. The residual of each product, weighted in the same
+way and summed over the terms of a cell, bounds the error of a pixel.
 """
 
 from collections.abc import Iterator
@@ -79,7 +79,7 @@ Terms = list[tuple[np.ndarray, np.ndarray]]  # (c, t) geometry, (t, bands) spect
 
 
 def _terms(sums: Sums) -> Terms:
-    """The terms of each surface in view, and of the lights that may be seen."""
+    """The terms of each visible surface and of the lights that may be seen."""
     found: Terms = []
     for i in range(len(sums.surfaces)):
         own = part_of(sums.cells, i)
@@ -143,7 +143,8 @@ def _row(bands: int, amount: np.ndarray, why: str) -> Row:
 
 
 def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
-    """A scene of some of its bands: every spectrum of `bands` numbers is cut, neutral ones stay."""
+    """A scene with some of its bands: every spectrum of `bands` numbers is cut, and neutral ones
+    are kept."""
 
     def cut(spectrum: Array | None) -> Array | None:
         if spectrum is None or spectrum.shape[-1] != bands:
@@ -170,13 +171,14 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
 
 
 def folded(camera: Camera, kept: np.ndarray, expand: np.ndarray) -> Camera | None:
-    """A camera with a colour filter of all bands that takes the r kept ones for all of them.
+    """A camera whose colour filter covers all bands, changed to take the r kept ones for all of
+    them.
 
-    With w the electrons per unit of irradiance that the sensor makes of a band before its filter,
-    the transmission becomes (T w) @ expand / w of the kept bands.
+    With w the electrons per unit of irradiance in a band before the filter, the transmission
+    becomes (T w) @ expand / w for the kept bands.
 
-    None where there is none: without a filter each band has raw numbers of its own, diffraction may
-    differ between bands, and no filter transmits less than nothing.
+    The result is None if there is none: without a filter each band has its own raw numbers,
+    diffraction may differ between bands, and a transmission cannot be negative.
     """
     sensor, diffraction = camera.sensor, getattr(camera.view, "diffraction", None)
     filters = sensor.colour_filter

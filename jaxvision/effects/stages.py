@@ -36,7 +36,8 @@ QUICKLY = {"xla_backend_optimization_level": "0", "xla_llvm_disable_expensive_pa
 
 @dataclass(frozen=True)
 class Draft:
-    """What is being pruned: lights and surfaces at their first places, None where they went."""
+    """The scene and camera during pruning: lights and surfaces at their original indices, with None
+    for dropped ones."""
 
     surfaces: tuple[Surface, ...]  # all of them
     lights: tuple[Light | None, ...]  # each, or None where it was dropped
@@ -56,7 +57,7 @@ Gone = frozenset[str]
 
 @dataclass(frozen=True)
 class Row:
-    """An effect, the bound on its change, and a way to drop it."""
+    """An effect, the bound on its change, and the function that drops it."""
 
     # name, reason, rank and place; its `bound` is the largest of `amount`, in its unit, which says
     # what `amount` is: "W m^-2 sr^-1" or "W m^-2", (bands,); "DN", ()

@@ -1,11 +1,11 @@
-"""The most that each cell of a scene can send to the camera, light by light and term by term.
+"""Bounds on the light from each cell of a scene to the camera, by light and by term.
 
-The radiance of a pixel is a sum of terms, a geometry times a spectrum:
+The radiance of a pixel is a sum of terms, each a geometry times a spectrum:
 
     L(x, b) = sum_l E_l(x) s_l(b) k_d(b) + sum_l lobe_l(x) s_l(b) k_s(b) + emission + ambient
 
-and here stands the supremum of each geometry over each cell. A bound is the sum of some of the
-terms, at its largest over the cells that are seen. W m^-2 sr^-1; NumPy float64.
+This module has the supremum of each geometry over each cell. A bound is the sum of some of the
+terms, at its maximum over the visible cells. W m^-2 sr^-1; NumPy float64.
 """
 
 from collections.abc import Iterable, Sequence
@@ -69,18 +69,18 @@ class Sums(NamedTuple):
 
     @property
     def own(self) -> np.ndarray:
-        """(n, bands) W m^-2 sr^-1, what a surface shines by itself."""
+        """(n, bands) W m^-2 sr^-1, the radiance that a surface sends without other light."""
         return self.emission + self.ambient
 
 
 def pairs(low: Sequence, high: Sequence) -> tuple[Ends, ...]:
-    """Two sequences of records as one of ends."""
+    """Two sequences of records as one sequence of ends."""
     return tuple(Ends(a, b) for a, b in zip(low, high, strict=True))
 
 
 def sums_of(scene: Ends[Scene], eye: Eye, *, bounces: bool, caustics: bool = False) -> Sums:
-    """All suprema of a scene between its two ends, lengths in m; `bounces`: light goes on from
-    surface to surface, so that glass and mirrors show all."""
+    """All suprema of a scene between its two ends, lengths in m. With `bounces`, light continues
+    between surfaces, so glass and mirrors show everything."""
     low, high = scene
     surfaces, lights = pairs(low.surfaces, high.surfaces), pairs(low.lights, high.lights)
     sources = tuple(source_of(light) for light in lights)
@@ -170,13 +170,13 @@ def _growth(surface: Ends[Surface], own: Reflection, eye: Eye) -> float:
 
 
 class _Table(NamedTuple):
-    """A table of spectra of so many rows and bands."""
+    """A table of spectra with the given rows and bands."""
 
     rows: int
     bands: int
 
     def filled(self, entries: Iterable[tuple[int, np.ndarray]]) -> np.ndarray:
-        """With these rows, 0 elsewhere; neutral spectra repeated."""
+        """The table with these rows, 0 elsewhere; neutral spectra are repeated."""
         table = np.zeros((self.rows, self.bands))
         for row, spectrum in entries:
             table[row] = spectrum
@@ -184,7 +184,7 @@ class _Table(NamedTuple):
 
 
 def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[Reflection]) -> int:
-    """How many bands a picture of the scene has."""
+    """The number of bands in a picture of the scene."""
     counts = [len(source.spectrum) for source in sources]
     counts += [len(reflection.body) for reflection in reflections]
     for surface in scene.low.surfaces:
@@ -197,7 +197,7 @@ def _bands(scene: Ends[Scene], sources: Sequence[Source], reflections: Sequence[
 
 
 def emitted(surfaces: Sequence[Ends[Surface]], bands: int) -> np.ndarray:
-    """(n, bands) W m^-2 sr^-1 that surfaces emit, the largest."""
+    """(n, bands) W m^-2 sr^-1, the largest radiance that surfaces emit."""
     return _Table(len(surfaces), bands).filled(
         (i, np.maximum(*(np.abs(numbers(end.emission)) for end in surface)))
         for i, surface in enumerate(surfaces)
@@ -208,7 +208,7 @@ def emitted(surfaces: Sequence[Ends[Surface]], bands: int) -> np.ndarray:
 def ambient_reflected(
     scene: Ends[Scene], surfaces: Sequence[Ends[Surface]], bands: int
 ) -> np.ndarray:
-    """(n, bands) W m^-2 sr^-1, k_a L_a, the largest."""
+    """(n, bands) W m^-2 sr^-1, the largest k_a L_a."""
     if scene.low.ambient is None:
         return np.zeros((len(surfaces), bands))
     around = np.maximum(*(np.abs(numbers(value_of(end, "ambient", "radiance"))) for end in scene))
@@ -254,7 +254,8 @@ def _geometry(
 def _mirrored(
     sources: Sequence[Source], nearest: np.ndarray, mirrors: np.ndarray, cells: Cells, eye: Eye
 ) -> np.ndarray:
-    """`Sums.mirrored`, by the cone of mirrored directions; `mirrors`: (n,) which surfaces are."""
+    """`Sums.mirrored`, from the cone of mirrored directions; `mirrors`, (n,), marks the surfaces
+    that are mirrors."""
     found, own = np.ones((len(sources), len(cells.radius)), bool), mirrors[cells.surface]
     there = Cells(*(x[own] for x in cells))
     for k, source in enumerate(sources):
@@ -272,15 +273,16 @@ def _grazing(reflections: Sequence[Reflection], cells: Cells) -> np.ndarray:
 
 
 def _body_suprema(arrived: Arrived, grazing: np.ndarray) -> np.ndarray:
-    """(c,) sup of E f_r cos / k_d: E cos, and E of the share that does not fall with cos."""
+    """(c,) sup of E f_r cos / k_d: E cos, and E for the share that does not decrease with the
+    cosine."""
     return times(1 - grazing, arrived.body) + times(grazing, arrived.facing)
 
 
 def geometry_of(
     sums: Sums, source: Source, nearest: np.ndarray, lobes: Sequence[Lobe | None]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`Sums.body` and `Sums.lobe` of one light, as if surfaces had these lobes; `nearest`: (n,) m,
-    lower bounds of its distances."""
+    """`Sums.body` and `Sums.lobe` of one light for given lobes of the surfaces; `nearest`: (n,) m,
+    lower bounds on its distances."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         cells = sums.cells
         arrived = arriving(source, cells, nearest[cells.surface])
@@ -289,7 +291,7 @@ def geometry_of(
 
 
 def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np.ndarray:
-    """(l, n) m, lower bounds of the distances of lights and surfaces; 0 where one is endless."""
+    """(l, n) m, lower bounds on the distances of lights and surfaces; 0 if one is endless."""
     found = np.zeros((len(sources), len(surfaces)))
     bodies = [body_of(surface.of("shape")) for surface in surfaces]
     bounded = [i for i, body in enumerate(bodies) if body is not None]
@@ -304,7 +306,7 @@ def _nearest(sources: Sequence[Source], surfaces: Sequence[Ends[Surface]]) -> np
 
 
 def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) -> bool:
-    """Whether a pixel may look at a light; decided by geometry, not by how bright it is."""
+    """Whether a pixel may see a light, by geometry and not by its brightness."""
     if source.kind == "sky":
         return True
     if source.kind != "area" or source.body is None:
@@ -320,14 +322,14 @@ def _may_be_seen(source: Source, eye: Eye, surfaces: Sequence[Ends[Surface]]) ->
 
 
 def _reduced(values: np.ndarray, cells: Cells, count: int) -> np.ndarray:
-    """The largest of (..., c) over the cells of each surface, (..., n); cells are in order."""
+    """The maximum of (..., c) over the cells of each surface, (..., n); cells are in order."""
     first = np.searchsorted(cells.surface, np.arange(count))
     return np.maximum.reduceat(values, first, axis=-1)
 
 
 def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = None) -> np.ndarray:
-    """The most that each cell makes of the light k, (c, bands) W m^-2 sr^-1, toward the eye or,
-    with `around`, toward any viewer; `only`, (c,), says which cells count, None: all."""
+    """A bound on the light k reflected by each cell, (c, bands) W m^-2 sr^-1, toward the eye or,
+    with `around`, toward any viewer. `only`, (c,), selects the cells that count; None: all."""
     of_cell = sums.cells.surface
     total = times(sums.body[k][:, None] * np.ones(1), times(sums.k_body, sums.spectrum[k])[of_cell])
     total = total + lobe_sent(sums, k, around=around)
@@ -340,8 +342,8 @@ def sent(sums: Sums, k: int, *, around: bool = False, only: np.ndarray | None = 
 
 
 def lobe_sent(sums: Sums, k: int, *, around: bool = False) -> np.ndarray:
-    """The most that the lobe of each cell makes of one light, (c, bands) W m^-2 sr^-1; `around`: as
-    for `sent`."""
+    """A bound on the light of one source that the lobe of each cell reflects, (c, bands) W m^-2
+    sr^-1; `around` as for `sent`."""
     own = times(sums.k_lobe, sums.spectrum[k])[sums.cells.surface]
     return times((sums.lobe_around if around else sums.lobe)[k][:, None], own)
 
@@ -355,5 +357,5 @@ def looked_at(sums: Sums, radiance: np.ndarray) -> np.ndarray:
 
 
 def pictured(sums: Sums, values: np.ndarray) -> np.ndarray:
-    """The largest of (c, bands) over the cells that are seen, (bands,)."""
+    """The maximum of (c, bands) over the visible cells, (bands,)."""
     return np.max(values[sums.seen], axis=0, initial=0)

@@ -1,11 +1,11 @@
-"""How far a lamp's shadows reach: the cells that one may fall on, and those in full shadow.
+"""The extent of a lamp's shadows: the cells that may be in one, and the cells in full shadow.
 
-A cell is out of reach where the hull of it and the lamp is apart from every occluder that
-`blocking.may_block` leaves. It is in full shadow of a flat occluder where it is beyond its plane
-and, for each corner of the lamp, inside all planes through that corner and a side of the occluder:
-every segment from the cell to such a corner then meets the occluder, and so do those to all of the
-lamp, for the section of the hull of two bodies by a plane between them is the hull of these points.
-What is in the full shadow of the eye is not seen. Lengths in m.
+A cell is out of reach if the hull of it and the lamp is disjoint from every occluder that
+`blocking.may_block` allows. It is in full shadow of a flat occluder if it is beyond the occluder's
+plane and, for each corner of the lamp, inside all planes through that corner and a side of the
+occluder. Every segment from the cell to such a corner then meets the occluder, and so do those to
+the whole lamp, because the section of the hull of two bodies by a plane between them is the hull of
+these points. Cells in the full shadow of the eye are not seen. Lengths in m.
 """
 
 from collections.abc import Sequence
@@ -134,7 +134,7 @@ def outward(surfaces: Sequence[Ends[Surface]], cells: Cells) -> np.ndarray:
 
 
 def _middle(shape: Shape) -> np.ndarray:
-    """(3,) m, within a convex body."""
+    """(3,) m, a point inside a convex body."""
     if isinstance(shape, TriangleMesh):
         return numbers(shape.vertices)[np.unique(faces_of(shape))].mean(0)
     assert isinstance(shape, Sphere | Box)
@@ -142,8 +142,8 @@ def _middle(shape: Shape) -> np.ndarray:
 
 
 def hidden(surfaces: Sequence[Ends[Surface]], cells: Cells, eye: Eye) -> np.ndarray:
-    """(c,) whether a cell is of the inner side of a convex body that the eye is outside of, or
-    wholly behind one flat surface."""
+    """(c,) whether a cell is on the inner side of a convex body with the eye outside, or entirely
+    behind one flat surface."""
     inner = outward(surfaces, cells) < 0
     if eye.everywhere:
         return inner & False
@@ -170,7 +170,7 @@ class _Shadow(NamedTuple):
     size: float  # m, the largest coordinate of its rim
 
     def least(self, bodies: Bodies) -> np.ndarray:
-        """(n, h) m, by how much each body is inside at its worst point."""
+        """(n, h) m, the distance of each body's worst point inside each half-space."""
         return -heights(bodies, -self.normals) - self.offsets
 
 
@@ -239,8 +239,8 @@ def _eye_as_source(eye: Eye) -> Source | None:
 
 
 def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
-    """None where there is none: of a shape that is not flat or may move, of a sky, and of a light
-    that is not wholly on one side."""
+    """None without a full shadow: for a shape that is not flat or may move, for a sky, and for a
+    light that is not entirely on one side."""
     plane = plane_between(shape)
     if plane is None:
         return None
@@ -271,7 +271,8 @@ def _shadow_of(shape: Ends[Shape], source: Source) -> _Shadow | None:
 
 
 def _rim(shape: Shape) -> np.ndarray:
-    """(m, 3) m, the corners of a polygon in a flat shape, in order; none of an endless plane."""
+    """(m, 3) m, the corners of a polygon inside a flat shape, in order; none for an endless
+    plane."""
     match shape:
         case Quad():
             corner, u, v = (numbers(x) for x in (shape.corner, shape.edge_u, shape.edge_v))
