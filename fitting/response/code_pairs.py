@@ -12,7 +12,8 @@ b, is not zero:
 
 - noise in a code shifts its own g: E[w r h(z)] = (1 - w / sum w) (share) h' / g', the share
   of the variance that is independent of the light;
-- rounding without noise depends on the light, not the code, and shifts the g of the pixel's other E[w r h(z)] = (w / sum w) h' / g' sum over the others of (1 - share);
+- rounding without noise depends on the light, not the code, and shifts the g of the pixel's other
+  codes instead: E[w r h(z)] = (w / sum w) h' / g' sum over the others of (1 - share);
 - noise before the curve lowers a logarithm, on average by half its variance;
 - a weight that changes across an interval of codes favours one of its ends.
 
