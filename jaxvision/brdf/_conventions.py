@@ -27,7 +27,8 @@ Convention = Literal["shading", "brdf", "normalised"]
 
 
 class Lobe(NamedTuple):
-    """A lobe, whatever stands before it. The functions take the material, for what shapes it."""
+    """A lobe without its factor. The functions take the material for the parameters of its
+    shape."""
 
     value: Callable[[Any, Vec, Vec], Scalar]  # `value(material, wi, wo)`, () in [0, 1], no unit
     # `direction(material, wo, u)`, a unit direction by `u`, (3,) uniform in [0, 1)
@@ -46,7 +47,7 @@ class Lobe(NamedTuple):
 def register_lobe(
     record: type, lobe: Lobe, convention: Convention, bound: Callable[..., Reflection]
 ) -> None:
-    """Enters a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe;
+    """Register a record with fields `diffuse` and `specular` as k_d plus k_s times a lobe;
     `bound(ends, convention)` gives its suprema."""
 
     def scaled(material: Any, value: Scalar) -> Scalar:
@@ -103,6 +104,6 @@ def register_lobe(
 
 
 def _two_terms(material: Any, wi: Vec, wo: Vec, body: Scalar, lobe: Scalar) -> Colour:
-    """k_d body + k_s lobe, (bands,) in sr^-1, 0 where the surface is not seen or not lit."""
+    """k_d body + k_s lobe, (bands,) in sr^-1, 0 if the surface is not visible or not lit."""
     body, lobe = where_seen(wi, wo, body), where_seen(wi, wo, lobe)
     return map_bands(lambda k_d, k_s: k_d * body + k_s * lobe, material.diffuse, material.specular)

@@ -2,9 +2,10 @@
 
     x = sqrt(2 theta_h / pi)    y = (phi_h + pi) / (2 pi)
 
-x gives the normal's surroundings, where lobes are narrow, most of the nodes. Isotropic materials
-count phi_h from the azimuth of `wo`. Local frame: normal = +z; angles in radians. Source: Dupuy &
-Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and Rendering", 2018.
+x gives most of the nodes to the surroundings of the normal, where lobes are narrow. Isotropic
+materials count phi_h from the azimuth of `wo`. Local frame: normal = +z; angles in radians. Source:
+Dupuy & Jakob, "An Adaptive Parameterization for Efficient Material Acquisition and Rendering",
+2018.
 """
 
 import jax.numpy as jnp
@@ -16,8 +17,8 @@ from ._warp import Square
 
 
 def elevation(w: Vec) -> Scalar:
-    """theta: the angle to the normal, in [0, pi], exact to the last digits near it too; 0, with
-    gradient 0, of the zero vector."""
+    """theta, the angle to the normal, in [0, pi], with full relative precision also near the
+    normal; 0, with gradient 0, for the zero vector."""
     aside = safe_sqrt(w.x * w.x + w.y * w.y)
     defined = (aside > 0) | (w.z != 0)
     return arctan2(aside, jnp.where(defined, w.z, 1))
@@ -47,7 +48,7 @@ def azimuth_to_unit(phi: Scalar) -> Scalar:
 
 
 def square_to_half(position: Square, phi: Scalar) -> Vec:
-    """The half vector at a position of the square whose azimuths count from `phi`."""
+    """The half vector at a position of the square; its azimuth is relative to `phi`."""
     x, y = position
     return spherical(jnp.square(x) * (jnp.pi / 2), (2 * y - 1) * jnp.pi + phi)
 
@@ -63,7 +64,7 @@ def reflected(w: Vec, h: Vec) -> Vec:
 
 
 def stretch(x: Scalar, h: Vec, wo: Vec) -> Scalar:
-    """d omega_i / d(x, y) = 4 (wo.h) 2 pi^2 x sin(theta_h), sr: solid angle of `wi` per area of
-    the square at x."""
+    """d omega_i / d(x, y) = 4 (wo.h) 2 pi^2 x sin(theta_h), sr: solid angle of `wi` per area of the
+    square at x."""
     sin_theta = safe_sqrt(h.x * h.x + h.y * h.y)
     return 8 * jnp.pi**2 * x * sin_theta * jnp.abs(dot(wo, h))

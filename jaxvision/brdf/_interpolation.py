@@ -1,7 +1,8 @@
-"""Where a number falls among the nodes of an axis, and tables mixed over such places.
+"""Interpolation: the position of a number among the nodes of an axis, and the value of a table
+there.
 
-A place is a list of (index, weight): the nodes around the number and what each contributes. Nodes
-increase; a place on an axis of one node is that node.
+A position is a list of (index, weight) for the nodes around the number. Nodes increase. On an axis
+with one node, every position is that node.
 """
 
 from itertools import product
@@ -24,8 +25,8 @@ def _only(x: Scalar) -> Place:
 def among(
     nodes: Float[Array, " n"], x: Scalar, *, outside: Literal["clamp", "extrapolate"] = "clamp"
 ) -> Place:
-    """The place of `x` among nodes, linear between two; beyond the outermost their value, or the
-    line through the last two."""
+    """The position of `x` among nodes, with linear interpolation. Outside, it takes the outermost
+    value or extrapolates the last two."""
     if nodes.shape[0] == 1:
         return _only(x)
     i = jnp.clip(jnp.sum(nodes <= x, dtype=jnp.int32) - 1, 0, nodes.shape[0] - 2)
@@ -36,8 +37,8 @@ def among(
 
 
 def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
-    """The place of an angle (rad) among nodes that span less than a turn; the last joins the
-    first."""
+    """The position of an angle (rad) among nodes that span less than a full circle; the last is
+    next to the first."""
     if nodes.shape[0] == 1:
         return _only(angle)
     turned = nodes[0] + jnp.mod(angle - nodes[0], 2 * jnp.pi)
@@ -47,7 +48,7 @@ def around_circle(nodes: Float[Array, " n"], angle: Scalar) -> Place:
 
 
 def in_unit(position: Scalar, count: int) -> Place:
-    """The place of a position in [0, 1] among `count` equally spaced nodes, 0 and 1 included."""
+    """The position of a number in [0, 1] among `count` equally spaced nodes, including 0 and 1."""
     if count == 1:
         return _only(position)
     scaled = jnp.clip(position, 0, 1) * (count - 1)
@@ -57,7 +58,7 @@ def in_unit(position: Scalar, count: int) -> Place:
 
 
 def in_bins(position: Scalar, count: int, *, periodic: bool = False) -> Place:
-    """The place of a position in [0, 1] among the middles of `count` equal bins."""
+    """The position of a number in [0, 1] among the centres of `count` equal bins."""
     scaled = position * count - np.asarray(0.5, position.dtype)
     low = jnp.floor(scaled)
     w, i = scaled - low, low.astype(jnp.int32)
@@ -67,13 +68,13 @@ def in_bins(position: Scalar, count: int, *, periodic: bool = False) -> Place:
 
 
 def in_bin(position: Scalar, count: int) -> Place:
-    """The bin that holds a position in [0, 1]."""
+    """The bin that contains a number in [0, 1]."""
     i = jnp.clip(jnp.floor(position * count).astype(jnp.int32), 0, count - 1)
     return [(i, jnp.ones_like(position))]
 
 
 def multilinear(table: Float[Array, "..."], *places: Place) -> Float[Array, "..."]:
-    """The table at one place on each of its leading axes; what axes remain stay."""
+    """The table at one position on each of its leading axes; the other axes remain."""
     value = jnp.zeros(table.shape[len(places) :], table.dtype)
     for corner in product(*places):
         entry = table.at[tuple(index for index, _ in corner)].get(mode="promise_in_bounds")

@@ -1,4 +1,4 @@
-"""What families built of a diffuse part and a lobe about one axis share. Local frame."""
+"""Common parts of families with a diffuse part and a lobe about one axis. Local frame."""
 
 from collections.abc import Callable
 
@@ -50,17 +50,17 @@ def mirrored(w: Vector) -> Vec:
 
 
 def where_above(height: Scalar, value: Scalars) -> Scalars:
-    """`value` at a height above the surface, 0 at one that is not, and NaN where it is NaN."""
+    """`value` if the height above the surface is positive, else 0; NaN if the height is NaN."""
     return jnp.where(height > 0, value, jnp.where(height <= 0, 0, height))
 
 
 def where_seen(wi: Direction, wo: Direction, value: Scalars) -> Scalars:
-    """`value` where both directions lie above the surface, else 0; NaN where one of them is."""
+    """`value` if both directions lie above the surface, else 0; NaN if one of them is NaN."""
     return where_above(jnp.minimum(as_vec(wi).z, as_vec(wo).z), value)
 
 
 def divisor(cosine: Scalar) -> Scalar:
-    """A cosine to divide by, kept above `smallest_divisor`."""
+    """A cosine as a divisor, at least `smallest_divisor`."""
     return jnp.maximum(cosine, smallest_divisor(cosine.dtype))
 
 
@@ -80,7 +80,7 @@ def diffuse_share(diffuse: Float[Array, " diffuse"], specular: Float[Array, " sp
 
 
 def choose(diffuse_part: Scalar, u: Float[Array, "3"], lobe: Vec) -> Vec:
-    """The lobe's direction, or where u_2 falls into the diffuse part one of density cos / pi."""
+    """The lobe's direction, or a cosine-distributed one if u_2 falls into the diffuse part."""
     body, diffuse = cosine_direction(u[:2]), u[2] < diffuse_part
     return where(diffuse, body, lobe)
 
@@ -99,8 +99,9 @@ def about(axis: Vector, one_minus_cos: Scalar, phi: Scalar) -> Vec:
 
 
 def log_cosine(angle: Scalars) -> Scalars:
-    """log(cos(angle)), `angle` in [0, pi / 2] rad: by 1 - cos = 2 sin^2(angle / 2) near 0, where
-    the cosine itself has lost the digits that a sharp lobe magnifies; `log_of_zero` at the end."""
+    """log(cos(angle)), `angle` in [0, pi / 2] rad. Near 0 it uses 1 - cos = 2 sin^2(angle / 2),
+    because the cosine itself has lost the digits that a narrow lobe amplifies. At pi / 2 it is
+    `log_of_zero`."""
     near = angle < 1
     small = log1p(-2 * jnp.square(jnp.sin(jnp.minimum(angle, 1.25) / 2)))
     return jnp.where(near, small, safe_log(jnp.cos(angle)))
@@ -112,15 +113,15 @@ _NODES = 48
 def circles(
     cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars], tuple[Scalars, Scalars]]:
-    """Nodes for integrals over cones about an axis that the horizon may cut.
+    """Quadrature nodes for cones about an axis, possibly cut by the horizon.
 
-    The axis has polar angle theta, its cosine in [0, 1]. Circles at alpha < pi / 2 - theta about
-    it lie above the horizon whole; of those up to pi / 2 + theta there remains |phi| < phi_m with
-    cos(phi_m) = -cot(alpha) cot(theta). Returned are (alpha, weight) of the whole circles, the
-    same of the cut ones, and p = cos(alpha) cos(theta), q = sqrt(sin^2 sin^2 - p^2) of the cut
-    ones, so that phi_m = atan2(q, -p) and q = sin(phi_m) sin(alpha) sin(theta). Nothing is
-    integrated beyond `width` from where a part starts, nor beyond `end`; 48 Gauss-Legendre nodes
-    each, the cut circles eased by sin^2 toward both ends, where phi_m goes as a square root.
+    The axis has the polar angle theta with a cosine in [0, 1]. Circles at alpha < pi / 2 - theta
+    about it lie entirely above the horizon. Of circles up to pi / 2 + theta the part |phi| < phi_m
+    remains, with cos(phi_m) = -cot(alpha) cot(theta). Returns (alpha, weight) of the complete
+    circles, the same for the cut ones, and p = cos(alpha) cos(theta) and q = sqrt(sin^2 sin^2 -
+    p^2) of the cut ones, so that phi_m = atan2(q, -p) and q = sin(phi_m) sin(alpha) sin(theta).
+    Each part ends at `width` from its start, or at `end`. It has 48 Gauss-Legendre nodes. The cut
+    circles are transformed by sin^2, because phi_m has square-root behaviour at both ends.
     """
     t, dt = gauss_legendre(_NODES)
     ease, d_ease = np.sin(np.pi / 2 * t) ** 2, np.pi / 2 * np.sin(np.pi * t) * dt
@@ -139,7 +140,8 @@ def circles(
 def lobe_integrals(
     lobe: Callable[[Scalars], Scalars], cos_axis: Scalar, *, width: Scalar, end: float
 ) -> tuple[Scalar, Scalar]:
-    """Integrals above the horizon of lobe(alpha), and of it times cos(theta_i), in sr:
+    """Integrals of lobe(alpha) over directions above the horizon, without and with cos(theta_i), in
+    sr:
 
         int lobe sin(alpha) 2 phi_m dalpha
         int lobe sin(alpha) 2 (phi_m p + q) dalpha

@@ -1,9 +1,9 @@
 """Sampling of a tabulated material in proportion to the reflected light.
 
-For some directions `wo` the reflected luminance is tabulated over the square of half vectors and
-warped onto (`_warp`); between them the densities are mixed. One draw in eight follows the cosine
-instead, so that no weight f_r cos(theta_i) / pdf exceeds 8 pi f_r whatever the table misses. Local
-frame; angles in radians, densities in sr^-1.
+For some directions `wo` the reflected luminance is tabulated over the square of half vectors, and
+samples are warped onto it (`_warp`). Between these directions the densities are mixed. One draw in
+eight follows the cosine instead, so that no weight f_r cos(theta_i) / pdf exceeds 8 pi f_r,
+whatever the table misses. Local frame; angles in radians, densities in sr^-1.
 """
 
 from functools import partial
@@ -38,8 +38,9 @@ ALBEDO_ORDER = 64
 
 
 class LobeSampler(eqx.Module):
-    """`lobe`: the warp of uniform numbers onto half vectors, for nodes (phi, theta) of `wo`; one
-    node of phi: the material is isotropic and half vectors count from the azimuth of `wo`."""
+    """`lobe`: the warp of uniform numbers onto half vectors, for nodes (phi, theta) of `wo`.
+    With one node of phi the material is isotropic, and half vectors are relative to the azimuth
+    of `wo`."""
 
     lobe: Warp
 
@@ -48,8 +49,8 @@ class LobeSampler(eqx.Module):
 def tabulated_lobe(
     material: Any, phi: Float[Array, " p"], theta: Float[Array, " t"], rows: int, columns: int
 ) -> LobeSampler:
-    """Tabulates the mean over bands of the material's shading, times the solid angle of the
-    square, at rows x columns half vectors for every `wo` at (phi, theta) rad."""
+    """Tabulate the mean over bands of the material's shading, times the solid angle of the square,
+    at rows x columns half vectors for every `wo` at (phi, theta) rad."""
     shading = family(material).shading
     y, x = jnp.linspace(0, 1, rows, dtype=phi.dtype), jnp.linspace(0, 1, columns, dtype=phi.dtype)
 
@@ -87,8 +88,8 @@ def _lobe_pdf(sampler: LobeSampler, wi: Vec, wo: Vec) -> Scalar:
 
 
 def sample(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """`wi` drawn from the material's `sampler`, or from the cosine where that is None. `u`: (3,)
-    uniform in [0, 1)."""
+    """`wi` drawn from the material's `sampler`, or from the cosine distribution if that is None.
+    `u`: (3,) uniform in [0, 1)."""
     if material.sampler is None:
         return cosine_direction(u[:2])
     part = jnp.asarray(COSINE_PART, u.dtype)
@@ -104,8 +105,8 @@ def pdf(material: Any, wi: Direction, wo: Direction) -> Scalar:
 
 
 def albedo(material: Any, wo: Direction) -> Colour:
-    """Directional albedo, (bands,), no unit: with a sampler the midpoint rule on its two squares,
-    so that narrow lobes are resolved; else the default product quadrature."""
+    """Directional albedo, (bands,), no unit. With a sampler it uses the midpoint rule on its two
+    squares, which resolves narrow lobes; otherwise the default product quadrature."""
     shading = family(material).shading
     sampler, wo = material.sampler, as_vec(wo)
     if sampler is None:
@@ -126,7 +127,7 @@ def albedo(material: Any, wo: Direction) -> Colour:
 
 
 def table_bound(x: Ends[Any]) -> Reflection:
-    """The largest entry, which bounds linear interpolation between nodes, but not extrapolation."""
+    """The largest entry, which bounds linear interpolation between nodes but not extrapolation."""
     values = np.maximum(*(np.abs(numbers(end.values)) for end in x))
     body = values.reshape(-1, values.shape[-1]).max(0)
     if getattr(x.low, "outside", "clamp") == "extrapolate":

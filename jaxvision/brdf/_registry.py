@@ -52,7 +52,7 @@ _FAMILIES: dict[type, Family] = {}
 
 
 def families() -> Mapping[type, Family]:
-    """All that is registered, the families of the library among them.
+    """All registered families, including those of the library.
 
     Returns:
         What each record has registered.
@@ -75,7 +75,7 @@ def register(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Makes a record of material known to everything that reflects light.
+    """Register a record of a material with everything that reflects light.
 
     The functions are called with unit directions as `Vec`, in the local frame.
 
@@ -130,10 +130,10 @@ def register_delta(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Makes a record of mirror-like or clear material known to everything that reflects light.
+    """Register a record of a mirror-like or clear material with everything that reflects light.
 
-    Its `evaluate`, `shading` and `pdf` are 0, since no point light and no node of a quadrature lies
-    exactly in one of its directions; `sample` returns one of them.
+    Its `evaluate`, `shading` and `pdf` are 0, because no point light and no quadrature node lies
+    exactly in one of its directions. `sample` returns one of them.
 
     Args:
         record: the class of the material.
@@ -202,7 +202,7 @@ def suprema(material: Ends[Any]) -> Reflection:
 
 
 def is_delta(material: Any) -> bool:
-    """Whether a material sends light into one or two directions only, as mirrors and glass do.
+    """Whether a material reflects into one or two directions only, as mirrors and glass do.
 
     Args:
         material: any registered material.
@@ -218,7 +218,8 @@ def is_delta(material: Any) -> bool:
 
 
 def is_body(material: Any) -> bool:
-    """Whether a material fills the shape that it covers, as glass does: light goes on inside.
+    """Whether a material fills the shape that it covers, as glass does, so that light continues
+    inside.
 
     Args:
         material: any registered material.
@@ -234,7 +235,7 @@ def is_body(material: Any) -> bool:
 
 
 def lambertian(material: Any) -> Material:
-    """The Lambertian surface of a material's k_d and k_a.
+    """The Lambertian surface with a material's k_d and k_a.
 
     Args:
         material: with `diffuse` and `ambient`.
@@ -248,7 +249,7 @@ def lambertian(material: Any) -> Material:
 
 
 def absorption(material: Any) -> Colour | None:
-    """What a material that fills its shape absorbs.
+    """The absorption of a material that fills its shape.
 
     Args:
         material: any registered material.
@@ -305,7 +306,7 @@ def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
 
 
 def sample_cosine(material: Any, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A direction of density cos(theta) / pi, for any material."""
+    """A direction with density cos(theta) / pi, for any material."""
     del material, wo
     return cosine_direction(u[:2])
 
@@ -324,7 +325,7 @@ def integrate_shading(
     polar: int = POLAR,
     azimuths: int = AZIMUTHS,
 ) -> Colour:
-    """The integral of a family's shading over the directions of light, by product quadrature."""
+    """The integral of a family's shading over the light directions, by product quadrature."""
     viewer = as_vec(wo)
     nodes, weights = (jnp.asarray(x, viewer.z.dtype) for x in product_nodes(polar, azimuths))
     values = jax.vmap(lambda wi: shading(material, wi, viewer))(as_vec(nodes))

@@ -1,15 +1,15 @@
 """Mirrors and clear interfaces: reflection and refraction of a ray at a smooth surface. Local
 frame.
 
-Such a surface sends light from one direction into one or two others: its BRDF is a sum of delta
-functions, which no number in sr^-1 describes. Its family therefore says, as a `Specular`, where a
-ray goes on and what share of the flux goes there.
+Such a surface sends light from one direction into one or two others. Its BRDF is a sum of delta
+functions and has no value in sr^-1. Its family therefore gives the continuation of a ray and the
+share of the flux, as a `Specular`.
 
-Flux is shared as `reflectance` and `transmittance`. Radiance that goes through is also squeezed
-into another solid angle: L / n^2 is constant along a ray (Veach, "Robust Monte Carlo Methods for
-Light Transport Simulation", 1997, section 5.2), so that radiance followed from the eye is
-multiplied by 1 / eta^2, and light followed from a source is not. On the way into a body and out of
-it again the two factors cancel.
+`reflectance` and `transmittance` are the shares of the flux. Refraction also changes the solid
+angle: L / n^2 is constant along a ray (Veach, "Robust Monte Carlo Methods for Light Transport
+Simulation", 1997, section 5.2). Radiance followed from the eye is therefore multiplied by 1 /
+eta^2, and light followed from a source is not. At the entrance into a body and the exit from it the
+two factors cancel.
 """
 
 from typing import Literal
@@ -27,7 +27,7 @@ Carries = Literal["radiance", "light"]
 
 
 class Specular(Shown):
-    """The directions in which a ray goes on from a smooth surface, and their shares of the flux.
+    """The directions in which a ray continues from a smooth surface, and their shares of the flux.
 
     Attributes:
         mirrored: unit, local, on the side from which the ray came.
@@ -51,7 +51,7 @@ class Specular(Shown):
 
 
 def transmitted(ways: Specular, carries: Carries) -> Colour:
-    """The share that goes through a clear surface.
+    """The share of the flux that a clear surface transmits.
 
     Args:
         ways: of a surface that light goes through.
@@ -68,7 +68,7 @@ def transmitted(ways: Specular, carries: Carries) -> Colour:
 
 
 def draw_way(ways: Specular, u: Scalar, *, carries: Carries) -> tuple[Vec, Colour]:
-    """One of the directions, drawn with a probability of its share of the flux.
+    """One of the directions, drawn with its share of the flux as the probability.
 
     Args:
         ways: the directions.

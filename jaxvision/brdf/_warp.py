@@ -1,10 +1,10 @@
 """Warps of the unit square onto a tabulated density, with their inverse.
 
-The density is given at equally spaced nodes, rows (y) by columns (x), bilinear between them, and
-depends on a direction (phi, theta), given at nodes and linear between. Rows are drawn from the
-marginal, columns from the conditional, both by solving the quadratic of a linear density, so that
-`warp` and `unwarp` are exact inverses. Source: Dupuy & Jakob, "An Adaptive Parameterization for
-Efficient Material Acquisition and Rendering", 2018, section 4.2.
+The density is given at equally spaced nodes, rows (y) by columns (x), and is bilinear between them.
+It depends on a direction (phi, theta), given at nodes and linear between them. Rows are drawn from
+the marginal and columns from the conditional density. Both solve the quadratic equation of a linear
+density, so `warp` and `unwarp` are exact inverses. Source: Dupuy & Jakob, "An Adaptive
+Parameterization for Efficient Material Acquisition and Rendering", 2018, section 4.2.
 """
 
 from collections.abc import Callable
@@ -37,8 +37,8 @@ class Warp(eqx.Module):
 
 
 def _running_integral(values: Float[Array, "... n"]) -> Float[Array, "... n"]:
-    """The integral over [0, x_j] of the piecewise linear function, nodes equally spaced on
-    [0, 1]."""
+    """The integral over [0, x_j] of a piecewise linear function with equally spaced nodes on [0,
+    1]."""
     cells = (values[..., 1:] + values[..., :-1]) / (2 * (values.shape[-1] - 1))
     return jnp.concatenate([jnp.zeros_like(values[..., :1]), running_sum(cells)], axis=-1)
 
@@ -47,7 +47,7 @@ def _running_integral(values: Float[Array, "... n"]) -> Float[Array, "... n"]:
 def tabulated_warp(
     phi: Float[Array, " p"], theta: Float[Array, " t"], density: Float[Array, "p t rows columns"]
 ) -> Warp:
-    """The warp onto a density >= 0, normalised here; a slice that is 0 everywhere is uniform."""
+    """The warp onto a density >= 0, which is normalised here. A slice of zeros is uniform."""
     total = _running_integral(_running_integral(density)[..., -1])[..., -1][..., None, None]
     density = divide(density, total, otherwise=1)
     conditional = _running_integral(density)
@@ -55,13 +55,13 @@ def tabulated_warp(
 
 
 def slices(w: Warp, phi: Scalar, theta: Scalar) -> Slices:
-    """The tabulated directions around (phi, theta) and their weights, which sum to 1: four, or
-    two where one of the axes has a single node."""
+    """The tabulated directions around (phi, theta) and their weights, which sum to 1: four, or two
+    if one axis has a single node."""
     return [((p, t), wp * wt) for p, wp in among(w.phi, phi) for t, wt in among(w.theta, theta)]
 
 
 def mixed(table: Float[Array, "..."], at: Slices, *index: Int[Array, ""] | int) -> Array:
-    """The entry `index` of a table (p, t, ...), mixed over the slices."""
+    """The entry `index` of a table (p, t, ...), interpolated between the slices."""
     return sum(
         weight * table.at[(*slot, *index)].get(mode="promise_in_bounds") for slot, weight in at
     )  # pyright: ignore[reportReturnType]
@@ -76,7 +76,7 @@ def bilinear(table: Float[Array, "p t rows columns *rest"], at: Slices, position
 def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Scalar) -> Array:
     """The largest i in [0, count - 2] with cdf(i) <= target, or 0, by bisection.
 
-    A loop, not unrolled: each step would be computed anew inside every step that follows it.
+    It is a loop that is not unrolled, because XLA would recompute each step inside every later one.
     """
 
     def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -91,7 +91,7 @@ def _last_below(count: int, cdf: Callable[[Int[Array, ""]], Scalar], target: Sca
 
 
 def _invert_linear(c0: Scalar, c1: Scalar, area: Scalar) -> Scalar:
-    """x in [0, 1] with c0 x + (c1 - c0) x^2 / 2 = area, in the form that does not cancel."""
+    """x in [0, 1] with c0 x + (c1 - c0) x^2 / 2 = area, without cancellation."""
     denominator = c0 + safe_sqrt(c0 * c0 + 2 * area * (c1 - c0))
     positive = denominator > 0
     return jnp.clip(divide(2 * area, denominator, where=positive), 0, 1)

@@ -139,7 +139,7 @@ def half_vector_integrals(cos_o: Scalar, exponent: Scalar) -> tuple[Scalar, Scal
 
 
 def _direction(material: PowerLobe, wo: Vec, u: Float[Array, "3"]) -> Vec:
-    """`wo` mirrored about a half vector of density (n + 1) / (2 pi) (n.h)^n."""
+    """`wo` mirrored about a half vector with density (n + 1) / (2 pi) (n.h)^n."""
     shortfall = -jnp.expm1(log1p(-u[0]) / (material.exponent + 1))
     h = direction_at(shortfall, 2 * jnp.pi * u[1])
     return 2 * dot(wo, h) * h - wo
@@ -173,7 +173,7 @@ _LOBE = Lobe(
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """k_s (n.h)^n; dwi = 4 wo.h dh, so that its integral is at most 8 pi / (n + 1)."""
+    """k_s (n.h)^n. With dwi = 4 wo.h dh, its integral is at most 8 pi / (n + 1)."""
     n, top = least(x, "exponent"), largest(x, "exponent")
     scale = 1.0
     if convention == "normalised":

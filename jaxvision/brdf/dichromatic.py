@@ -91,7 +91,7 @@ def _two_terms(material: Dichromatic, of_part: Callable[[Material], Colour]) -> 
 
 
 def _body_part(material: Dichromatic) -> Scalar:
-    """The part of samples for the body, by the spectra alone."""
+    """The share of samples for the body, from the spectra alone."""
     return diffuse_share(material.body_spectrum, material.interface_spectrum)
 
 
@@ -116,7 +116,8 @@ def pdf(material: Dichromatic, wi: Direction, wo: Direction) -> Scalar:
 
 
 def _bound(x: Ends[Dichromatic]) -> Reflection:
-    """The sum of its parts, each times its spectrum; the interface's own body counts as body."""
+    """The sum of the suprema of its parts, each times its spectrum; the interface's own body counts
+    as body."""
     body, interface = (suprema(x.of(name)) for name in ("body", "interface"))
     c_b, c_i = peak(x, "body_spectrum"), peak(x, "interface_spectrum")
     diffuse = c_b * body.body + c_i * interface.body

@@ -41,7 +41,7 @@ print_by_name(globals(), "Pixels", "Mask", "Factors")
 
 
 class Separation(Shown):
-    """The two terms of a picture, and how far to trust them.
+    """The two terms of a picture, with measures of their reliability.
 
     Attributes:
         body: (...) >= 0, the geometry factor m_b of a colour of unit length, in the picture's unit.
@@ -72,8 +72,8 @@ class Separation(Shown):
 
 @takes_numbers
 def usable_pixels(image: Pixels, *, dark: float | Scalar, saturated: float | Scalar) -> Mask:
-    """The mask, (...), of pixels of a linear image whose brightest band lies above `dark` and each
-    band below `saturated`, relative."""
+    """The mask, (...), of pixels of a linear image whose brightest band lies above `dark` and whose
+    bands all lie below `saturated`, relative."""
     if image.ndim == 0 or image.shape[-1] == 0:
         raise ValueError(f"image must be (..., bands), with at least one, got shape {image.shape}.")
     return (image < saturated).all(axis=-1) & (image.max(axis=-1) > dark)
@@ -90,8 +90,8 @@ def separate(
 ) -> Separation:
     """The two non-negative factors of each pixel, by least squares.
 
-    All pixels are separated. With two terms the non-negative optimum has a closed form: the free
-    one where both factors are positive, else the better of the two alone.
+    All pixels are separated. With two terms the non-negative optimum has a closed form: the
+    unconstrained one if both factors are positive, else the better of the two single terms.
 
     Args:
         image: (..., bands) linear, relative.
@@ -148,13 +148,14 @@ def separate(
 def body_colour(
     image: Pixels, illuminant: Colour, *, valid: Mask | None = None, quantile: float = 0.02
 ) -> Colour:
-    """The colour of a material, (bands,) of length 1, no unit, from a linear picture that shows it
-    somewhere without highlight; `quantile` lies in (0, 1).
+    """The colour of a material, (bands,) of length 1, no unit, from a linear picture in which some
+    of it has no highlight; `quantile` lies in (0, 1).
 
-    Without its part along the illuminant each pixel is m_b times one direction, the main one of the
-    valid pixels. How much of the illuminant the body itself holds is the smallest ratio of the two
-    parts, taken at a quantile of the pixels weighted by m_b, so that noise and a few outliers do
-    not decide. A cloud along the illuminant (a neutral body) gives the illuminant.
+    Without its component along the illuminant, each pixel is m_b times one direction, which is the
+    main direction of the valid pixels. The body's own component along the illuminant is the
+    smallest ratio of the two components. It is taken at a quantile of the pixels, weighted by m_b,
+    so that it is robust to noise and outliers. Pixels along the illuminant (a neutral body) give
+    the illuminant.
     """
     c_i = _unit(illuminant)
     used = image if valid is None else jnp.where(valid[..., None], image, 0)
@@ -182,8 +183,8 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
     """The unit normal, (3,), of the dichromatic plane of one material in a linear picture, and the
     root mean squares, (3,), of the pixels along their main axes, ascending, in the picture's unit.
 
-    For a plane the first is at the noise and the second above it; where the second is at the noise
-    too, the colours lie on a line and the normal means nothing.
+    For a plane the first is at the noise level and the second above it. If the second is at the
+    noise level too, the colours lie on a line and the normal is meaningless.
     """
     check_shape("one pixel", image[(0,) * (image.ndim - 1)], (3,))
     pixels = image.reshape(-1, 3)
@@ -195,11 +196,11 @@ def plane_normal(image: Pixels, *, valid: Mask | None = None) -> tuple[Colour, C
 
 @takes_numbers
 def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, Scalar]:
-    """The colour that all planes share, (3,) of length 1 and sum > 0, relative, and how well the
-    planes fix it: () in [0, 1], 0 where they are one and the same.
+    """The colour that all planes share, (3,) of length 1 and sum > 0, relative, and a measure () in
+    [0, 1] of how well the planes determine it; 0 if they coincide.
 
-    `normals`: (planes, 3) unit, of two materials or more under one light. Source: Lee (1986), by
-    least squares: the direction of smallest sum of (normal . c)^2.
+    `normals`: (planes, 3) unit, of at least two materials under one light. Source: Lee (1986), by
+    least squares: the direction that minimises the sum of (normal . c)^2.
     """
     moments = normals.T @ normals
     sizes, axes = _eigh(moments)
@@ -210,8 +211,8 @@ def illuminant_from_planes(normals: Float[Array, "planes 3"]) -> tuple[Colour, S
 
 @jax.custom_jvp
 def _eigh(matrix: Float[Array, "3 3"]) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
-    """Eigenvalues, ascending, and eigenvectors, the columns, of a symmetric matrix. Vectors of one
-    eigenvalue, which are any basis of their plane, do not turn into one another."""
+    """Eigenvalues, ascending, and eigenvectors, the columns, of a symmetric matrix. The gradient
+    ignores rotations among eigenvectors of one eigenvalue, which are an arbitrary basis."""
     sizes, axes = jnp.linalg.eigh(matrix)
     return sizes, axes
 

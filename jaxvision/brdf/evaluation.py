@@ -40,7 +40,7 @@ def evaluate(material: Material, wi: Direction, wo: Direction) -> Colour:
 def at_angles(
     material: Material, theta_i: Scalar, phi_i: Scalar, theta_o: Scalar, phi_o: Scalar
 ) -> Colour:
-    """The BRDF by four angles, f_r(theta_i, phi_i; theta_o, phi_o).
+    """The BRDF as a function of four angles, f_r(theta_i, phi_i; theta_o, phi_o).
 
     Args:
         material: any material.
@@ -71,7 +71,7 @@ def at_angles(
 
 @takes_numbers
 def sample(material: Material, wo: Direction, u: Float[Array, "3"]) -> Vector:
-    """A direction toward the light, near where f_r is large.
+    """A direction toward the light, likely where f_r is large.
 
     Args:
         material: any material.

@@ -1,9 +1,9 @@
 """Fresnel reflectance of a smooth interface for unpolarised light, (bands,), no unit, in [0, 1].
 
-`cos_theta` is the cosine between the ray and the interface's normal; below 0 counts as 0, above 1
-as 1. Indices of refraction are relative to the side the light comes from; above 1e9 in float32 and
-1e76 in float64 they count as that. Rearranged so that nothing cancels, near equal indices and at
-grazing angles too; at an angle of 90 degrees every interface reflects all.
+`cos_theta` is the cosine between the ray and the interface's normal, clipped to [0, 1]. Indices of
+refraction are relative to the side of the incident light. They are limited to 1e9 in float32 and
+1e76 in float64. The formulas are arranged without cancellation, also near equal indices and at
+grazing angles. At 90 degrees every interface reflects everything.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class Dielectric(Shown):
 
 
 class Conductor(Shown):
-    """A metal of the relative complex index eta + i k.
+    """A metal with the relative complex index eta + i k.
 
     Attributes:
         eta: (bands,) or (1,), real part, no unit.
@@ -106,13 +106,13 @@ def fresnel(interface: Interface, cos_theta: Scalar) -> Colour:
 @in_range(cos_theta=_COSINE, eta=DIVISOR)
 def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
     """Reflectance of a clear interface of relative index eta, (bands,), no unit, 1 in total
-    reflection (g^2 <= 0): (r_s^2 + r_p^2) / 2, with g^2 = eta^2 - 1 + c^2 and
+    reflection (g^2 <= 0). It is (r_s^2 + r_p^2) / 2 with g^2 = eta^2 - 1 + c^2 and
 
         r_s = (c - g) / (c + g)                = (1 - eta^2) / (c + g)^2
         r_p = (eta^2 c - g) / (eta^2 c + g)    = (eta^2 - 1) (c^2 (eta^2 + 1) - 1) / (eta^2 c + g)^2
 
-    The right-hand forms are the same fractions with rational numerators, which keep their digits
-    where the fractions are small.
+    The right-hand forms have rational numerators and keep full precision where the fractions are
+    small.
 
     Source: Cook & Torrance, ACM TOG 1(1) (1982).
 
@@ -138,14 +138,14 @@ def fresnel_dielectric(cos_theta: Scalar, eta: Colour) -> Colour:
 
 
 def _index(x: Colour) -> Colour:
-    """An index, or a part of one, at most as large as its fourth power can be held; no unit."""
+    """An index, or a part of one, limited so that its fourth power is finite; no unit."""
     return jnp.minimum(x, 0.5 / smallest_divisor(x.dtype))
 
 
 @takes_numbers
 @in_range(cos_theta=_COSINE, eta=AMOUNT, k=AMOUNT)
 def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
-    """Reflectance of a metal of relative index eta + i k, (bands,), no unit: (R_s + R_p) / 2, with
+    """Reflectance of a metal of relative index eta + i k, (bands,), no unit: (R_s + R_p) / 2 with
     (a + i b)^2 = (eta + i k)^2 - sin^2 and
 
         R_s = ((a - c)^2 + b^2) / ((a + c)^2 + b^2)
@@ -173,8 +173,8 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
     apart = divide(contrast + b * b, a + c, where=clear, otherwise=a - c)
 
     def ratio(difference: Colour, total: Colour, other: Colour, missing: Colour) -> Colour:
-        """(difference^2 + other^2) / (total^2 + other^2); above a third from `missing`, which the
-        first square lacks of the second and which has more of its digits."""
+        """(difference^2 + other^2) / (total^2 + other^2). Above a third it is computed from
+        `missing`, the difference of the two squares, which is then more precise."""
         below = total * total + other * other
         above = difference * difference + other * other
         return jnp.where(3 * above < below, divide(above, below), 1 - divide(missing, below))
@@ -186,8 +186,8 @@ def fresnel_conductor(cos_theta: Scalar, eta: Colour, k: Colour) -> Colour:
 @takes_numbers
 @in_range(cos_theta=_COSINE)
 def fresnel_schlick(cos_theta: Scalar, f0: Colour) -> Colour:
-    """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5, (bands,), no unit; f0 is
-    that along the normal.
+    """Schlick's approximation of the reflectance, f0 + (1 - f0) (1 - c)^5, (bands,), no unit, where
+    f0 is the reflectance at normal incidence.
 
     Source: Schlick, Computer Graphics Forum 13(3) (1994).
 
@@ -210,7 +210,7 @@ def _schlick(c: Scalar, f0: Colour) -> Colour:
 
 @_schlick.defjvp
 def _schlick_jvp(primals, tangents):
-    """The slope by f0 is 1 - (1 - c)^5, multiplied out."""
+    """The derivative with respect to f0, 1 - (1 - c)^5, expanded to avoid cancellation."""
     (c, f0), (d_c, d_f0) = primals, tangents
     fourth = jnp.square(jnp.square(1 - c))
     slope = polynomial((1.0, -5.0, 10.0, -10.0, 5.0, 0.0), c)
@@ -223,8 +223,8 @@ MONOTONE = 3.7  # index up to which a dielectric's reflectance rises with the an
 
 
 def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any], bool]:
-    """The largest reflectance of any band where the cosine is at least a given one; and whether all
-    bands share it."""
+    """The largest reflectance of any band for cosines above a given one, and whether all bands
+    share it."""
     low, high = x
     match low, high:
         case Dielectric(), Dielectric():
@@ -245,7 +245,7 @@ def _largest_reflectance(x: Ends[Interface | None]) -> tuple[Callable[[Any], Any
 
 
 def _least_reflectance(x: Ends[Interface | None]) -> float:
-    """The least reflectance of any band at any angle; 0 where it is not known."""
+    """The smallest reflectance of any band at any angle; 0 if unknown."""
     low, high = x
     match low, high:
         case Dielectric(), Dielectric():
@@ -258,9 +258,8 @@ def _least_reflectance(x: Ends[Interface | None]) -> float:
 
 def _largest_dielectric(c: Any, least: float, most: float) -> Any:
     """Upper bound on Fresnel's reflectance of unpolarised light for indices between two values, >=
-    1; exact if they are equal. The reflectance of s grows with the index. The reflectance of p is
-    largest at an end, or where eta^2 is twice the squared sine.
-    """
+    1; exact if they are equal. The s reflectance grows with the index. The p reflectance is largest
+    at an end, or where eta^2 is twice the squared sine."""
 
     def amplitudes(eta: Any) -> tuple[Any, Any]:
         g = np.sqrt(eta**2 - 1 + c * c)

@@ -7,9 +7,9 @@ The textbook's Torrance-Sparrow term: mirror angle theta_s, unnormalised, no Fre
     GaussianLobe       k_s lobe / cos(theta_i)    k_s lobe                SHADING, as in `phong`
     GaussianLobeBRDF   k_s lobe                   k_s lobe cos(theta_i)   the same lobe as a BRDF
 
-GaussianLobe is neither reciprocal nor bounded, GaussianLobeBRDF is reciprocal; a narrow one
-(c_s >> 1) reflects no more than it receives where pi k_d + pi k_s / c_s^2 <= 1. Local frame,
-normal = +z; angles in radians.
+GaussianLobe is neither reciprocal nor bounded. GaussianLobeBRDF is reciprocal, and a narrow one
+(c_s >> 1) conserves energy if pi k_d + pi k_s / c_s^2 <= 1. Local frame, normal = +z; angles in
+radians.
 """
 
 import equinox as eqx
@@ -31,7 +31,7 @@ from ._lobe import ColourOrNeutral, about, divisor, lobe_integrals, mirrored, wh
 
 
 class _Concentrated(Material):
-    """The fields of both records. Each record describes its convention."""
+    """The fields that both records share. Each record describes its convention."""
 
     spectra = ("diffuse",)
     diffuse: Colour = eqx.field(converter=as_float)
@@ -182,12 +182,11 @@ def _lobe_between(axis: Vector, w: Vector, concentration: Scalar) -> Scalar:
 
 
 def squared_angle_between(u: Vector, v: Vector) -> Scalar:
-    """Square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few units in the
-    last place.
+    """Square of the angle between unit vectors, () in [0, pi^2] rad^2, within a few ULP.
 
-    A series of the squared chord |u - v|^2 up to a right angle; beyond, of |u + v|^2, the chord of
-    the rest to pi. Neither an arccos nor a root is taken of small angles, which would lose their
-    digits and gradients.
+    Up to a right angle it is a series in the squared chord |u - v|^2, and beyond in |u + v|^2, the
+    chord of the supplementary angle. It takes no arccos or root of small angles, which would lose
+    precision and gradients.
     """
     apart, together = u - v, u + v
     chord, other = dot(apart, apart), dot(together, together)
@@ -197,9 +196,9 @@ def squared_angle_between(u: Vector, v: Vector) -> Scalar:
 
 
 def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of exp(-(c_s alpha)^2), c_s in rad^-1, and of it times cos(theta_i), over the
-    directions above the horizon, () each in sr; by quadrature over 6 widths of the lobe, to 1e-10.
-    """
+    """Integrals of exp(-(c_s alpha)^2), c_s in rad^-1, without and with cos(theta_i), over the
+    directions above the horizon, () each in sr. Quadrature over 6 widths of the lobe is accurate to
+    1e-10."""
     width = 6 / divisor(jnp.abs(concentration))
     return lobe_integrals(
         lambda alpha: gaussian_lobe(alpha, concentration), cos_axis, width=width, end=np.pi
@@ -207,7 +206,8 @@ def gaussian_integrals(cos_axis: Scalar, concentration: Scalar) -> tuple[Scalar,
 
 
 def _kappa(material: _Concentrated) -> Scalar:
-    """Of the von Mises-Fisher density exp(-(c_s chord)^2), which lies over the lobe everywhere."""
+    """kappa of the von Mises-Fisher density exp(-(c_s chord)^2), which is at least the lobe
+    everywhere."""
     kappa = 2 * jnp.square(material.concentration)
     return jnp.maximum(kappa, smallest_divisor(kappa.dtype))
 

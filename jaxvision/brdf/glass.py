@@ -1,4 +1,4 @@
-"""A smooth interface of a clear body: part of the light is mirrored, the rest goes through, bent.
+"""A smooth interface of a clear body: part of the light is reflected, the rest is refracted.
 
 The mirrored direction has the reflectance F of Fresnel's exact equations, the refracted one 1 - F,
 by Snell's law
@@ -36,7 +36,7 @@ from .fresnel import fresnel_dielectric
 
 
 class Glass(Material):
-    """What fills a closed shape with outward normals: glass, water, a crystal.
+    """The material that fills a closed shape with outward normals: glass, water, a crystal.
 
     Attributes:
         index: () index of refraction of the inside over that of the outside, > 0, no unit; the same
@@ -61,10 +61,10 @@ class Glass(Material):
 @takes_numbers
 def refracted_direction(w: Vector, eta: Scalar) -> Vec:
     """The unit direction of a refracted ray on the other side of the interface: -x / eta, -y / eta,
-    and the rest of a unit vector; eta is the index behind the interface over that before it.
+    and the z that makes it a unit vector; eta is the index behind the interface over that before
+    it.
 
-    In total reflection, where nothing goes through, it is the direction along the surface, with z =
-    0.
+    In total reflection it is the direction along the surface, with z = 0.
 
     Example:
         >>> bent = jv.brdf.glass.refracted_direction([0.6, 0.0, 0.8], 1.5)
@@ -82,9 +82,9 @@ def refracted_direction(w: Vector, eta: Scalar) -> Vec:
 
 
 def specular(material: Glass, w: Vec) -> Specular:
-    """Where a ray that came from `w`, unit, local, goes on: `w` above the surface is outside the
-    body, below it inside; shares and `eta` have no unit. In total reflection the reflectance is 1
-    and `refracted` is the direction along the surface."""
+    """The continuation of a ray that came from `w`, unit, local. If `w` is above the surface it is
+    outside the body, below it inside. Shares and `eta` have no unit. In total reflection the
+    reflectance is 1 and `refracted` is the direction along the surface."""
     eta = jnp.where(w.z > 0, material.index, 1 / material.index)
     reflectance = fresnel_dielectric(jnp.abs(w.z), eta[None])
     return Specular(mirrored(w), reflectance, refracted_direction(w, eta), 1 - reflectance, eta)

@@ -1,17 +1,17 @@
 """Half and difference angles, and the isotropic BRDF tabulated over them (the MERL layout).
 
-The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). Turning h to the normal, by
--phi_h about z and then by -theta_h about y, turns `wi` to the difference vector, with angles
-(theta_d, phi_d): theta_d is half the angle between the two directions. Exchanging wi and wo adds
-pi to phi_d, mirroring about the plane of h negates it. Source: Rusinkiewicz, "A New Change of
+The half vector h = (wi + wo) / |wi + wo| has angles (theta_h, phi_h). The rotation of h to the
+normal, by -phi_h about z and then by -theta_h about y, rotates `wi` to the difference vector, with
+angles (theta_d, phi_d). theta_d is half the angle between the two directions. Exchanging wi and wo
+adds pi to phi_d. Mirroring about the plane of h negates it. Source: Rusinkiewicz, "A New Change of
 Variables for Efficient BRDF Representation", 1998.
 
 The table has (n_h, n_d, n_p) bins over theta_h in [0, pi / 2], theta_d in [0, pi / 2] and phi_d in
-[0, pi): bin i of theta_h starts at (i / n_h)^2 pi / 2, so that lobes get most bins, the others are
-equally wide. phi_d is taken modulo pi, so the table is reciprocal by construction. A value is for
-the middle of its bin. Beyond the outermost middles it is clamped. BRDF values in sr^-1, angles in
-radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance Model",
-2003, and the reference reader published with it.
+[0, pi). Bin i of theta_h starts at (i / n_h)^2 pi / 2, so that lobes get most bins; the other bins
+have equal width. phi_d is taken modulo pi, so the table is reciprocal by construction. A value is
+for the centre of its bin. Beyond the outermost centres it is constant. BRDF values in sr^-1, angles
+in radians. Source of the layout: Matusik, Pfister, Brand, McMillan, "A Data-Driven Reflectance
+Model", 2003, and the reference reader published with it.
 """
 
 from typing import Literal
@@ -34,7 +34,7 @@ from ._registry import register
 
 
 class HalfDifference(Shown):
-    """Angles of the half vector, and of `wi` about it.
+    """Angles of the half vector, and of `wi` relative to it.
 
     Attributes:
         theta_h: () of the half vector, rad.
@@ -50,7 +50,7 @@ class HalfDifference(Shown):
 
 
 def _turned(w: Vec, theta: Scalar, phi: Scalar) -> Vec:
-    """`w` turned by theta about y, then by phi about z: +z goes to spherical(theta, phi)."""
+    """`w` rotated by theta about y, then by phi about z: +z becomes spherical(theta, phi)."""
     c, s = jnp.cos(theta), jnp.sin(theta)
     x, z = c * w.x + s * w.z, c * w.z - s * w.x
     c, s = jnp.cos(phi), jnp.sin(phi)
@@ -120,7 +120,7 @@ class HalfDifferenceTable(Material):
 def bin_angles(
     table: HalfDifferenceTable,
 ) -> tuple[Float[Array, " n_h"], Float[Array, " n_d"], Float[Array, " n_p"]]:
-    """theta_h, theta_d, phi_d in rad at the middles of the table's bins."""
+    """theta_h, theta_d, phi_d in rad at the centres of the table's bins."""
     h, d, p = ((jnp.arange(n, dtype=table.values.dtype) + 0.5) / n for n in table.values.shape[:3])
     return jnp.square(h) * (jnp.pi / 2), d * (jnp.pi / 2), p * jnp.pi
 

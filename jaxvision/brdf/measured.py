@@ -1,12 +1,12 @@
 """Measured BRDFs: scattered samples, and tables over the angles of the two directions.
 
-A table holds f_r(theta_i, phi_i, theta_o, phi_o; lambda) at the nodes of a grid, or the isotropic
-f_r(theta_i, theta_o, phi_o - phi_i; lambda); between nodes it is linear in each angle. Elevations
-beyond the outermost nodes are clamped to them, extrapolated along the last two (never below 0), or
-give 0: the record's `outside` says which. Azimuths are periodic. Measurements are not quite
-reciprocal; a table with `reciprocal` set gives the mean of both orders of the directions.
-Interpolation over these angles blurs narrow lobes that lie between nodes: where the nodes are more
-than a lobe apart, `half_difference` resolves them better.
+A table has f_r(theta_i, phi_i, theta_o, phi_o; lambda) at the nodes of a grid, or the isotropic
+f_r(theta_i, theta_o, phi_o - phi_i; lambda). It is linear in each angle between nodes. The record's
+`outside` says what applies to elevations beyond the outermost nodes: they are clamped, extrapolated
+along the last two nodes (never below 0), or give 0. Azimuths are periodic. Measurements are not
+exactly reciprocal. A table with `reciprocal` set gives the mean of both orders of the directions.
+Interpolation over these angles blurs narrow lobes between nodes. If the nodes are more than a
+lobe's width apart, `half_difference` resolves them better.
 
 `i` is the direction toward the light, `o` toward the viewer; local frame, normal = +z; angles in
 rad, f_r in sr^-1 (no cosine inside), wavelengths in m.
@@ -34,7 +34,7 @@ Outside = Literal["clamp", "extrapolate", "zero"]
 
 
 class BRDFSamples(Shown):
-    """Measured values at scattered pairs of directions, as a goniometer writes them.
+    """Measured values at scattered pairs of directions, as from a goniometer.
 
     Attributes:
         theta_i: (n,) polar angle of the light, rad.
@@ -211,8 +211,8 @@ Table = TypeVar("Table", bound=Material)
 def tabulate_sampler(
     material: Table, *, thetas: int = 16, phis: int = 1, rows: int = 33, columns: int = 91
 ) -> Table:
-    """A table with a sampler of its own lobes, tabulated at static numbers of elevations and
-    azimuths of `wo` and half vectors (rows, columns), in rad.
+    """A table with a sampler of its own lobes. The sampler is tabulated, in rad, at static numbers
+    of elevations and azimuths of `wo` and of half vectors (rows, columns).
 
     `sample` then draws in proportion to the reflected light, averaged over the bands. Without the
     sampler, draws follow the cosine.

@@ -43,15 +43,15 @@ def at_least_polished(alpha: Alpha) -> Alpha:
 
 
 def half_vector(wi: Direction, wo: Direction) -> Vec:
-    """The unit vector half-way between two unit directions, the normal of the facet that mirrors
-    one into the other; zero between opposite ones. Rounding of the two turns it by about
-    eps / cos(theta): in float32 a lobe of alpha cos(theta) < 1e-6 is narrower than that."""
+    """The unit vector half-way between two unit directions, which is the normal of the facet that
+    mirrors one into the other; zero for opposite directions. Rounding rotates it by about eps /
+    cos(theta): in float32 a lobe with alpha cos(theta) < 1e-6 is narrower than that."""
     return as_vec(normalize(as_vec(wi) + as_vec(wo)))
 
 
 def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
-    """D(h) in sr^-1: area of facets of normal `h`, per solid angle and area of the surface; 0
-    below it. With the slopes p = h.x / h.z, q = h.y / h.z over their alphas:
+    """D(h) in sr^-1: area of facets of normal `h`, per solid angle and area of the surface; 0 below
+    it. With the slopes p = h.x / h.z, q = h.y / h.z divided by their alphas:
 
         beckmann   exp(-(p^2 + q^2)) / (pi alpha_x alpha_y h.z^4)
         ggx        1 / (pi alpha_x alpha_y h.z^4 (1 + p^2 + q^2)^2)
@@ -78,8 +78,8 @@ def normal_distribution(h: Direction, alpha: Alpha, *, distribution: Distributio
 
 
 def hidden_cosine(w: Direction, alpha: Alpha, *, distribution: Distribution) -> Scalar:
-    """cos(theta) Lambda(w), no unit: of the area that facets turn toward `w`, per area of the
-    surface, the part that others hide; cos(theta) is what stays. Finite at grazing angles, where
+    """cos(theta) Lambda(w), no unit: the hidden part of the facet area projected toward `w`, per
+    area of the surface; the visible part is cos(theta). It is finite at grazing angles, where
     Lambda is not. Source: Heitz (2014), equations 68 to 72."""
     v, a = as_vec(w), at_least_polished(alpha)
     squared = jnp.square(v.x * a[0]) + jnp.square(v.y * a[1])
@@ -108,8 +108,8 @@ def visibility(
     distribution: Distribution,
     shadowing: Shadowing,
 ) -> Scalar:
-    """G / (4 cos(theta_i) cos(theta_o)), no unit, the whole fraction: finite where its parts are
-    not. With c_i, c_o the cosines, H what `hidden_cosine` gives and d = wo.h:
+    """G / (4 cos(theta_i) cos(theta_o)), no unit. The whole fraction is finite where its parts are
+    not. With c_i, c_o the cosines, H the value of `hidden_cosine` and d = wo.h:
 
         smith      G = 1 / (1 + Lambda_i + Lambda_o)
                    1 / (4 (c_i c_o + c_i H_o + c_o H_i))
@@ -136,9 +136,9 @@ def visibility(
 
 
 def sample_facet(wo: Direction, alpha: Alpha, u: Float[Array, "2"]) -> Vec:
-    """The unit normal of a GGX facet that `wo` sees, from two uniform numbers in [0, 1).
+    """The unit normal of a GGX facet that is visible from `wo`, from two uniform numbers in [0, 1).
 
-    It serves Beckmann facets too: with the same alpha, D_beckmann / D_ggx <= 4 / e. Source: Heitz,
+    It also serves Beckmann facets: with the same alpha, D_beckmann / D_ggx <= 4 / e. Source: Heitz,
     "Sampling the GGX Distribution of Visible Normals", JCGT 7(4) (2018).
     """
     v, a = as_vec(wo), at_least_polished(alpha)

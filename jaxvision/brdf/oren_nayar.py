@@ -1,13 +1,13 @@
-"""Oren-Nayar: a rough surface of Lambertian facets, flatter than Lambert's and bright toward the
-light it came from.
+"""Oren-Nayar: a rough surface of Lambertian facets, with a flatter shading than Lambert's and
+retroreflection.
 
     qualitative   f_r = k_d (A + B max(0, cos(phi_i - phi_o)) sin(alpha) tan(beta))
-    full          with facets that light each other (the paper's equations 27 to 30)
+    full          with interreflections between facets (the paper's equations 27 to 30)
 
 alpha is the larger of the two polar angles, beta the smaller. sigma = 0 is Lambert. Both forms are
-reciprocal. Neither keeps energy exactly: at facet albedo 1 and grazing views the qualitative form
-reaches an albedo of 1.015 (sigma 0.2), the full one 1.05 (sigma 0.3). The full one is a fit and
-can fall below 0 for forward light near grazing, where it counts as 0. Angles in radians; local
+reciprocal. Neither conserves energy exactly: at facet albedo 1 and grazing views the qualitative
+form reaches an albedo of 1.015 (sigma 0.2), the full one 1.05 (sigma 0.3). The full one is a fit.
+It can fall below 0 for forward light near grazing, where it is set to 0. Angles in radians; local
 frame, normal = +z. Source: Oren & Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH
 1994.
 """
@@ -106,12 +106,11 @@ def _full(material: OrenNayar, wi: Direction, wo: Direction) -> Colour:
 
 
 def _bound(x: Ends[OrenNayar]) -> Reflection:
-    """k_d (A + B sin tan): times cos(theta_i) at most k_d (A cos(theta_i) + B), for cos sin tan is
-    at most 1, not cos. Lambert's differs by at most max((1 - A) cos, B) k_d. In full (equations 27
-    to 30) the second and the third term exclude each other in cos(phi), and the light between
-    facets adds at most .34 rho v / (v + .13). The body is never less than the k_d of the Lambertian
-    that may take its place.
-    """
+    """k_d (A + B sin tan). Times cos(theta_i) it is at most k_d (A cos(theta_i) + B), because cos
+    sin tan is at most 1. Lambert's differs by at most max((1 - A) cos, B) k_d. In the full form
+    (equations 27 to 30) the second and the third term exclude each other in cos(phi), and the light
+    between facets adds at most .34 rho v / (v + .13). The body is at least the k_d of the
+    Lambertian that may replace it."""
     v_low, v = least(x, "sigma") ** 2, most(x, "sigma") ** 2
     a_most, a_least = (1 - 0.5 * s / (s + 0.33) for s in (v_low, v))
     b = 0.45 * v / (v + 0.09)

@@ -8,7 +8,7 @@ Three records share the lobe [cos theta_s]+^n and differ in its factor:
                                                                             a BRDF
     NormalisedPhong    k_s (n + 2) / (2 pi) lobe    that times cos(theta_i)
 
-To turn shading into a BRDF, divide the specular term by the cosine of incidence; k_d, which is
+To convert shading into a BRDF, divide the specular term by the cosine of incidence; k_d, which is
 albedo / pi, is the same in all three. Phong is neither reciprocal nor bounded: under a grazing
 light it reflects more than it receives. PhongBRDF is reciprocal, and reflects no more than it
 receives exactly where pi k_d + 2 pi k_s / (n + 2) <= 1. NormalisedPhong (Lafortune & Willems,
@@ -70,8 +70,8 @@ class PhongBRDF(PowerLobe):
 
 
 class NormalisedPhong(PowerLobe):
-    """The BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, energy-conserving: the lobe's
-    albedo is at most k_s, and less away from the normal, where the horizon cuts it off.
+    """The BRDF k_d + k_s (n + 2) / (2 pi) cos(theta_s) ** n, which conserves energy. The lobe's
+    albedo is k_s along the normal, and less elsewhere, because the horizon cuts the lobe.
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1, >= 0.
@@ -159,7 +159,7 @@ def phong_shading(
 
 
 def power_direction(axis: Vector, exponent: Scalar, u: Float[Array, "2"]) -> Vec:
-    """A unit direction of density `power_pdf` about an axis by `u`, (2,) uniform in [0, 1):
+    """A unit direction with density `power_pdf` about an axis, from `u`, (2,) uniform in [0, 1):
     cos(alpha) = (1 - u_0)^(1 / (n + 1))."""
     return about(axis, -jnp.expm1(log1p(-u[0]) / (exponent + 1)), 2 * jnp.pi * u[1])
 
@@ -171,13 +171,14 @@ def power_pdf(axis: Vector, w: Vector, exponent: Scalar) -> Scalar:
 
 
 def power_integrals(cos_axis: Scalar, exponent: Scalar) -> tuple[Scalar, Scalar]:
-    """Integrals of [cos alpha]+^n, and of it times cos(theta_i), over the directions above the
+    """Integrals of [cos alpha]+^n, without and with cos(theta_i), over the directions above the
     horizon, () each in sr.
 
-    2 pi / (n + 1) and 2 pi cos_axis / (n + 2) where the horizon cuts nothing off. Quadrature over
-    8.5 widths of the lobe: to 1e-10 for whole exponents and from n = 2 on. Between, the lobe ends
-    at alpha = pi / 2 as no polynomial does: relative errors, largest along the normal, reach
-    2e-5, 3e-6 and 3e-9 without the cosine at n = .1, .5, 1.5, and 1.1e-8 with it at n = .1.
+    They are 2 pi / (n + 1) and 2 pi cos_axis / (n + 2) if the horizon does not cut the lobe.
+    Quadrature over 8.5 widths of the lobe is accurate to 1e-10 for whole exponents and from n = 2
+    on. For other exponents the lobe is not polynomial at alpha = pi / 2. The relative errors,
+    largest along the normal, reach 2e-5, 3e-6 and 3e-9 without the cosine at n = .1, .5, 1.5, and
+    1.1e-8 with it at n = .1.
     """
 
     def lobe(alpha: Scalars) -> Scalars:
@@ -198,15 +199,15 @@ _LOBE = Lobe(
 
 
 def _power_slope(n: float) -> float:
-    """max |d cos^n / d angle| = sqrt(n) (1 - 1/n)^((n-1)/2) = n cos^(n-1) sin at its largest; 1 at
-    n = 1. Below, it is steeper than any slope at a right angle, and 0 a step."""
+    """max |d cos^n / d angle| = sqrt(n) (1 - 1/n)^((n-1)/2), the maximum of n cos^(n-1) sin; 1 at n
+    = 1. For n < 1 the slope is unbounded at a right angle, and n = 0 is a step."""
     if n < 1:
         return np.inf
     return float(np.sqrt(n) * (1 - 1 / n) ** ((n - 1) / 2)) if n > 1 else 1.0
 
 
 def _bound(x: Ends[Material], convention: Convention) -> Reflection:
-    """k_s [cos theta_s]^n; the least exponent is the broadest."""
+    """k_s [cos theta_s]^n; the smallest exponent gives the broadest lobe."""
     n, top = least(x, "exponent"), largest(x, "exponent")
     scale = (top + 2) / (2 * np.pi) if convention == "normalised" else 1.0
     cosine = convention != "shading"

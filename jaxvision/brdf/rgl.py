@@ -1,4 +1,4 @@
-"""Materials of the EPFL RGL material database, in the adaptive form they were measured in.
+"""Materials of the EPFL RGL material database, in the adaptive form of the measurement.
 
 The measurement stores, for each direction (theta, phi) of one of its two directions,
 
@@ -46,7 +46,7 @@ from ._warp import Slices, Square, Warp, bilinear, slices, tabulated_warp, unwar
 
 
 class RGL(Material):
-    """A material of the RGL database, isotropic where `phi` has one or two nodes.
+    """A material of the RGL database, isotropic if `phi` has one or two nodes.
 
     Attributes:
         theta: (t,) rad, increasing, nodes of `wo`.
@@ -136,7 +136,7 @@ def _unfolded(material: RGL, wi: Vec, wo: Vec) -> tuple[Vec, Vec]:
 
 
 def _seen_from(material: RGL, wo: Vec) -> tuple[Slices, Scalar, Square]:
-    """(table slices, azimuth that half vectors count from, square position) of `wo`."""
+    """(table slices, reference azimuth of half vectors, square position) of `wo`."""
     theta, phi = elevation(wo), azimuth(wo)
     origin = phi if len(material.phi) <= 2 else jnp.zeros_like(phi)
     place = elevation_to_unit(theta), azimuth_to_unit(phi)
@@ -152,7 +152,7 @@ def _interpolate_square(table: Float[Array, "rows columns"], place: Square) -> S
 def _reflected_by(
     material: RGL, at: Slices, s: Square, h_place: Square, wo_place: Square
 ) -> Colour:
-    """values(s) ndf(h) / (4 sigma(wo)), (bands,) in sr^-1, at places of the unit squares."""
+    """values(s) ndf(h) / (4 sigma(wo)), (bands,) in sr^-1, at positions of the unit squares."""
     value = jnp.maximum(bilinear(material.values, at, s), 0)
     if not material.scaled:
         return value
@@ -186,8 +186,8 @@ def evaluate(material: RGL, wi: Direction, wo: Direction) -> Colour:
 
 def sample(material: RGL, wo: Direction, u: Float[Array, "3"]) -> Vec:
     """A unit local direction drawn in proportion to the luminance reflected toward `wo`, by two of
-    `u`, (3,) uniform in [0, 1); one below the surface (at the edge of the tables) reflects nothing.
-    """
+    `u`, (3,) uniform in [0, 1). A direction below the surface (at the edge of the tables) reflects
+    nothing."""
     wo = as_vec(wo)
     _, turned = _unfolded(material, wo, wo)
     at, origin, _ = _seen_from(material, turned)
@@ -213,10 +213,10 @@ def pdf(material: RGL, wi: Direction, wo: Direction) -> Scalar:
 
 
 def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
-    """The reflected part of a uniform surrounding, seen from `wo`: (bands,), no unit.
+    """The reflected share of uniform surroundings, seen from `wo`, (bands,), no unit.
 
-    The hemisphere integral of f_r cos(theta_i) by the midpoint rule of order x order nodes on the
-    square s, where `vndf` has already straightened the lobe.
+    It is the hemisphere integral of f_r cos(theta_i) by the midpoint rule with order x order nodes
+    on the square s, where `vndf` has flattened the lobe.
     """
     wo = as_vec(wo)
     _, turned = _unfolded(material, wo, wo)
@@ -235,7 +235,7 @@ def albedo(material: RGL, wo: Direction, *, order: int = 64) -> Colour:
 
 
 def _bound(x: Ends[RGL]) -> Reflection:
-    """None is known."""
+    """No bound is known."""
     bands = x.low.values.shape[-1]
     why = "no bound of an adaptive table is known"
     return Reflection(np.full(bands, np.inf), plain=np.inf, why=why)

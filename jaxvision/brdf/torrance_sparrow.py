@@ -2,14 +2,14 @@
 
     f_r = k_d + k_s F(wo.h) D(h) G(wi, wo) / (4 cos(theta_i) cos(theta_o))
 
-in full: half-vector, normalised distribution, masking and shadowing, exact Fresnel. (The
-textbook's Gaussian of the mirror angle that goes by the same name is `gaussian_lobe`.) Reciprocal.
-Light that bounces between facets is lost, so that even where F = 1 the lobe's albedo falls below 1
-as the surface gets rougher. k_d is not reduced by what the interface reflects, so that all that
-holds is albedo <= pi k_d + k_s, and a bright body under glass may exceed 1 at grazing angles:
-pi k_d = 0.9, k_s = 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o)
-= 1, 0.5, 0.2, 0.05, 0.02. Local frame, normal = +z. Sources: Torrance & Sparrow, JOSA 57(9)
-(1967); Cook & Torrance, ACM TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
+The model is complete: half vector, normalised distribution, masking and shadowing, exact Fresnel
+reflectance. (The textbook's Gaussian of the mirror angle with the same name is `gaussian_lobe`.) It
+is reciprocal. Light that bounces between facets is lost, so even with F = 1 the lobe's albedo falls
+below 1 for rougher surfaces. k_d is not reduced by the interface's reflection, so the only bound is
+albedo <= pi k_d + k_s. A bright body under glass may exceed 1 at grazing angles: pi k_d = 0.9, k_s
+= 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5, 0.2,
+0.05, 0.02. Local frame, normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook &
+Torrance, ACM TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
 """
 
 from dataclasses import replace
@@ -161,8 +161,8 @@ def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
 
 
 def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """The normal of a groove's side that `wo` sees: a groove by its area, then of its two sides
-    one by the area turned toward `wo`. Source: Heitz & d'Eon, "Importance Sampling
+    """The normal of a groove side that is visible from `wo`: a groove by its area, then one of its
+    two sides by its area projected toward `wo`. Source: Heitz & d'Eon, "Importance Sampling
     Microfacet-Based BSDFs using the Distribution of Visible Normals", CGF 33(4) (2014)."""
     match material.distribution:
         case "ggx":
@@ -196,10 +196,10 @@ def _diffuse_part(material: TorranceSparrow, wo: Direction) -> Scalar:
 
 
 def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
-    """A unit direction from the cosine about the normal, or `wo` mirrored by a facet it sees.
+    """A unit direction from the cosine about the normal, or `wo` mirrored by a visible facet.
 
-    f_r cos / pdf of the lobe is at most k_s F for v-cavities and for Smith's GGX facets; at most
-    2.7 k_s F for Smith's Beckmann facets, which are sampled as if they were GGX.
+    f_r cos / pdf of the lobe is at most k_s F for v-cavities and for Smith's GGX facets, and at
+    most 2.7 k_s F for Smith's Beckmann facets, which are sampled as GGX.
     """
     part = _diffuse_part(material, wo)
     match material.shadowing:
@@ -247,7 +247,7 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     ahead_y = divide(lean.y, steep, where=tilted)
 
     def towards_light(r: Scalar, k: Scalar, slope: Vec, squared: Scalar) -> Colour:
-        """F G wo.h / (h.z cos(theta_o)) of the facet r times `slope`."""
+        """F G wo.h / (h.z cos(theta_o)) of the facet with slope r times `slope`."""
         facing = cos_o + r * k  # wo.h / h.z
         h_z = 1 / jnp.sqrt(1 + r * r * squared)
         h = Vec(r * slope.x * h_z, r * slope.y * h_z, h_z)
@@ -299,11 +299,11 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
 def _bound(x: Ends[TorranceSparrow]) -> Reflection:
     """k_s F D V cos, each factor at its largest over the angles of a cell.
 
-    D = (1 + t)^2 / (pi ax ay (1 + t / a^2)^2) for GGX, exp(-t / a^2) in place of the quotient for
-    Beckmann, t = tan^2 of the half vector's angle. Smith: V cos_i <= 1 / (4 (c_o + H_o)), with
+    D = (1 + t)^2 / (pi ax ay (1 + t / a^2)^2) for GGX, with exp(-t / a^2) in place of the quotient
+    for Beckmann; t is tan^2 of the half vector's angle. Smith: V cos_i <= 1 / (4 (c_o + H_o)), with
     c_o + H_o = (c_o + sqrt(c_o^2 + a^2 s_o^2)) / 2 for GGX and at least max(c_o, a s_o / (2 sqrt
     pi)) for Beckmann. V-cavity: V cos_i <= 1 / (4 max(c_o, d^2 / (c_i + c_o))). The integral is at
-    most 1, for facets only lose light.
+    most 1, because facets only lose light.
     """
     wide = max(largest(x, "roughness"), LEAST_ROUGHNESS)
     small = np.min([np.broadcast_to(numbers(end.roughness), (2,)) for end in x], axis=0)

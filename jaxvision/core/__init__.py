@@ -1,6 +1,6 @@
-"""What every room stands on and no user needs to know: types, vectors, NaN-safe numbers, random
-numbers, checks of arguments, how records print, and how work runs on the machine.
+"""Internal foundations: types, vectors, NaN-safe numerics, random numbers, argument checks,
+printing of records, and execution on the machine.
 
-Modules whose names begin with an underscore are for `jaxvision` alone, the others for `fitting`
-too. `_loops` holds what only loops over pixels, rays and records use.
+Modules whose names begin with an underscore are for `jaxvision` alone, and the others also for
+`fitting`. `_loops` is for loops over pixels, rays and records only.
 """

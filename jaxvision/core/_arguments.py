@@ -43,7 +43,7 @@ PLAIN = (bool, int, float, list, tuple, str)
 
 
 class _Wanted(NamedTuple):
-    """What a parameter holds."""
+    """The expected content of a parameter."""
 
     # in which a word is any length, and a first `...` any axes
     shapes: tuple[tuple[int | str, ...], ...]
@@ -57,11 +57,11 @@ class _Wanted(NamedTuple):
 
 
 def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
-    """A function of arrays that takes plain numbers, lists and NumPy's arrays too.
+    """Make a function of arrays accept plain numbers, lists and NumPy arrays.
 
-    They become arrays of the floating dtype that is beside them. A shape that the annotation
-    excludes, a direction that is not unit and a number for a random key raise `ValueError`;
-    optional arguments without their names, and names of none, `TypeError`.
+    They become arrays in the floating dtype of the other arguments. A wrong shape, a direction that
+    is not unit and a number in place of a random key raise `ValueError`. Optional arguments without
+    their names, and unknown names, raise `TypeError`.
     """
 
     @wraps(function)
@@ -105,14 +105,14 @@ def takes_numbers(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def warn_of_idle_fill(fill: Any, border: str) -> None:
-    """Warns of a known fill, in any unit, that a border does not use."""
+    """Warn of a given fill value, in any unit, that a border does not use."""
     if border != "constant" and is_known(fill) and np.any(np.asarray(fill) != 0):
         warn_caller(f'fill has no effect with border "{border}"; set border = "constant".')
 
 
 def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A decorator, below `takes_numbers`: `ValueError` for arguments outside their range, where
-    they are known."""
+    """A decorator, below `takes_numbers`, that raises `ValueError` for known arguments outside
+    their range."""
 
     def of(function: Callable[P, R]) -> Callable[P, R]:
         names = list(signature(function).parameters)
@@ -130,8 +130,8 @@ def in_range(**ranges: Range) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def _is_plain(value: Any, want: _Wanted) -> bool:
-    """Whether to make an array of it, or of floating numbers where it is one. Unsigned integers
-    may be codes, for which the functions of pictures and colours answer."""
+    """Whether to convert the value to an array, or an array to floating numbers. Unsigned integers
+    may be codes, which the functions of pictures and colours handle themselves."""
     if isinstance(value, int | float) and want.keeps_numbers:
         return False
     if isinstance(value, PLAIN) or want.keeps_integers:
@@ -143,21 +143,21 @@ def _is_plain(value: Any, want: _Wanted) -> bool:
 
 
 def _has_numbers(value: Any) -> bool:
-    """Whether it is a number, a record, or something like an array."""
+    """Whether the value is a number, a record, or array-like."""
     return isinstance(value, int | float | eqx.Module) or hasattr(value, "dtype")
 
 
 @cache
 def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted | None]:
-    """What each parameter holds, in their order; None unless that is an array of numbers, or either
-    an array or a record."""
+    """The expected content of each parameter, in order; None unless it is an array of numbers, or
+    either an array or a record."""
     hints = get_type_hints(function)
     return {name: _wanted_by_hint(name, hints.get(name)) for name in signature(function).parameters}
 
 
 @cache
 def _keys(function: Callable[..., Any]) -> dict[str, bool]:
-    """Which parameters are random keys, and whether None is meant too."""
+    """The parameters that are random keys, and whether they may be None."""
     hints = get_type_hints(function)
     parts = {name: _parts(hints.get(name)) for name in signature(function).parameters}
     return {name: type(None) in part for name, part in parts.items() if Key in part}
@@ -165,7 +165,7 @@ def _keys(function: Callable[..., Any]) -> dict[str, bool]:
 
 @cache
 def _records(function: Callable[..., Any]) -> dict[str, tuple[tuple[type, ...], bool]]:
-    """Which parameters are records of known kinds, which kinds, and whether None is meant too."""
+    """The parameters that are records of known kinds, the kinds, and whether they may be None."""
     hints, found = get_type_hints(function), {}
     for name in signature(function).parameters:
         parts = members_of(hints.get(name))
@@ -182,7 +182,7 @@ def _parts(hint: Any) -> tuple[Any, ...]:
 
 @cache
 def _placed(function: Callable[..., Any]) -> int:
-    """How many arguments it takes by their place."""
+    """The number of positional arguments."""
     kinds = [parameter.kind for parameter in signature(function).parameters.values()]
     if Parameter.VAR_POSITIONAL in kinds:
         return maxsize
@@ -228,7 +228,8 @@ def _is_record(part: Any) -> bool:
 
 
 def _dtype_beside(values: dict[str, Any]) -> Any:
-    """The dtype of the floating arrays among the arguments, records and all; else JAX's default."""
+    """The dtype of the floating arrays among the arguments, including those in records; else JAX's
+    default."""
     leaves = [x for x in jax.tree.leaves(list(values.values())) if isinstance(x, jax.Array)]
     floating = [x.dtype for x in leaves if jnp.issubdtype(x.dtype, jnp.floating)]
     return max(floating, key=lambda dtype: dtype.itemsize, default=jnp.result_type(float))
@@ -249,7 +250,7 @@ def _as_array(
 
 
 def check_unit(name: str, vectors: Array | np.ndarray) -> None:
-    """`ValueError` for known vectors, (..., 3), that are neither of length 1 nor 0."""
+    """`ValueError` for known vectors, (..., 3), with a length other than 1 or 0."""
     lengths = np.linalg.norm(np.asarray(vectors, np.float64), axis=-1)
     rounding = 4 * float(jnp.finfo(vectors.dtype).eps)
     wrong = (lengths != 0) & (np.abs(lengths - 1) > max(UNIT_WITHIN, rounding))
@@ -281,7 +282,7 @@ def _no_numbers(function: Callable[..., Any], name: str, value: Any) -> ValueErr
 
 
 def _unnamed(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -> TypeError:
-    """The sentence for arguments beyond those that have a place."""
+    """The error message for too many positional arguments."""
     by_name = list(signature(function).parameters)[placed:]
     extra = zip(by_name, args[placed:], strict=False)
     given = ", ".join(f"{name}={in_short(value)}" for name, value in extra)
@@ -293,7 +294,7 @@ def _unnamed(function: Callable[..., Any], placed: int, args: tuple[Any, ...]) -
 def _unknown(
     function: Callable[..., Any], given: Iterable[str], known: Collection[str]
 ) -> TypeError:
-    """The sentence for a name that no argument has."""
+    """The error message for an unknown argument name."""
     word = next(name for name in given if name not in known)
     who = getattr(function, "__name__", "function")
     return TypeError(f"{who} has no argument {word!r}; {nearest(word, known)}.")

@@ -36,7 +36,7 @@ class Ends(Generic[T]):
         return iter((self.low, self.high))
 
     def of(self, name: str) -> "Ends[Any]":
-        """A field of both, the same object whenever it is asked for."""
+        """A field at both ends; repeated calls return the same object."""
         key = f"of {name}"
         if key not in self.__dict__:
             self.__dict__[key] = Ends(getattr(self.low, name), getattr(self.high, name))
@@ -44,7 +44,7 @@ class Ends(Generic[T]):
 
 
 def once(function: Callable[[Ends[Any]], T]) -> Callable[[Ends[Any]], T]:
-    """A function of ends that is worked out once for each, and kept with it."""
+    """A function of ends that is computed once for each and cached with it."""
 
     @wraps(function)
     def asked(ends: Ends[Any]) -> T:
@@ -70,7 +70,7 @@ def box_about(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def unit(v: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) of length 1, 0 where they have none; no unit."""
+    """Vectors (..., 3) scaled to length 1, 0 for zero vectors; no unit."""
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     return v / np.where(length > 0, length, 1)
 
@@ -82,7 +82,7 @@ def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class Angles(NamedTuple):
-    """Angles between cells and light positions for the bound of a lobe, (c, s) unless said
+    """Angles between cells and light positions for the bound of a lobe, (c, s) unless stated
     otherwise.
 
     Attributes:
@@ -103,7 +103,7 @@ class Angles(NamedTuple):
 
 
 class Lobe(NamedTuple):
-    """A lobe beside a body.
+    """The lobe of a material, in addition to its body.
 
     Attributes:
         spectrum: (bands,) or (1,), k_s.
@@ -183,7 +183,7 @@ def most(x: Any, name: str) -> float:
 
 
 class Source(NamedTuple):
-    """One light as what a bound needs to know of it.
+    """The properties of one light that bounds need.
 
     Attributes:
         spectrum: (bands,) intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1, the
@@ -215,5 +215,5 @@ class Source(NamedTuple):
 
     @property
     def extended(self) -> bool:
-        """Whether it has a radiance, and a ray may meet it."""
+        """Whether it has a radiance and a ray may hit it."""
         return self.kind in ("area", "sky")

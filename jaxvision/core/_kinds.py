@@ -19,7 +19,7 @@ class Table(NamedTuple):
 
 
 def table_for(record: type, word: str | None, from_file: Callable[..., Any] | None) -> Table | None:
-    """The table of a kind; None for the word "", of a kind that no file holds."""
+    """The table of a kind; None for "", a kind that no file contains."""
     if word is None:
         name = record.__name__.removesuffix("Light") or record.__name__
         word = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

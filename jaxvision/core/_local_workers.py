@@ -1,7 +1,7 @@
-"""Processes of this machine as Dask workers: how they are started, and started again.
+"""Processes of this machine as Dask workers: start and restart.
 
-Each has one thread, inside XLA and BLAS too, a share of the memory, and the variables of this
-process that decide what JAX computes.
+Each has one thread, also inside XLA and BLAS, a share of the memory, and the environment variables
+of this process that affect JAX's results.
 """
 
 import logging
@@ -25,8 +25,8 @@ STARTS = 3  # of all workers, where one is lost before it is there
 @contextmanager
 def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
     """A client of processes of this machine. Each has one thread, also inside XLA and BLAS, and
-    keeps its compiled programs where this process does. `memory`: bytes that each needs at least.
-    """
+    keeps its compiled programs where this process does. `memory`: bytes that each needs at
+    least."""
     from dask import config
     from distributed import Client
     from distributed.system import MEMORY_LIMIT
@@ -64,7 +64,7 @@ def local_workers(count: int, *, memory: float) -> "Iterator[Client]":
 
 
 def _started(count: int) -> "LocalCluster":
-    """Processes of this machine. One that is lost while it starts takes the others with it."""
+    """Start the processes of this machine. If one dies during its start, the others end with it."""
     from distributed import LocalCluster
 
     settings = {"processes": True, "threads_per_worker": 1, "memory_limit": MEMORY / count}
@@ -79,13 +79,13 @@ def _started(count: int) -> "LocalCluster":
 
 
 def _jax_environment() -> dict[str, str]:
-    """Variables of the environment that decide what JAX computes, and where it keeps programs."""
+    """Environment variables that affect JAX's results and the place of its compiled programs."""
     return {name: text for name, text in os.environ.items() if name.startswith(("JAX_", "XLA_"))}
 
 
 def replace_lost(client: "Client") -> None:
-    """Starts anew what processes of this machine were lost while they started; those that are lost
-    later start again by themselves."""
+    """Restart processes of this machine that died during their start; those that die later restart
+    by themselves."""
     made: Any = client.cluster
     wanted = len(getattr(made, "worker_spec", ()))
     there: Any = client.nthreads()

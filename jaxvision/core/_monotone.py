@@ -27,7 +27,7 @@ def through_points(x: Scalars, inputs: Points, outputs: Points, slopes: Points) 
 
 
 def monotone_slopes(inputs: Points, outputs: Points) -> Points:
-    """The weighted harmonic mean of the slopes of the chords on both sides, 0 at an extremum."""
+    """The weighted harmonic mean of the slopes of the neighbouring chords, 0 at an extremum."""
     width = jnp.diff(inputs)
     chord = jnp.diff(outputs) / width
     if inputs.shape[0] == 2:
@@ -47,7 +47,7 @@ def monotone_slopes(inputs: Points, outputs: Points) -> Points:
 
 
 def _end_slope(near: Array, far: Array, chord: Array, next_chord: Array) -> Array:
-    """The parabola through three points, kept from overshooting."""
+    """The slope of the parabola through three points, limited against overshoot."""
     slope = ((2 * near + far) * chord - near * next_chord) / (near + far)
     slope = jnp.where(slope * chord <= 0, 0, slope)
     steep = (chord * next_chord < 0) & (jnp.abs(slope) > 3 * jnp.abs(chord))

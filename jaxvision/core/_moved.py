@@ -1,5 +1,5 @@
-"""Modules by the names that they had before: `import jaxvision.io`, `from jaxvision import io`,
-`jaxvision.io` and pickles give the same module as the new name, and a `DeprecationWarning`."""
+"""Former module names: `import jaxvision.io`, `from jaxvision import io`, `jaxvision.io` and
+pickles give the module under its new name, with a `DeprecationWarning`."""
 
 import sys
 import warnings
@@ -54,7 +54,7 @@ RENAMED = {  # public functions
 
 
 def renamed(old: str) -> str | None:
-    """The new name of a public function that had this name, which a warning says; else None."""
+    """The new name of a renamed public function, with a warning; else None."""
     new = RENAMED.get(old)
     if new is not None:
         warnings.warn(
@@ -64,7 +64,7 @@ def renamed(old: str) -> str | None:
 
 
 def module_of(old: str) -> ModuleType | None:
-    """The module that had this name, whose new name a warning says; None for any other name."""
+    """The module with that former name, with a warning; None for any other name."""
     if old not in MOVED:
         return None
     _warn(old, stacklevel=4)
@@ -75,7 +75,7 @@ def module_of(old: str) -> ModuleType | None:
 
 
 def find_modules_by_old_names() -> None:
-    """Makes `import` find modules by the names that they had, and those inside them."""
+    """Make `import` find modules, and those inside them, by their former names."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Finder())  # before files are looked for below a moved package
 
@@ -96,7 +96,7 @@ class _Finder:
 
 
 class _Moved(Loader):
-    """Loads what is already there, or will be, under another name."""
+    """Loader of a module under another name."""
 
     def __init__(self, new: str) -> None:
         self.new = new

@@ -1,13 +1,13 @@
 """NaN-safe primitives: finite values and finite gradients at the edges of their domain.
 
 A risky operation gets a harmless argument where it would fail, and its output is then masked
-("double where"), so that reverse-mode differentiation never multiplies zero by infinity. Compiled
-code may compute the condition twice and round it in two ways, so that the argument is replaced and
-the output is not masked: that must still be right. Therefore the stand-in is a number from the edge
-of the domain, or the argument is replaced under a condition of its own, well away from the mask's.
+("double where"). Reverse-mode differentiation then never multiplies zero by infinity. Compiled code
+may compute the condition twice with different rounding, so the argument may be replaced without the
+output being masked. The result must be right even then. The replacement is therefore a number at
+the edge of the domain, or the argument has its own condition, well away from the mask's.
 
-Functions work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records;
-any floating dtype is kept.
+Functions work elementwise, on vectors over the last axis of (..., 3) arrays or on `Vec` records,
+and keep any floating dtype.
 """
 
 from collections.abc import Sequence
@@ -59,11 +59,11 @@ def dot(u: Vec3, v: Vec3) -> Scalars:
 
 
 def exact_cross(u: Vec3, v: Vec3) -> Vec:
-    """u x v of nearly parallel vectors, in the product of their units: the differences of products
-    lose thousands of times less.
+    """u x v of nearly parallel vectors, in the product of their units, with errors thousands of
+    times smaller than in the plain differences of products.
 
-    Factors are split into halves of which the products are exact, so that compiled code, free to
-    contract a product and a sum, cannot round them in another way.
+    Factors are split into halves with exact products, so that compiled code cannot change the
+    rounding by contracting a product and a sum.
 
     Source: after Dekker, "A Floating-Point Technique for Extending the Available Precision",
     Numerische Mathematik 18 (1971), with halves by their bits.
@@ -91,7 +91,7 @@ def _difference_of_products_jvp(primals, tangents):
 
 
 def _halves(x: Scalars) -> tuple[Scalars, Scalars]:
-    """The upper half of the digits, and the rest."""
+    """The upper half of the digits, and the remainder."""
     bits, low = {2: (jnp.int16, 6), 4: (jnp.int32, 12), 8: (jnp.int64, 27)}[x.dtype.itemsize]
     kept = jax.lax.bitcast_convert_type(x, bits) & -(1 << low)
     upper = jax.lax.bitcast_convert_type(kept, x.dtype)
@@ -132,8 +132,8 @@ def reciprocal(x: Scalars) -> Scalars:
 
 
 def or_one(b: Scalars, where: Bool[Array, "..."] | None = None) -> Scalars:
-    """b, in its unit, where the condition holds (default: b > 0 or NaN); elsewhere 1, with gradient
-    0, for a quotient that its caller masks. The condition must be one that only tiny b fail."""
+    """b, in its unit, if the condition is true (default: b > 0 or NaN); else 1, with gradient 0,
+    for a quotient that its caller masks. The condition may be false only for tiny b."""
     return jnp.where(~(b <= 0) if where is None else where, b, 1)
 
 
@@ -143,44 +143,44 @@ def divide(
     where: Bool[Array, "..."] | None = None,
     otherwise: Scalars | float | int = 0,
 ) -> Scalars:
-    """a / b, in the quotient of their units, where the condition holds (default: b > 0 or NaN);
-    elsewhere `otherwise`, with gradient 0 in a and b."""
+    """a / b, in the quotient of their units, if the condition is true (default: b > 0 or NaN); else
+    `otherwise`, with gradient 0 in a and b."""
     safe = ~(b <= 0) if where is None else where
     return jnp.where(safe, a / or_one(b, safe), otherwise)
 
 
 def magnitude(x: Float[Array, "..."], axis: int | tuple[int, ...] | None = -1) -> Scalars:
-    """Largest absolute value along the axes, which stay as 1; a constant to gradients, 1 where all
-    of x is 0. Squares of x divided by it neither over- nor underflow."""
+    """Largest absolute value along the axes, which are kept with length 1; a constant for
+    gradients, 1 if all of x is 0. Squares of x divided by it neither overflow nor underflow."""
     return or_one(jax.lax.stop_gradient(jnp.max(jnp.abs(x), axis=axis, keepdims=True)))
 
 
 def binary_unit(x: Float[Array, "..."]) -> Scalars:
-    """The power of two at the largest finite value of x, in its unit; 1 where all of x is 0, and a
-    constant to gradients. Division by it rounds nothing, and bounds below which a quotient counts
-    as 0 then depend on no unit."""
+    """The power of two at the largest finite value of x, in its unit; 1 if all of x is 0, and a
+    constant for gradients. Division by it is exact, and thresholds below which a quotient counts as
+    0 are then independent of the unit."""
     finite = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
     largest = or_one(jax.lax.stop_gradient(jnp.max(finite)))
     return jnp.ldexp(jnp.ones_like(largest), jnp.frexp(largest)[1] - 1)
 
 
 def running_sum(weights: Float[Array, "... n"]) -> Float[Array, "... n"]:
-    """Sums of the first 1, 2, ... weights >= 0, in their unit, that never fall and rise only where
-    a weight is above 0; XLA's own are added in another order at each place, and do fall."""
+    """Cumulative sums of weights >= 0, in their unit, that never decrease and increase only
+    where a weight is above 0. XLA's own use a different order of addition at each place and may
+    decrease."""
     total = jnp.where(weights > 0, jnp.cumsum(weights, axis=-1), 0)
     return jax.lax.cummax(total, axis=total.ndim - 1)
 
 
 def select(condition: Bool[Array, "..."], a: Tree, b: Tree) -> Tree:
-    """The arrays of tree `a` where the condition holds, elsewhere those of `b`."""
+    """The arrays of tree `a` where the condition is true, else those of `b`."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def _to_unit_size(v: Vec3) -> tuple[Vec3, Scalars]:
-    """(v / s, s) with s the largest component in magnitude, so that their squares neither over- nor
-    underflow, or the largest number whose inverse is normal. s is a constant to gradients, and 1
-    for vectors that are zero or not finite.
-    """
+    """(v / s, s) with s the largest component in magnitude, limited so that its inverse is normal.
+    Squares then neither overflow nor underflow. s is a constant for gradients, and 1 for vectors
+    that are zero or not finite."""
     a = as_vec(v)
     largest = jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
     usable = (largest > 0) & jnp.isfinite(largest)
@@ -270,8 +270,8 @@ def chebyshev(coefficients: Sequence[float], t: Scalars) -> Scalars:
 def arctan2(y: Scalars, x: Scalars) -> Scalars:
     """Angle of (x, y) for y >= 0, in [0, pi] rad; 0, with gradient 0, at the origin.
 
-    Within two units in the last place, like XLA's own function, which the CPU calls for one number
-    at a time: this one vectorises and is 12 to 30 times faster there.
+    The error is at most two ULP, like XLA's own function. On the CPU that function takes one number
+    at a time, while this one vectorises and is 12 to 30 times faster.
     """
     ahead = jnp.abs(x)
     low, high = jnp.minimum(ahead, y), jnp.maximum(ahead, y)
@@ -327,9 +327,9 @@ _SINE_COSINE = {
 def sine_cosine(turns: Scalars) -> tuple[Scalars, Scalars]:
     """(sin, cos) of an angle in turns, 2 pi rad each.
 
-    Exact at quarter turns, elsewhere within two units in the last place, as the reduction to an
-    eighth of a turn is exact. The CPU calls XLA's own functions of radians for one number at a
-    time: this one vectorises and is 5 times faster there.
+    It is exact at quarter turns and within two ULP elsewhere, because the reduction to an eighth of
+    a turn is exact. On the CPU, XLA's own functions of radians take one number at a time, while
+    this one vectorises and is 5 times faster.
     """
     quarters = jnp.round(4 * turns)
     x = (turns - quarters / 4) * (2 * np.pi)
@@ -354,7 +354,7 @@ def _sine_cosine_jvp(primals, tangents):
 def angle_between(u: Directions, v: Directions) -> Float[Array, "..."]:
     """Angle between unit vectors, with full relative accuracy near 0 and pi.
 
-    2 atan2(|u - v|, |u + v|), where arccos of the inner product loses all digits.
+    It is 2 atan2(|u - v|, |u + v|); arccos of the inner product would lose all digits there.
 
     Args:
         u: (..., 3) or `Vec`, unit length.
@@ -381,8 +381,8 @@ def angle_between(u: Directions, v: Directions) -> Float[Array, "..."]:
 def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
     """Logarithm of the cosine between unit vectors, accurate at small angles and near right angles.
 
-    cos = 1 - |u - v|^2 / 2 below 60 degrees: the chord keeps the digits that the inner product
-    loses at small angles, and the inner product those that the chord loses near a right angle.
+    Below 60 degrees it uses cos = 1 - |u - v|^2 / 2: the chord is precise at small angles, and the
+    inner product near a right angle.
 
     Args:
         u: (..., 3) or `Vec`, unit length.
@@ -410,10 +410,10 @@ def log_cos_between(u: Directions, v: Directions) -> Float[Array, "..."]:
 
 
 def log1p(x: Scalars) -> Scalars:
-    """log(1 + x), no unit, within 2.5 units in the last place.
+    """log(1 + x), no unit, within 2.5 ULP.
 
-    XLA's own function is up to 128 units off in float64 on processors, between -0.414 and -0.29.
-    There the plain logarithm of the rounded sum has the digits.
+    The error of XLA's own function reaches 128 ULP in float64 on processors, between -0.414 and
+    -0.29. There the plain logarithm of the rounded sum is accurate.
     """
     if x.dtype != jnp.float64:
         return jnp.log1p(x)
@@ -423,9 +423,9 @@ def log1p(x: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def _log_of_sum(rounded: Scalars, less: Scalars) -> Scalars:
-    """log(1 + less) with `rounded` the rounded sum; log(rounded) where `less` is 0.
+    """log(1 + less) from the rounded sum `rounded`; log(rounded) if `less` is 0.
 
-    One logarithm, corrected for the rounding of the sum (Kahan; log1p costs twice as much).
+    It is one logarithm, corrected for the rounding of the sum (Kahan); log1p costs twice as much.
     """
     kept = rounded - 1
     lost = kept == 0

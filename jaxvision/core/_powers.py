@@ -1,18 +1,18 @@
 """Powers and exponentials with errors of one or two ULP, as sums of two numbers of the dtype.
 
-An exponent such as 1 / 2.4 rounded to float32 moves x^p by |log x| / 2 units of the last place.
-Here it is a sum of two numbers, p = nearest + rest, of which
+An exponent such as 1 / 2.4, rounded to float32, changes x^p by |log x| / 2 ULP. Here it is a sum of
+two numbers, p = nearest + rest, for which
 
     x^p = x^nearest (1 + rest log x)
 
-needs the logarithm to one digit only: the bits of x, read as a whole number, give it.
+needs the logarithm to one digit only, which the bits of x, read as an integer, give.
 
-XLA's exp has an error of one unit in the last place, its expm1 of five. Here y = k ln 2 + r, and
+XLA's exp has an error of one ULP, its expm1 of five. Here y = k ln 2 + r, and
 
     exp(-y) = 2^-k (1 + t),    1 - exp(-y) = (1 - 2^-k) - 2^-k t,    t = exp(-r) - 1, |t| < 0.42,
 
-from which both follow with what each sum loses. The powers of two are variables of the program,
-because a compiler would simplify the sums with constants.
+from which both follow with the rounding error of each sum. The powers of two are variables of the
+program, because a compiler would simplify the sums with constants.
 """
 
 import math
@@ -33,7 +33,7 @@ Exponent = tuple[Scalars, Scalars | float]  # the nearest number of the dtype, a
 
 
 def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
-    """A number, no unit, as the sum of two of the dtype; an array is its own nearest."""
+    """A number, no unit, as the sum of two numbers of the dtype; an array is its own nearest."""
     known = _fraction(value)
     if known is None:
         return jnp.asarray(value), 0.0
@@ -42,7 +42,7 @@ def exact(value: Scalars | Fraction | float, dtype: DTypeLike) -> Exponent:
 
 
 def is_above(x: Scalars, limit: Fraction) -> Bool[Array, "..."]:
-    """Whether x lies above a limit that need be no number of its dtype."""
+    """Whether x is above a limit that need not be representable in its dtype."""
     nearest = np.asarray(float(limit), x.dtype)
     return x >= nearest if Fraction(float(nearest)) > limit else x > nearest
 
@@ -66,15 +66,15 @@ def _fraction(value: Scalars | Fraction | float) -> Fraction | None:
 
 
 def power_in_parts(base: Scalars, exponent: Exponent) -> tuple[Scalars, Scalars]:
-    """base^exponent as the sum of the power to the nearest exponent and what that leaves, which is
-    finite. A base below 0 counts as 0."""
+    """base^exponent as the sum of the power to the nearest exponent and a finite remainder. A base
+    below 0 counts as 0."""
     nearest, rest = exponent
     raised = power(base, nearest)
     return raised, _finite(raised) * (rest * _logarithm(base))
 
 
 def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
-    """base^exponent, to two units in the last place; a base below 0 counts as 0."""
+    """base^exponent, within two ULP; a base below 0 counts as 0."""
     nearest, rest = exponent
     raised = power(base, nearest)
     known = isinstance(rest, float) and rest == 0
@@ -82,11 +82,12 @@ def exact_power(base: Scalars, exponent: Exponent) -> Scalars:
 
 
 def power_of_sum(x: Scalars, shift: Fraction, factor: Fraction, exponent: Fraction) -> Scalars:
-    """factor (x + shift)^exponent: what the rounding of the sum loses is put behind the power,
+    """factor (x + shift)^exponent. The rounding error e of the sum s is corrected after the power,
 
         (s + e)^p = s^p (1 + p e / s).
 
-    The error of the sum in six operations: Knuth, The Art of Computer Programming 2, section 4.2.2.
+    The error of the sum takes six operations: Knuth, The Art of Computer Programming 2, section
+    4.2.2.
     """
     shifted, shift_rest = exact(shift, x.dtype)
     total = x + shifted
@@ -108,7 +109,7 @@ def _finite(x: Scalars) -> Scalars:
 
 
 def _logarithm(x: Scalars) -> Scalars:
-    """log x of a positive number to 0.03, a constant to gradients: its exponent is the whole part
+    """log x of a positive number to 0.03, a constant for gradients: its exponent is the whole part
     of the binary logarithm, and its mantissa nearly the fraction."""
     whole, bias, digits = _format(x)
     bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(x), whole).astype(x.dtype)
@@ -139,8 +140,8 @@ def exp2(x: Scalars) -> Scalars:
 
 @jax.custom_jvp
 def times_exp2(value: Scalars, x: Scalars) -> Scalars:
-    """value 2^x, with 2^x to the last place, exact at whole x, where XLA's own is off by |x| / 2
-    units of it, and in or out of range itself.
+    """value 2^x, with 2^x within one ULP and exact at whole x. The error of XLA's own function is
+    |x| / 2 ULP, and 2^x alone may overflow or underflow.
 
     Infinite above the range of the dtype and 0 below it.
     """
@@ -184,8 +185,8 @@ class Decay(NamedTuple):
 
 def decay(x: Scalars, rest: Scalars) -> Decay:
     """The parts of the exponential of -(x + rest), x >= 0 and rest far smaller, no units, to 1e-9
-    of a float32 and 1e-17 of a float64; `left` is 0 where exp(-x) is below the smallest number to
-    the power 3/2."""
+    for float32 and 1e-17 for float64; `left` is 0 where exp(-x) is below the smallest number to the
+    power 3/2."""
     whole, bias, digits, terms, ln_2, ln_2_rest = _FORMAT[x.dtype.itemsize]
     half = bias // 2  # below the half of the range even the rests keep their digits
     most = half + bias - 1

@@ -1,4 +1,5 @@
-"""Nodes and weights on the unit interval, and steps that fill the unit square."""
+"""Quadrature nodes and weights on the unit interval, and low-discrepancy steps for the unit
+square."""
 
 import numpy as np
 from jaxtyping import Float

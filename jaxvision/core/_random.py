@@ -1,9 +1,9 @@
-"""Uniform numbers that are a function of where they are used: no state, no order, no tiles.
+"""Uniform numbers as a function of their place of use, without state or order.
 
-A number is named by (pixel, sample, dimension) and a seed. A hash of those four words gives it, so
-that any pixel can be computed alone, again, or in any order, and is the same to the last bit. The
-hash costs three multiplications a number; threefry, which is made to resist prediction, costs 14
-times as much inside a loop over rays.
+A number is identified by (pixel, sample, dimension) and a seed. It is a hash of those four words,
+so any pixel can be computed alone, again, or in any order, with the same bits. The hash costs three
+multiplications per number. threefry, which is designed to resist prediction, costs 14 times as much
+inside a loop over rays.
 """
 
 import equinox as eqx
@@ -36,19 +36,19 @@ def uniforms(stream: Stream, block: Word | int, dtype: DTypeLike) -> Float[Array
     """Four independent numbers, (4,) uniform in [0, 1): those of dimensions 4 `block` to
     4 `block` + 3.
 
-    On a grid of 2^-24 in float32 and of 2^-32 in wider types.
+    They lie on a grid of 2^-24 in float32 and of 2^-32 in wider types.
     """
     words = _words(stream, stream.sample, block)
     return jnp.stack([_unit(word, dtype) for word in words])
 
 
 def lattice_point(stream: Stream, dimensions: int, dtype: DTypeLike) -> Float[Array, " n"]:
-    """The place of a sample among those of its pixel: 2 or 4 numbers uniform in [0, 1).
+    """The position of a sample among those of its pixel: 2 or 4 numbers uniform in [0, 1).
 
-    Point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, each pixel with a random shift of
-    its own (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976)), and alpha_i = phi^-i with
+    It is point k of a Kronecker sequence, (k alpha_i + shift_i) mod 1, with a random shift for each
+    pixel (Cranley and Patterson, SIAM J. Numerical Analysis 13 (1976)), and alpha_i = phi^-i with
     phi^(d+1) = phi + 1 (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
-    In whole numbers of 2^-32, exact for any k; rounded as `uniforms` are.
+    It is computed in whole multiples of 2^-32, exact for any k, and rounded like `uniforms`.
     """
     shifts = _words(stream, jnp.uint32(0), _OF_LATTICE)
     steps = _steps(dimensions)
@@ -77,7 +77,7 @@ def _words(stream: Stream, sample: Word | None, block: Word | int) -> tuple[Word
 
 
 def _unit(word: Word, dtype: DTypeLike) -> Scalar:
-    """The word as a fraction of 2^32, of its leading bits as many as `dtype` holds."""
+    """The word as a fraction of 2^32, from as many leading bits as `dtype` holds."""
     bits = min(jnp.finfo(dtype).nmant + 1, 32)
     # by way of int32, which CPUs convert many at a time
     leading = (word >> (32 - bits)) if bits < 32 else word

@@ -1,4 +1,4 @@
-"""How records print, and what a notebook shows of their fields."""
+"""Printing of records, and their display in notebooks."""
 
 import inspect
 import re
@@ -23,9 +23,9 @@ SHORT = 12  # numbers of an array that are printed one by one
 
 
 class Shown(eqx.Module):
-    """A record that prints its numbers: an array of more than a few as its shape and range. Fields
-    that are None are not printed. `str` and `print` add the units that its docstring states. An
-    unknown field raises `TypeError` with the nearest one."""
+    """A record that prints its numbers; an array of more than a few prints as its shape and range.
+    Fields that are None are not printed. `str` and `print` add the units that its docstring states.
+    An unknown field raises `TypeError` with the nearest one."""
 
     def __new__(cls, *args: Any, **given: Any):  # `Self`, which checkers of types infer
         for name in given:
@@ -86,7 +86,7 @@ def meanings(kind: object) -> dict[str, str]:
 
 
 def _units(kind: type) -> dict[str, str]:
-    """The unit of each field that has one, with a space before it: what follows its shape."""
+    """The unit of each field that has one, with a space before it: the text after its shape."""
     found = {name: UNIT.match(meaning) for name, meaning in meanings(kind).items()}
     return {name: f" {match[1]}" for name, match in found.items() if match}
 
@@ -123,7 +123,7 @@ def _written(numbers: np.ndarray) -> str:
 def _listed(
     head: str, given: list[tuple[str, Any, str]], tail: str, indent: str, *, units: bool
 ) -> str:
-    """(name, value, unit) of each on one line where it fits, else one entry a line."""
+    """(name, value, unit) of each on one line if it fits, else one entry per line."""
     line = head + ", ".join(n + _shown(one, units=units) + unit for n, one, unit in given) + tail
     if len(indent) + len(line) <= WIDE and "\n" not in line:
         return line

@@ -1,4 +1,4 @@
-"""Array aliases, the conversions that keep a dtype, and checks. Nothing here computes.
+"""Array aliases, conversions that keep a dtype, and checks. Nothing here computes.
 
 Axis names: `...` any batch, `bands` spectral bands (RGB is three bands), `h w` image rows and
 columns, `3` a Cartesian vector. `Colour` and `Scalar` belong to ONE point, ray or pixel: the caller
@@ -25,7 +25,7 @@ from .plain_arrays import plain_array, warn_of_range, within_integers
 
 
 class _OneOf(type):
-    """The class of an alias of several kinds, of which an instance is one."""
+    """The class of an alias for several kinds."""
 
     kinds: tuple[type, ...]
 
@@ -34,8 +34,8 @@ class _OneOf(type):
 
 
 def print_by_name(aliases: dict[str, Any], *names: str) -> None:
-    """Makes each alias of array types or records a class of that name, so that signatures, `help`
-    and type errors say `Scalar` instead of its definition. `aliases`: the `globals()` of its
+    """Make each alias of array types or records a class of that name, so that signatures, `help`
+    and type errors show `Scalar` instead of its definition. `aliases`: the `globals()` of its
     module."""
     module = aliases["__name__"].partition(".")[0]
     for name in names:
@@ -47,7 +47,8 @@ def print_by_name(aliases: dict[str, Any], *names: str) -> None:
 
 
 def members_of(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union, also of named unions inside it; any other hint by itself."""
+    """Return the members of a union, including those of nested named unions; any other hint by
+    itself."""
     alias = getattr(get_origin(hint) or hint, "__value__", None)  # of a `type` statement
     if alias is not None:
         return members_of(alias[get_args(hint)] if get_args(hint) else alias)
@@ -76,7 +77,7 @@ Record = TypeVar("Record")
 def as_float(x: Any) -> Array:
     """An array of strong floating dtype.
 
-    Strong, because a weakly typed leaf traces a second time when a strong one follows.
+    A weakly typed leaf would cause a second trace when a strong one follows.
 
     Args:
         x: numbers in any unit.
@@ -122,7 +123,7 @@ def _as_numbers(x: Any) -> Array:
 
 def _field() -> str:
     """The record and field, with a colon, while Equinox converts that field; else nothing. Equinox
-    gives a converter the value alone; its own call is among the frames above."""
+    gives a converter only the value; the field is read from the calling frames."""
     frame = sys._getframe(1)
     while frame and frame.f_globals.get("__name__") in (__name__, "jaxvision.core._vector"):
         frame = frame.f_back
@@ -140,7 +141,7 @@ def common_dtype(*records: object) -> jnp.dtype:
 
 
 def as_optional_float(x: Any) -> Array | None:
-    """`as_float` of what may be absent.
+    """`as_float` for a value that may be None.
 
     Args:
         x: numbers in any unit, or None for an absent effect.
@@ -156,8 +157,8 @@ def as_optional_float(x: Any) -> Array | None:
 
 
 def as_relative(x: Any) -> Array:
-    """An array of colours or coverage in the dtype it has, which must be floating: relative values
-    are fractions, and as codes they would wrap around or round to 0.
+    """An array of colours or coverage in its own floating dtype. Relative values are fractions,
+    which as codes would wrap around or round to 0.
 
     `ValueError` for any other, codes and complex numbers alike.
     """
@@ -254,13 +255,13 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
 
 def check_kind(name: str, value: Any, *kinds: type | UnionType) -> None:
     """Raises `ValueError` unless `value` is a record of one of the kinds. None, an absent effect,
-    passes."""
+    is accepted."""
     if value is not None:
         check_given(name, value, *kinds)
 
 
 def check_given(name: str, value: Any, *kinds: type | UnionType) -> None:
-    """As `check_kind`, of what must be there: None does not pass."""
+    """As `check_kind`, for a required value: None is refused."""
     known: tuple[Any, ...] = tuple(kind for union in kinds for kind in members_of(union))
     if isinstance(value, known):
         return
@@ -301,7 +302,7 @@ def check_key(name: str, value: Any, *, several: bool = True, absent: bool = Tru
 
 
 def _is_raw_key(value: Any) -> bool:
-    """Whether it may be a key, or several, without a type: words of JAX's default generator."""
+    """Whether it may be one or more untyped keys: words of JAX's default generator."""
     if isinstance(value, np.ndarray) and value.dtype == np.uint64:
         value = value.astype(jax.dtypes.canonicalize_dtype(np.uint64))
     words = _key_shape(getattr(jax.config, "jax_default_prng_impl", "threefry2x32"))
@@ -315,8 +316,8 @@ def _key_shape(generator: str) -> tuple[int, ...]:
 
 
 def check_count(name: str, value: Any, least: int, *, odd: bool = False) -> None:
-    """Raises `ValueError` unless `value` is a whole number, not an array of one, of at least
-    `least`, and odd where that is asked for."""
+    """Raises `ValueError` unless `value` is a whole number (not an array) of at least `least`, and
+    odd if required."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least or (odd and value % 2 == 0):
         kind = "an odd" if odd else "a whole"
@@ -367,14 +368,14 @@ def check_tile(
 
 
 def is_known(x: Any) -> bool:
-    """Whether the numbers of `x` are known: while it is traced they are not."""
+    """Whether the numbers of `x` are known; they are not during tracing."""
     return not isinstance(x, Tracer)
 
 
 def require_metres(
     name: str, wavelengths: np.ndarray | np.floating, *, longest: float = LONGEST_WAVE
 ) -> None:
-    """`ValueError` for wavelengths above `longest`, m, which were meant in another unit."""
+    """`ValueError` for wavelengths above `longest`, m, which must be in another unit."""
     largest = np.max(wavelengths, initial=0)
     if largest > longest:
         raise ValueError(f"{name} is in metres, got {largest:.6g}; 550 nm are 550e-9.")
@@ -391,8 +392,7 @@ def check_range(
     nan: bool = False,
 ) -> None:
     """Raises `ValueError` unless every number of `value` lies in [low, high], or in (low, high]
-    where `above`; `nan`: NaN may be there. None (absent) passes, and so do tracers, whose numbers
-    are not known yet."""
+    with `above`; with `nan`, NaN is allowed. None (absent) and tracers are accepted."""
     if value is None or not is_known(value):
         return
     numbers = np.asarray(value)
@@ -411,13 +411,13 @@ def check_range(
 
 
 def check_direction(name: str, value: Any) -> None:
-    """Raises `ValueError` for a vector of length 0; tracers pass, whose numbers are not known."""
+    """Raises `ValueError` for a vector of length 0; tracers are accepted."""
     if is_known(value) and not np.asarray(value).any():
         raise ValueError(f"{name} must have a direction, got a vector of length 0.")
 
 
 class Range(NamedTuple):
-    """The numbers that a field may hold: from `low`, or `above` it, to `high`."""
+    """The allowed numbers of a field: from `low`, or `above` it, to `high`."""
 
     low: float
     high: float = np.inf
@@ -464,7 +464,7 @@ def check_fields(record: Any, **ranges: Range) -> None:
 def _annotated(
     record: type,
 ) -> dict[str, tuple[tuple[tuple[int | str, ...], ...], tuple[type, ...]]]:
-    """The shapes and the kinds of records that each field may have."""
+    """The allowed shapes and record kinds of each field."""
     hints, found = get_type_hints(record), {}
     for field in fields(record):
         hint = hints[field.name]

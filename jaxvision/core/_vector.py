@@ -1,8 +1,8 @@
 """A Cartesian vector as a record of three components, for hot paths.
 
-A trailing axis of 3 wastes vector units; under `vmap` three components become three long arrays.
-Functions of vectors take a (..., 3) array or a `Vec` and return the kind they were given; a sum or
-difference of both kinds is a `Vec`.
+A trailing axis of 3 wastes vector units. Under `vmap` three components become three long arrays.
+Functions of vectors take a (..., 3) array or a `Vec` and return the same type. A sum or difference
+of both types is a `Vec`.
 """
 
 from collections.abc import Iterator
@@ -17,8 +17,8 @@ from ._types import Scalars, as_float, print_by_name
 
 
 class Vec(Shown):
-    """A vector of three components; arithmetic is componentwise, with scalars too, and
-    `x, y, z = v` takes it apart.
+    """A vector of three components. Arithmetic is componentwise, also with scalars, and `x, y, z =
+    v` unpacks it.
 
     Attributes:
         x: (...) in any unit.
@@ -88,7 +88,7 @@ def as_vec(v: Vec3) -> Vec:
 
 
 def vector_field(v: Any) -> Vec:
-    """`as_vec` of a record's field, which a message then names."""
+    """`as_vec` for a record's field, with the field's name in the error message."""
     return v if isinstance(v, Vec) else as_vec(as_float(v))
 
 
@@ -115,14 +115,14 @@ def scaled(v: Vec3, scale: Scalars) -> Vec3:
 
 
 def masked(keep: Bool[Array, "..."], v: Vec3) -> Vec3:
-    """Each vector where its flag (...) is set, elsewhere the zero vector."""
+    """Each vector where its flag (...) is true, else the zero vector."""
     if isinstance(v, Vec):
         return Vec(*(jnp.where(keep, component, 0) for component in v))
     return jnp.where(keep[..., None], v, 0)
 
 
 def where(condition: Bool[Array, "..."], u: Vec, v: Vec) -> Vec:
-    """`u` where the condition holds, elsewhere `v`."""
+    """`u` where the condition is true, else `v`."""
     return Vec(
         jnp.where(condition, u.x, v.x),
         jnp.where(condition, u.y, v.y),

@@ -1,4 +1,4 @@
-"""Warnings at the line of the caller."""
+"""Warnings that point to the caller's line."""
 
 import sys
 import warnings
@@ -14,7 +14,7 @@ _of_call: ContextVar[list[str] | None] = ContextVar("_of_call", default=None)
 
 @contextmanager
 def one_call() -> Iterator[None]:
-    """Context of a call from outside the library, or of one within it."""
+    """Context of a call from outside the library, including calls inside it."""
     outer = _of_call.get()
     call = _of_call.set([] if outer is None else outer)
     try:
@@ -24,7 +24,7 @@ def one_call() -> Iterator[None]:
 
 
 def warn_caller(text: str) -> None:
-    """Warns at the line outside the library, once in a call from there."""
+    """Warn at the line outside the library, once per call from there."""
     given = _of_call.get()
     if given:
         return

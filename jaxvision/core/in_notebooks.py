@@ -39,7 +39,7 @@ def record_html(
 
 
 def with_picture(png: bytes, html: str, *, meaning: str) -> str:
-    """HTML of a picture beside a table; `meaning` is the picture's, for those who do not see it."""
+    """HTML of a picture next to a table; `meaning` is the picture's text alternative."""
     data = base64.b64encode(png).decode()
     return (
         '<div style="display: flex; flex-wrap: wrap; gap: 1em">'

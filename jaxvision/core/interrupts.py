@@ -24,7 +24,7 @@ INTERRUPTED = 130  # the exit status of shells: 128 + SIGINT
 
 
 class _Ending:
-    """How an interrupt of this process ends.
+    """The handling of an interrupt in this process.
 
     Attributes:
         sentence: what to say.
@@ -52,12 +52,12 @@ _ending = _Ending()
 
 
 def say_if_interrupted(sentence: str) -> None:
-    """Sets the line, after the command's name and a colon, that an interrupt prints from now on."""
+    """Set the line that an interrupt prints from now on, after the command's name and a colon."""
     _ending.sentence = sentence
 
 
 def is_said() -> None:
-    """Tells that the command itself says how it ended."""
+    """Record that the command itself reports how it ended."""
     _ending.said.set()
 
 
@@ -68,15 +68,13 @@ def is_handled() -> None:
 
 
 def leaves_work_behind() -> None:
-    """Tells that threads still work for whom nobody waits any more, so that the command ends at
-    once."""
+    """Record that threads still work on abandoned tasks, so that the command must end at once."""
     _ending.behind.set()
 
 
 @contextmanager
 def raised_interrupts() -> Iterator[None]:
-    """Context in which an interrupt raises `KeyboardInterrupt`, for those who catch it; it may hold
-    another such."""
+    """Context in which an interrupt raises `KeyboardInterrupt`; contexts may be nested."""
     outermost = not _ending.raised.is_set()
     _ending.raised.set()
     try:
@@ -98,8 +96,8 @@ def removed_if_interrupted(file: Path) -> Iterator[None]:
 
 
 def ending_on_interrupt(command: str, work: Callable[[], object]) -> None:
-    """Does the work of a command of that name, imports included; an interrupt meanwhile ends the
-    process. Afterwards there is nothing left to interrupt: Python ends as it would."""
+    """Run the work of a command, including imports; an interrupt ends the process. Afterwards
+    Python ends normally."""
     _open_closed_streams()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
@@ -140,7 +138,7 @@ def _raise_where_wanted(number: int, frame: FrameType | None) -> None:
 
 
 def _watch(command: str, reader: int) -> None:
-    """Ends the process at a signal; where the exception is raised, at a second one."""
+    """End the process at a signal, or at the second one if the exception is raised."""
     _wait_for_interrupt(reader)
     _ending.seen.set()
     if _ending.raised.is_set() or _ending.thrown.is_set():
@@ -164,7 +162,7 @@ def _wait_for_interrupt(reader: int) -> None:
 
 
 def _leave(command: str) -> None:
-    """Ends the process without tearing down what threads still use."""
+    """End the process without destroying objects that threads still use."""
     _ending.leaving.acquire()
     if not _ending.said.is_set():
         _ending.said.set()

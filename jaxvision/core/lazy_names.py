@@ -1,4 +1,4 @@
-"""Names of a package that load when they are first used, and a sentence for those it lacks."""
+"""Names of a package that load at first use, and error messages for unknown ones."""
 
 import difflib
 import re
@@ -16,11 +16,11 @@ Attached = tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]
 
 
 def names_of(package: str, file: str) -> Attached:
-    """`__getattr__`, `__dir__` and `__all__` of a package, by its `__name__` and `__file__`, beside
-    which its stub lies: each listed name is loaded at first use.
+    """`__getattr__`, `__dir__` and `__all__` of a package, from its `__name__` and `__file__`, next
+    to which its stub lies. Each listed name is loaded at first use.
 
-    For a name that is not listed the first raises an `AttributeError` which says how to get it from
-    below the package, or the nearest.
+    For an unlisted name, `__getattr__` raises an `AttributeError` that says where the name is
+    inside the package, or gives the nearest name.
     """
     load, listed, offered = lazy_loader.attach_stub(package, file)
 
@@ -56,7 +56,7 @@ def _is_module(file: Path, name: str) -> bool:
 
 
 def _home(package: str, folder: Path, name: str) -> str | None:
-    """The package below that lists a name, or the module below that defines it."""
+    """The subpackage that lists a name, or the submodule that defines it."""
     listed = re.compile(rf"\bas {re.escape(name)}\b")
     for stub in sorted(folder.glob("*/__init__.pyi")):
         if listed.search(stub.read_text()):

@@ -1,4 +1,4 @@
-"""How the process keeps the memory of large arrays.
+"""Memory management of the process for large arrays.
 
 glibc returns each block above a threshold to the kernel and maps the next one anew, page by page.
 For pictures of tens of megabytes that takes longer than the arithmetic.
@@ -11,11 +11,12 @@ _NEVER = 2**31 - 1
 
 
 def keep_memory() -> bool:
-    """Keeps freed memory for the next large array, for the whole process.
+    """Keep freed memory for the next large array, for the whole process.
 
-    A blur of 2048 x 2048 x 3 pixels then takes a third of its time, demosaicing as many a quarter.
-    The process holds its peak of memory until it ends. The commands do this; a script calls it
-    once, before its first large array. It serves Linux with glibc and does nothing elsewhere.
+    A blur of 2048 x 2048 x 3 pixels then takes a third of its time, and demosaicing of the same
+    size a quarter. The process keeps its peak memory until it ends. The commands do this; a script
+    calls it once, before its first large array. It works on Linux with glibc and does nothing
+    elsewhere.
 
     Returns:
         Whether memory is kept.

@@ -1,7 +1,7 @@
-"""Arrays that carry more than numbers: a mask, a unit, coordinates, an index.
+"""Arrays with more than numbers: a mask, a unit, coordinates, an index.
 
-What reads only their numbers would lose the rest without a word. A mask becomes NaN, which marks a
-missing number everywhere here; the others are refused.
+Reading only their numbers would silently lose the rest. A mask becomes NaN, which marks a missing
+number everywhere here; the others are refused.
 """
 
 import datetime
@@ -94,8 +94,8 @@ def plain_array(name: str, value: Any) -> Any:
 
 
 def within_integers(x: Any) -> Any:
-    """The same numbers, floating if JAX's integers, of 32 bits by default, do not hold them all:
-    it would cut their upper bits off, or refuse plain ones in words of its own."""
+    """The same numbers, floating if JAX's integers (32 bits by default) do not hold them: JAX would
+    drop the upper bits, or refuse plain ones with its own message."""
     if type(x) in (list, tuple):
         if all(type(part) is float for part in x):
             return x
@@ -112,15 +112,15 @@ def within_integers(x: Any) -> Any:
 
 
 def with_room(x: Any) -> Any:
-    """Arrays of 8 and 16 bits in 64, in which squares and products of codes do not overflow; others
-    as they are."""
+    """Arrays of 8 and 16 bits in 64 bits, so that squares and products of codes do not overflow;
+    others unchanged."""
     small = isinstance(getattr(x, "dtype", None), np.dtype) and x.dtype.kind in "iu"
     return np.asarray(x, np.int64) if small and x.dtype.itemsize < 4 else x
 
 
 def warn_of_range(name: str, x: Any) -> None:
-    """Warns of numbers of 64 bits that 32 bits, where JAX converts to these, turn into zeros, all
-    of them, or into infinities. Single numbers are not looked at."""
+    """Warn of 64-bit numbers that all become zeros, or infinities, in the 32 bits to which JAX
+    converts them. Single numbers are not checked."""
     if type(x) in (list, tuple) and x and all(type(part) is float for part in x):
         x = np.asarray(x)
     if not (isinstance(x, np.ndarray) and x.dtype == np.float64 and x.size > 1):
@@ -144,14 +144,14 @@ def warn_of_range(name: str, x: Any) -> None:
 
 
 def _held(dtype: Any) -> np.iinfo:
-    """The range of JAX's integers for those of NumPy."""
+    """The range of the JAX integers that replace NumPy's."""
     import jax
 
     return np.iinfo(jax.dtypes.canonicalize_dtype(dtype))
 
 
 def _refuse_spans(name: str, value: Any) -> None:
-    """NumPy reads a span of time as a number of whatever unit it has."""
+    """Refuse time spans, which NumPy reads as numbers in their own unit."""
     is_array = isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "m"
     if is_array or isinstance(value, datetime.timedelta):
         kind = getattr(value, "dtype", type(value).__name__)

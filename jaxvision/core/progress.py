@@ -1,4 +1,4 @@
-"""A bar that says how far a long command is."""
+"""A progress bar for long commands."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,8 +6,8 @@ from contextlib import contextmanager
 
 @contextmanager
 def progress_bar(title: str, *, shown: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error, where that is a terminal, and what moves it, called with how many
-    parts are done and how many there are, no unit."""
+    """A bar on standard error, if that is a terminal, and the function that updates it with the
+    numbers of finished and of all parts."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining

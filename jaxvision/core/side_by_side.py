@@ -1,5 +1,5 @@
 """Independent pieces of work on all cores of one process: compilation and computation release
-Python's lock, so that threads share them out."""
+Python's lock, so threads run in parallel."""
 
 import contextvars
 import os
@@ -15,15 +15,15 @@ T = TypeVar("T")
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """The number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
-    """Work that may run in another thread with the settings of this one: its precision, and what
-    its context holds."""
+    """Work in a form that may run in another thread with the settings of this one: its precision
+    and context variables."""
     context, double = contextvars.copy_context(), _double()
 
     def done() -> T:
@@ -35,15 +35,15 @@ def for_any_thread(work: Callable[[], T]) -> Callable[[], T]:
 
 
 def _double() -> bool:
-    """Whether this thread computes in double precision where it is asked to."""
+    """Whether this thread computes in double precision where requested."""
     return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
 
 def side_by_side(
     pieces: Sequence[Callable[[], T]], *, progress: Callable[[int, int], None] | None = None
 ) -> list[T]:
-    """What pieces of work return, in their order, done as many at a time as there are cores; none
-    may wait for another, and `progress` is called with (pieces done, all pieces).
+    """The results of pieces of work, in order, with as many running at a time as there are cores.
+    No piece may wait for another, and `progress` is called with (finished pieces, all pieces).
 
     The first exception of a piece is raised at once. Pieces that have not begun are not run, and
     the results of running pieces are ignored.

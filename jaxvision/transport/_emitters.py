@@ -1,10 +1,11 @@
-"""Emitters, lights and surfaces, as paths find them: by next-event estimation, or by hitting them.
+"""Emitters (lights and emissive surfaces) as paths find them: by next-event estimation or by
+hitting them.
 
-On purpose (next-event estimation) one of all emitters is drawn, each as likely as the other, and a
-direction toward it. By chance a ray runs into one. The two estimate one integral, in which a light
-has no body: shadow rays and paths pass lights, and only a ray that looks, from the camera or by way
-of mirrors and glass, stops at the nearest. A surface that shines is a surface: it blocks. Radiance
-in W m^-2 sr^-1, lengths in m, densities in sr^-1. For ONE point or ray; the caller vmaps.
+Next-event estimation picks one emitter uniformly, and a direction toward it. BRDF sampling may hit
+an emitter by chance. Both estimate the same integral, in which a light has no body: shadow rays and
+paths pass lights. Only a ray from the camera, directly or via mirrors and glass, stops at the
+nearest light. An emissive surface is a surface and blocks rays. Radiance in W m^-2 sr^-1, lengths
+in m, densities in sr^-1. For ONE point or ray; the caller vmaps.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,7 +45,8 @@ LARGEST = 256  # numbers in an array of a record that are gathered by each ray
 
 
 class Emissive(eqx.Module):
-    """An emissive surface. `two_sided`: () from its back too. `size`: () m, as `Hit.size`."""
+    """An emissive surface. `two_sided`: () whether it also emits from its back. `size`: () m, as
+    `Hit.size`."""
 
     shape: Shape
     emission: Colour
@@ -84,7 +86,7 @@ class Emitters(eqx.Module):
 
 
 def emitters_of(scene: Scene) -> Emitters:
-    """The emitters of a scene: lights first, then surfaces that shine and have an end; no unit."""
+    """The emitters of a scene: lights first, then emissive surfaces of finite area; no unit."""
     surfaces = scene.surfaces
     two_sided = jnp.asarray([surface.two_sided for surface in surfaces])
     shining = {i: s.emission for i, s in enumerate(surfaces) if s.emission is not None}
@@ -119,8 +121,8 @@ def emitters_of(scene: Scene) -> Emitters:
 
 
 def toward_emitter(emitters: Emitters, point: Vec, u: Float[Array, "3"]) -> Toward:
-    """One emitter, by u_2, and a direction toward it from `point`, m, by u_0 and u_1, uniform in
-    [0, 1); the irradiance, W m^-2, stands for all emitters."""
+    """One emitter, selected by u_2, and a direction toward it from `point`, m, by u_0 and u_1,
+    uniform in [0, 1). The irradiance, W m^-2, is an estimate for all emitters."""
 
     def toward(emitter: Light | Emissive) -> Toward:
         if isinstance(emitter, Emissive):
@@ -157,8 +159,8 @@ def _toward(arriving: Incident, density: Scalar) -> Toward:
 
 
 def _toward_surface(emitter: Emissive, point: Vec, u: Float[Array, "2"]) -> Toward:
-    """A direction toward a point of a surface that shines; its density is one over the shape's
-    area, converted to solid angle by d^2 / cos."""
+    """A direction toward a point of an emissive surface. Its density is one over the shape's area,
+    converted to solid angle by d^2 / cos."""
     place, whole = point_on(emitter.shape, u), surface_area(emitter.shape)
     toward = place.point - point
     distance = safe_sqrt(dot(toward, toward))
@@ -187,8 +189,8 @@ def toward_each(
     bands: int,
 ) -> Colour:
     """The sum over all emitters of `shine`, (bands,) W m^-2 sr^-1 for one direction toward an
-    emitter, seen from `point`, m. Each emitter is sampled by its rule, whose weights are included
-    in its irradiances."""
+    emitter, at `point`, m. Each emitter is sampled by its rule, whose weights are included in its
+    irradiances."""
     dtype = point.x.dtype
 
     def of_emitter(
@@ -272,8 +274,8 @@ def shining_ahead(
 def _shining_surface(
     emitters: Emitters, surface: Int[Array, ""], distance: Scalar, cosine: Scalar
 ) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether the surface that a ray meets shows a side that may shine, and the density, sr^-1,
-    with which light sampling would have drawn this direction."""
+    """Whether a ray meets an emissive side of a surface, and the density, sr^-1, with which light
+    sampling would have drawn this direction."""
     assert emitters.area is not None  # of what has emission
     met = jnp.maximum(surface, 0)
     facing = jnp.where(emitters.two_sided[met], jnp.abs(cosine), cosine)
@@ -304,7 +306,7 @@ def chance_weight(strategy: Strategy, by_chance: Scalar, on_purpose: Scalar) -> 
 
 def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | None) -> Scalar:
     """Weight, no unit, of a direction that light sampling drew, given both densities, sr^-1. A
-    light at one place has density inf and can be found in no other way."""
+    light at one place has density inf and is found in no other way."""
     match strategy:
         case "lights":
             return jnp.ones_like(on_purpose)
@@ -315,8 +317,8 @@ def purpose_weight(strategy: Strategy, on_purpose: Scalar, by_chance: Scalar | N
 
 
 def _heuristic(strategy: Strategy, own: Scalar, other: Scalar) -> Scalar:
-    """p / (p + q), or the same of squares (Veach and Guibas, SIGGRAPH 1995), with neither square
-    nor infinity: 1 / (1 + (q / p)^n). A constant to gradients."""
+    """p / (p + q), or the same with squares (Veach and Guibas, SIGGRAPH 1995), computed without
+    squares or infinities: 1 / (1 + (q / p)^n). It is a constant for gradients."""
     own, other = jax.lax.stop_gradient((own, other))
     ratio = divide(other, own, otherwise=jnp.inf)
     return 1 / (1 + (ratio if strategy == "balance" else ratio * ratio))

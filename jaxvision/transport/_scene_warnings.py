@@ -1,8 +1,8 @@
-"""Scenes that no picture of bounced light can be right of: materials that reflect more than they
-receive, and shapes that rounding deforms.
+"""Warnings of scenes for which interreflections have no correct picture: materials that reflect
+more than they receive, and shapes that rounding deforms.
 
-A `diffuse` above 1 / pi is accepted where light is reflected once, as a fit may use any unit of
-light; where it is reflected again, no unit makes that right.
+A `diffuse` above 1 / pi is accepted for a single reflection, because a fit may use any unit of
+light. With several reflections it is wrong in every unit.
 """
 
 from typing import Any
@@ -23,8 +23,8 @@ _ROUNDING = 1e-4  # of an albedo of 1, and of its quadrature
 
 
 def warn_of_scene(scene: Scene) -> None:
-    """Warns of a shape that rounding deforms where it lies, or of the first surface that reflects
-    more light than it receives along its normal. Only known numbers are looked at."""
+    """Warn of a shape that rounding deforms at its position, or of the first surface that reflects
+    more light than it receives along its normal. Only known numbers are checked."""
     warn_if_coarse(*(surface.shape for surface in scene.surfaces))
     for i, surface in enumerate(scene.surfaces):
         if not all(map(is_known, jax.tree.leaves(surface.material))):
@@ -41,7 +41,7 @@ def warn_of_scene(scene: Scene) -> None:
 
 
 def _reflected(material: Material) -> float:
-    """The largest albedo of any band along the normal: a bound where that is at most 1."""
+    """The largest albedo of any band along the normal; it is a bound if it is at most 1."""
     found = suprema(Ends(material, material))
     most = np.pi * found.body
     if found.lobe is not None:

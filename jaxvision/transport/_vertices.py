@@ -1,17 +1,16 @@
 """Vertices of a path: the surface that a ray hits, and the direction in which it continues.
 
-Directions are unit and point away from the surface: `back` is where the ray came from. Whether a
-path carries radiance from the eye or light from a source, a vertex is the same but for what
-`carries` names: with S the material's shading, f_r cos(theta_i) of a BRDF,
+Directions are unit and point away from the surface: `back` is the direction in which the ray came.
+For radiance from the eye and light from a source a vertex is the same, except for the factor that
+`carries` selects. With S the material's shading, f_r cos(theta_i) of a BRDF,
 
     radiance   S(wi = onward, wo = back)
     light      S(wi = back, wo = onward) cos(onward) / cos(back)
 
-with the cosines of the surface itself, not of a normal that is interpolated (Veach, "Robust Monte
-Carlo Methods for Light Transport Simulation", 1997, section 5.3). Where the two normals disagree on
-which side of the surface a direction lies, the surface itself decides: nothing is reflected into
-it, and mirrors and glass turn rays about its own normal. Lengths in m, densities in sr^-1. For ONE
-ray; the caller vmaps.
+with cosines about the geometric normal, not an interpolated one (Veach, "Robust Monte Carlo Methods
+for Light Transport Simulation", 1997, section 5.3). If the two normals disagree about the side of a
+direction, the geometric one decides: nothing is reflected into the surface, and mirrors and glass
+use its own normal. Lengths in m, densities in sr^-1. For ONE ray; the caller vmaps.
 """
 
 import equinox as eqx
@@ -130,8 +129,8 @@ def meet(surfaces: Surfaces, ray: Ray) -> Met:
 
 
 def hidden(surfaces: Surfaces, met: Met, direction: Vec, distance: Scalar) -> Bool[Array, ""]:
-    """Whether a surface blocks the way from a point on another one along a unit direction, up to a
-    distance in m."""
+    """Whether a surface blocks the unit direction from a point on another surface, up to a distance
+    in m."""
     hit = met.hit
     way = hit.point, hit.normal, direction, distance
     blocked = searched(occluded, *way, surfaces.shapes, size=hit.size)
@@ -185,8 +184,8 @@ def shaded_toward(surfaces: Surfaces, met: Met, back: Vec, asked: Vec, *, bands:
 
 
 class Branches(eqx.Module):
-    """The two ways on from a mirror or glass, weights (bands,), no unit: 0 where there is none.
-    `mirrored`, `refracted`: unit, world."""
+    """The two continuations at a mirror or glass, with weights (bands,), no unit, 0 if there is
+    none. `mirrored`, `refracted`: unit, world."""
 
     mirrored: Vec
     refracted: Vec
@@ -215,8 +214,9 @@ def branches(surfaces: Surfaces, met: Met, back: Vec, *, bands: int) -> Branches
 def _seen_from(
     surfaces: Surfaces, met: Met, back: Vec, asked: Vec
 ) -> tuple[Frame, Vec, Vec, Vec | None]:
-    """The frame about the normal that shades, turned to who looks where the surface has two sides;
-    and in it two directions and the normal of the surface itself, None where the two are one."""
+    """The frame about the shading normal, flipped toward the viewer for two-sided surfaces, with
+    two directions and the geometric normal in it; None for the latter if the two normals are
+    equal."""
     hit = met.hit
     turned = surfaces.turns[jnp.maximum(met.surface, 0)] & (dot(hit.normal, back) < 0)
     side = jnp.where(turned, -1, 1).astype(back.x.dtype)
@@ -284,8 +284,8 @@ def _transfer(
 
 
 def _specular(material: Material, back: Vec, flat: Vec | None) -> Specular:
-    """The ways on from a mirror or glass, local. They are taken about the geometric normal where
-    the shading normal would put one of them on the wrong side."""
+    """The continuations at a mirror or glass, local. They use the geometric normal if the shading
+    normal would put one of them on the wrong side."""
     ways = brdf.specular(material, back)
     if flat is None:
         return ways
@@ -311,8 +311,8 @@ def leave(met: Met, ray: Ray, direction: Vec, goes: Bool[Array, ""]) -> Ray:
 
 
 def absorption_around(surfaces: Surfaces, ray: Ray, *, bands: int) -> Colour | None:
-    """Absorption, (bands,) m^-1, of the innermost body of glass that a ray starts in; 0 in the
-    open; None where no body absorbs."""
+    """Absorption, (bands,) m^-1, of the innermost glass body around a ray's origin; 0 outside all;
+    None if no body absorbs."""
     if surfaces.absorption is None:
         return None
     around, ray = jnp.zeros(bands, ray.origin.x.dtype), jax.lax.stop_gradient(ray)
@@ -344,7 +344,7 @@ def absorption_after(
 
 
 class World(eqx.Module):
-    """A scene sorted for tracing."""
+    """A scene prepared for tracing."""
 
     surfaces: Surfaces
     emitters: Emitters
@@ -352,7 +352,7 @@ class World(eqx.Module):
 
 
 def world_of(scene: Scene) -> World:
-    """The scene as tracing needs it; lengths in m."""
+    """The scene in the form for tracing; lengths in m."""
     surfaces, emitters = surfaces_of(scene), emitters_of(scene)
     emissions = [surface.emission for surface in scene.surfaces if surface.emission is not None]
     materials = [surface.material for surface in scene.surfaces]

@@ -67,10 +67,10 @@ def light_traced(
 ) -> Traced:
     """Render the radiance picture by paths from the emitters.
 
-    Mirrors and glass are black, and all that the camera sees in or through them:
-    `transport.missing_light` names them.
+    Mirrors and glass are black, and so is everything that the camera sees in or through them:
+    `transport.missing_light` names it.
 
-    The numbers of a path are a function of the key and its own number.
+    The random numbers of a path depend on the key and its own number.
 
     Args:
         key: random key.
@@ -117,7 +117,7 @@ def light_traced(
 def _with_sources(
     key: Key, scene: Scene, view: View, seen: Traced, paths: int, depth: int
 ) -> Traced:
-    """`seen`, the picture of visible emitters, with the light that they send."""
+    """`seen`, the picture of visible emitters, with the light of the paths added."""
     world = world_of(scene)
     ball = ball_around([surface.shape for surface in scene.surfaces])
     seed = seed_of(jax.random.fold_in(key, 1))
@@ -201,12 +201,13 @@ def _light_path(
 
 
 def _arrival(view: View, point: Vec, u: Float[Array, "2"]) -> _Arrival:
-    """Where a camera sees a point, m, through a point of its lens by `u`, uniform in [0, 1).
+    """The pixel in which a camera sees a point, m, through a point of its lens selected by `u`,
+    uniform in [0, 1).
 
-    With dw = p^2 cos^3(theta) / z^2 the solid angle of a pixel of side p on a plane z behind the
-    hole, flux that a surface throws to the hole by f_r cos(theta_r) / d^2 makes the pixel's
-    radiance, the mean over dw, f_r cos(theta_r) / (d^2 dw). The inverse of `optics.view_ray`, of
-    whose uniform numbers a lens needs the same.
+    Let dw = p^2 cos^3(theta) / z^2 be the solid angle of a pixel of side p on a plane z behind the
+    pinhole. Flux that a surface sends to the pinhole by f_r cos(theta_r) / d^2 gives the pixel the
+    radiance, a mean over dw, f_r cos(theta_r) / (d^2 dw). It is the inverse of `optics.view_ray`,
+    and a lens needs the same uniform numbers.
     """
     right, down, forward = (as_vec(axis) for axis in view.rotation)
     rows, columns = view.resolution

@@ -76,16 +76,17 @@ def missing_light(
     surfaces: Sequence[str] | None = None,
     lights: Sequence[str] | None = None,
 ) -> list[str]:
-    """One sentence for each kind of light of a scene that an integrator leaves out.
+    """One sentence for each kind of light of a scene that an integrator neglects.
 
-    Mirrors and glass block light of lamps without a size (points, directions) from `path`, what
-    they throw onto other surfaces from `direct` and `rays`, and themselves from `light`. The sun of
-    an environment falls between the directions of a quadrature, and a narrow gloss between its
-    samples of a lamp. What such a gloss throws onto other surfaces `path` meets by chance alone.
-    Only `direct` adds ambient light.
+    `path` misses light of lamps without a size (points, directions) via mirrors and glass. `direct`
+    and `rays` miss light that mirrors and glass cast onto other surfaces, and `light` misses
+    mirrors and glass themselves. A quadrature may miss the sun of an environment between its
+    directions, and a narrow lobe between its samples of a lamp. `path` finds the light that such a
+    lobe casts onto other surfaces only by chance. Only `direct` adds ambient light.
 
-    The positions of mirrors and glass are not checked, so the named light may be small. Light that
-    bounces between matt surfaces, which `direct` and `rays` leave out by their nature, is not told.
+    The positions of mirrors and glass are not checked, so the named light may be small.
+    Interreflections between matt surfaces, which `direct` and `rays` neglect by definition, are not
+    listed.
 
     Args:
         scene: surfaces and lights, with known numbers.
@@ -202,7 +203,7 @@ def missing_light(
 
 
 def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
-    """What to do about light that mirrors and glass throw onto other surfaces."""
+    """The remedy for light that mirrors and glass cast onto other surfaces."""
     if not placed:
         return "Set integrator = 'path', which has it."
     of_sized = f"For that of {_list(sized)} set integrator = 'path'. " if sized else ""
@@ -214,7 +215,7 @@ def _cure(placed: Sequence[str], sized: Sequence[str]) -> str:
 
 
 def _list(names: Sequence[str]) -> str:
-    """Names as the end of a sentence takes them."""
+    """Names in the form for the end of a sentence."""
     if len(names) > _NAMED + 1:
         names = [*names[:_NAMED], f"{len(names) - _NAMED} more"]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
@@ -227,8 +228,7 @@ def _emits(surface: Surface) -> bool:
 def _between_directions(
     name: str, light: EnvironmentMap, rule: Quadrature, integrator: Integrator
 ) -> list[str]:
-    """A sentence where a quadrature passes by much of an environment's light, or counts it too
-    often."""
+    """A sentence if a quadrature misses much of an environment's light, or overestimates it."""
     power = np.asarray(light.radiance, float).mean(axis=-1)
     rows, columns = (size * -(-_ROWS // power.shape[0]) for size in power.shape)
     edges = np.cos(np.linspace(0, np.pi, rows + 1))
@@ -274,7 +274,8 @@ def _too_narrow(
     own: Sequence[tuple[str, Surface]],
     integrator: Integrator,
 ) -> list[str]:
-    """A sentence for each surface whose lobe lies between the samples of a quadrature."""
+    """A sentence for each surface with a lobe narrower than the spacing of a quadrature's
+    samples."""
     found = []
     for surface_name, surface in own:
         width = min(_lobe(surface.material))
@@ -299,10 +300,10 @@ def _too_narrow(
 
 
 def _lobe(material: Material) -> tuple[float, float]:
-    """Widths of the narrowest lobe, rad, along and across; pi where it is broad or not known.
+    """Widths of the narrowest lobe, rad, in both directions; pi if it is broad or unknown.
 
-    A facet lobe has 2 alpha; the others have as much at an equal half width. That of measured
-    numbers is found in them.
+    A facet lobe has 2 alpha; the others have the width of equal half maximum. The lobe of measured
+    data is searched in the data.
     """
     match material:
         case Dichromatic():
@@ -325,8 +326,8 @@ def _lobe(material: Material) -> tuple[float, float]:
 
 
 def _lobe_of_table(material: Material) -> tuple[float, float]:
-    """`_lobe` of measured numbers, about the mirror's direction of light at 0.6 rad: from where
-    they fall half-way to their least. It is broad where it throws less than a hundredth."""
+    """`_lobe` of measured data, about the mirror direction of light at 0.6 rad: the full width at
+    half maximum. It counts as broad if it reflects less than a hundredth."""
     away = np.concatenate([[0], np.geomspace(1e-4, 1, 80)])
     light = np.array([-np.sin(0.6), 0, np.cos(0.6)])
     along = np.stack([np.sin(0.6 - away), 0 * away, np.cos(0.6 - away)], -1)
@@ -345,7 +346,8 @@ def _lobe_of_table(material: Material) -> tuple[float, float]:
 
 
 def _angle(light: RectangleLight, shape: Shape) -> float:
-    """Rad, the longer side of a lamp seen from the middle of a surface, or from its half depth."""
+    """Rad, the longer side of a lamp as seen from the middle of a surface, or from half its
+    depth."""
     corner, u, v = (np.asarray(x, float) for x in (light.corner, light.edge_u, light.edge_v))
     middle = corner + (u + v) / 2
     if isinstance(shape, Plane):
@@ -403,8 +405,8 @@ def _rare(light: str, faces: str, chance: float, samples: int | None) -> str:
 def _arriving(
     light: EnvironmentMap, places: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World directions of places of the unit square, and the mean over bands of what each sends, W
-    m^-2."""
+    """World directions of positions in the unit square, and the mean over bands of the light from
+    each, W m^-2."""
     sent = _nodes(light, jnp.asarray(places, light.radiance.dtype))
     amounts = np.asarray(sent.irradiance, float).mean(axis=-1) * weights
     return np.asarray(as_array(sent.direction), float), amounts
@@ -422,7 +424,7 @@ def _rarely_found(
     faces: str,
     samples: int | None,
 ) -> list[str]:
-    """A sentence for each lamp with a size that paths beyond mirrors and glass hardly ever meet."""
+    """A sentence for each lamp with a size that paths via mirrors and glass hardly ever hit."""
     matt = [surface for _, surface in own if not is_delta(surface.material)]
     chances = [
         (name, _chance(light, matt)) for name, light in zip(lamps, scene.lights, strict=True)
@@ -436,7 +438,7 @@ def _rarely_found(
 
 
 def _chance(light: Light, matt: Sequence[Surface]) -> float:
-    """The largest share of paths from a matt surface that meet a light; 1 where it is not known."""
+    """The largest share of paths from a matt surface that hit a light; 1 if unknown."""
     match light:
         case RectangleLight():
             corner, u, v = (
@@ -458,8 +460,8 @@ def _chance(light: Light, matt: Sequence[Surface]) -> float:
 
 
 def _share(area: float, corners: np.ndarray, matt: Sequence[Surface]) -> float:
-    """area / (pi d^2), at most 1, with d from the nearest matt surface's own box to the corners'
-    box."""
+    """area / (pi d^2), at most 1, with d from the nearest matt surface's bounding box to that of
+    the corners."""
     nearest = np.inf
     low, high = corners.min(axis=0), corners.max(axis=0)
     for surface in matt:
@@ -484,7 +486,7 @@ def _unit(direction: Array) -> np.ndarray:
 
 
 def _corners(shape: Shape) -> np.ndarray:
-    """(n, 3) m, points whose box holds a shape; none of a plane."""
+    """(n, 3) m, points whose bounding box contains a shape; none for a plane."""
     match shape:
         case Plane():
             return np.zeros((0, 3))
@@ -517,7 +519,8 @@ def _open_edges(surface: Surface) -> int:
 def _cut_short(
     integrator: Integrator, depth: int, faces: str, before: np.ndarray, behind: np.ndarray
 ) -> list[str]:
-    """A warning where mirrors and glass in a row need more path segments than `depth` allows."""
+    """A warning if several mirrors and glass surfaces in a row need more path segments than `depth`
+    allows."""
     match integrator:
         case "path":  # to the surface, to the lamp, and a piece for each face between
             needed = before + 2 + np.where(behind >= 0, behind, 0)
@@ -553,8 +556,9 @@ def _grid(view: View) -> tuple[Array, Array]:
 def _counted(
     scene: Scene, view: View, rows: Float[Array, " n"], columns: Float[Array, " n"]
 ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
-    """Faces of mirrors and glass that a pixel's ray meets before another surface; and the most of
-    glass on the straight way from there to a lamp, -1 where each is hidden."""
+    """The number of faces of mirrors and glass that a pixel's ray meets before another surface; and
+    the largest number of glass faces on the straight line from there to a lamp, -1 if every lamp is
+    hidden."""
     surfaces = surfaces_of(scene)
     turning = jnp.asarray([is_delta(surface.material) for surface in scene.surfaces])
     glass = jnp.asarray([is_body(surface.material) for surface in scene.surfaces])
@@ -589,8 +593,8 @@ def _counted(
 def _followed(
     surfaces: Surfaces, ray: Ray, distance: Array, through: Array, *, bent: bool
 ) -> tuple[Ray, Array, Int[Array, ""]]:
-    """The ray after all surfaces of `through` in a row within a distance, m, by its brighter way or
-    straight on; the distance that is left, and their number."""
+    """The ray after all surfaces of `through` in a row within a distance, m, on its brighter
+    continuation or straight on; the remaining distance, and their number."""
 
     def step(state: tuple[Ray, Array, Array], _: None) -> tuple[tuple[Ray, Array, Array], None]:
         ray, left, count = state

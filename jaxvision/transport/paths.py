@@ -66,7 +66,7 @@ _KEPT = 8
 
 
 class Paths(Shown):
-    """How finely light is followed; all static.
+    """The settings of path tracing; all static.
 
     Attributes:
         samples: paths a pixel, >= 1; the error falls as 1 / sqrt(samples).
@@ -200,23 +200,23 @@ def _walk(
 
 
 def _simplest(world: World, method: Paths) -> Paths:
-    """The simplest method that serves: where no ray can meet an emitter every weight is 1, and no
-    densities are needed."""
+    """The simplest sufficient method: if no ray can hit an emitter, every weight is 1 and densities
+    are not needed."""
     if world.emitters.lights or world.emitters.emission is not None:
         return method
     return dataclasses.replace(method, strategy="lights")
 
 
 def _has_chance_only(world: World) -> bool:
-    """Whether some light can only be found by BRDF sampling: by way of a mirror or glass, or on a
-    plane that shines, which has no finite area to sample."""
+    """Whether some light is found by BRDF sampling only: via a mirror or glass, or from an emissive
+    plane, whose infinite area cannot be sampled."""
     met_by_mirrors = world.emitters.lights or world.emitters.emission is not None
     mirrors = any(map(is_delta, world.surfaces.materials))
     return bool(met_by_mirrors and mirrors) or world.emitters.endless
 
 
 def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
-    """The path with the emission that its ray meets, and the surface that it meets."""
+    """The path with the emission that its ray hits, and the surface hit."""
     met = meet(world.surfaces, path.ray)
     found, ends = shining_ahead(
         world.emitters,
@@ -239,7 +239,7 @@ def _look(world: World, path: _Path, method: Paths) -> tuple[_Path, Met]:
 
 
 def _bounce(world: World, path: _Path, stream: Stream, k: Array, method: Paths) -> _Path:
-    """One piece of a path and the surface at its end."""
+    """One segment of a path and the surface at its end."""
     came = path.ray
     path, met = _look(world, path, method)
     dtype = met.hit.distance.dtype
@@ -392,9 +392,9 @@ def _traced_pixels(
 def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
     """The picture in radiance.
 
-    Light of points and directions that mirrors or glass throw onto other surfaces is missing, and
-    no error tells of it: `transport.missing_light` names it. Derivatives by places leave out moving
-    edges, as those of `render`.
+    Light of points and directions that mirrors or glass cast onto other surfaces is missing, and no
+    error estimate shows it: `transport.missing_light` names it. Derivatives with respect to
+    positions neglect moving edges, like those of `render`.
 
     Args:
         key: random key.

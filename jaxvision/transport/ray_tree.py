@@ -1,4 +1,4 @@
-"""Deterministic ray tracing: direct light, seen also in mirrors and through glass.
+"""Deterministic ray tracing: direct light, also seen in mirrors and through glass.
 
 Source: Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6) (1980). A ray
 splits in two at glass, so the tree has up to 2^n rays after n surfaces, most of which carry almost
@@ -103,7 +103,7 @@ def _ray_tree(scene: Scene, ray: Ray, rays: int, rule: Quadrature) -> Colour:
 def ray_tree_radiances(
     scene: Scene, along: Ray, *, rays: int = 16, rule: Quadrature = DEFAULT_RULE
 ) -> Float[Array, "n bands"]:
-    """`ray_tree_radiance` for many rays, faster than one by one where few of them meet mirrors or
+    """`ray_tree_radiance` for many rays; faster than one by one if few of them meet mirrors or
     glass.
 
     Args:
@@ -141,15 +141,15 @@ def _ray_trees(scene: Scene, along: Ray, rays: int, rule: Quadrature) -> Float[A
 
 
 def _block(rays: int) -> int:
-    """Rays that are followed, or skipped, together."""
+    """Rays that are traced, or skipped, together."""
     return min(at_a_time(_BLOCK), -(-rays // _BLOCK) * _BLOCK)
 
 
 def _follow_living(
     world: World, rules: Rules, k: Array, forest: _Tree, numbers: Array
 ) -> tuple[_Tree, Array]:
-    """One ray of each tree that has one left: those trees first, so that the blocks behind them
-    are passed over. `numbers`: where each tree stood at first."""
+    """Trace one pending ray of each tree. Trees with pending rays come first, so that the blocks
+    after them are skipped. `numbers`: the original position of each tree."""
     alive = (forest.weight > 0).any(axis=(1, 2))
     order = jnp.argsort(~alive)
 
@@ -167,13 +167,13 @@ def _follow_living(
 
 
 def _followed(world: World, rays: int) -> int:
-    """The most rays of a tree that are followed: one where no material continues a ray."""
+    """The maximum number of rays of a tree; one if no material continues a ray."""
     check_count("rays", rays, 1)
     return rays if any(map(is_delta, world.surfaces.materials)) else 1
 
 
 def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
-    """One rule for each emitter."""
+    """One sampling rule for each emitter."""
     rules: list[Quadrature] = []
     for i, own in enumerate(rules_of(scene, rule, count=world.emitters.count)):
         if not isinstance(own, Quadrature):
@@ -186,7 +186,7 @@ def _rules(scene: Scene, world: World, rule: Quadrature) -> Rules:
 
 
 def _planted(world: World, ray: Ray, rays: int) -> _Tree:
-    """A tree of one ray, with slots for the rays to come."""
+    """A tree with one ray, and slots for further rays."""
     slots = rays + 1 if world.surfaces.splits else 1
     dtype = ray.origin.x.dtype
     dark = jnp.zeros((slots, world.bands), dtype)
@@ -201,7 +201,7 @@ def _planted(world: World, ray: Ray, rays: int) -> _Tree:
 
 
 def _follow(world: World, rules: Rules, k: Array, tree: _Tree) -> _Tree:
-    """The tree after its ray of the largest weight, its `k`-th, has been followed."""
+    """The tree after tracing its ray of the largest weight, its `k`-th."""
     slots, dtype = len(tree.weight), tree.weight.dtype
     next_one = jnp.argmax(jax.lax.stop_gradient(tree.weight).max(axis=1))
     ray = Ray(tree.origin[next_one], tree.direction[next_one])

@@ -1,5 +1,5 @@
-"""A spectrum as one number a band, for hot paths: a loop over rays with an array of three in it
-does not use the vector units."""
+"""A spectrum as one number per band, for hot paths: a loop over rays with a three-element array
+inside does not use the vector units."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ FEW = 8  # numbers of an array that are computed one by one; of more, the code w
 
 
 def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:
-    """The bands of a spectrum, a neutral one's repeated; in its unit. Uses `lax.split`: its
+    """The bands of a spectrum, in its unit; a neutral one is repeated. Uses `lax.split`: its
     gradient is a concatenation, whereas indexing would pad and add one array for each band."""
     if not isinstance(spectrum, tuple):
         parts = jax.lax.split(spectrum, (1,) * spectrum.shape[0])
@@ -24,20 +24,21 @@ def split_bands(spectrum: Colour | Bands, bands: int) -> Bands:
 
 
 def times(a: Bands, b: Bands) -> Bands:
-    """The product, band by band, in the product of their units."""
+    """The product of each band, in the product of their units."""
     return tuple(x * y for x, y in zip(a, b, strict=True))
 
 
 def plus(a: Bands, b: Bands) -> Bands:
-    """The sum, band by band, in their unit."""
+    """The sum of each band, in their unit."""
     return tuple(x + y for x, y in zip(a, b, strict=True))
 
 
 def map_bands(function: Callable[..., Scalar], *spectra: Float[Array, " _"]) -> Colour:
-    """`function` of spectra, neutral ones among them, elementwise: (bands,) in the unit it gives.
+    """`function` of spectra, including neutral ones, elementwise, (bands,) in the unit that it
+    gives.
 
-    What it computes of other numbers stays one number a ray: where that met an array of bands, XLA
-    would store it first.
+    Intermediate values without bands stay one number per ray. If they met an array of bands, XLA
+    would materialise it first.
     """
     bands = max(spectrum.shape[0] for spectrum in spectra)
     if bands > FEW:

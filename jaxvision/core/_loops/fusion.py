@@ -1,14 +1,14 @@
-"""Control of XLA fusion: which values are computed in one loop and which are materialised. This is
-for speed, and it makes sure that a decision that depends on rounding is taken once: compiled code
-that computes a sum twice may contract its products in two ways, which could then disagree on which
-of two crossings comes first.
+"""Control of XLA fusion: which values are computed in one loop and which are materialised. It makes
+programs faster, and ensures that a decision which depends on rounding is made only once. Compiled
+code that computes a sum twice may contract its products differently, and the two could then
+disagree on which of two crossings comes first.
 
-Parts of JAX below its documented interface make programs faster on a processor; `primitives` alone
-uses them. Without them the same programs are public JAX and give the same values and derivatives,
-to rounding, up to 20 times slower. PLAIN is True if they do not work with the installed JAX, or if
-the environment variable JAXVISION_PLAIN_JAX is set, and is not 0, when jaxvision is imported. An
-accelerator is given public JAX always: with them an H200 took 20 times as long for a path-traced
-box, and 14 times for direct light.
+Undocumented parts of JAX make programs faster on a processor; only `primitives` uses them. Without
+them the same programs use public JAX. They give the same values and derivatives up to rounding, and
+are up to 20 times slower. PLAIN is True if they do not work with the installed JAX, or if the
+environment variable JAXVISION_PLAIN_JAX is set and not 0 when jaxvision is imported. An accelerator
+always uses public JAX: with them, an H200 took 20 times as long for a path-traced box and 14 times
+as long for direct light.
 """
 
 import os
@@ -54,20 +54,21 @@ LANES = 64
 
 
 def _helps() -> bool:
-    """Whether `primitives` make this program faster."""
+    """Whether `primitives` makes this program faster."""
     return not PLAIN and on_processor()
 
 
 def at_a_time(of_core: int) -> int:
-    """How many rays or entries a loop takes: `of_core` on a processor, many more elsewhere."""
+    """The number of rays or entries that a loop takes at a time: `of_core` on a processor, many
+    more elsewhere."""
     return of_core if on_processor() else max(of_core, _OF_KERNEL)
 
 
 def one_program(function: Callable[P, R]) -> Callable[P, R]:
-    """`function`, compiled once for each kind of its arguments: arrays are free, all else is
-    static. Inside another program it becomes a part of that program.
+    """`function` compiled once for each structure of its arguments: arrays are traced, everything
+    else is static. Inside another program it becomes a part of that program.
 
-    XLA compiles an eager loop anew if the function that it repeats is new, as a closure is.
+    XLA recompiles an eager loop if its function is new, as a closure is.
     """
     compiled = cast(Any, eqx.filter_jit)(function, inline=True)
 
@@ -81,27 +82,28 @@ def one_program(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def materialise(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)`, computed once and stored.
+    """`function(*arguments)`, computed once and materialised.
 
     XLA fuses a value into every loop that reads it: each tap of a filter's second pass would
-    compute its first pass again. An optimisation barrier is removed before XLA fuses. Loops do not
-    cross the border of a call that is not inlined.
+    recompute its first pass. An optimisation barrier is removed before XLA fuses. Loops do not
+    cross the boundary of a call that is not inlined.
     """
     return _primitives.not_inlined(function, *arguments) if _helps() else function(*arguments)
 
 
 def inline(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)`: used in place of `materialise` where storing is not needed."""
+    """`function(*arguments)`, for use in place of `materialise` where materialising is not
+    needed."""
     return function(*arguments)
 
 
 def fuse(values: Any) -> Any:
-    """The same tree of arrays, of one shape, computed in one loop and stored; their derivatives
-    alike.
+    """The same tree of arrays of one shape, computed in one loop and materialised; their
+    derivatives too.
 
-    XLA gives each array a loop of its own on the CPU, and repeats in it what they share. Only the
-    reduction of several arrays is one loop with several results: here over an axis of two equal
-    entries, of which the last one stays.
+    On the CPU, XLA gives each array its own loop and repeats common work in it. Only the reduction
+    of several arrays is one loop with several results. Here it reduces an axis of two equal entries
+    and keeps the last one.
     """
     if _fuse is None or not on_processor():
         return values
@@ -110,7 +112,8 @@ def fuse(values: Any) -> Any:
 
 
 def _in_one_loop(*values: Array) -> Sequence[Array]:
-    """One loop for each floating precision among the values, which a reduction may not mix."""
+    """One loop for each floating precision among the values, because a reduction cannot mix
+    them."""
     is_float = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
     precisions = dict.fromkeys(v.dtype for v, own in zip(values, is_float, strict=True) if own)
     first = next(iter(precisions), None)
@@ -134,11 +137,11 @@ _fuse = None if PLAIN else _primitives.identity("fuse", _in_one_loop)
 
 
 def searched(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """`function(*arguments, **named)`, a search, whose results are whole numbers and flags.
+    """`function(*arguments, **named)`, a search whose results are whole numbers and flags.
 
-    `vmap` and derivatives see one step instead of the thousand of a search among all shapes. The
-    gradient of a loop in a loop would trace each of them a dozen times, only to find nothing to
-    differentiate: a path-traced box then takes a seventh longer to compile.
+    `vmap` and derivatives see one equation instead of the thousand equations of a search over all
+    shapes. The gradient of nested loops would trace each of them a dozen times without finding
+    anything to differentiate. A path-traced box then takes a seventh longer to compile.
     """
     if not _helps():
         arguments, named = jax.lax.stop_gradient((arguments, named))
@@ -150,8 +153,9 @@ def bilinear(
     name: str, function: Callable[..., Array], *, opaque: Callable[..., bool], **rules: Any
 ) -> Callable[..., Array]:
     """A function that is linear in each of two arrays, with the `rules` of `primitives.bilinear`
-    for its transposes and batches in place of those that JAX finds in its parts. `opaque`, of the
-    named arguments: whether JAX can find none there, so that an accelerator needs these too."""
+    for its transposes and batches in place of those that JAX derives from its parts. `opaque`, of
+    the named arguments: whether JAX cannot derive them, so that an accelerator needs these rules
+    too."""
     if PLAIN:
         return function
     ours = _primitives.bilinear(name, function, **rules)
@@ -165,7 +169,7 @@ def in_tiles(function: Callable[..., Any], *trees: Any, size: int) -> Any:
 
     The intermediate results of one tile stay in the cache, and a gradient recomputes a tile instead
     of storing it. Both take half the time and a tenth of the memory. All tiles have the same size,
-    with padding in the last one, because a remainder would need a program of its own.
+    with padding in the last one, because a remainder would need its own program.
     """
     count = len(jax.tree.leaves(trees)[0])
     if count <= size:

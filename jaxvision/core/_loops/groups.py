@@ -1,5 +1,5 @@
-"""Records of equal structure, stacked so that one program serves them all; the index of a record in
-its stack may be traced."""
+"""Records of equal structure, stacked so that one program serves all; the index of a record in its
+stack may be traced."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,9 +21,9 @@ def group_by_structure(
     """Records of equal kind and leaf shapes, stacked along a new leading axis.
 
     Each group is (indices into `records`, stacked record); groups and members keep their order.
-    Structure is what `jit` compiles for, so one group is one piece of compiled code. A record with
-    an array of more than `largest` numbers is a group of its own: `take` by a pixel's index would
-    copy its tables for every pixel.
+    `jit` compiles once for each structure, so one group is one piece of compiled code. A record
+    with an array of more than `largest` numbers forms its own group: `take` by a pixel's index
+    would copy its tables for every pixel.
     """
     members: dict[Any, list[int]] = {}
     for i, record in enumerate(records):
@@ -44,8 +44,8 @@ def group_by_structure(
 def take(
     members: tuple[int, ...], group: Record, index: Int[Array, ""]
 ) -> tuple[Record, Bool[Array, ""]]:
-    """The record of that index from a stacked group, and whether it is a member (if not, the
-    record is the group's first). A group of one is not gathered from."""
+    """The record with that index from a stacked group, and whether it is a member (if not, the
+    group's first record is returned). A group of one needs no gather."""
     if len(members) == 1:
         return jax.tree.map(lambda leaf: leaf[0], group), index == members[0]
     if members == tuple(range(members[0], members[0] + len(members))):
@@ -67,7 +67,7 @@ def call_member(
     index: Int[Array, ""],
     function: Callable[[Any], Tree],
 ) -> Tree | None:
-    """`function` of the record of that index among stacked groups; None where there is no group."""
+    """`function` of the record with that index among stacked groups; None if there is no group."""
     chosen = None
     for numbers, group in zip(members, groups, strict=True):
         record, among = take(numbers, group, index)
@@ -77,8 +77,8 @@ def call_member(
 
 
 def row(leaf: Array, slot: Int[Array, ""]) -> Array:
-    """leaf[slot] for a slot that exists, of a few numbers one by one: each is then a gather of
-    scalars, which vector units have, and only those that are used are read."""
+    """leaf[slot] for an existing slot of a few numbers, read one by one. Each is then a gather of
+    scalars, which vector units support, and only the used ones are read."""
     if leaf.ndim == 2 and leaf.shape[1] <= 4:
         columns = [leaf[:, k].at[slot].get(mode="promise_in_bounds") for k in range(leaf.shape[1])]
         return jnp.stack(columns)

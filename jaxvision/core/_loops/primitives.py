@@ -1,7 +1,6 @@
-"""Primitives of our own: the only module that uses what JAX keeps below its documented interface.
+"""Custom primitives; the only module that uses undocumented parts of JAX.
 
-They make programs faster and change no value; `fusion` says what each is for and whether it is
-used.
+They make programs faster and change no value; `fusion` explains the purpose and use of each.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,15 +30,15 @@ def _inlineable(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def not_inlined(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)` as a call that XLA does not inline. The attribute would reach every
-    call inside, each `jnp.where` among them, hence its opposite there."""
+    """`function(*arguments)` as a call that XLA does not inline. XLA applies the attribute to every
+    call inside, such as `jnp.where`, so those get the opposite attribute."""
     with set_xla_metadata(inlineable="false"):
         return _inlineable(function, *arguments)
 
 
 def identity(name: str, loops: Loops) -> Loops:
-    """The identity of any number of arrays, lowered to `loops`; tangents and cotangents alike, but
-    those that are zero by their structure are left out."""
+    """The identity of any number of arrays, lowered to `loops`; also for tangents and cotangents,
+    except structural zeros."""
     primitive = Primitive(name)
 
     def of_known(values: Sequence[Any]) -> list[Any]:
@@ -91,7 +90,7 @@ def bilinear(
 
 def one_step(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """`function(*arguments, **named)`, whose results are whole numbers and flags, as one equation
-    until it is compiled: `vmap` and derivatives do not trace what it contains."""
+    until compilation: `vmap` and derivatives do not trace into it."""
     inside, found = jax.make_jaxpr(function, return_shape=True)(*arguments, **named)
     results = _step.bind(*jax.tree.leaves((arguments, named)), inside=inside, layers=())
     return jax.tree.unflatten(jax.tree.structure(found), results)

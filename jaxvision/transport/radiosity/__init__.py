@@ -1,4 +1,4 @@
-"""Radiosity: diffuse surfaces cut into patches, and the light that they exchange.
+"""Radiosity: diffuse surfaces divided into patches, and the light that they exchange.
 
 plan = plan_patches(scene, size=0.1)          how many patches: settled first, outside `jit`
 table = form_factor_table(scene, plan)        who sees whom: once, for fixed geometry

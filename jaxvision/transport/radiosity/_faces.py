@@ -1,7 +1,7 @@
-"""The unit square laid onto the parts of each shape, and back; lengths in m.
+"""The map from the unit square to the parts of each shape, and its inverse; lengths in m.
 
-A quad and the sides of a box by their edges, a disc by radius and angle, a sphere by polar angle
-and azimuth, a triangle with one side of the square drawn together at its first vertex.
+Quads and box sides are mapped by their edges, a disc by radius and angle, a sphere by polar angle
+and azimuth, and a triangle by collapsing one side of the square to its first vertex.
 """
 
 from collections.abc import Sequence
@@ -85,7 +85,7 @@ def face_place(
     shape: Shape, point: Vec, primitive: Int[Array, ""] | None
 ) -> tuple[Int[Array, ""], Scalar, Scalar]:
     """Return (part, u, v) of a point of a shape, m: the inverse of `face_point`. `primitive`: the
-    triangle of a mesh. A point off the surface by rounding is moved to the nearest point on it."""
+    triangle of a mesh. A point that rounding has moved off the surface is projected onto it."""
     none = jnp.zeros((), jnp.int32)
     match shape:
         case Quad():
@@ -124,7 +124,7 @@ def _at(index: Int[Array, ""], values: Sequence[Scalar]) -> Scalar:
 
 
 def _turn(x: Scalar, y: Scalar) -> Scalar:
-    """The angle of (x, y) as a fraction of a turn, in [0, 1)."""
+    """The angle of (x, y) as a fraction of a full turn, in [0, 1)."""
     half = arctan2(jnp.abs(y), x) / (2 * jnp.pi)
     return jnp.where(y < 0, 1 - half, half)
 

@@ -1,4 +1,4 @@
-"""How faces are cut into cells: their numbers, borders and neighbours. Nothing here has a unit."""
+"""The division of faces into cells: numbers, borders and neighbours. Nothing here has a unit."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from ...core._types import Scalar, check_count
 
 
 class Face(NamedTuple):
-    """One side of a surface, and how it is cut into a grid of cells.
+    """One side of a surface, and its grid of cells.
 
     Attributes:
         surface: number of the surface in its scene.
@@ -35,7 +35,7 @@ class Face(NamedTuple):
 
 
 class Plan(Shown):
-    """How the surfaces of a scene are cut.
+    """The division of the surfaces of a scene.
 
     Attributes:
         faces: all faces, surface by surface; static.
@@ -53,14 +53,14 @@ class Plan(Shown):
 
 
 def offsets_of(plan: Plan, *, split: int = 1) -> np.ndarray:
-    """The number of each face's first cell when every patch is split^2 cells, and of all cells at
-    the end: (faces + 1,) whole numbers, no unit."""
+    """The number of each face's first cell if every patch has split^2 cells, followed by the number
+    of all cells: (faces + 1,) whole numbers, no unit."""
     sizes = [face.rows * face.columns * split**2 for face in plan.faces]
     return np.cumsum([0, *sizes])
 
 
 def parents_of(plan: Plan) -> np.ndarray:
-    """The patch of each element: (elements,) whole numbers, no unit."""
+    """The patch of each element, (elements,) whole numbers, no unit."""
     firsts = offsets_of(plan)
     of_faces = [
         first + parents_in(face, plan.split)
@@ -70,13 +70,13 @@ def parents_of(plan: Plan) -> np.ndarray:
 
 
 def parents_in(face: Face, split: int) -> np.ndarray:
-    """The patch of each cell of one face, counted from the first patch of the face."""
+    """The patch of each cell of one face, relative to the first patch of the face."""
     rows, columns = (np.arange(count * split) // split for count in (face.rows, face.columns))
     return (rows[:, None] * face.columns + columns).reshape(-1)
 
 
 def refined(plan: Plan, split: int) -> Plan:
-    """The plan whose patches are the elements of `plan`, each split^2 elements; no unit."""
+    """The plan whose patches are the elements of `plan`, each with split^2 elements; no unit."""
     faces = [
         face._replace(rows=face.rows * plan.split, columns=face.columns * plan.split)
         for face in plan.faces
@@ -85,7 +85,7 @@ def refined(plan: Plan, split: int) -> Plan:
 
 
 def surfaces_of(plan: Plan, *, split: int = 1) -> np.ndarray:
-    """The surface of each cell when every patch is split^2 cells: (cells,) whole numbers, no
+    """The surface of each cell if every patch has split^2 cells, (cells,) whole numbers, no
     unit."""
     return np.repeat([face.surface for face in plan.faces], np.diff(offsets_of(plan, split=split)))
 
@@ -99,13 +99,13 @@ def borders(count: int, graded: bool) -> np.ndarray:
 def around_place(
     plan: Plan, covered: Bool[Array, " elements"], face: Int[Array, ""], u: Scalar, v: Scalar
 ) -> tuple[Int[Array, " 4"], Float[Array, " 4"]]:
-    """The element at a place of a face and three beside it, with bilinear weights of sum 1 or,
-    where all are covered, 0; no unit.
+    """The element at a position of a face and three neighbours, with bilinear weights that sum to
+    1, or 0 if all are covered; no unit.
 
-    Those beside it lie toward the place. Where they are `covered`, or the face ends, those across
-    from them are taken, and the weights extrapolate, by half a cell at most. Around discs and
-    spheres cells wrap. At a place whose own element is covered, those of the others that are not
-    share its weight.
+    The neighbours lie on the side of the position. If these are `covered`, or the face ends, the
+    opposite ones are used and the weights extrapolate by at most half a cell. Cells wrap around
+    discs and spheres. If the position's own element is covered, the uncovered neighbours share its
+    weight.
     """
     firsts = offsets_of(plan, split=plan.split)[:-1]
     counts = [(f.rows * plan.split, f.columns * plan.split) for f in plan.faces]

@@ -22,7 +22,7 @@ FAR = 5.0
 
 
 def is_far(point: Vec, corners: Polygon, *, reach: float = FAR) -> Bool[Array, ""]:
-    """Whether the polygon, corners in m, is more than `reach` of its sizes away from the point."""
+    """Whether the polygon, corners in m, is farther from the point than `reach` times its size."""
     a, b, c, d = (corner - point for corner in corners)
     four, one, other = a + b + c + d, c - a, d - b
     square = jnp.maximum(dot(one, one), dot(other, other)) / 2
@@ -43,8 +43,8 @@ def near_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
 
 def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
-    """`point_to_polygon` by 2 x 2 Gauss-Legendre nodes on the bilinear patch of the corners, m:
-    misses about .03 (s / d)^4 of the factor to a polygon of size s at distance d."""
+    """`point_to_polygon` by 2 x 2 Gauss-Legendre nodes on the bilinear patch of the corners, m. The
+    relative error is about .03 (s / d)^4 for a polygon of size s at distance d."""
     total = jnp.zeros_like(point.x)
     for s, t, weight in square_places(2, total.dtype):
         place, area = on_polygon(corners, s, t)
@@ -56,7 +56,7 @@ def far_factor(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
 
 def on_polygon(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
-    """The point of the bilinear patch of the corners, m, at a place of the unit square, and its
+    """The point of the bilinear patch of the corners, m, at a position of the unit square, and its
     vector area per unit of the square, m^2."""
     a, b, c, d = corners
     twist = (c - d) - (b - a)
@@ -65,8 +65,8 @@ def on_polygon(corners: Polygon, s: Scalar, t: Scalar) -> tuple[Vec, Vec]:
 
 
 def bilinear(corners: Sequence[Value], s: Scalar, t: Scalar) -> Value:
-    """Bilinear interpolation, at a place of the unit square, of the values at its four corners, in
-    their unit."""
+    """Bilinear interpolation, at a position of the unit square, of the values at its four corners,
+    in their unit."""
     a, b, c, d = corners
     return a + s * (b - a) + t * ((d - a) + s * ((c - d) - (b - a)))
 

@@ -31,7 +31,7 @@ class Receivers(eqx.Module):
 
 
 def receivers_of(scene: Scene, plan: Plan, shapes: Sorted) -> Receivers:
-    """The patches of a plan, their elements and the parts of these; lengths in m. `shapes`: of the
+    """The patches of a plan, their elements and the parts of those; lengths in m. `shapes`: of the
     scene's surfaces."""
     splits = (1, plan.split, plan.split * _PARTS)
     patches, elements, parts = patches_at(scene, plan, splits)
@@ -63,7 +63,7 @@ def mean_of_parts(
 
 
 def _covered(scene: Scene, patches: Patches, shapes: Sorted) -> Bool[Array, " patches"]:
-    """Whether the surface in front of a patch shows its back, as the inside of a body does."""
+    """Whether the surface in front of a patch shows its back, as seen from inside a body."""
     two_sided = jnp.asarray([surface.two_sided for surface in scene.surfaces])
 
     def at(point: Vec, normal: Vec) -> Bool[Array, ""]:

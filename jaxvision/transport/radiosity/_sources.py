@@ -32,7 +32,7 @@ def diffuse_of(scene: Scene, like: Array) -> Table:
 
 
 def emission_of(scene: Scene, like: Array) -> Table:
-    """Emission of all surfaces, 0 for those that emit nothing, broadcast to the bands of `like`."""
+    """Emission of all surfaces (0 for those without), broadcast to the bands of `like`."""
     nothing = jnp.zeros(1, like.dtype)
     values = [surface.emission for surface in scene.surfaces]
     return _stacked([nothing if value is None else value for value in values], like)
@@ -56,7 +56,7 @@ def largest_of(shapes: Sorted) -> Scalar:
 
 
 def sources_of(scene: Scene, size: Scalar) -> list[Light]:
-    """The lights and, as rectangles just above themselves, the quads that emit. `size`: m, the
+    """The lights, and emissive quads as rectangles slightly above their surfaces. `size`: m, the
     largest coordinate of all shapes."""
     lights = list(scene.lights)
     for surface in scene.surfaces:
@@ -75,8 +75,8 @@ def irradiance_at(
     lights: Sequence[Light], shapes: Shapes, point: Vec, normal: Vec, rules: Sequence[Rule]
 ) -> Colour:
     """Direct irradiance of one point, (bands,), with shadows. For a rectangle it is the exact
-    contour integral times the visible part by its rule: the rule matters only in half shadows,
-    where visibility has no gradient."""
+    contour integral times the visible share by its rule. The rule matters only in penumbras, where
+    visibility has no gradient."""
     total = jnp.zeros(1, point.x.dtype)
     for _, group, rule in lights_by_rule(lights, rules):
 
@@ -95,7 +95,7 @@ def irradiance_at(
 def _sum_nodes(
     light: Light, shapes: Shapes, point: Vec, normal: Vec, rule: Rule
 ) -> tuple[Colour, Colour]:
-    """The sums over the nodes of a light: (without occlusion, with shadows)."""
+    """The sums over the nodes of a light, (without occlusion, with shadows)."""
     dtype = point.x.dtype
 
     def node_sum(node: tuple[Array, Array]) -> tuple[Colour, Colour]:

@@ -1,4 +1,5 @@
-"""Whether light is caught between surfaces that absorb none of it, so that no balance exists."""
+"""A check for light that is trapped between surfaces without absorption, so that there is no
+equilibrium."""
 
 import numpy as np
 from jaxtyping import Float
@@ -16,8 +17,8 @@ def trapping_surface(
     albedo: Float[np.ndarray, "surfaces bands"],
     plan: Plan,
 ) -> int | None:
-    """The first surface whose light meets only white surfaces in some band, again and again, in a
-    room that lets less than 2e-3 of it out.
+    """The first surface whose light is reflected only between white surfaces in some band, in a
+    room from which less than 2e-3 of it escapes.
 
     Args:
         table: (elements, patches) form factors, no unit.

@@ -1,8 +1,9 @@
-"""Who sees whom: the table of form factors between the patches of a scene, and its two laws.
+"""The table of form factors between the patches of a scene, and its two laws (closure and
+reciprocity).
 
-A row of the table belongs to an element, which receives, and a column to a patch, which sends:
-F from the element's centre to the patch by `point_to_polygon`, times the part of the patch that
-shadow rays find in sight. Fixed geometry needs the table once, whatever the colours.
+A row of the table belongs to a receiving element, and a column to a sending patch. An entry is F
+from the element's centre to the patch by `point_to_polygon`, times the share of the patch that
+shadow rays reach. For fixed geometry the table is computed once, for any colours.
 """
 
 from collections.abc import Callable
@@ -44,9 +45,10 @@ def form_factor_table(
 ) -> Float[Array, "rows patches"]:
     """The form factor from each element to each patch of a plan.
 
-    Elements receive at their centres, those covered in part where they are open: reciprocity holds
-    to 2 % of the largest exchange in a cube of 3 x 3 patches a wall, split by 2, and better with a
-    finer split. Gradients in the geometry are those of the unoccluded factors: visibility has none.
+    Elements receive at their centres, or at an uncovered point if they are partly covered.
+    Reciprocity is accurate to 2 % of the largest exchange in a cube of 3 x 3 patches per wall,
+    split by 2, and better with a finer split. Gradients with respect to the geometry are those of
+    the unoccluded factors: visibility has none.
 
     Args:
         scene: the scene of the plan.
@@ -88,11 +90,11 @@ def exchanged(
     rays: int = 1,
     elements: Int[Array, " rows"] | None = None,
 ) -> Float[Array, "rows bands"]:
-    """The irradiance of each element from all patches: `form_factor_table(...) @ sent`, of which
-    only `TILE` by `TILE` factors are held at a time, and made again in each call.
+    """The irradiance of each element from all patches: `form_factor_table(...) @ sent`. Only `TILE`
+    by `TILE` factors are in memory at a time, and they are recomputed in each call.
 
-    For so many patches that their table has no room. The sum over patches is taken tile by tile, so
-    it agrees with the table's to rounding.
+    Use it if the table is too large for memory. The sum over patches is taken tile by tile, so it
+    equals the table's up to rounding.
 
     Args:
         scene, plan, rays, elements: as in `form_factor_table`.
@@ -133,8 +135,8 @@ def _exchanged(
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Elements and patches in tiles, how many there are of each, and the factors between a tile of
-    the one and a tile of the other, (TILE, TILE)."""
+    """Elements and patches in tiles, their numbers, and the factors between two tiles, (TILE,
+    TILE)."""
 
     receivers: Tile
     senders: Tile
@@ -181,7 +183,7 @@ def _pairs_of(scene: Scene, plan: Plan, rays: int, elements: Array | None) -> _P
 
 def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
     """Patches and their numbers, tile by tile; the last patch is repeated to fill the last tile.
-    All real numbers are in one array and all whole numbers in another, since each array that is cut
+    All real numbers are in one array and all whole numbers in another, because each separate array
     adds to the compiled code."""
     count = len(patches.area)
     tiles = np.minimum(np.arange(-(-count // TILE) * TILE), count - 1).reshape(-1, TILE)
@@ -193,7 +195,7 @@ def _in_tiles(patches: Patches, numbers: Int[Array, " patches"]) -> Tile:
 
 
 def _unpacked(tile: Tile, like: Patches) -> Numbered:
-    """The patches of a tile, with the structure of others, and their numbers."""
+    """The patches of a tile, in the structure of the given ones, and their numbers."""
     rows = [iter(array) for array in tile]
     leaves, structure = jax.tree.flatten(like)
     of_kind = [next(rows[not jnp.issubdtype(leaf.dtype, jnp.floating)]) for leaf in leaves]
@@ -225,7 +227,7 @@ _SEED = np.array([0x9E3779B9, 0x7F4A7C15], np.uint32)
 def _visible_part(
     element: Patches, patch: Patches, stream: Stream, rays: int, shapes: Sorted
 ) -> Scalar:
-    """The fraction of unblocked rays from the centre of an element to places of a patch, m."""
+    """The fraction of unblocked rays from the centre of an element to positions of a patch, m."""
     start = element.centre + element.bulge * element.normal
     size = 4 * largest_of(shapes)
     shift = uniforms(stream, 0, element.area.dtype)[:2]
@@ -245,9 +247,9 @@ def _visible_part(
 def _place_above(
     element: Patches, patch: Patches, shift: Float[Array, "2"], ray: Int[Array, ""]
 ) -> Vec:
-    """A place of a patch, m, for the ray of that number: above the horizon of the element if one of
-    `_TRIES` places is. The factor counts only the part above the horizon, so the visible fraction
-    must as well."""
+    """A position of a patch, m, for the ray of that number: above the horizon of the element if one
+    of `_TRIES` positions is. The factor counts only the part above the horizon, so the visible
+    fraction must as well."""
     above = [dot(element.normal, corner - element.centre) for corner in patch.corners]
     rise = patch.bulge * dot(element.normal, patch.normal)
 
@@ -265,7 +267,7 @@ def _place_above(
 
 @takes_numbers
 def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
-    """How far the sum of each row is from 1.
+    """The deviation of the sum of each row from 1.
 
     Args:
         table: (n, patches), no unit.

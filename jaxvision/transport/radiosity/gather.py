@@ -1,8 +1,8 @@
 """The radiance of a solved scene along one ray, or in a whole picture.
 
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, lengths in m. Direct light is computed again for
-each point, with shadows. What other surfaces send is interpolated between the elements, or
-gathered: a final gather sends rays from the point and looks up where they arrive.
+each point, with shadows. Light from other surfaces is interpolated between the elements, or
+gathered: a final gather sends rays from the point and looks up the light where they arrive.
 """
 
 from collections.abc import Sequence
@@ -167,7 +167,7 @@ def _image(
 
 
 class _Enclosure(NamedTuple):
-    """A solved scene as rays ask for it, computed once for all of them.
+    """A solved scene in the form for rays, computed once for all of them.
 
     `groups`: its shapes by structure. `sources`: its lights and the quads that emit. `diffuse`
     sr^-1, `emission` W m^-2 sr^-1 and `two_sided`: for each surface.
@@ -294,5 +294,5 @@ def _around(
 
 
 def _interpolated(values: Float[Array, "elements bands"], met: _Met) -> Colour:
-    """A spectrum interpolated between elements; extrapolation is cut off at 0."""
+    """A spectrum interpolated between elements; extrapolation is limited to values >= 0."""
     return jnp.maximum((met.weights[:, None] * values[met.around]).sum(axis=0), 0)

@@ -1,4 +1,4 @@
-"""Surfaces cut into small flat patches, each face a grid of rows and columns.
+"""Surfaces divided into small flat patches, with a grid of rows and columns on each face.
 
 A face is a part of a surface with a map from the unit square: a quad, a side of a box, a disc (by
 radius and angle), a sphere (by polar angle and azimuth), or a triangle (collapsed onto one vertex).
@@ -55,7 +55,7 @@ class Patches(Shown):
 def plan_patches(scene: Scene, *, size: float, split: int = 2, graded: bool = False) -> Plan:
     """A plan whose patches are no longer than a given size.
 
-    It needs known numbers: call it before `jit`, to which the plan is static.
+    It needs known numbers: call it before `jit`, for which the plan is static.
 
     Args:
         scene: bounded surfaces of `Lambert` material.
@@ -114,7 +114,7 @@ def _check_surface(number: int, surface: Surface) -> None:
 
 
 def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
-    """Where the patches of a plan are; differentiable in the shapes.
+    """The geometry of a plan's patches, differentiable with respect to the shapes.
 
     Args:
         scene: the scene of the plan.
@@ -148,7 +148,7 @@ def _patches_at(scene: Scene, plan: Plan, splits: tuple[int, ...]) -> list[Patch
 
 
 def _measured(scene: Scene, plan: Plan, splits: Sequence[int]) -> Float[Array, "20 cells"]:
-    """The fields of `Patches` that carry a length, in their order, for all splits."""
+    """The fields of `Patches` with lengths, in order, for all splits."""
     corners, bulge = _cut(scene, plan, splits)
     a, b, c, d = corners
     halves = [cross(b - a, c - a), cross(c - a, d - a)]
@@ -203,8 +203,8 @@ Cells = tuple[tuple[Vec, Vec, Vec, Vec], Array]  # corners and bulge
 
 
 def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
-    """The cells of all faces, for each split: all parallelograms together, as one piece of code,
-    and each other face by itself."""
+    """The cells of all faces, for each split: all parallelograms together as one piece of code, and
+    each other face by itself."""
     shapes = [scene.surfaces[face.surface].shape for face in plan.faces]
     straight = np.array([isinstance(shape, Quad | Box) for shape in shapes] * len(splits))
     counts = np.concatenate([np.diff(offsets_of(plan, split=split)) for split in splits])
@@ -226,7 +226,7 @@ def _cut(scene: Scene, plan: Plan, splits: Sequence[int]) -> Cells:
 
 
 def _straight_cells(faces: Sequence[tuple[Face, Quad | Box]], splits: Sequence[int]) -> Cells:
-    """Corners and bulge, which is 0, of the cells of quads and sides of boxes."""
+    """Corners and bulge (0) of the cells of quads and box sides."""
     sides = jnp.stack([row for face, shape in faces for row in side(shape, face.part)])
     sides = sides.reshape(len(faces), 9)
     places, owner = [], []
@@ -279,6 +279,6 @@ def _cells(shape: Shape, face: Face, split: int) -> tuple[tuple[Vec, Vec, Vec, V
 
 
 def _between(count: int, split: int) -> np.ndarray:
-    """Linear interpolation of count + 1 numbers to split steps between neighbours, as a matrix."""
+    """The matrix that interpolates count + 1 numbers linearly to split steps between neighbours."""
     places = np.arange(count * split + 1) / split
     return np.maximum(1 - np.abs(places[:, None] - np.arange(count + 1)), 0)

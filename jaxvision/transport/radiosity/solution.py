@@ -1,7 +1,7 @@
 """From a scene to its radiosity.
 
-Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind, and quads that emit, light
-the elements directly, with shadows; what then leaves them, patches exchange.
+Irradiance and radiosity in W m^-2, lengths in m. Lights of any kind and emissive quads illuminate
+the elements directly, with shadows. Patches then exchange the reflected light.
 """
 
 import jax.numpy as jnp
@@ -62,8 +62,8 @@ def radiosity(
 ) -> Solution:
     """The light that a scene's patches exchange.
 
-    A quad that emits does so as a `RectangleLight`, any other surface patch by patch. The ambient
-    term is a substitute for interreflections, and is ignored here.
+    A quad emits as a `RectangleLight`, any other surface patch by patch. The ambient term is a
+    substitute for interreflections and ignored here.
 
     Args:
         scene: bounded surfaces of `Lambert` material, and any lights.
@@ -129,7 +129,7 @@ _solved_by_table = one_program(_solved)
 def direct_irradiance(
     scene: Scene, elements: Patches, *, rule: Rule = DEFAULT_RULE
 ) -> Float[Array, "elements bands"]:
-    """Irradiance of each element straight from lights and quads that emit, with shadows.
+    """Irradiance of each element directly from lights and emissive quads, with shadows.
 
     Args:
         scene: surfaces and lights.

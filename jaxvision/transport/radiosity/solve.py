@@ -120,8 +120,9 @@ def _solve_by_lineax(
 
 
 def _gmres(tolerance: float) -> "lineax.GMRES":
-    """For numbers up to 1: a relative tolerance would never be met by dark patches. It stops at
-    restarts alone: with 8 steps between two it takes 19 to 28 products where 20 steps take 43."""
+    """GMRES for numbers up to 1, with an absolute tolerance, because dark patches would never meet
+    a relative one. It stops only at restarts: with 8 steps between two it takes 19 to 28 products,
+    with 20 steps 43."""
     import lineax
 
     return lineax.GMRES(rtol=0.0, atol=tolerance, restart=8, stagnation_iters=4)
@@ -130,7 +131,7 @@ def _gmres(tolerance: float) -> "lineax.GMRES":
 def _without_table(
     product: Product, albedo: PatchSpectra, sent: PatchSpectra, tolerance: float
 ) -> PatchSpectra:
-    """GMRES of all bands together, so that each factor is made once for all."""
+    """GMRES for all bands together, so that each factor is computed once for all."""
     import lineax
 
     structure = jax.ShapeDtypeStruct(sent.shape, sent.dtype)
@@ -142,8 +143,8 @@ def _without_table(
 @takes_numbers
 @in_range(albedo=_ALBEDO)
 def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int) -> PatchSpectra:
-    """B after a number of reflections: the first terms of the Neumann series, as a path tracer of
-    that depth sees them.
+    """B after a number of reflections: the first terms of the Neumann series, as in a path tracer
+    of that depth.
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
@@ -175,8 +176,8 @@ def shoot(
 ) -> tuple[PatchSpectra, PatchSpectra]:
     """Progressive refinement: the brightest unshot patch sends its light to all others, repeatedly.
 
-    This is Southwell relaxation without areas. How often it shoots depends on the values, so it has
-    no reverse-mode gradient: that of `solve_radiosity` has.
+    This is Southwell relaxation without areas. The number of shots depends on the values, so it has
+    no reverse-mode gradient; `solve_radiosity` has one.
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
@@ -226,10 +227,10 @@ def _most_added(table: Table, albedo: PatchSpectra) -> Scalar:
     """Return a bound on the light that all reflections of light of at most 1 add to a patch;
     infinite if they do not decrease.
 
-    For w of w - rho F w >= 1 - s > 0 everywhere, |(I - rho F)^-1 b| <= w / (1 - s) max |b|, for
-    rho F is not negative. The Neumann series w = 1 + rho F + ... + (rho F)^n of ones has
-    s = max (rho F)^(n + 1): for n = 0 that is 1 / (1 - largest row sum), and it is sharp for large
-    n, when single rows of an inexact table may well sum to more than 1.
+    If w - rho F w >= 1 - s > 0 everywhere, then |(I - rho F)^-1 b| <= w / (1 - s) max |b|, because
+    rho F is not negative. The Neumann series w = 1 + rho F + ... + (rho F)^n applied to ones has s
+    = max (rho F)^(n + 1). For n = 0 this is 1 / (1 - largest row sum). It is sharp for large n,
+    when single rows of an inexact table may sum to more than 1.
     """
 
     def once(_: Int[Array, ""], state: tuple[PatchSpectra, PatchSpectra]) -> tuple:
