@@ -46,6 +46,7 @@ from ..inference.search import (
 )
 from ..inference.streams import Advance
 from .data_checks import data_check
+from .moving_edges import warn_of_moving_edges
 from .prior_check import blamed, conflicts
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
@@ -83,7 +84,8 @@ def fit(
 
     If finite differences at the optimum differ from the gradient, for example because edges of
     shadows move, the fit uses finite differences for its verdict and curvature, and a finding names
-    the parameters.
+    the parameters. Where a free place or shape in a scene moves such edges, a warning before the
+    first search gives the share that the gradient misses at the start.
 
     A second fit of a problem with equal shapes and the same `predict` compiles nothing
     (`Problem.with_data`). Nothing is raised for a fit that does not converge: read `converged` and
@@ -156,6 +158,7 @@ def fit(
         raise InputError(f"misfit = {misfit!r}: use 'fail' or 'inflate'.")
     if problem.present is not None and not on_host(problem.present).any():
         raise InputError("There is nothing to fit: all data are missing (NaN).")
+    warn_of_moving_edges(problem)
     how = _How(starts, start, solver, misfit == "inflate", seed)
     choices: tuple[Choice, ...] = ()
     with progress_bar("reading data", shown=problem.stream is not None) as advance:

@@ -1,5 +1,6 @@
 """What a fit says of itself: groups, misfits, ends of ranges, saddles; bands; chains that go on."""
 
+import re
 from functools import partial
 
 import jax
@@ -21,10 +22,13 @@ from fitting import (
     StudentT,
     fit,
 )
+from fitting.fits.moving_edges import warn_of_moving_edges
 from fitting.inference.search import given_start, spread_starts
 from jaxvision import (
+    Lambert,
     Orthographic,
     Phong,
+    Plane,
     PointLight,
     PoissonShotNoise,
     Scene,
@@ -539,3 +543,55 @@ def test_smooth_models_have_nothing_unseen():
         inputs=time,
     )
     assert fit(problem, starts=4).optimum.unseen == {}
+
+
+def _shade_of_a_black_ball(lamp, dense=1024):
+    """The floor below a ball of .5 m, one m up, lit by a lamp of 5 W sr^-1: its radiance without
+    shadows, and where the ball is neither seen nor shades it; plain NumPy."""
+    side = 4 * ((np.arange(dense) + 0.5) / dense - 0.5)
+    x, y = np.meshgrid(side, -side)
+    toward = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, lamp[2])], -1)
+    distance = np.linalg.norm(toward, axis=-1)
+    away = np.array([0.0, 0.0, 1.0]) - np.stack([x, y, 0 * x], -1)
+    along = np.einsum("ijk,ijk->ij", away, toward) / distance
+    clear = (away**2).sum(-1) - along**2 > 0.25
+    radiance = 0.2 * 5.0 * lamp[2] / distance**3
+    return radiance, clear & (x**2 + y**2 > 0.25)
+
+
+def test_a_free_lamp_over_an_occluder_warns_with_what_its_gradient_misses():
+    """Against differences of pictures of a million pixels, with the edges at rest and moving."""
+    floor = Surface(Plane([0, 0, 0], [0, 0, 1]), Lambert([0.2]))
+    ball = Surface(Sphere([0, 0, 1.0], 0.5), Lambert([0.0]))
+    down = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+    view = Orthographic([0, 0, 9], down, 4 / 64, resolution=(64, 64))
+
+    def free(surfaces, name="position"):
+        ends = {"lower": (1.0, 0.0, 3.0), "upper": (1.0 + 1e-9, 1e-9, 3.0 + 1e-9)}
+        if name == "intensity":
+            ends = {"lower": 1.0, "upper": 9.0}
+        return Problem(
+            {f"scene.lights[0].{name}": Parameter(**ends)},
+            predict=lambda scene: render(scene, view)[..., 0],
+            likelihood=Gaussian(sd=0.1),
+            data=np.zeros((64, 64)),
+            records={"scene": Scene(surfaces, PointLight([1.0, 0.0, 3.0], [5.0]))},
+        )
+
+    with pytest.warns(UserWarning, match="moving edges") as told:
+        warn_of_moving_edges(free([floor, ball]))
+    said = float(re.search(r"misses (\d+)%", str(told[0].message))[1]) / 100
+
+    lamp, shares = np.array([1.0, 0.0, 3.0]), []
+    for step in 0.02 * np.linalg.norm(lamp) * np.eye(3):
+        (up, clear_up), (low, clear_low) = (
+            _shade_of_a_black_ball(lamp + sign * step) for sign in (1, -1)
+        )
+        at_rest = _shade_of_a_black_ball(lamp)[1]
+        whole, smooth = up * clear_up - low * clear_low, (up - low) * at_rest
+        blocks = [c.reshape(16, 64, 16, 64).mean((1, 3)) for c in (whole, whole - smooth)]
+        shares.append(np.linalg.norm(blocks[1]) / np.linalg.norm(blocks[0]))
+    np.testing.assert_allclose(said, max(shares), rtol=0.1)
+
+    warn_of_moving_edges(free([floor, ball], "intensity"))  # no edge moves: any warning fails
+    warn_of_moving_edges(free([floor]))
