@@ -1,4 +1,5 @@
-"""Error against time for any approximation, on the user's own problem, and the choice of settings.
+"""Error against time for any approximation, measured on the user's own problem, and the choice of
+settings.
 
 A `Knob` is the setting of an approximation, such as a number of samples.
 

@@ -1,5 +1,5 @@
-"""The best combination of settings, checked by runs with fresh seeds against finer settings of all
-knobs, and tightened where they find it beyond the tolerance."""
+"""The best combination of settings, checked by runs with fresh seeds against finer values of all
+settings, and tightened if its error exceeds the tolerance."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ MARGIN = 0.9
 
 
 class Check(NamedTuple):
-    """What runs with fresh seeds say of settings."""
+    """The result of runs with fresh seeds."""
 
     # relative, what no run is expected to exceed, whatever the reference is itself off by
     error: float
@@ -42,9 +42,9 @@ def settled(
     seconds: float,
     clock: Clock | None = None,
 ) -> tuple[Combination, bool]:
-    """The best combination with error and time of fresh runs, and whether there was time for them;
-    one that they find beyond the wanted error (relative) or the allowed time (s) is tightened.
-    `InputError` where no combination is within."""
+    """The best combination with error and time from fresh runs, and whether there was time for
+    them. A combination whose error (relative) or time (s) is too large is tightened. `InputError`
+    if no combination meets the limit."""
     now = clock or time.perf_counter
     until = now() + seconds
     aim, within, off, slow = wanted, allowed, 1.0, 1.0
@@ -150,7 +150,7 @@ def _fresh_runs(
     random: bool,
     now: Clock,
 ) -> Check | None:
-    """Error and time of settings with fresh seeds; None where the finest are no better."""
+    """Error and time of settings with fresh seeds; None if the finest settings are not better."""
     compute = problem.prepare(finest)
     draws = [np.asarray(compute(FIRST_SEED + n), np.float64) for n in range(DRAWS if random else 1)]
     compared = problem.compared or np.asarray

@@ -1,5 +1,5 @@
-"""The setting to take: the cheapest that meets a tolerance, or the most accurate in a given time,
-by the upper bound of the error of a run with another seed, so that a lucky one does not win."""
+"""The choice of a setting: the cheapest within a tolerance, or the most accurate within a time. It
+uses the upper bound on the error of a run with another seed, so that a lucky run does not win."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -70,13 +70,13 @@ def choose(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Trial:
-    """The cheapest setting within a tolerance, or the most accurate within a time. Of settings with
-    indistinguishable times the most accurate is taken.
+    """The cheapest setting within a tolerance, or the most accurate within a time. Among settings
+    with indistinguishable times the most accurate is chosen.
 
-    The error of a random setting is that of a few seeds. If a result depends on rare events, such
-    as light by a rare path, these seeds may have missed them. The error then exceeds the stated
-    bound in more than one of twenty runs. So it is where all settings share a bias with their
-    reference, as an integrator that cannot find some light (`transport.missing_light`).
+    The error of a random setting is estimated from a few seeds. If a result depends on rare events,
+    such as light by a rare path, these seeds may have missed them. The error then exceeds the
+    stated bound in more than one of twenty runs. The same is true if all settings share a bias with
+    their reference, as with light that an integrator cannot find (`transport.missing_light`).
 
     Args:
         curve: from `curve`, or the trials of `error_against_time`.

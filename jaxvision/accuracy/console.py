@@ -19,9 +19,9 @@ _OF_PAGES = ("jinja2", "matplotlib.backends.backend_svg", "matplotlib.figure")
 
 
 def check_request(seconds: float, out: Path | None) -> None:
-    """`InputError` where a measuring command has no time, s, or is to write its page to a file's
-    name or where it cannot. What draws a page is imported here, since an interrupted run still
-    writes one and has little time for it."""
+    """`InputError` if a measuring command has no time, s, or cannot write its page to the given
+    path. The plotting modules are imported here, because an interrupted run still writes a page and
+    has little time for it."""
     if not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: give a time above 0.")
     if out is not None and out.exists() and not out.is_dir():
@@ -77,8 +77,7 @@ def keep(
     command: str,
     as_json: bool = False,
 ) -> None:
-    """Writes the page and its numbers, where a folder is given, and names the files, but not beside
-    JSON."""
+    """Write the page and its numbers if a folder is given, and name the files (not with JSON)."""
     if out is None:
         return
     for path in write_page(out, problem, curves, command=command, together=together):
@@ -92,7 +91,7 @@ def print_json(sheet: Mapping[str, Any]) -> None:
 
 
 def in_columns(rows: Sequence[tuple[str, ...]]) -> str:
-    """Rows of equally many cells as lines, columns below each other."""
+    """Rows with equal numbers of cells as lines with aligned columns."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

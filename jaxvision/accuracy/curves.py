@@ -170,14 +170,14 @@ def _look(session: Session, names: tuple[str, ...]) -> None:
 
 
 def _compile_norms(session: Session, names: tuple[str, ...]) -> None:
-    """The programs of norms, for which nobody waits after an interrupt."""
+    """Compile the programs of norms, for which an interrupt should not wait."""
     for point in session.points.values():
         some = next(iter(point.results.values()))
         norms_of(some, some, 1.0, names=names, developed=session.problem.developed)
 
 
 def _run_twice(session: Session, setting: Any) -> None:
-    """What one setting may take leaves something for a reference, where there are others."""
+    """Run a setting twice, with enough time kept for a reference if there are other settings."""
     share = LAST_LOOK if session.points else 1 + GRACE
     until = session.taken + share * session.left
     try:
@@ -190,7 +190,7 @@ def _run_twice(session: Session, setting: Any) -> None:
 
 
 def _take_turns(session: Session, seeds: int) -> None:
-    """Further calls of the settings in turns, each where it fits."""
+    """Further calls of the settings in turns, each if it fits into the time."""
     session.wait_for_the_rest()
     rounds = seeds if session.knob.random else min(seeds, REPEATS)
     for number in range(len(PAIRED), rounds):
@@ -323,9 +323,9 @@ def _trial(
 
 
 def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
-    """The part of a difference that all seeds share, and between what it lies. The mean product of
-    two seeds' differences is its square without the noise that a seed adds; what that noise hides
-    counts as the bias."""
+    """The part of a difference that all seeds share, with its bounds. The mean product of two
+    seeds' differences is its square without noise. If noise hides it, the upper bound counts as the
+    bias."""
     typical = float(np.sqrt(np.mean(norms**2)))
     noise = float(np.mean(np.var(apart, axis=0, ddof=1))) if len(apart) > 1 else 0.0
     whole = float(np.mean(apart**2))
@@ -340,7 +340,7 @@ def _bias(norms: np.ndarray, apart: np.ndarray) -> tuple[float, float, float]:
 
 
 def pareto_of(trials: Sequence[Trial]) -> tuple[int, ...]:
-    """Indices of the trials that no other beats in both error and time, fastest first."""
+    """Indices of the trials that are not dominated in error and time, fastest first."""
     found: list[int] = []
     for i in sorted(range(len(trials)), key=lambda i: (trials[i].seconds, trials[i].error)):
         if not found or trials[i].error < trials[found[-1]].error:
@@ -356,9 +356,9 @@ def error_against_time(
     repeats: int = 5,
     clock: Clock | None = None,
 ) -> list[Trial]:
-    """Error and time of calls that rival each other, whatever they are.
+    """Error and time of any competing calls.
 
-    The warm calls take turns, so that a machine of drifting speed favours none.
+    The warm calls take turns, so that a drift of the machine's speed favours none.
 
     Args:
         calls: a call without arguments for each name.

@@ -22,7 +22,7 @@ TICK = 0.1  # s, between two looks at the time
 
 
 class OutOfTime(Exception):
-    """Work was left behind, or not begun."""
+    """Work that was abandoned or not started."""
 
 
 class TooLittleTime(InputError):
@@ -47,7 +47,7 @@ class _Job:
 
 
 class _Hand:
-    """A thread that does one job after another."""
+    """A thread that runs jobs in sequence."""
 
     def __init__(self) -> None:
         self.jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
@@ -59,7 +59,7 @@ class _Hand:
             job.run()
 
     def leave(self, job: _Job) -> None:
-        """Leaves the thread to its last job."""
+        """Abandon the thread to its last job."""
         self.jobs.put(None)
         _left_behind.append(job)
         leaves_work_behind()
@@ -77,14 +77,14 @@ def something_left_behind() -> bool:
 
 
 def wait_for_the_rest(left: Callable[[], float]) -> None:
-    """Waits until the threads that were left behind have ended, or the s `left` are over."""
+    """Wait until the abandoned threads have ended, or for `left` s."""
     while something_left_behind() and left() > 0:
         _left_behind[0].ended.wait(TICK)
 
 
 def in_time(work: Callable[[], Any], left: Callable[[], float]) -> Any:
-    """What some work returns; `OutOfTime` where the s that are `left` end before. Nothing that it
-    changes may matter to who leaves it."""
+    """The result of some work; `OutOfTime` if the `left` s are over first. The work must not change
+    anything that the caller still needs."""
     if np.isinf(left()):
         return work()
     hand, job = _idle.pop() if _idle else _Hand(), _Job(work)

@@ -1,4 +1,4 @@
-"""The order of a knob: a straight line through the logarithms of its errors."""
+"""The order of a setting: a straight line through the logarithms of its errors."""
 
 from collections.abc import Sequence
 
@@ -16,9 +16,10 @@ def variable(setting: float, law: Law) -> float:
 
 
 def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
-    """The law of the errors that are not hollow; None for fewer than two, or settings that are no
-    numbers. A point weighs by how well its seeds know it. Where a power describes the errors better
-    than the geometric law that is declared, as of a Gauss rule across an edge, it is the power."""
+    """The law of the errors that are not hollow; None for fewer than two, or settings that are not
+    numbers. A point is weighted by its precision over seeds. If a power law describes the errors
+    better than the declared geometric law, as for a Gauss rule across an edge, the result is the
+    power law."""
     solid = [one for one in trials if not one.hollow and one.error > 0 and _is_number(one.setting)]
     if len({one.setting for one in solid}) < 2:
         return None
@@ -30,7 +31,7 @@ def fit_order(knob: Knob, trials: Sequence[Trial]) -> Order | None:
 
 
 def _line(knob: Knob, solid: Sequence[Trial], law: Law) -> tuple[Order, float]:
-    """Its straight line, and the weighted sum of squares that it leaves."""
+    """The straight line, and its weighted residual sum of squares."""
     from scipy.special import stdtrit
 
     x = np.array([variable(one.setting, law) for one in solid])

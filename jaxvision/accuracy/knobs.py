@@ -1,7 +1,7 @@
 """Every approximation of the library by name, with its settings and its theoretical order.
 
-Knobs of scene files are keys of `[render]` (`scenes`). The others are measured on their own example
-(`examples`).
+Settings of scene files are keys of `[render]` (`scenes`). The others are measured on their own
+example (`examples`).
 """
 
 from collections.abc import Mapping
@@ -384,7 +384,7 @@ SCENE_KNOBS = tuple(knob.name for knob in _OF_SCENES)
 
 
 def knob_named(name: str) -> Knob:
-    """A knob, or `InputError` with the nearest name."""
+    """The record of a setting; `InputError` with the nearest name for an unknown one."""
     if name not in KNOBS:
         raise InputError(f"knob {name!r} is unknown; {nearest(name, KNOBS)}.")
     return KNOBS[name]

@@ -1,4 +1,4 @@
-"""The curves of several knobs, one after another."""
+"""The curves of several settings in sequence."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ KEPT = 0.5  # the same of a problem that keeps its programs
 
 
 def asked_knobs(of: str, names: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the requested knobs, or of all known ones. An unknown name raises
+    """Return the names of the requested settings, or of all known ones. An unknown name raises
     `InputError`, whose message begins with the subject of the measurement."""
     for name in names or ():
         if name not in known:
@@ -32,11 +32,11 @@ def in_turn(
     worth: float = WORTH,
     clock: Clock | None = None,
 ) -> tuple[Curve, ...]:
-    """Measure the curves of several knobs, by `measure` from a name and its share of the s in all,
-    with equal shares. An interrupt keeps the finished curves.
+    """Measure the curves of several settings with equal shares of the given s. `measure` takes a
+    name and its share. An interrupt keeps the finished curves.
 
-    The remaining time goes to knobs whose share was too short, such as one that compiles a new
-    program for each setting. They are measured again, those with the fewest settings first, while
+    The remaining time goes to settings whose share was too short, such as one that compiles a new
+    program for each value. They are measured again, those with the fewest values first, while
     `worth` shares remain.
     """
     now = clock or time.perf_counter
@@ -45,7 +45,7 @@ def in_turn(
     shares: list[float] = []
 
     def measured(name: str, share: float) -> Curve | None:
-        """None where an interrupt came before anything was measured."""
+        """The measured curves; None if an interrupt came before the first."""
         try:
             with raised_interrupts():
                 return measure(name, max(share, LEAST))

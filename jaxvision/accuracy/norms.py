@@ -1,5 +1,5 @@
-"""How far a result is from the reference, as one number. Relative norms are over the level: the
-root mean square of the reference, or what the problem says."""
+"""The distance of a result from the reference, as one number. Relative norms are divided by the
+level: the root mean square of the reference, or the problem's own value."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -52,7 +52,7 @@ NORMS: dict[str, Callable[[np.ndarray], float]] = {"rms": _rms, "p99": _p99, "ma
 
 
 def level_of(reference: np.ndarray, level: float | None) -> float:
-    """What errors are relative to, in the unit of the result; 1 where all is 0."""
+    """The level for relative errors, in the unit of the result; 1 if all is 0."""
     found = _rms(reference) if level is None else level
     return found if found > 0 else 1.0
 
@@ -65,7 +65,7 @@ def norms_of(
     names: tuple[str, ...],
     developed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Mapping[str, float]:
-    """The named norms of one result; relative, and units of L* for "delta_e", the mean CIEDE2000
+    """The named norms of one result: relative, or in units of L* for "delta_e", the mean CIEDE2000
     difference of the developed pictures."""
     apart = result - reference
     found = {name: NORMS[name](apart) / level for name in names if name in NORMS}
@@ -79,7 +79,7 @@ def norms_of(
 
 
 def check_norms(names: tuple[str, ...]) -> None:
-    """`InputError` for an unknown norm, or none."""
+    """`InputError` for an unknown norm, or for none."""
     for name in names:
         if name not in (*NORMS, "delta_e"):
             raise InputError(f"norm {name!r} is unknown; {nearest(name, (*NORMS, 'delta_e'))}.")

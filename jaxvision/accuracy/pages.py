@@ -1,4 +1,4 @@
-"""A self-contained page of curves, dark or light as the reader prefers, and its numbers as JSON."""
+"""A self-contained page of curves in light or dark colours, and its numbers as JSON."""
 
 import json
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ def page(
 
 
 def _svg(curves: Sequence[Curve]) -> str:
-    """One curve, or the fronts of several."""
+    """One curve, or several Pareto fronts."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure

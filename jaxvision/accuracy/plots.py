@@ -1,4 +1,4 @@
-"""Plots of error against time: one axes for each knob, and a figure with all of them."""
+"""Plots of error against time: one axes for each setting, and a figure with all."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -93,7 +93,8 @@ def plot(
 
 
 def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
-    """Trials that equal the reference, which a logarithm cannot show: on the lower axis."""
+    """Trials that equal the reference, which a logarithmic axis cannot show; they are drawn on the
+    lower axis."""
     low, _ = axes.get_ylim()
     for trial in trials:
         axes.plot(trial.seconds, low, "o", color=BLUE, mfc="none", ms=6, clip_on=False)
@@ -101,7 +102,7 @@ def _without_error(axes: "Axes", trials: Sequence[Trial]) -> None:
 
 
 def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
-    """Draws the Pareto fronts of several knobs of one problem on one axes.
+    """Draw the Pareto fronts of several settings of one problem on one axes.
 
     Args:
         curves: of the knobs.
@@ -133,7 +134,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
 
 
 def _scaled(axes: "Axes", errors: Sequence[float], of: str, none: str = _UNKNOWN) -> None:
-    """Logarithmic axes with their labels, and what to say where there is nothing to draw."""
+    """Logarithmic axes with their labels, and a message if there is nothing to draw."""
     axes.set(xlabel="time [s]", ylabel=of)
     if errors:
         axes.set(xscale="log", yscale="log")

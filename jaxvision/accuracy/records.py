@@ -1,4 +1,4 @@
-"""Records for the measurement of an approximation: knobs, problems, trials and curves."""
+"""Records for the measurement of an approximation: settings, problems, trials and curves."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ RELATIVE = "relative rms error [%]"
 
 @dataclass(frozen=True)
 class Knob:
-    """One approximation of the library, and the settings that trade its error for time.
+    """One approximation of the library, and the values that trade its error for time.
 
     Attributes:
         name: by which it is asked for.
@@ -47,7 +47,7 @@ class Knob:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is computed, as a function of settings and of a seed.
+    """A computation as a function of settings and a seed.
 
     Attributes:
         name: in tables and plots.
@@ -127,7 +127,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Reference:
-    """What errors are measured against.
+    """The reference for errors.
 
     Attributes:
         setting: that made it; None: a closed form, or the caller's.
@@ -166,7 +166,7 @@ class Order:
         return self.high - self.low <= max(1.0, abs(self.exponent) / 2)
 
     def __str__(self) -> str:
-        """As in a table."""
+        """The order as a table shows it."""
         if not self.is_known:
             return "unknown"
         if self.law == "geometric":
@@ -177,7 +177,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Curve:
-    """Error against time for one knob of one problem.
+    """Error against time for one setting of one problem.
 
     Attributes:
         problem: its name.

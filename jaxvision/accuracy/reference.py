@@ -1,5 +1,5 @@
 """The reference result for errors, independent of the measured ones, and its own error. For a
-random knob the error comes from other seeds, for a deterministic one from ever finer settings."""
+random setting the error comes from other seeds, for a deterministic one from finer values."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -100,9 +100,9 @@ def _drawn(session: Session, setting: Any) -> list[np.ndarray]:
 def paired_reference(
     session: Session, *, finer: bool = True
 ) -> tuple[Reference, dict[int, np.ndarray]]:
-    """The finest setting that time allows, by the same seeds as the trials; without `finer` ones of
-    those that were run. Its error follows from the steps between it and the two previous
-    settings."""
+    """The finest setting that fits the time, with the same seeds as the trials; without `finer`,
+    the finest of those already run. Its error follows from the steps between it and the two
+    previous settings."""
     knob = session.knob
     exact = bool(knob.reference) and not isinstance(knob.reference[-1], int | float)
     steps: list[Any] = [s for s, p in session.points.items() if p.results.keys() >= set(PAIRED)]
@@ -135,9 +135,9 @@ def paired_reference(
 
 
 def unlike(session: Session, settings: Sequence[Any], reference: Any) -> float:
-    """How far a reference is from the finest of three settings or more that is not the reference
-    itself, where that is more than their steps to one another allow, so that it or they are wrong;
-    else 0. In the unit of the result."""
+    """The distance of a reference from the finest of at least three other settings, if it
+    exceeds what their steps allow, so that one of them is wrong; else 0. It is in the unit of
+    the result."""
     run = [one for one in settings if session.points[one].results.keys() >= set(PAIRED)]
     run = run[-RUNGS:]
     rungs = [one for one in run if isinstance(one, int | float)]
@@ -224,20 +224,21 @@ def _apart(law: Law, coarse: Any, fine: Any) -> float:
 
 
 def _bias_of_last(ratio: float, before: float, after: float) -> float:
-    """The error behind two steps to one side, over the last of them, by their ratio."""
+    """The error after two steps in one direction, relative to the last step, from their ratio."""
     rate = _bias_rate(ratio, before, after)
     return float(min(1 / np.expm1(rate * after), MOST_TAIL)) if rate > 0 else MOST_TAIL
 
 
 def _bias_rate(ratio: float, before: float, after: float) -> float:
-    """The rate at which errors to one side fall, by the ratio of two steps; 0 where they do not."""
+    """The rate at which one-directional errors decrease, from the ratio of two steps; 0 if they do
+    not."""
     if ratio <= before / after:
         return 0.0
     return _rate(lambda k: np.expm1(k * before) / -np.expm1(-k * after), ratio, before, after)
 
 
 def _chance_of_last(ratio: float, before: float, after: float) -> float:
-    """The error behind two steps at random, over the last of them, by their ratio."""
+    """The error after two random steps, relative to the last step, from their ratio."""
     if ratio <= 1:
         return 1.0
     squared = ratio**2
@@ -251,7 +252,7 @@ def _chance_of_last(ratio: float, before: float, after: float) -> float:
 
 
 def _rate(law: Callable[[float], float], ratio: float, before: float, after: float) -> float:
-    """k at which a rising law has the ratio."""
+    """The k at which an increasing law has the given ratio."""
     from scipy.optimize import brentq
 
     most = STEEPEST / max(before, after)

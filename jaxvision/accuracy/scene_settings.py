@@ -1,5 +1,5 @@
-"""The settings of a scene file for a tolerance or a time: knobs measured one by one, the best of
-their combinations checked by runs with fresh seeds, and the result remembered."""
+"""The settings of a scene file for a tolerance or a time. Each is measured separately, the best
+combination is checked by runs with fresh seeds, and the result is stored."""
 
 import hashlib
 import json
@@ -75,7 +75,7 @@ def measured(
     clock: Clock | None = None,
     problem: Problem | None = None,
 ) -> tuple[Problem, tuple[Curve, ...]]:
-    """The curves of a scene file's knobs, the time shared equally.
+    """The curves of a scene file's settings, with the time shared equally.
 
     Args:
         source: the scene and its view.
@@ -240,7 +240,7 @@ def _chosen(scene_file: SceneFile, known: Mapping[str, Any], pruned: Pruned | No
 
 
 def _pruned(source: SceneFile, tolerance: float | None, level: float | None) -> Pruned | None:
-    """Drop the negligible effects, for paths of the largest depth of any knob."""
+    """Drop the negligible effects for paths of the largest depth of any setting."""
     own, deepest = source.render, KNOBS["depth"].reference[-1]
     deep = own.model_copy(update={"depth": max(own.depth, deepest)})
     share = "0" if tolerance is None else f"{PROVED * tolerance:.6e}"
@@ -251,7 +251,7 @@ def _pruned(source: SceneFile, tolerance: float | None, level: float | None) -> 
 
 
 def _remembered(source: SceneFile, tolerance: float | None, render_seconds: float | None) -> Path:
-    """The file in which the settings of a scene, a machine and a version are kept."""
+    """The file that stores the settings of a scene, a machine and a version."""
     key = {
         "scene": source.digest,
         "resolution": list(source.view.resolution),
@@ -281,7 +281,7 @@ def machine() -> str:
 
 
 def _read(file: Path, seconds: float) -> dict[str, Any] | None:
-    """A finished measurement, and the seconds that it took at least."""
+    """A finished measurement, and the minimum time in s that it took."""
     keys = {"settings", "promised", "predicted_seconds", "checked", "unknown", "level"}
     try:
         found = json.loads(file.read_text())

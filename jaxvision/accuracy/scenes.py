@@ -1,4 +1,4 @@
-"""A scene file as a problem: some of its pixels, as a function of `[render]` and a seed."""
+"""A scene file as a problem: some of its pixels as a function of `[render]` and a seed."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -42,7 +42,7 @@ _QUANTILE, _SHOWN = 0.95, 0.8  # of the brightness of the developed picture
 
 
 def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
-    """The knobs that change the picture of a scene file.
+    """The settings that change the picture of a scene file.
 
     Args:
         source: the scene and its view.
@@ -72,7 +72,7 @@ def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
 
 
 def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
-    """`[render]` with knobs turned, each setting in its knob's unit."""
+    """`[render]` with some settings replaced, each in its unit."""
     update: dict[str, Any] = {}
     for name, value in turned.items():
         if name == "rule":
@@ -83,7 +83,7 @@ def entry_of(settings: RenderEntry, turned: Mapping[str, Any]) -> RenderEntry:
 
 
 def base_of(settings: RenderEntry, names: tuple[str, ...]) -> dict[str, Any]:
-    """The settings of the other knobs of a scene file while one is measured, with few samples."""
+    """The values of the other settings of a scene file while one is measured, with few samples."""
     found = {}
     for name in (name for name in names if name not in APART):
         value = getattr(settings, "order" if name == "light samples" else name)
@@ -236,7 +236,7 @@ def _expand_bands(radiance: np.ndarray, expand: np.ndarray | None) -> np.ndarray
 
 
 def _seconds_of(compute: Compute, clock: Clock | None) -> float:
-    """s of a warm call."""
+    """Time of a warm call, s."""
     now = clock or time.perf_counter
     compute(0)
     taken = []
@@ -248,13 +248,13 @@ def _seconds_of(compute: Compute, clock: Clock | None) -> float:
 
 
 def _brightest(picture: np.ndarray) -> float:
-    """What radiance counts as at most; infinity where hardly a pixel is lit."""
+    """The radiance at which pixels are clipped; infinity if hardly a pixel is lit."""
     quantile = float(np.quantile(picture.max(axis=1), _QUANTILE)) if picture.size else 0.0
     return _HEADROOM * quantile if quantile > 0 else np.inf
 
 
 def _developed(radiance: np.ndarray, exposed: np.ndarray, to_rgb: np.ndarray) -> np.ndarray:
-    """Lab of a picture whose exposure shows 95 % of the reference below 0.8 of white."""
+    """Lab of a picture, with an exposure that puts 95 % of the reference below 0.8 of white."""
     bright = exposed @ to_rgb @ np.array([0.2126, 0.7152, 0.0722])
     white = float(np.quantile(bright, _QUANTILE)) / _SHOWN if bright.size else 1.0
     rgb = np.clip(radiance @ to_rgb / (white if white > 0 else 1.0), 0, 1)

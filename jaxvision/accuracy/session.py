@@ -24,7 +24,8 @@ UNKNOWN = 2.0  # growth from one setting to the next that is no larger number, a
 
 
 class NotComparable(InputError):
-    """A result that no other setting's can be compared with: a fault of the problem."""
+    """A result that cannot be compared with those of other settings, which is an error of the
+    problem."""
 
 
 @dataclass
@@ -42,12 +43,12 @@ class Point:
 
     @property
     def seconds(self) -> float:
-        """Of a warm call, s; of the first one where there is no other."""
+        """Time of a warm call, s, or of the first one if there is no other."""
         return float(np.median(self.warm)) if self.warm else self.first
 
 
 class Session:
-    """One problem, one knob, and the remaining time."""
+    """One problem, one setting, and the remaining time."""
 
     def __init__(
         self, problem: Problem, knob: Knob, seconds: float, clock: Clock | None = None
@@ -115,7 +116,7 @@ class Session:
         return point
 
     def compared(self, values: Any) -> np.ndarray:
-        """What is compared of a result, or of the mean of several."""
+        """The compared quantity of a result, or of the mean of several."""
         return self.problem.compared(values) if self.problem.compared else np.asarray(values)
 
     def _of(self, setting: Any) -> str:
@@ -128,7 +129,7 @@ class Session:
             raise NotComparable(f"{self._of(setting)} is no array; give real numbers.") from None
 
     def _check(self, setting: Any, values: np.ndarray) -> None:
-        """`NotComparable` for what is no array of real numbers of the shape of all others, and
+        """`NotComparable` for anything but an array of real numbers in the common shape, and
         `InputError` for numbers that are not finite."""
         of = self._of(setting)
         if not (np.issubdtype(values.dtype, np.number) or values.dtype == bool) or np.iscomplexobj(
@@ -149,8 +150,9 @@ class Session:
             )
 
     def refuse(self, setting: Any, why: Exception) -> None:
-        """Leaves out a setting that the problem cannot be computed with. What cannot be compared,
-        or fails before anything was measured, is a fault of the problem and raised."""
+        """Leave out a value with which the problem cannot be computed. A result that cannot be
+        compared, or a failure before the first measurement, is an error of the problem and
+        raised."""
         self.points.pop(setting, None)
         if isinstance(why, NotComparable) or not (self.points or isinstance(why, InputError)):
             raise why
@@ -158,7 +160,7 @@ class Session:
 
     @property
     def refusal(self) -> str:
-        """What is said of the settings that were left out, "" for none."""
+        """The remark on values that were left out, "" for none."""
         for setting, why in self.refused.items():
             words = str(why).strip().split("\n")[0].rstrip(".")
             kind = "" if isinstance(why, InputError) else f"{type(why).__name__}: "
@@ -166,8 +168,8 @@ class Session:
         return ""
 
     def expected(self, setting: Any, *, calls: int) -> float:
-        """s that so many calls of a setting will take: as much more than the last one as compiling
-        and running have grown from one setting to the next."""
+        """Predicted time in s of so many calls of a setting: the last time, scaled by the growth of
+        compile and run times between settings."""
         known = self.points.get(setting)
         if known is not None and known.compute is not None:
             return calls * known.seconds
@@ -182,13 +184,13 @@ class Session:
         return compiling + calls * running
 
     def is_compiled(self, setting: Any) -> bool:
-        """Whether the problem says that a setting takes no new program."""
+        """Whether the problem states that a setting needs no new program."""
         settings = {**self.problem.settings, self.knob.name: setting}
         return self.problem.compiled is not None and self.problem.compiled(settings)
 
 
 def whole_seconds(problem: Problem, seconds: Any, once: float) -> Any:
-    """Time of the whole, s, from that of a call of the part. `once` is a fixed cost, which the
+    """Time of the whole, s, from the time of a call of the part. `once` is a fixed cost that the
     whole pays only once."""
     return once + problem.whole * np.maximum(seconds - once, 0.0)
 
@@ -217,14 +219,15 @@ def _next(before: Sequence[tuple[Any, float]], setting: Any, power: float) -> fl
 
 
 def _growth(before: tuple[Any, float], after: tuple[Any, float]) -> tuple[float, float]:
-    """By what factor the time has grown, and by what power of the setting, at least 1 and 0."""
+    """The growth of the time as a factor, and as a power of the setting, at least 1 and 0."""
     factor = max(after[1] / before[1], 1.0)
     ratio = _ratio(before[0], after[0])
     return factor, float(np.log(factor) / np.log(ratio)) if ratio else 1.0
 
 
 def _ratio(before: Any, after: Any) -> float | None:
-    """Of two settings that are numbers and grow; None of others, such as tolerances."""
+    """The ratio of two settings that are increasing numbers; None for others, such as
+    tolerances."""
     if _is_positive(before) and _is_positive(after) and after > before:
         return after / before
     return None

@@ -1,8 +1,8 @@
-"""Several knobs at once: the cheapest combination of their settings within a tolerance, or the most
-accurate one within a time.
+"""Several settings at once: the cheapest combination within a tolerance, or the most accurate one
+within a time.
 
-Times multiply: a change of one knob changes the time by the same factor as alone. Errors of random
-knobs add in quadrature, biases as they are: (sum of biases)^2 + sum of squares.
+Times multiply: a change of one setting changes the time by the same factor as alone. Errors of
+random settings add in quadrature, and biases add linearly: (sum of biases)^2 + sum of squares.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,8 +42,8 @@ def combined(
     tolerance: float | None = None,
     seconds: float | None = None,
 ) -> Combination:
-    """Choose the best combination of settings from the Pareto fronts of several knobs. A
-    deterministic knob with unknown error keeps its setting.
+    """Choose the best combination of settings from their Pareto fronts. A deterministic setting
+    with unknown error keeps its value.
 
     Args:
         curves: of one problem, one a knob; each was measured with the others at `base`.
@@ -101,7 +101,7 @@ def combined(
 
 
 def _seconds_at(curve: Curve, base: Mapping[str, Any]) -> float:
-    """Return the time, s, at the base setting of a knob."""
+    """Return the time, s, at the base value of a setting."""
     setting = base[curve.knob.name]
     known = {trial.setting: trial.seconds for trial in curve.trials}
     if setting in known:
@@ -116,7 +116,7 @@ Front = list[tuple[Any, float, float]]
 
 
 def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...]:
-    """Return the knobs without an error. Raises `InputError` if one of them is random, or if all
+    """Return the settings without an error. Raises `InputError` if one of them is random, or if all
     lack an error."""
     found = [c.knob for c, front in zip(curves, fronts, strict=True) if not front]
     lost = next((k for k in found if k.random or len(found) == len(curves)), None)
@@ -126,7 +126,7 @@ def _unknown(curves: Sequence[Curve], fronts: Sequence[Front]) -> tuple[str, ...
 
 
 def _pareto(curve: Curve, once: float) -> Front:
-    """(setting, bound of the error, factor of time), without those that another beats."""
+    """(setting, bound of the error, factor of time), without dominated ones."""
     found: Front = []
     for trial in sorted(candidates(curve), key=lambda trial: (trial.seconds, trial.error_high)):
         error = trial.error_high

@@ -16,7 +16,7 @@ CHANCE = 0.025  # of a run above the upper bound, and of one below the lower
 
 def next_error(errors: np.ndarray) -> tuple[float, float, float]:
     """Return the root mean square of the errors (k,) of runs, and the bounds that contain the error
-    of the next run in 95 of 100 cases, in their unit. One run, or equal ones: no spread is
+    of the next run in 95 of 100 cases, in their unit. For one run, or equal ones, no spread is
     known."""
     from scipy.special import fdtri, stdtrit
 

@@ -1,5 +1,5 @@
-"""Measured curves as a table on the terminal and as JSON: the cheapest setting of each knob for 10,
-1 and 0.1 %, and of all together."""
+"""Measured curves as a table on the terminal and as JSON: the cheapest value of each setting for
+10, 1 and 0.1 %, and of all together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -31,7 +31,7 @@ def reached(curve: Curve) -> list[Trial | None]:
 def rows(
     problem: Problem, curves: Sequence[Curve], *, together: Sequence[Together] | None = None
 ) -> list[tuple[str, ...]]:
-    """Cells of the table, the heads first.
+    """Cells of the table, with the headings first.
 
     Args:
         problem: whose knobs they are.
@@ -80,7 +80,7 @@ def _all(together: Together) -> str:
 
 
 def in_seconds(seconds: float) -> str:
-    """A time with two digits that count, as text in ms, s, min or h."""
+    """A time with two significant digits, as text in ms, s, min or h."""
     if seconds < 0.1:
         return f"{1e3 * seconds:.2g} ms"
     if seconds < 600:
@@ -89,12 +89,13 @@ def in_seconds(seconds: float) -> str:
 
 
 def in_percent(error: float) -> str:
-    """A relative error with two digits that count, as text in percent."""
+    """A relative error with two significant digits, as text in per cent."""
     return f"{100 * error:.0f} %" if error >= 1 else f"{100 * error:.2g} %"
 
 
 def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list[str]:
-    """Sentences below the table: references, what was not run, and what was not checked.
+    """Sentences below the table: references, settings that were not run, and settings that were not
+    checked.
 
     Args:
         curves: of the knobs.
@@ -187,8 +188,8 @@ def _finite(value: Any) -> Any:
 
 
 def choice_in_words(chosen: Chosen) -> str:
-    """What was chosen for a render, in one sentence or two: the settings, the promised error in
-    percent, and the predicted time in s."""
+    """The choice for a render in one or two sentences: the settings, the promised error in per
+    cent, and the predicted time in s."""
     words = ", ".join(f"{name} {setting}" for name, setting in chosen.settings.items())
     how = "checked with fresh seeds" if chosen.checked else "not checked, for want of time"
     said = (

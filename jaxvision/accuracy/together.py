@@ -1,5 +1,5 @@
-"""All knobs of a problem at once, for each tolerance of a table: the best combination, checked by
-runs with fresh seeds while there is time."""
+"""All settings of a problem together, for each tolerance of a table: the best combination, checked
+by runs with fresh seeds as time allows."""
 
 import time
 from collections.abc import Sequence
@@ -31,8 +31,8 @@ class Together:
 
 
 def turned_together(problem: Problem, curves: Sequence[Curve]) -> list[Curve]:
-    """Return the curves of the knobs that have a setting of the problem while others are measured.
-    The result is empty for fewer than two."""
+    """Return the curves of the settings whose value the problem uses while others are measured. The
+    result is empty for fewer than two."""
     found = [curve for curve in curves if curve.knob.name in problem.settings]
     return found if len(found) > 1 else []
 
@@ -72,7 +72,8 @@ def measured_together(
     metrics: tuple[str, ...] = ("rms", "p99", "max"),
     clock: Clock | None = None,
 ) -> tuple[Problem, tuple[Curve, ...], tuple[Together, ...]]:
-    """The curves of a scene file's knobs and, in a quarter of the time, checks of all together.
+    """The curves of a scene file's settings and, in a quarter of the time, checks of their
+    combination.
 
     Args:
         source: the scene and its view, with its `[render]`.

@@ -1,8 +1,8 @@
-"""What heads and chunks of image files say that their decoders leave out, and whether a PNG is
-whole, before libpng prints its own complaints.
+"""Metadata and chunks of image files that their decoders ignore, and a check that a PNG is
+complete, before libpng prints its own messages.
 
 A PNG is a signature and chunks: length, type, content and the CRC-32 of type and content (ISO/IEC
-15948, section 5). Chunks whose type begins with a small letter are no part of the picture. JPEG:
+15948, section 5). Chunks whose type begins with a small letter do not belong to the picture. JPEG:
 ITU-T T.81, annex B; CIPA DC-007 (Multi-Picture Format); ISO 21496-1 and Adobe's gain maps. TGA:
 Truevision, TGA File Format Specification 2.0, page 6.
 """
@@ -41,7 +41,7 @@ class PngChunks:
 
     @property
     def bits(self) -> int:
-        """Bits of the source's samples: those that are significant, where all channels agree."""
+        """Significant bits of the source's samples, if all channels agree."""
         if self.colour_type == PALETTE:
             return 8
         alike = len(set(self.significant)) == 1 and 0 < self.significant[0] <= self.depth
@@ -83,7 +83,7 @@ def _said(kept: dict[bytes, bytes]) -> PngChunks:
 
 
 def _scales(kept: dict[bytes, bytes]) -> Iterator[str]:
-    """Chunks that give the numbers or the pixels of a PNG a meaning beyond that of sRGB."""
+    """Chunks that define the numbers or pixels of a PNG other than as sRGB."""
     name, _, rest = kept.get(b"pCAL", b"").partition(b"\0")
     if len(rest) > 10:
         low, high, law = struct.unpack(">iiB", rest[:9])
@@ -113,8 +113,8 @@ _END = 0xD9  # of the picture
 
 
 def jpeg_extras(file: Path) -> list[str]:
-    """What of a JPEG is no part of the picture and no note about it: further pictures, gain maps
-    and bytes after its end (a film, say), each in words."""
+    """Contents of a JPEG other than the picture and its metadata: further pictures, gain maps and
+    bytes after its end (a film, for example), each in words."""
     data = file.read_bytes()
     found, pictures, listed, rest = [], 0, False, b""
     for kind, content in _segments(data):
@@ -179,8 +179,7 @@ _PALETTES = (1, 9)
 
 
 def targa_bits(file: Path) -> int:
-    """Bits of each colour of a TGA: 5 for pixels, or colours of a palette, of 15 or 16 bits; else
-    8."""
+    """Bits of each colour of a TGA: 5 for pixels, or palette colours, of 15 or 16 bits; else 8."""
     with file.open("rb") as stream:
         head = stream.read(18)
     if len(head) < 18 or head[2] in _GREY:

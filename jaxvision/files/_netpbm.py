@@ -23,7 +23,7 @@ _LONGEST_WORD = 32
 
 @dataclass(frozen=True)
 class NetpbmHead:
-    """The head of a file."""
+    """The header of a file."""
 
     magic: bytes  # its first two letters
     columns: int  # of the picture
@@ -33,12 +33,12 @@ class NetpbmHead:
 
     @property
     def bits(self) -> int | None:
-        """Bits of the largest code; None of floating numbers."""
+        """Bits of the largest code; None for floating numbers."""
         return None if self.magic in _FLOATS else int(self.largest).bit_length()
 
     @property
     def saturation(self) -> float | None:
-        """The largest code, where it is not the largest of its bits."""
+        """The largest code, if it is not the largest of its bits."""
         return None if self.bits is None or self.largest == 2**self.bits - 1 else self.largest
 
 
@@ -149,8 +149,8 @@ def _byte_samples(
 
 
 def _rest_of_head(file: Path, ending: re.Match[bytes] | None, data: bytes, size: int) -> int:
-    """Bytes that belong to the head beyond its one white space: a program wrote a line break of
-    two characters, or a comment behind the last number. The length of the file tells."""
+    """Bytes of the header beyond its single white space, because a program wrote a two-character
+    line break or a comment after the last number. The length of the file reveals them."""
     more = len(data) - size
     if ending is None or more <= 0:
         return 0

@@ -13,15 +13,15 @@ _BITS = 14_000  # of a whole number: about as many digits as Python prints
 
 
 def check_size(file: Path) -> None:
-    """`InputError` for a text file that is too large to be one of ours."""
+    """`InputError` for a text file that is too large for its format."""
     size = file.stat().st_size
     if size > LARGEST:
         raise InputError(f"{file}: holds {size >> 20} MiB, more than {LARGEST >> 20}; divide it.")
 
 
 def check_content(place: str, content: Any) -> None:
-    """`InputError` for content that is nested too deeply, and for numbers and names that are too
-    long; `place` is the file."""
+    """`InputError` for deeply nested content and for very long numbers and names; `place` is the
+    file."""
     waiting: list[tuple[Any, tuple[str, ...]]] = [(content, ())]
     while waiting:
         value, path = waiting.pop()

@@ -1,7 +1,7 @@
-"""Polygons of OBJ, PLY and OFF files, cut into triangles that cover the polygon and nothing else.
+"""Polygons of OBJ, PLY and OFF files, divided into triangles that cover exactly the polygon.
 
-Readers cut them by a fan from their first corner, which covers what is open, or parts twice, where
-a polygon is not convex. Those are cut by ears here, the convex ones by the fan.
+Other readers use a fan from the first corner, which is wrong for polygons that are not convex. Here
+those are divided by ear clipping, and convex ones by the fan.
 """
 
 import re
@@ -24,7 +24,7 @@ _PLY_TYPES = {
 
 
 def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
-    """(triangles, 3) of each polygon of at least three corners, places among its own corners;
+    """(triangles, 3) of each polygon of at least three corners, as indices of its own corners;
     vertices in m."""
     counts = np.array([len(one) for one in polygons])
     found = [fan(count) for count in counts]
@@ -41,17 +41,18 @@ def cut(vertices: np.ndarray, polygons: Polygons) -> list[np.ndarray]:
 
 
 def fan(count: int) -> np.ndarray:
-    """The triangles of a polygon of so many corners from its first."""
+    """The fan of triangles from the first of so many corners."""
     return np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], 1)
 
 
 def are_fans(pieces: list[np.ndarray]) -> bool:
-    """Whether all are cut as readers do."""
+    """Whether the fan is right for all polygons."""
     return all(len(one) == 1 or np.array_equal(one, fan(len(one) + 2)) for one in pieces)
 
 
 def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Seen along the axis nearest to its normal; the fan of a polygon that crosses itself."""
+    """Ear clipping in the projection along the axis nearest to the normal; the fan for a polygon
+    that intersects itself."""
     axis = int(np.abs(normal).argmax())
     x, y = np.delete(corners, axis, axis=1).T
     if (normal[axis] < 0) != (axis == 1):  # x and z are seen from behind
@@ -81,7 +82,7 @@ def _clip_ears(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def obj_in_triangles(text: str) -> str | None:
-    """An OBJ whose polygons are cut into triangles; None where all of them are convex."""
+    """An OBJ file with its polygons divided into triangles; None if all of them are convex."""
     joined = text.replace("\\\r\n", " ").replace("\\\n", " ")
     if not re.search(r"^[ \t]*f(?:[ \t]+\S+){4}", joined, re.MULTILINE):
         return None
@@ -110,8 +111,8 @@ def obj_in_triangles(text: str) -> str | None:
 
 
 def polygons_of(file: Path) -> Polygons | None:
-    """The polygons of a PLY or OFF file in its order; None if it holds nothing but triangles, or is
-    no file that this reads."""
+    """The polygons of a PLY or OFF file in order; None if it contains only triangles, or cannot be
+    read here."""
     try:
         found = (
             _off_polygons(file)
@@ -134,8 +135,8 @@ def _off_polygons(file: Path) -> Polygons:
 
 
 def ply_of_corners(data: bytes) -> bytes | None:
-    """A PLY file in text whose faces have nothing but their corners; None where that is so already,
-    or for a file that this does not read. Readers of text take one list a face, and that first."""
+    """A PLY text file whose faces have only their corners; None if that is already so, or for a
+    file that cannot be read here. Readers of text need one list per face, as the first property."""
     try:
         kind, elements, start = _ply_head(data)
         faces = next((e for e in elements if e[0] == "face"), None)
@@ -159,7 +160,7 @@ def ply_of_corners(data: bytes) -> bytes | None:
 
 
 def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
-    """The format, the elements with their counts and properties, and where the numbers start."""
+    """The format, the elements with their counts and properties, and the start of the numbers."""
     end = data.index(b"end_header")
     head = [line.split() for line in data[:end].decode("latin-1").splitlines()]
     kind = next(words[1] for words in head if words[:1] == ["format"])
@@ -173,7 +174,7 @@ def _ply_head(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]],
 
 
 def _ply_polygons(data: bytes) -> Polygons:
-    """The lists of corners of the faces, if every face of a binary file has as many."""
+    """The corner lists of the faces, if all faces of a binary file have the same number."""
     kind, elements, start = _ply_head(data)
     if kind == "ascii":
         lines = iter(line.split() for line in data[start:].decode("latin-1").splitlines())

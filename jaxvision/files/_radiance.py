@@ -1,8 +1,8 @@
 """Radiance pictures (`.hdr`): three mantissas of 8 bits and a shared exponent a pixel.
 
-A mantissa m stands for the middle of its step, (m + 1/2) 2^(e - 136), as Radiance itself reads it,
-since writers round down; an exponent of 0 is black. EXPOSURE and COLORCORR, by which the pixels
-were multiplied, are undone. Source: Ward, "Radiance File Formats", and `color.c` of Radiance.
+A mantissa m represents the middle of its step, (m + 1/2) 2^(e - 136), as in Radiance itself,
+because writers round down. An exponent of 0 is black. EXPOSURE and COLORCORR, the factors that were
+applied to the pixels, are undone. Source: Ward, "Radiance File Formats", and `color.c` of Radiance.
 """
 
 import re
@@ -21,14 +21,14 @@ _LARGEST = 1 << 30  # pixels
 
 
 def is_radiance(file: Path) -> bool:
-    """Whether a file begins as a picture of Radiance does."""
+    """Whether a file begins like a Radiance picture."""
     with file.open("rb") as stream:
         return stream.read(2) == b"#?"
 
 
 def read_radiance(file: Path) -> np.ndarray:
-    """The radiance of a picture of Radiance, (h, w, 3) float32, W m^-2 sr^-1 or relative, upright;
-    `InputError` for a file that is damaged, cut short or not Radiance, and for XYZ."""
+    """The radiance of a Radiance picture, (h, w, 3) float32, W m^-2 sr^-1 or relative, upright;
+    `InputError` for a file that is damaged, truncated or not Radiance, and for XYZ."""
     data = file.read_bytes()
     lines, at = _head(file, data)
     if b"FORMAT=32-bit_rle_xyze" in lines:
@@ -56,7 +56,7 @@ def read_radiance(file: Path) -> np.ndarray:
 
 
 def _head(file: Path, data: bytes) -> tuple[list[bytes], int]:
-    """The lines of the head, and where it ends."""
+    """The lines of the header, and its end."""
     if data[:2] != b"#?":
         raise InputError(
             f"{file}: not readable as an image (it does not begin as Radiance's); export it again "
@@ -69,7 +69,7 @@ def _head(file: Path, data: bytes) -> tuple[list[bytes], int]:
 
 
 def _applied(file: Path, lines: list[bytes]) -> np.ndarray:
-    """(3,) by which the pixels were multiplied since they were radiance."""
+    """(3,) the factors that were applied to the radiance."""
     whole = np.ones(3)
     aspect = 1.0
     for line in lines:
@@ -134,7 +134,7 @@ def _scanlines(file: Path, data: bytes, rows: int, width: int) -> np.ndarray:
 
 
 def _by_pixels(file: Path, data: bytes, count: int) -> np.ndarray:
-    """(count, 4) of pixels one after the other, some of which repeat the one before."""
+    """(count, 4) pixels in sequence, some of which repeat the previous one."""
     pixels = np.frombuffer(data[: len(data) // 4 * 4], np.uint8).reshape(-1, 4)
     repeats = np.flatnonzero((pixels[:count, :3] == 1).all(axis=1))
     if not len(repeats):

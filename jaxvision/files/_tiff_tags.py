@@ -1,4 +1,4 @@
-"""The tags of a TIFF file that its decoder uses up or leaves out. Sources: TIFF 6.0 (Adobe, 1992);
+"""Tags of a TIFF file that its decoder consumes or ignores. Sources: TIFF 6.0 (Adobe, 1992);
 BigTIFF; TIFF/EP (ISO 12234-2) for mosaics."""
 
 import struct
@@ -51,17 +51,18 @@ class TiffPicture:
         return next(iter(self.values.get(tag, ())), otherwise)
 
     def text(self, tag: int) -> str:
-        """The text of a tag, without its end."""
+        """The text of a tag, without its terminator."""
         return bytes(self.values.get(tag, ())).split(b"\0")[0].decode("latin-1")
 
     @property
     def is_copy(self) -> bool:
-        """Whether it is a smaller copy, or a mask, of another picture of the file."""
+        """Whether the picture is a smaller copy, or a mask, of another one in the file."""
         return bool(self.first(SUBFILE) & (REDUCED | MASK))
 
     @property
     def pattern(self) -> str | None:
-        """Phase of a Bayer mosaic, such as "RGGB"; None if the picture is no 2 x 2 Bayer mosaic."""
+        """Phase of a Bayer mosaic, such as "RGGB"; None if the picture is not a 2 x 2 Bayer
+        mosaic."""
         if self.first(PHOTOMETRIC) != MOSAIC or self.values.get(CFA_SIZE) != (2, 2):
             return None
         letters = "".join("RGB"[i] if i < 3 else "?" for i in self.values.get(CFA_COLOURS, ()))
@@ -69,9 +70,9 @@ class TiffPicture:
 
 
 def tiff_pictures(file: Path) -> list[TiffPicture]:
-    """The tags of all pictures of the main chain of a file, in order, each with those in its own
-    directories; none for a file that is not TIFF. A damaged chain ends where the damage is: its
-    decoder says more."""
+    """The tags of all pictures in a file's main chain, in order, with those in their
+    subdirectories; none for a file that is not TIFF. A damaged chain ends at the damage, which the
+    decoder reports in detail."""
     with file.open("rb") as stream:
         head = stream.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
@@ -96,7 +97,7 @@ def tiff_pictures(file: Path) -> list[TiffPicture]:
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the numbers of a file stand: the order of bytes, and words of 8 bytes in BigTIFF."""
+    """The binary layout of a file: byte order, and 8-byte words in BigTIFF."""
 
     order: str
     big: bool
@@ -105,7 +106,7 @@ class _Layout:
         return struct.unpack(f"{self.order}{'Q' if self.big else 'I'}", data)
 
     def directory(self, stream: BinaryIO, here: int) -> tuple[TiffPicture, int]:
-        """The tags at one place of a file, and the place of the next directory."""
+        """The tags at an offset in a file, and the offset of the next directory."""
         word, count_letter, entry = ("Q", "Q", 20) if self.big else ("I", "H", 12)
         order, at = self.order, struct.calcsize(word)
         stream.seek(here)

@@ -209,7 +209,7 @@ def _wavelengths(reading: Reading, table: Any) -> Float[Array, " bands"]:
 def _with_sensitivities(
     place: str, sensor: Mapping[str, Any], wavelengths: Float[Array, " bands"] | None
 ) -> dict[str, Any]:
-    """The table of the sensor, with numbers instead of the name of measured sensitivities."""
+    """The sensor's table, with numbers in place of the name of measured sensitivities."""
     table, colours = dict(sensor), sensor.get("colour_filter")
     if not isinstance(colours, Mapping) or "sensitivities" not in colours:
         return table

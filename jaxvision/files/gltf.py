@@ -40,7 +40,7 @@ class Gltf:
     files: dict[str, bytes] = field(default_factory=dict, repr=False, compare=False)
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
-        """An object of one of the arrays at the root ("nodes"); `InputError` if there is none."""
+        """An object from one of the arrays at the root ("nodes"); `InputError` if there is none."""
         array = self.content.get(kind, [])
         known = isinstance(array, list) and type(index) is int and 0 <= index < len(array)
         if not known or not isinstance(array[index], dict):
@@ -61,8 +61,8 @@ class Primitive:
 
 
 def read_gltf(path: str | os.PathLike[str]) -> Gltf:
-    """The JSON of a file, and the binary part of a `.glb`; other buffers are read where they are
-    used. `InputError` for a file that is not there, or not glTF 2."""
+    """The JSON of a file, and the binary part of a `.glb`; other buffers are read when needed.
+    `InputError` for a missing file and for anything but glTF 2."""
     file = Path(path)
     try:
         raw = file.read_bytes()
@@ -83,7 +83,7 @@ def read_gltf(path: str | os.PathLike[str]) -> Gltf:
 
 
 def _check_places(file: Path, content: Mapping[str, Any]) -> None:
-    """`InputError` for a node that stands at two places, or whose rotation has no axis."""
+    """`InputError` for a node with two parents, or whose rotation has no axis."""
     nodes = content.get("nodes")
     for i, node in enumerate(nodes if isinstance(nodes, list) else ()):
         if not isinstance(node, dict):
@@ -120,8 +120,8 @@ def primitive_of(file: Gltf, mesh: int, primitive: int) -> Primitive:
     """The triangles of a primitive of a mesh, both by number from 0, in the order of the file, with
     normals where it has them.
 
-    `InputError` where there is no such primitive, where it is no set of triangles, or is moved by
-    morph targets, compressed or damaged.
+    `InputError` if the primitive is missing, is not a set of triangles, or is changed by morph
+    targets, compressed or damaged.
     """
     label = f"{file.path}: meshes[{mesh}].primitives[{primitive}]"
     parts = file.item("meshes", mesh).get("primitives", [])
@@ -193,7 +193,7 @@ def _buffer(file: Gltf, index: Any) -> bytes:
 
 
 def _of(table: Mapping[Any, Value], key: Any) -> Value | None:
-    """What a table holds of a key, which may be a list that damage has put there."""
+    """The value of a key, or None if damage has put a list in place of the table."""
     return table.get(key) if isinstance(key, str | int) else None
 
 

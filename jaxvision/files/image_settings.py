@@ -78,7 +78,7 @@ class ImageSettings:
 
 
 def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
-    """Reads the head of an image file; its pixels stay unread.
+    """Read the metadata of an image file without its pixels.
 
     Args:
         path: a file that `jaxvision.read_image` reads.
@@ -103,7 +103,7 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
 
 
 def _attributes(file: Path) -> dict[str, Any]:
-    """EXIF by OpenImageIO's names, values of one number or word."""
+    """EXIF values by OpenImageIO's names, single numbers or words."""
     import OpenImageIO as oiio
 
     if (chunks := png_chunks(file)) and chunks.fault:  # of which libpng prints complaints
@@ -160,7 +160,7 @@ def _raw_settings(file: Path) -> ImageSettings:
     tags = _raw_tags(file)
 
     def said(name: str) -> Any:
-        """Of the photograph, which TIFF/EP and DNG may say in the main directory."""
+        """A value about the photograph, which TIFF/EP and DNG may store in the main directory."""
         return tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
 
     with opened_raw(file) as raw:
@@ -203,9 +203,9 @@ def _raw_settings(file: Path) -> ImageSettings:
 
 
 def _dng_blacks(file: Path) -> np.ndarray | None:
-    """Black levels of a DNG's mosaic, DN, over the rows and columns at which they begin again; None
-    of other files, and where it states none. LibRaw cuts them to whole numbers and averages those
-    along rows and columns."""
+    """Black levels of a DNG's mosaic, DN, over the rows and columns of their period; None for other
+    files, and if it states none. LibRaw truncates them to whole numbers and averages those along
+    rows and columns."""
     for page in tiff_pictures(file):
         for picture in (page, *page.inner):
             along_columns, along_rows = (
@@ -227,7 +227,7 @@ def _dng_blacks(file: Path) -> np.ndarray | None:
 
 
 def _raw_tags(file: Path) -> dict[str, Any]:
-    """EXIF by exifread's names, each its first value."""
+    """EXIF values by exifread's names, the first value of each."""
     exifread = extra("exifread", "raw", file)
     try:
         with file.open("rb") as stream:
@@ -261,8 +261,9 @@ def _fits_settings(file: Path, header: Mapping[str, Any]) -> ImageSettings:
 def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
     """Phase of the mosaic at the first pixel of the file.
 
-    BAYERPAT tells that of the upright image, from the pixel XBAYROFF, YBAYROFF on. A file of the
-    order BOTTOM-UP begins with the lowest row, of the other parity if the rows are even in number.
+    BAYERPAT is the phase of the upright image, beginning at the pixel XBAYROFF, YBAYROFF. A file of
+    the order BOTTOM-UP begins with the lowest row, which has the other parity if the number of rows
+    is even.
     """
     names = ("BAYERPAT", "COLORTYP")
     said = [str(header.get(name, "")).strip().strip("'").strip().upper() for name in names]
@@ -283,7 +284,7 @@ def _fits_pattern(file: Path, header: Mapping[str, Any]) -> str | None:
 
 
 def _is_bayer(letters: str) -> bool:
-    """Whether that is a phase of Bayer's mosaic, its greens across from each other."""
+    """Whether it is a phase of Bayer's mosaic, with its greens on a diagonal."""
     return letters in ("RGGB", "BGGR", "GRBG", "GBRG")
 
 
@@ -295,7 +296,7 @@ def _warn_of_mosaic(file: Path, name: str) -> None:
 
 
 def _number(said: Any) -> float | None:
-    """A number, of a quotient too; None where there is none."""
+    """A number, also from a quotient; None if there is none."""
     try:
         found = float(said)
     except (TypeError, ValueError, ZeroDivisionError):
@@ -327,7 +328,7 @@ def _sensitivity(file: Path, rating: Any, said: Callable[[str], Any]) -> float |
 
 
 def _seconds(time: Any, speed: Any) -> float | None:
-    """The exposure, or else 2^-speed: EXIF may hold APEX's value alone."""
+    """The exposure time, or else 2^-speed, because EXIF may contain only the APEX value."""
     value = _number(speed)
     if time is not None or value is None or abs(value) > 64:
         return _positive(time)
@@ -335,7 +336,7 @@ def _seconds(time: Any, speed: Any) -> float | None:
 
 
 def _f_number(stop: Any, aperture: Any) -> float | None:
-    """The f-number, or else 2^(aperture / 2); a lens without contacts has an aperture of 0."""
+    """The f-number, or else 2^(aperture / 2). A lens without contacts states an aperture of 0."""
     value = _positive(aperture)
     if stop is not None or value is None or value > 64:
         return _positive(stop)
@@ -343,7 +344,7 @@ def _f_number(stop: Any, aperture: Any) -> float | None:
 
 
 def _time(said: Any) -> datetime.datetime | None:
-    """A time as EXIF writes it, 2026:11:23 13:00:00, or as ISO 8601 does."""
+    """A time in EXIF's form, 2026:11:23 13:00:00, or in ISO 8601."""
     text = str(said or "").strip().strip("\0")
     try:
         return datetime.datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")

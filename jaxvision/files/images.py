@@ -1,11 +1,11 @@
 """Image files: PNG, TIFF, JPEG, EXR and Radiance HDR, NumPy arrays; and, read only, PGM, PPM, TGA,
 raw files of cameras and FITS.
 
-This is the edge of the library: eager, with NumPy in and out, through OpenImageIO, which is loaded
-on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their codes, of 1 to 16 bits
-(uint8, uint16); floating files come as float32. Changes that a decoder makes to the codes are
-undone. A warning of one sentence names contents besides one picture, or the file is refused. Every
-failure is an `InputError` of one sentence.
+This module is the edge of the library: eager, with NumPy arrays in and out, through OpenImageIO,
+which is loaded on first use. Arrays are (h, w) or (h, w, channels). Integer files keep their codes,
+of 1 to 16 bits (uint8, uint16); floating files come as float32. Changes that a decoder makes to the
+codes are undone. Contents besides one picture are named in a one-sentence warning, or the file is
+refused. Every failure is an `InputError` of one sentence.
 """
 
 import errno
@@ -69,10 +69,10 @@ _MOST_ADDED = 1 << 26  # pixels of a display window beyond those that an EXR hol
 
 @contextmanager
 def replaced_on_success(path: Path) -> Iterator[Path]:
-    """Context with a temporary path beside `path`, which replaces it only when the block ends
-    without error; missing folders are made. `InputError` if the folder cannot be written.
+    """Context with a temporary path next to `path`, which replaces it only when the block ends
+    without error; missing folders are created. `InputError` if the folder cannot be written.
 
-    So no half-written file is ever left under the final name.
+    A partial file never has the final name.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -236,7 +236,7 @@ def _read_by_openimageio(
 
 @contextmanager
 def _opened(file: Path) -> Iterator[Any]:
-    """A file as OpenImageIO gives it, alpha not multiplied into colours."""
+    """A file opened by OpenImageIO, without multiplying colours by alpha."""
     import OpenImageIO as oiio
 
     as_stored = oiio.ImageSpec()
@@ -260,7 +260,7 @@ def _opened(file: Path) -> Iterator[Any]:
 
 
 def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample: str) -> np.ndarray:
-    """(h, w, channels) of one of its pictures, in the order of `chosen`."""
+    """(h, w, channels) of one picture of the file, in the order of `chosen`."""
     first, last = min(chosen), max(chosen) + 1
     spec = source.spec(number, 0)
     wanted = "float" if sample == "half" else sample
@@ -275,7 +275,7 @@ def _pixels(file: Path, source: Any, number: int, chosen: Sequence[int], sample:
 def _place(
     file: Path, source: Any, pages: Sequence[TiffPicture], part: int | str | None
 ) -> tuple[int, str | None]:
-    """The number of the picture to read, and of the layer in it; warns of all others."""
+    """The index of the picture to read, and of the layer in it; it warns of all others."""
     titles = [f"number {i}" for i in range(len(pages))]  # of a TIFF, without reading each
     while not pages and source.seek_subimage(len(titles), 0):
         named = source.spec(len(titles), 0).get_string_attribute("oiio:subimagename")
@@ -316,7 +316,7 @@ def _listed(words: Sequence[str], most: int = 6) -> str:
 
 
 def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> None:
-    """`InputError` for what is no picture of light in rows and columns."""
+    """`InputError` for content that is not a picture of light in rows and columns."""
     inks = spec.get_string_attribute("jpeg:ColorSpace") in ("CMYK", "YCCK")
     photometric = page.first(PHOTOMETRIC, 1) if page else 1
     if inks or photometric == INKS:
@@ -334,7 +334,7 @@ def _refuse_unlike_pictures(file: Path, spec: Any, page: TiffPicture | None) -> 
 
 
 def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tuple[str, ...]]:
-    """The channels that make the picture, by their names, and what these are called."""
+    """The channels of the picture, by their names, with their meaning."""
     layers: dict[str, dict[str, int]] = {}
     for i, name in enumerate(spec.channelnames):
         above, _, own = name.rpartition(".")
@@ -384,7 +384,7 @@ def _channels(file: Path, spec: Any, layer: str | None) -> tuple[list[int], tupl
 
 
 def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
-    """The type of the samples, one that an array here can hold."""
+    """The type of the samples, as a supported array type."""
     formats = spec.channelformats or [spec.format] * spec.nchannels
     for kind in {str(formats[i]) for i in chosen}:
         if kind not in _DTYPES:
@@ -397,7 +397,7 @@ def _sample(file: Path, spec: Any, chosen: Sequence[int]) -> str:
 def _undone(
     file: Path, pixels: np.ndarray, spec: Any, chunks: PngChunks | None, page: TiffPicture | None
 ) -> np.ndarray:
-    """The codes of the file, which its decoder stretches to 8 or 16 bits."""
+    """The codes of the file, which its decoder has stretched to 8 or 16 bits."""
     if not np.issubdtype(pixels.dtype, np.integer):
         if page and page.first(PHOTOMETRIC, 1) == WHITE_IS_ZERO:
             raise InputError(f"{file}: floating numbers with white as zero; save it the other way.")
@@ -418,12 +418,13 @@ def _undone(
 
 
 def _is_grey(pixels: np.ndarray) -> bool:
-    """Whether colours of 8 bits are greys that hide nothing."""
+    """Whether 8-bit colours are greys without loss."""
     return bool((pixels[..., 3:] == 255).all() and (pixels[..., :3] == pixels[..., :1]).all())
 
 
 def _significant(file: Path, pixels: np.ndarray, bits: int, chunks: PngChunks) -> np.ndarray:
-    """The codes that a PNG's writer has stretched to the depth of the file, where sBIT says so."""
+    """The source's codes, if a PNG's writer has stretched them to the depth of the file, as sBIT
+    states."""
     if chunks.colour_type == PNG_PALETTE or all(bits == n for n in chunks.significant):
         return pixels
     source = chunks.bits
@@ -451,9 +452,9 @@ def _repeated(codes: np.ndarray, source: int, bits: int) -> np.ndarray:
 
 
 def _palette_colours(file: Path, number: int, page: TiffPicture) -> np.ndarray:
-    """(h, w, 3) colours of a TIFF's palette at its own depth, of which the decoder keeps 8 bits.
+    """(h, w, 3) colours of a TIFF's palette at full depth, of which the decoder keeps 8 bits.
 
-    The indices come from a copy of the file that calls itself grey.
+    The indices come from a copy of the file that is declared grey.
     """
     bits = page.first(BITS, 1)
     colours = np.array(page.values.get(COLOUR_MAP, ()))
@@ -519,8 +520,7 @@ def _name_unused(
 
 
 def _gdal_scaling(page: TiffPicture) -> list[str]:
-    """GDAL's metadata about the numbers of a GeoTIFF: scale, offset, and the value of missing
-    data."""
+    """GDAL's metadata of a GeoTIFF: scale, offset, and the value of missing data."""
     items = re.findall(
         r"<Item[^>]*\brole=[\"'](scale|offset)[\"'][^>]*>\s*([^<\s]+)", page.text(GDAL_WORDS)
     )
@@ -542,8 +542,8 @@ def _differs(number: str, plain: float) -> bool:
 
 
 def _display_window(file: Path, pixels: np.ndarray, spec: Any) -> np.ndarray:
-    """The picture of an EXR's display window, or of the whole that a cropped TIFF belongs to, black
-    where the file holds nothing."""
+    """The picture of an EXR's display window, or of the whole image of a cropped TIFF, black
+    outside the file's data."""
     rows, columns = spec.full_height, spec.full_width
     top, left = spec.y - spec.full_y, spec.x - spec.full_x
     height, width = pixels.shape[:2]
@@ -620,10 +620,10 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: int = 95) -> None:
-    """Writes an image file; the suffix chooses the format.
+    """Write an image file in the format of its suffix.
 
-    The file appears only when it is complete. A lossless integer file is read back to prove that
-    its depth survived.
+    The file appears only when it is complete. A lossless integer file is read back to verify its
+    depth.
 
     Args:
         path: the file. uint8 and uint16 go to PNG or TIFF at their own depth, uint8 of one or three
@@ -681,11 +681,11 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
 
 
 def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
-    """The numbers, in any unit, rounded to the precision of the file of that path; NaN and infinity
-    stay.
+    """The numbers, in any unit, rounded to the precision of the file's format; NaN and infinity are
+    kept.
 
-    `InputError` for finite numbers beyond 3.4e38, for whole numbers that float32 does not hold, and
-    where all numbers are so small, below 1e-31, that it would round them coarsely.
+    `InputError` for finite numbers above 3.4e38, for whole numbers that float32 cannot represent,
+    and if all numbers are so small, below 1e-31, that float32 would round them coarsely.
     """
     if numbers.dtype == np.float32:
         return numbers
@@ -709,7 +709,7 @@ def as_float32(path: str | os.PathLike[str], numbers: np.ndarray) -> np.ndarray:
 
 
 def _check_format(file: Path, dtype: np.dtype) -> None:
-    """`InputError` unless the file's format holds samples of this type."""
+    """`InputError` unless the file's format supports samples of this type."""
     check_utf8(file)
     suffix, kept = file.suffix.lower(), (np.uint8, np.uint16)
     fits = {
@@ -742,7 +742,7 @@ def write_exr(
 ) -> None:
     """Writes an EXR of float32 samples from blocks of rows.
 
-    The picture need never be in memory as a whole. The file appears only when it is complete.
+    The whole picture need not be in memory. The file appears only when it is complete.
 
     Args:
         path: the file.
@@ -769,7 +769,7 @@ def _write(
     attributes: Mapping[str, str | int],
     names: Sequence[str] = (),
 ) -> None:
-    """Blocks of rows, (rows, w, channels), one below the other."""
+    """Blocks of rows, (rows, w, channels), from the top."""
     import OpenImageIO as oiio
 
     height, width, channels = shape
@@ -822,7 +822,7 @@ def _read_npy(file: Path) -> np.ndarray:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The arrays of a `.npz` file, which the library writes beside records and for chains.
+    """The arrays of a `.npz` file, which the library writes next to records and for chains.
 
     Args:
         path: the file.

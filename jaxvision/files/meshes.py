@@ -1,8 +1,8 @@
 """Triangle meshes from files: OBJ, PLY, GLB, STL and the other formats that trimesh reads.
 
-Eager; trimesh (the extra `mesh`) is loaded on first use. A file of several meshes becomes one, each
-placed as in the file's scene; polygons are split into triangles that cover them. Lengths are taken
-as metres; colours, textures and materials of the file are not read. Every failure is an
+Eager; trimesh (the extra `mesh`) is loaded on first use. Several meshes in a file become one, each
+placed as in the file's scene. Polygons are divided into triangles that cover them. Lengths are
+taken as metres; colours, textures and materials of the file are not read. Every failure is an
 `InputError` of one sentence.
 """
 
@@ -44,13 +44,13 @@ def read_mesh(
     primitive: tuple[int, int] | None = None,
     dtype: str | np.dtype | None = None,
 ) -> TriangleMesh:
-    """Reads the triangles of a file, in its order.
+    """Read the triangles of a file, in order.
 
-    Points are scaled, then rotated, then moved, or mapped by `matrix`. Triangles without area in
-    the numbers of `dtype`, which no ray would hit, are left out, and a warning counts them.
+    Points are scaled, then rotated, then moved, or mapped by `matrix`. Triangles whose area
+    vanishes in `dtype`, which no ray would hit, are left out, and a warning counts them.
     Coordinates that are not finite are kept; `geometry.problems` reports them. A warning names a
-    mesh so far from the origin that `dtype` changes its triangles by more than 1 % on average, or
-    moves its vertices by more than 5e-4 of its size.
+    mesh so far from the origin that rounding to `dtype` changes its triangles by more than 1 % on
+    average, or moves its vertices by more than 5e-4 of its size.
 
     Args:
         path: the file.
@@ -106,7 +106,7 @@ def _to_world(
     position: Vector,
     matrix: Affine | None,
 ) -> np.ndarray:
-    """(4, 4), of column vectors, m."""
+    """(4, 4) matrix for column vectors, m."""
     whole = np.eye(4)
     if matrix is None:
         axes = np.eye(3) if rotation is None else np.asarray(rotation, float)
@@ -124,8 +124,8 @@ def _to_world(
 def _nonempty_triangles(
     file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
-    """The triangles with a positive area; files often hold some without. A warning tells what
-    rounding took from those of the file, whose vertices are exact."""
+    """The triangles with a positive area; files often hold some without. A warning reports
+    triangles lost by rounding, since the file's vertices are exact."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
         raise InputError(
@@ -148,7 +148,7 @@ def _nonempty_triangles(
 
 
 def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: np.ndarray) -> None:
-    """Warns of a mesh far from the origin, whose triangles or whole rounding changes."""
+    """Warn of a mesh far from the origin, whose triangles or position rounding changes."""
     before, after = (
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         for corners in (exact[faces], vertices[faces].astype(float))
@@ -169,7 +169,7 @@ def _check_rounding(file: Path, vertices: np.ndarray, exact: np.ndarray, faces: 
 
 
 def _primitive(file: Path, mesh: int, primitive: int):
-    """The same of one primitive of a glTF file."""
+    """The mesh of one primitive of a glTF file."""
     part = primitive_of(_gltf(file, file.stat().st_mtime_ns), mesh, primitive)
     return _trimesh(file).Trimesh(
         part.vertices, part.faces, vertex_normals=part.normals, process=False, validate=False
@@ -178,7 +178,7 @@ def _primitive(file: Path, mesh: int, primitive: int):
 
 @lru_cache(maxsize=1)
 def _gltf(file: Path, _changed: int) -> Gltf:
-    """The file as it was last changed, kept for its next primitive."""
+    """The file at its last modification time, cached for its next primitive."""
     return read_gltf(file)
 
 
@@ -194,7 +194,7 @@ def _trimesh(file: Path):
 
 
 def _load(file: Path):
-    """One trimesh mesh, its vertices merged only where the file shares them."""
+    """One trimesh mesh; vertices are merged only if the file shares them."""
     trimesh = _trimesh(file)
     from trimesh.exchange.load import mesh_formats
 
@@ -230,7 +230,7 @@ _MARK = b"\xef\xbb\xbf"  # of byte order, before text in UTF-8
 
 
 def _source(file: Path) -> dict[str, Any]:
-    """What trimesh reads: the file, or a copy without what trimesh reads in a wrong way."""
+    """The input for trimesh: the file, or a copy without the parts that trimesh misreads."""
     suffix, data = file.suffix.lower(), file.read_bytes()
     plain = data
     if suffix == ".obj":
@@ -260,7 +260,7 @@ def _source(file: Path) -> dict[str, Any]:
 
 
 def _cut_polygons(file: Path, mesh):
-    """The mesh of a PLY or OFF file whose polygons are cut so that they cover what they enclose."""
+    """The mesh of a PLY or OFF file with its polygons correctly divided."""
     polygons = polygons_of(file) if file.suffix.lower() in (".ply", ".off") else None
     if polygons is None or max(one.max() for one in polygons) >= len(mesh.vertices):
         return mesh
@@ -280,7 +280,7 @@ def _cut_polygons(file: Path, mesh):
 
 
 def _content_fault(file: Path) -> str | None:
-    """Why a reader of trimesh failed, as far as the content tells."""
+    """The cause of a trimesh reader's failure, from the content."""
     data = file.read_bytes()
     match file.suffix.lower():
         case ".stl" if len(data) >= 84:
@@ -295,7 +295,7 @@ def _content_fault(file: Path) -> str | None:
 
 
 def _error_in_words(error: Exception) -> str:
-    """Why a reader of trimesh failed, as far as the kind of the error tells."""
+    """The cause of a trimesh reader's failure, from the type of the error."""
     match error:
         case UnicodeError() | ModuleNotFoundError(name="charset_normalizer"):
             return "it holds bytes that are not text where its format has text"

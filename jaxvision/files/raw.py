@@ -1,5 +1,5 @@
-"""Files as cameras for measurement write them: raw files (DNG, CR2, NEF, ARW, ...) by rawpy, and
-FITS by astropy, each an extra of the package that is loaded on first use."""
+"""Raw files of cameras (DNG, CR2, NEF, ARW, ...) by rawpy, and FITS files by astropy; each is an
+extra that is loaded on first use."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -20,8 +20,9 @@ FITS_FORMATS = (".fits", ".fit", ".fts")
 def read_raw(file: Path) -> np.ndarray:
     """The numbers of a raw file as LibRaw decodes them, before black level and demosaicing.
 
-    A camera that stores a curve (a DNG's linearisation table, Nikon's and Sony's compressed files)
-    stores other numbers: LibRaw undoes the curve, and these are linear in the light.
+    If a camera stores curved numbers (a DNG's linearisation table, Nikon's and Sony's compressed
+    files), LibRaw undoes the curve, and the result is linear in the light. LibRaw undoes the curve,
+    and these are linear in the light.
 
     Args:
         file: of a sensor with one colour a pixel, or none.
@@ -56,8 +57,8 @@ def read_raw(file: Path) -> np.ndarray:
 
 @contextmanager
 def opened_raw(file: Path) -> Iterator[Any]:
-    """Context with a raw file as a `rawpy.RawPy`; `InputError` for one that it cannot read, also
-    within the context, where it reads the pixels, and without the `raw` extra."""
+    """Context with a raw file as a `rawpy.RawPy`. `InputError` for an unreadable file, also while
+    its pixels are read inside the context, and without the `raw` extra."""
     rawpy = extra("rawpy", "raw", file)
     try:
         with rawpy.imread(str(file)) as raw:
@@ -125,8 +126,9 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
 @contextmanager
 def opened_fits(file: Path) -> Iterator[Any]:
-    """Context with a FITS file as an `astropy.io.fits.HDUList`; `InputError` for one that it cannot
-    read, also within the context, where it reads heads and pixels, and without the `fits` extra."""
+    """Context with a FITS file as an `astropy.io.fits.HDUList`. `InputError` for an unreadable
+    file, also while headers and pixels are read inside the context, and without the `fits`
+    extra."""
     fits = extra("astropy.io.fits", "fits", file)
     try:
         with fits.open(file, memmap=False) as units:
@@ -139,8 +141,8 @@ def opened_fits(file: Path) -> Iterator[Any]:
 
 
 def fits_header(file: Path) -> dict[str, Any]:
-    """Values by the keywords of the first image of a FITS file, and of the file's first unit;
-    `InputError` as of `read_fits`."""
+    """Values by keyword for the first image of a FITS file and for the file's first unit;
+    `InputError` as from `read_fits`."""
     extra("astropy.io.fits", "fits", file)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `read_fits` says what they are
@@ -167,7 +169,7 @@ def _holds_image(unit: Any) -> bool:
 
 
 def _other_units(units: Any, image: Any) -> list[str]:
-    """Describe the other units with data, in words."""
+    """The other units with data, in words."""
     return [
         f"unit {i}{f' ({unit.name})' if unit.name else ''}"
         for i, unit in enumerate(units)
@@ -181,8 +183,8 @@ def _listed(words: Sequence[str], most: int = 6) -> str:
 
 
 def extra(module: str, name: str, file: Path) -> Any:
-    """A module that an extra of the package, `name`, brings; `InputError`, which names the file
-    that needs it, if it is not installed."""
+    """The module of the extra `name`; if it is not installed, an `InputError` names the file that
+    needs it."""
     try:
         return import_module(module)
     except ImportError as error:

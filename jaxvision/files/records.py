@@ -1,8 +1,8 @@
-"""Records as TOML files: one table for each record, its keys the record's fields.
+"""Records as TOML files: one table for each record, with the record's fields as keys.
 
-Numbers are written to the last digit, so that a record comes back bit-equal. Draws of a fitted
-record lie beside its file as `.npz`: under each number's path (`.sensor.gain`) an array with a
-leading axis, of those numbers that differ from draw to draw.
+Numbers are written with all digits, so that a record is read back bit-equal. Draws of a fitted
+record are stored next to its file as `.npz`. Each number that differs between draws has an array
+with a leading axis, under its path (`.sensor.gain`).
 """
 
 import os
@@ -77,7 +77,7 @@ def table_of(record: eqx.Module) -> dict[str, Any]:
 
 
 def draws_beside(file: Path) -> int:
-    """How many draws are stored with the file of a record; 0 for none."""
+    """The number of draws stored with the file of a record; 0 for none."""
     beside = _beside(file)
     if not beside.is_file():
         return 0
@@ -195,7 +195,7 @@ def record_of(
     reading: Reading, where: str, make: Callable[..., Any], table: Mapping[str, Any]
 ) -> Any:
     """A record, by its class or by the function that makes it, from the table of values at `where`;
-    tables within it become records too. `InputError` for an unknown or a missing key, and a value
+    nested tables become records too. `InputError` for an unknown or missing key, and for a value
     out of range."""
     values = values_of(reading, where, keys_of(make), table)
     try:
@@ -260,7 +260,7 @@ _PLAIN = {bool: "true or false", str: "text", int: "a whole number"}
 
 
 def chosen(reading: Reading, where: str, value: Any, words: Iterable[str]) -> str:
-    """A word at the key `where`, of those that are known; else `InputError` with the nearest."""
+    """A word at the key `where` that must be a known one; else `InputError` with the nearest."""
     if not isinstance(value, str) or value not in words:
         hint = nearest(str(value), words)
         raise InputError(f"{reading.place}: {where} = {in_short(value)} is unknown; {hint}.")
@@ -274,7 +274,7 @@ def _wrong(reading: Reading, where: str, value: Any, what: str) -> InputError:
 def _chosen_record(
     reading: Reading, where: str, hints: tuple[Any, ...], table: Mapping[str, Any]
 ) -> Any:
-    """The record of a field: the only kind possible, or the one that the key `kind` names."""
+    """The record of a field: the only possible kind, or the one that the key `kind` names."""
     kinds = {k.__name__: k for kind in hints if is_record(kind) for k in _kinds_of(kind)}
     if not kinds:
         raise InputError(
@@ -292,13 +292,13 @@ def _chosen_record(
 
 
 def _kinds_of(base: type) -> list[type]:
-    """The records that a field of a base may hold: all of its kinds, those from outside too."""
+    """The records that a field of a base class may have, including registered ones."""
     own = [kind for below in base.__subclasses__() for kind in _kinds_of(below)]
     return own or [base]
 
 
 def is_record(kind: Any) -> bool:
-    """Whether a type is that of a record."""
+    """Whether a type is a record."""
     return isinstance(kind, type) and issubclass(kind, eqx.Module)
 
 
@@ -325,7 +325,7 @@ def _listed(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
 
 
 def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) -> Any:
-    """A number, or lists of them as an array, in the range that an annotation states."""
+    """A number, or nested lists as an array, in the range of the annotation."""
     array = np.asarray(value, dtype=None if not isinstance(value, list) else object)
 
     def place(number: int) -> str:
@@ -365,7 +365,7 @@ def _number(reading: Reading, where: str, hints: tuple[Any, ...], value: Any) ->
 
 
 def _check_ranges(where: str, numbers: Any, hints: tuple[Any, ...]) -> None:
-    """`ValueError` unless numbers are in the range that an annotation states."""
+    """`ValueError` unless numbers are in the range of the annotation."""
     stated = [x for hint in hints for x in getattr(hint, "__metadata__", ())]
     for allowed in [x for x in stated if isinstance(x, Range)][:1]:
         check_range(where, numbers, **allowed._asdict())
@@ -379,8 +379,7 @@ def _in_range(reading: Reading, where: str, number: Any, hints: tuple[Any, ...])
 
 
 def check_keys(reading: Reading, where: str, table: Mapping[str, Any], known: Any) -> None:
-    """`InputError` for keys that the table at `where` does not have, with the nearest of all known
-    names."""
+    """`InputError` for unknown keys in the table at `where`, with the nearest known name."""
     for key in table:
         if key not in known:
             name = f"{where}.{key}".lstrip(".")

@@ -1,7 +1,7 @@
-"""TOML files with a schema: read, checked, and each mistake reported in one sentence.
+"""TOML files with a schema: each mistake is reported in one sentence.
 
 A sentence names the file, the table with its own `name`, and the key; for a misspelt key or word it
-suggests the nearest known one. The models of a schema are its documentation.
+suggests the nearest known one. The models of a schema document it.
 """
 
 import os
@@ -36,7 +36,7 @@ class Entry(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Signatures and `help` say `float`; its range stands with the attributes."""
+        """Signatures and `help` show `float`; the range is in the attributes' documentation."""
         plain = get_type_hints(cls)
         whole = signature(cls)
         said = [x.replace(annotation=plain[x.name]) for x in whole.parameters.values()]
@@ -84,7 +84,7 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
 
 
 def _line_of(error: ValueError, text: str) -> str:
-    """The line of a text at which the parser stopped; none is empty."""
+    """The line at which the parser stopped; empty if unknown."""
     found = re.search(r"at line (\d+)", str(error))
     return text.splitlines()[int(found[1]) - 1] if found else ""
 
@@ -159,8 +159,8 @@ def _short(value: Any) -> str:
 
 
 def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) -> str:
-    """`surface "left wall".corner`: the path through the content, without what only names a member
-    of a union."""
+    """A location such as `surface "left wall".corner`, without parts that only name a member of a
+    union."""
     place, node = "", content
     for part in loc:
         if isinstance(node, list) and isinstance(part, int) and part < len(node):
@@ -177,14 +177,14 @@ def _place(loc: tuple[int | str, ...], content: Any, missing: bool, first: int) 
 
 
 def _as_called(place: str, called: Mapping[str, str]) -> str:
-    """`exposures[0]` for `flat[0].exposure`, where that is what a list is called."""
+    """`exposures[0]` in place of `flat[0].exposure`, if the list has that name."""
     within = re.match(r"(\w+)(\[\d+\])\.(\w+)", place)
     name = called.get(f"{within[1]}.{within[3]}") if within else None
     return f"{name}{within[2]}{place[within.end() :]}" if within and name else place
 
 
 def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:
-    """The keys of the table at that location; its parts are keys and numbers of an array."""
+    """The keys of the table at a location, which consists of keys and array indices."""
     models = [schema]
     for part in loc:
         within = [m.model_fields[part].annotation for m in models if part in m.model_fields]
@@ -193,7 +193,7 @@ def _known_keys(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
-    """The models that an annotation, a union or a tuple of them, holds."""
+    """The models inside an annotation, a union or a tuple."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]

@@ -1,7 +1,7 @@
 """Filters of pictures: linear filters with any kernel, at any border, with gradients with respect
 to picture and kernel; shift-variant filters; filters as matrices; and non-linear filters.
 
-Every name is loaded when it is first used, and scipy with the matrix forms only.
+Every name is loaded at first use, and scipy only with the matrix forms.
 """
 
 from ..core.lazy_names import names_of

@@ -1,9 +1,9 @@
 """Correlation as a primitive that JAX differentiates as a bilinear function: linear in the image
 and linear in the kernel.
 
-Its transpose is a correlation again, with the turned kernel and by the same method, seven times
-faster than the transpose of the single shifts; being linear, it has forward and reverse derivatives
-of any order. Images (n, h, w, c) and kernels (kh, kw, c) or (kh, kw, 1) of one dtype, in any unit.
+Its transpose is a correlation with the rotated kernel by the same method, seven times faster than
+the transpose of single shifts. It has forward and reverse derivatives of any order. Images (n, h,
+w, c) and kernels (kh, kw, c) or (kh, kw, 1) of one dtype, in any unit.
 """
 
 from collections.abc import Callable
@@ -31,8 +31,8 @@ def _implementation(
 def _image_transpose(
     cotangent: Any, image: Any, kernel: Kernel, *, anchor: Anchor, border: str, method: str
 ) -> Result:
-    """Correlation with the rotated kernel reaches back to every pixel that was read, and the ghosts
-    among them give what they got to the pixels that they stood for."""
+    """Correlation with the rotated kernel reaches every pixel that was read. Pixels beyond the
+    border pass their share to the pixels that they copy."""
     shape, dtype = image.aval.shape, image.aval.dtype
     kh, kw = kernel.shape[:2]
     turned, across = kernel[::-1, ::-1], (kh - 1 - anchor[0], kw - 1 - anchor[1])
@@ -70,7 +70,7 @@ def _kernel_transpose(
 def _batched(
     arguments: tuple[Array, Array], axes: tuple[Any, Any], **options: Any
 ) -> tuple[Array, int]:
-    """A batch of images is one longer stack; a batch of kernels takes the place of more bands."""
+    """A batch of images becomes one longer stack, and a batch of kernels further bands."""
     image, kernel = arguments
     image_axis, kernel_axis = axes
     if kernel_axis is None:

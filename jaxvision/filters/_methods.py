@@ -1,8 +1,8 @@
-"""Three ways to one number: g[p] = sum over i of k[i] f[p + i - anchor], on stacks of images.
+"""Three methods for the same sum, g[p] = sum over i of k[i] f[p + i - anchor], on stacks of images.
 
-Images are (n, h, w, c), kernels (kh, kw, c), or (kh, kw, 1) for all bands alike. A border is "none"
-(only whole windows: h - kh + 1 rows), or one that `padding.ghosts` knows; the result is then
-(n, h, w, c). Values in any unit.
+Images are (n, h, w, c) and kernels (kh, kw, c), or (kh, kw, 1) for all bands. A border is "none"
+(only complete windows: h - kh + 1 rows), or one that `padding.ghosts` knows, with a result of (n,
+h, w, c). Values in any unit.
 """
 
 from functools import partial
@@ -45,7 +45,8 @@ def padded(image: Stack, size: tuple[int, ...], anchor: Anchor, border: str) -> 
 
 
 def by_conv(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
-    """`lax.conv_general_dilated`: planes as a batch where bands share a kernel, else as groups."""
+    """`lax.conv_general_dilated`, with planes as a batch if bands share a kernel, else as
+    groups."""
     wide, bands = padded(image, kernel.shape[:2], anchor, border), image.shape[-1]
     shared = kernel.shape[-1] == 1
     if shared:
@@ -118,7 +119,7 @@ def by_fft(image: Stack, kernel: Kernel, anchor: Anchor, border: str) -> Result:
 
 
 def _places(border: str, n: int, taps: int, anchor: int) -> np.ndarray:
-    """The sample at each place along a padded axis, n where there is none."""
+    """The source index of each position along a padded axis, n if there is none."""
     source, own, *_ = ghosts(border, n, anchor, taps - 1 - anchor)
     return np.where(own == 0, n, source)
 
@@ -142,7 +143,7 @@ def _range(image: Stack, k: Planes) -> tuple[Planes, Planes, Planes]:
 
 
 def _least(rms: Planes, largest: Planes, k: Planes) -> Planes:
-    """The least sums that one transform gets right, (n, c, 1, 1)."""
+    """The smallest sums that a single transform computes accurately, (n, c, 1, 1)."""
     return _rounding(rms, largest, k) / _RIGHT[k.dtype.itemsize]
 
 
@@ -188,8 +189,9 @@ def _in_tiles(
 
 
 def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
-    """The correlation of one plane, of one range of magnitudes after the other: what a range does
-    not reach gets none of its rounding, and NaN and infinity stay within their windows."""
+    """The correlation of one plane, computed separately for ranges of magnitudes: pixels that a
+    range does not reach get none of its rounding errors, and NaN and infinity stay within their
+    windows."""
     with jax.enable_x64(True):
         wide = spectrum.real.dtype
         finite, weights = (jnp.where(jnp.isfinite(x), x, 0).astype(wide) for x in (f, k))
@@ -218,7 +220,7 @@ def _sum_magnitudes(f: Planes, k: Planes, spectrum: Array) -> Planes:
 
 
 def _with_unknown(total: Planes, f: Planes, k: Planes) -> Planes:
-    """The sums of the finite values, and what NaN and infinity in their windows make of them."""
+    """The sums of the finite values, with NaN and infinity where they are in the window."""
     single = jnp.float32
 
     def count(values: Planes, weights: Planes) -> Planes:
@@ -234,7 +236,7 @@ def _with_unknown(total: Planes, f: Planes, k: Planes) -> Planes:
 
 
 def _spectrum(k: Planes, size: tuple[int, ...], dtype: DTypeLike) -> Array:
-    """The transform of the kernel for planes of a size (..., h, w), in one precision."""
+    """The transform of the kernel for planes of size (..., h, w), in one precision."""
     with jax.enable_x64(True):
         lengths = _fast_length(size[-2]), _fast_length(size[-1])
         return jnp.conj(jnp.fft.rfft2(k.astype(dtype), lengths))
@@ -242,7 +244,7 @@ def _spectrum(k: Planes, size: tuple[int, ...], dtype: DTypeLike) -> Array:
 
 def _transformed(f: Planes, spectrum: Array) -> Planes:
     """Return the sums by Fourier transforms in the spectrum's precision, with the length of the
-    transforms. The sums of whole windows come first, and the rest is meaningless."""
+    transforms. The sums of complete windows come first, and the rest is meaningless."""
     with jax.enable_x64(True):
         lengths = _fast_length(f.shape[2]), _fast_length(f.shape[3])
         product = jnp.fft.rfft2(f.astype(spectrum.real.dtype), lengths) * spectrum
@@ -250,8 +252,8 @@ def _transformed(f: Planes, spectrum: Array) -> Planes:
 
 
 def _rounding(rms: Array, largest: Array, k: Planes) -> Planes:
-    """The rounding of a correlation by transforms: the most that was found for pictures from 60 x
-    60 to 1100 x 700, beyond a few units in the last place of each sum."""
+    """The rounding error of a correlation by transforms, in addition to a few ULP of each sum: the
+    largest found for pictures from 60 x 60 to 1100 x 700."""
     own = jnp.sqrt(jnp.square(k).sum((2, 3), keepdims=True))
     return jnp.finfo(k.dtype).eps * (8 * rms * _sum(k) + 2 * largest * own)
 
@@ -261,13 +263,13 @@ def _sum(k: Planes) -> Planes:
 
 
 def _widest() -> np.dtype:
-    """The widest floating numbers that transforms take on the machine."""
+    """The widest floating type for transforms on this machine."""
     double = on_processor() or jax.default_backend() == "gpu"
     return np.dtype(np.float64 if double else np.float32)
 
 
 def _fast_length(n: int) -> int:
-    """The next product of 2, 3, 5 and 7."""
+    """The next length that is a product of 2, 3, 5 and 7."""
     while True:
         rest = n
         for prime in (2, 3, 5, 7):

@@ -1,6 +1,6 @@
-"""The weighted mean that bilateral and non-local means share: row of neighbours by row.
+"""The weighted mean of bilateral and non-local means filters, accumulated over rows of neighbours.
 
-A band is an array of its own here, since vector code is slow over a trailing axis of three.
+Each band is its own array here, because vector code is slow over a trailing axis of three.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ Planes = tuple[Plane, ...]
 
 
 def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
-    """The bands of a picture, and the way back."""
+    """The bands of a picture, and the inverse function."""
     stack, restore = as_planes(picture)
     planes = tuple(stack[..., band] for band in range(stack.shape[-1]))
     return planes, lambda bands: restore(jnp.stack(bands, axis=-1))
@@ -35,7 +35,7 @@ def planes_of(picture: AnyPicture) -> tuple[Planes, Callable[[Planes], Floats]]:
 def in_its_unit(
     guide: Planes, *sizes: float | Scalars, dtype: DTypeLike
 ) -> tuple[Planes, tuple[Scalars, ...]]:
-    """A guide and sizes in its unit, both divided by one power of two: no bound on a size then
+    """A guide and sizes in its unit, both divided by one power of two, so that no bound on a size
     depends on the unit of light."""
     unit = binary_unit(jnp.stack(guide))
     scaled = tuple(jnp.asarray(size, dtype) / unit.astype(dtype) for size in sizes)
@@ -61,11 +61,11 @@ def weighted_mean(
     """sum w f / sum w over the square of neighbours up to `radius` away.
 
     `weight_of(change, dy, dx)` gets guide(p + (dy, dx)) - guide(p), on the picture and `margin`
-    pixels around it. `taken(dy, dx)`: whether that neighbour takes part (None: all do). With the
-    border "normalised_zero" neighbours outside the picture take no part.
+    pixels around it. `taken(dy, dx)`: whether that neighbour counts (None: all do). With the border
+    "normalised_zero", neighbours outside the picture do not count.
 
-    Nothing of a neighbour is kept for the backward pass, which computes it anew: a gradient needs
-    the memory of one row of neighbours, not of the square.
+    The backward pass recomputes each neighbour instead of storing it, so a gradient needs the
+    memory of one row of neighbours, not of the square.
     """
     zero = jnp.zeros_like(values[0])
     height, width = zero.shape[1:]

@@ -1,8 +1,8 @@
-"""Where every linear filter of this room ends: a kernel as a sum of terms, each a product of
+"""Common implementation of every linear filter here: a kernel as a sum of terms, each a product of
 passes, applied to a picture at a border.
 
-One compiled program for each kind of picture and each `Settings`; the numbers of the kernel and of
-the fill are free.
+One program is compiled for each kind of picture and each `Settings`. The kernel's numbers and the
+fill are traced.
 """
 
 from functools import partial, reduce
@@ -40,8 +40,8 @@ Terms = tuple[AnyKernel | Separable, ...]
 
 
 class Settings(NamedTuple):
-    """The static choices, one program for each. `method`: a key of `_methods.METHODS` for the
-    product of a term's passes, or "separable" for one pass after the other."""
+    """The static choices, with one program for each. `method`: a key of `_methods.METHODS` for the
+    product of a term's passes, or "separable" for sequential passes."""
 
     anchor: Anchor
     border: str
@@ -84,7 +84,7 @@ def _filtered(picture: Picture, terms: Terms, fill: Fill, settings: Settings) ->
 
 
 def _passes(term: AnyKernel | Separable, dtype: np.dtype) -> tuple[Kernel, ...]:
-    """The kernels of a term, one after the other: (kh, kw, bands) or (kh, kw, 1)."""
+    """The kernels of a term in sequence, (kh, kw, bands) or (kh, kw, 1)."""
     if isinstance(term, Separable):
         column, row = (jnp.asarray(taps, dtype) for taps in term)
         return column.reshape(len(column), 1, -1), row.reshape(1, len(row), -1)

@@ -1,5 +1,5 @@
 """The bilateral filter (Tomasi & Manduchi, ICCV 1998) and the joint one (Petschnigg et al.;
-Eisemann & Durand, SIGGRAPH 2004), by their definition, which weighs every neighbour:
+Eisemann & Durand, SIGGRAPH 2004), by their definition, with a weight for every neighbour:
 
     g(p) = sum_q w f(q) / sum_q w,
     w = exp(-|p - q|^2 / (2 sigma_space^2)) exp(-d(p, q)^2 / (2 sigma_range^2)),
@@ -42,10 +42,10 @@ def bilateral_filter(
     difference: str = "euclidean",
     border: str = "mirror",
 ) -> Floats:
-    """Smooths within regions, not across edges.
+    """Smooth a picture within regions, but not across edges.
 
-    A sigma of 0 or below means the limit: the pixel itself, or equal colours only. NaN spreads to
-    every window that holds it.
+    A sigma of 0 or below means the limit: only the pixel itself, or only equal colours. NaN spreads
+    to every window that contains it.
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.

@@ -75,10 +75,10 @@ def correlate(
 ) -> Filtered:
     """Correlation with a kernel: g[p] = sum over i of kernel[i] f[p + i - anchor].
 
-    The kernel lies on the picture as it is written. Without an anchor its entry (kh // 2, kw // 2)
-    lies on the pixel: the second of the two middle rows or columns of an even kernel. A kernel may
-    be larger than the picture. It then reads on beyond the border as far as it reaches, where
-    "wrap", "mirror" and "reflect_101" repeat themselves and "extend" goes on along its line.
+    The kernel is not rotated. Without an anchor its entry (kh // 2, kw // 2) lies on the pixel: the
+    second of the two middle rows or columns of an even kernel. A kernel may be larger than the
+    picture. It then reads beyond the border as far as it extends: "wrap", "mirror" and
+    "reflect_101" repeat themselves, and "extend" continues along its line.
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
@@ -125,7 +125,7 @@ def convolve(
 ) -> Filtered:
     """Convolution with a kernel: g[p] = sum over i of kernel[i] f[p - i + anchor].
 
-    Each pixel spreads into a copy of the kernel, which is the response to an impulse.
+    Each pixel spreads into a copy of the kernel, which is the impulse response.
 
     Args:
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
@@ -173,7 +173,7 @@ def correlate_separable(
 ) -> Filtered:
     """Correlation with the kernel column[i] row[j]: first down the columns, then along the rows.
 
-    That takes kh + kw products a pixel instead of kh kw.
+    That takes kh + kw products per pixel instead of kh kw.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -223,8 +223,8 @@ def summed(
     border: str = "mirror",
     method: str = "auto",
 ) -> tuple[Terms, Settings]:
-    """What `filtered` needs to sum a kernel, no unit, in the best way, chosen by its numbers where
-    they are known. `ValueError` as for `correlate`."""
+    """The data that `filtered` needs to sum a kernel, no unit, in the best way for its numbers, if
+    these are known. `ValueError` as from `correlate`."""
     size = _size(kernel)
     if kernel.ndim == 3:
         _check_bands(kernel.shape[2], picture)
@@ -274,7 +274,7 @@ def _keeps_digits(kernel: AnyKernel, u: np.ndarray, s: np.ndarray, v: np.ndarray
 
 def _singular(kernel: AnyKernel, picture: Picture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """u (bands, kh, rank), s (bands, rank) and v (bands, rank, kw): the singular values of each
-    band's kernel that the picture's dtype can tell from 0."""
+    band's kernel above the rounding error of the picture's dtype."""
     planes = np.asarray(kernel, np.float64)
     planes = planes[None] if planes.ndim == 2 else np.moveaxis(planes, -1, 0)
     u, s, v = np.linalg.svd(planes, full_matrices=False)
@@ -290,7 +290,7 @@ def _factored(kernel: AnyKernel, picture: Picture) -> Terms:
 
 
 def _is_signal(picture: Picture, kernel: AnyKernel) -> bool:
-    """Whether both have one axis; `ValueError` where only the picture has."""
+    """Whether both have one axis; `ValueError` if only the picture has."""
     if picture.ndim == 1 and kernel.ndim != 1:
         raise ValueError(
             "a picture is (h, w) or (..., h, w, bands), and a signal (n,) takes a kernel (k,), got "
@@ -313,7 +313,7 @@ def _check_bands(given: int, picture: Picture) -> None:
 
 
 def _anchor(anchor: Sequence[int] | None, size: tuple[int, int]) -> Anchor:
-    """The anchor in a kernel of that size, by default its middle. `ValueError` outside it."""
+    """The anchor in a kernel of that size, by default its centre. `ValueError` outside it."""
     if anchor is None:
         return size[0] // 2, size[1] // 2
     if len(anchor) != 2 or not all(0 <= a < n for a, n in zip(anchor, size, strict=True)):
@@ -331,5 +331,5 @@ def _check_weighs(border: str, *, of: str) -> None:
 
 
 def _as_array(x: Any) -> Any:
-    """Lists become arrays; an array, traced or not, stays as it is."""
+    """An array from a list; an array, traced or not, is unchanged."""
     return x if hasattr(x, "dtype") else np.asarray(x)

@@ -1,7 +1,7 @@
-"""Slopes and curvatures of pictures, in the picture's unit per pixel.
+"""First and second derivatives of pictures, in the picture's unit per pixel.
 
-x points right and y points down, as columns and rows are counted. Away from the border all are
-exact for parabolas. Pictures, borders and methods as in `convolution`, except that the border
+x points right and y points down, like columns and rows. Away from the border all are exact for
+parabolas. Pictures, borders and methods as in `convolution`, except that the border
 "normalised_zero" is a `ValueError`: the weights of a derivative have sum 0.
 """
 
@@ -37,7 +37,7 @@ def derivative(
 ) -> Gradient:
     """First differences along both axes.
 
-    For smoother ones take `gaussian` with an order.
+    For smoother ones use `gaussian` with an order.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.

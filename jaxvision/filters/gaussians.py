@@ -1,12 +1,12 @@
 """The Gaussian and its derivatives.
 
-`sigma`, in pixels, may be traced. The caller then gives the size of the kernel, since that is the
-shape of an array. A sigma below 0.01 pixel counts as 0.01, where the sampled Gaussian is an impulse
-in either precision. `sampling` defines the weights. "sampled" is the function at the pixel's
-centre, as in scipy and OpenCV. "integrated" is its mean over the pixel. For a narrow Gaussian of
-sigma 0.5 the variance of the first is 0.035 square pixels too small. The variance of the second is
-larger by the pixel's own 1/12, to 0.01. The kernel is cut off at `truncate` sigmas and rescaled to
-sum 1. `truncate` sets the accuracy.
+`sigma`, in pixels, may be traced. The caller must then give the size of the kernel, because it is
+the shape of an array. A sigma below 0.01 pixel counts as 0.01, where the sampled Gaussian is an
+impulse in either precision. `sampling` defines the weights. "sampled" is the function at the
+pixel's centre, as in scipy and OpenCV. "integrated" is its mean over the pixel. For a narrow
+Gaussian of sigma 0.5 the variance of the first is 0.035 square pixels too small. The variance of
+the second is larger by the pixel's own 1/12, to 0.01. The kernel is cut off at `truncate` sigmas
+and rescaled to sum 1. `truncate` sets the accuracy.
 
 Derivatives need a sigma of at least 0.7, because narrower kernels are not resolved by the pixels.
 For a ramp of slope 1, the first order gives 0.085, 0.860 and 0.998 at sigma 0.3, 0.5 and 0.7 with
@@ -52,7 +52,7 @@ def gaussian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The picture under a Gaussian, or under a derivative of it.
+    """A picture convolved with a Gaussian or a derivative of it.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -104,10 +104,10 @@ def laplacian_of_gaussian(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The sum of both second derivatives of the picture under a Gaussian.
+    """The sum of both second derivatives of a Gaussian, applied to a picture.
 
-    Times sigma^2 it does not depend on scale. Below a sigma of 0.7 pixels take "integrated", which
-    gives 0 for a flat picture.
+    Multiplied by sigma^2 it is independent of scale. Below a sigma of 0.7 pixels use "integrated",
+    which gives 0 for a flat picture.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -139,7 +139,7 @@ def gaussian_kernel(
     """The weights of a Gaussian, or of its derivative, about the middle of the kernel.
 
     Those of order n are those of order 0 times He_n(x / sigma) / sigma^n: the derivative as a
-    kernel of correlation.
+    correlation kernel.
 
     Args:
         sigma: () in pixels; below 0.01 it counts as 0.01.
@@ -176,7 +176,7 @@ def _gaussian(
     border: str,
     method: str,
 ) -> Filtered:
-    """One program for the kernels and the filter. `weights`: size, order and sampling."""
+    """One program for kernels and filter. `weights`: size, order and sampling."""
     size, order, sampling = weights
     column, row = (
         gaussian_kernel(s, size=size, order=n, sampling=sampling)
@@ -200,8 +200,8 @@ def _density(x: Float[Array, "..."], sigma: Scalar, order: int) -> Float[Array, 
 
 
 def _integral(x: Float[Array, " taps"], sigma: Scalar, order: int) -> Float[Array, " taps"]:
-    """The density's integral over the pixel at each x: eight Gauss-Legendre nodes where it is
-    smooth in a pixel (17 digits), else the difference of its primitive, which loses no digits
+    """The density's integral over the pixel at each x. Where it is smooth within a pixel it uses
+    eight Gauss-Legendre nodes (17 digits), else the difference of its primitive, which is accurate
     there."""
     nodes, weights = leggauss(8)
     smooth = sigma > 1

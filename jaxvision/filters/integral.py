@@ -1,14 +1,14 @@
 """Integral images (Crow 1984; Viola & Jones 2001): the sum over any box from four entries.
 
-Exclusive, as in OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns < j, so
-there is one more row and column than pixels, and the first of each is 0. The inclusive convention
-(scikit-image's `integral_image`) leaves these out: its entry (i, j) is our (i + 1, j + 1).
+They are exclusive, as in OpenCV's `integral`: entry (i, j) is the sum over rows < i and columns <
+j. There is one more row and column than pixels, and the first of each is 0. The inclusive
+convention (scikit-image's `integral_image`) omits these: its entry (i, j) is our (i + 1, j + 1).
 
-Sums are in the unit of the image (relative values or DN). Each is carried as an unevaluated pair
-high + low (Dekker 1971), so that a small box in a large float32 image keeps its digits: beyond the
-rounding of its own sum it errs by some 2^-46 (float64: 2^-104) of the sum over everything above
-and left of it, where a single float32 number would lose 2^-24. NaN and infinity turn every box that
-ends below and right of them into NaN.
+Sums are in the unit of the image (relative values or DN). Each is an unevaluated pair high + low
+(Dekker 1971), so that a small box in a large float32 image is accurate. Beyond the rounding of its
+own sum, the error is some 2^-46 (float64: 2^-104) of the sum over everything above and left of it.
+A single float32 number would have an error of 2^-24. NaN and infinity turn every box that ends
+below and to the right of them into NaN.
 """
 
 from functools import partial
@@ -75,8 +75,8 @@ def box_sum(
 ) -> Float[Array, "..."]:
     """The sum over rows top <= i < bottom and columns left <= j < right.
 
-    One box; `vmap` over many. Bounds outside the image move to its edge; a box with bottom < top or
-    right < left is empty and sums to 0.
+    It is for one box; use `vmap` for many. Bounds outside the image are moved to its edge. A box
+    with bottom < top or right < left is empty, with sum 0.
 
     Args:
         integral: the integral image.
@@ -104,7 +104,7 @@ def box_sum(
 
 
 def window_sum(integral: IntegralImage, size: tuple[int, int]) -> Float[Array, "..."]:
-    """The sums over all windows of one size; the cost does not grow with the size.
+    """The sums over all windows of one size, at a cost independent of the size.
 
     Args:
         integral: the integral image.
@@ -144,7 +144,7 @@ def _row_axis(rank: int, what: str) -> int:
 
 
 def _corners(inside: Pair, above: Pair, before: Pair, both: Pair) -> Array:
-    """inside - above - before + both, rounded once."""
+    """inside - above - before + both, with a single rounding."""
     high, low = _plus(_plus(inside, _minus(above)), _plus(both, _minus(before)))
     return high + low
 
@@ -154,7 +154,8 @@ def _minus(a: Pair) -> Pair:
 
 
 def _plus(a: Pair, b: Pair) -> Pair:
-    """The sum of two pairs: Knuth's error-free sum of the high parts, the rest, renormalised."""
+    """The sum of two pairs: Knuth's error-free sum of the high parts, then the low parts,
+    renormalised."""
     total = a[0] + b[0]
     virtual = total - a[0]
     error = (a[0] - (total - virtual)) + (b[0] - virtual) + a[1] + b[1]
@@ -163,7 +164,7 @@ def _plus(a: Pair, b: Pair) -> Pair:
 
 
 def _running(pair: Pair, axis: int) -> Pair:
-    """Running sums along an axis, one line after the other."""
+    """Running sums along an axis, line by line."""
     lines = jnp.moveaxis(pair[0], axis, 0), jnp.moveaxis(pair[1], axis, 0)
 
     def step(total: Pair, line: Pair) -> tuple[Pair, Pair]:
@@ -182,6 +183,6 @@ def _summed(pixels: Array, rows: int) -> Pair:
 
 @_summed.defjvp
 def _(rows: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Pair, Pair]:
-    """The sum is linear: its derivative is the sum of the changes, which need no second part."""
+    """The sum is linear: its derivative is the sum of the changes, which needs no second part."""
     change = jnp.cumsum(jnp.cumsum(tangents[0], axis=rows), axis=rows + 1)
     return _summed(primals[0], rows), (change, jnp.zeros_like(change))

@@ -1,8 +1,8 @@
-"""Kernels of plain numbers, as NumPy arrays: they are known before anything is traced.
+"""Kernels of plain numbers as NumPy arrays, which are known before tracing.
 
-All are kernels of correlation, (taps,) down a column or along a row, or (kh, kw): an entry lies on
-the picture where it is written, so that a derivative is positive where the picture rises to the
-right, or downwards. Distances are in pixels; weights have no unit unless stated.
+All are correlation kernels, (taps,) down a column or along a row, or (kh, kw). They are not
+rotated, so a derivative is positive where the picture increases to the right or downwards.
+Distances are in pixels; weights have no unit unless stated.
 """
 
 import math
@@ -42,7 +42,8 @@ def box_kernel(size: int) -> np.ndarray:
 
 
 def binomial_kernel(size: int) -> np.ndarray:
-    """Binomial coefficients over their sum 2^(size - 1), of variance (size - 1) / 4 pixels^2.
+    """Binomial coefficients divided by their sum 2^(size - 1), with variance (size - 1) / 4
+    pixels^2.
 
     Args:
         size: number of taps, at least 1.
@@ -109,9 +110,10 @@ def laplacian_kernel(*, isotropic: bool = False) -> np.ndarray:
 
 
 def gaussian_size(sigma: float, *, truncate: float = 4.0) -> int:
-    """The odd size that reaches `truncate` sigmas to both sides, as in scipy.
+    """The odd kernel size that covers `truncate` sigmas to both sides, as in scipy.
 
-    It is 2 round(truncate sigma) + 1. At 4 sigmas a share of 6e-5 is cut off, at 6 a share of 2e-9.
+    It is 2 round(truncate sigma) + 1. At 4 sigmas a share of 6e-5 is truncated, at 6 a share of
+    2e-9.
 
     Args:
         sigma: in pixels, at least 0.
@@ -166,7 +168,7 @@ def _checked(size: int) -> int:
 
 
 def _both_ways(size: int | np.integer | Sequence[int]) -> tuple[int, int]:
-    """(down, across) from a pair or from one number for both. `ValueError` for another form."""
+    """(down, across) from a pair, or from one number for both. `ValueError` for another form."""
     pair = tuple(size) if isinstance(size, Sequence) else (size, size)
     if len(pair) != 2 or not all(isinstance(n, Integral) and n >= 1 for n in pair):
         raise ValueError(f"size must be n or (down, across), each at least 1, got {size}.")

@@ -1,4 +1,5 @@
-"""A kernel as the sum of a few separable ones. The rank sets the accuracy, and the error is stated.
+"""A kernel as the sum of a few separable ones. The rank sets the accuracy, and the error is
+reported.
 
 The best approximation of each rank is the truncated singular value decomposition (Eckart and Young
 1936; for filters: Treitel and Shanks 1971). Kernels and pictures in any unit.
@@ -43,7 +44,7 @@ class LowRank(Shown):
 def low_rank(kernel: Float[Array | np.ndarray, "kh kw"], *, rank: int) -> LowRank:
     """The best approximation of a kernel by `rank` separable ones.
 
-    Differentiable where the singular values differ.
+    It is differentiable if the singular values differ.
 
     Args:
         kernel: (kh, kw), any unit.

@@ -49,8 +49,8 @@ def filter_matrix(
 ) -> MatrixForm:
     """The matrix of `correlate` on one plane, or on a signal.
 
-    Every entry is one number of the kernel times one coefficient of the border. Entries at one
-    place are not yet added up; `sum_duplicates` does that.
+    Every entry is one kernel value times one coefficient of the border. Entries at one place are
+    not summed; `sum_duplicates` does that.
 
     Args:
         kernel: (kh, kw), or (k,) for signals, no unit.
@@ -147,7 +147,7 @@ def per_pixel_matrix(
 def _axis_entries(
     border: str, n: int, taps: int, anchor: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(tap, result, source, coefficient) of every product along one axis that is not 0."""
+    """(tap, result, source, coefficient) of every non-zero product along one axis."""
     rule = ghosts(border, n, anchor, taps - 1 - anchor)
     result, tap = (v.ravel() for v in np.mgrid[:n, :taps])
     ghost = result + tap

@@ -1,10 +1,10 @@
 """The median of each pixel's neighbourhood, by a selection network.
 
-The shifted images of the neighbourhood go, whole, through the comparators (minimum, maximum) of
-Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M). Only
-the comparators that lead to the median are kept: 24 of 31 for 3 x 3, 113 for 5 x 5. There is no
-branch and no index, so it runs at the speed of vector minima. Values keep their unit (relative or
-DN).
+The shifted images of the neighbourhood pass as a whole through the comparators (minimum, maximum)
+of Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2, algorithm M).
+Only the comparators that affect the median are kept: 24 of 31 for 3 x 3, 113 for 5 x 5. There are
+no branches and no indices, so it runs at the speed of vector minima. Values keep their unit
+(relative or DN).
 """
 
 from collections.abc import Sequence
@@ -35,10 +35,10 @@ def median_filter(
 ) -> Shaped[Array, "..."]:
     """The median over a rectangle or a footprint about each pixel.
 
-    Of an even number of neighbours the upper of the two middle ones is taken, as in
-    `scipy.ndimage`. A NaN in the neighbourhood makes the result NaN. The gradient goes to the
-    neighbour that is the median, in equal parts where several are. Compile time grows with the
-    footprint: below 1 s up to 7 x 7, some seconds for 15 x 15.
+    For an even number of neighbours it is the upper of the two middle ones, as in `scipy.ndimage`.
+    A NaN in the neighbourhood makes the result NaN. The gradient goes to the neighbour that is the
+    median, in equal parts if there are several. Compile time grows with the footprint: below 1 s up
+    to 7 x 7, some seconds for 15 x 15.
 
     Args:
         picture: (h, w) or (..., h, w, bands), uint8, uint16 or floating, any unit; each band by
@@ -120,7 +120,7 @@ def _(primals: tuple[tuple[Array, ...]], tangents: tuple[tuple[Array, ...]]) -> 
 
 @cache
 def _selection_network(n: int, rank: int) -> Comparators:
-    """Pairs (i, j), i < j: putting the smaller of wires i, j on i and the larger on j, in this
+    """Pairs (i, j), i < j. Putting the smaller of wires i, j on i and the larger on j, in this
     order, brings the element of that rank (0 the smallest) to wire `rank`."""
     needed, kept = {rank}, []
     for i, j in reversed(_merge_sort(n)):

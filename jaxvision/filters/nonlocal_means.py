@@ -1,4 +1,4 @@
-"""Non-local means (Buades, Coll & Morel, CVPR 2005), by its definition, which weighs every
+"""Non-local means (Buades, Coll & Morel, CVPR 2005), by its definition, with a weight for every
 neighbour:
 
     g(p) = sum_q w f(q) / sum_q w,    w = exp(-max(D(p, q) - 2 noise^2, 0) / strength^2),
@@ -38,8 +38,8 @@ def nonlocal_means_filter(
 ) -> Filtered:
     """The mean of the pixels with similar surroundings.
 
-    A strength of 0 or below means the limit: equal patches only. NaN spreads to every pixel with
-    one in its search window, or in a patch of that window.
+    A strength of 0 or below means the limit: only equal patches count. NaN spreads to every pixel
+    with one in its search window, or in a patch of that window.
 
     scikit-image's `denoise_nl_means` has the Gaussian profile, a cutoff of 5 and an approximate exp
     (with `fast_mode`, uniform patches one row and column smaller than asked for).
@@ -103,8 +103,8 @@ def _taps(patch: int, profile: str) -> np.ndarray:
 
 
 def _averaged(plane: Plane, taps: np.ndarray, axis: int) -> Plane:
-    """Weighted neighbours along an axis, where all of them exist. Shifted and added: a running sum
-    would lose the digits of small distances."""
+    """Weighted neighbours along an axis, where all of them exist. They are shifted and added,
+    because a running sum would lose the digits of small distances."""
     count = plane.shape[axis] - len(taps) + 1
     parts = (
         float(tap) * lax.slice_in_dim(plane, i, i + count, axis=axis) for i, tap in enumerate(taps)

@@ -21,7 +21,7 @@ def impulse_response(
 ) -> Filtered:
     """The response of a filter to one bright pixel in every plane.
 
-    For `convolve` it is the kernel, for `correlate` the kernel rotated by half a turn.
+    For `convolve` it is the kernel, and for `correlate` the kernel rotated by 180 degrees.
 
     Args:
         height: () value of the middle pixel (h // 2, w // 2), any unit; all others are 0.

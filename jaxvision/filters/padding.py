@@ -69,7 +69,7 @@ class Ghosts(NamedTuple):
 
 
 def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
-    """`ValueError` for an unknown border, with all of them by their names in numpy and scipy, and
+    """`ValueError` for an unknown border, with a list of all by their names in numpy and scipy, and
     for one that the calling filter refuses."""
     if border not in BORDERS:
         known = "; ".join(f'"{name}": {meaning}' for name, meaning in BORDERS.items())
@@ -79,8 +79,8 @@ def check_border(border: str, *, refused: tuple[str, ...] = ()) -> None:
 
 
 def check_picture(picture: ArrayLike) -> None:
-    """`ValueError` for an array that is no picture, (h, w) or (..., h, w, bands): of fewer than two
-    axes, without pixels, or complex."""
+    """`ValueError` for an array that is not a picture, (h, w) or (..., h, w, bands): fewer than two
+    axes, no pixels, or complex."""
     shape = jnp.shape(picture)
     if len(shape) == 1 and shape[0]:
         raise ValueError(
@@ -233,7 +233,7 @@ def as_planes(
     picture: Picture,
 ) -> tuple[Float[Array, "images h w bands"], Callable[[Filtered], Filtered]]:
     """A picture, (h, w) or (..., h, w, bands), as floating (images, h, w, bands) in its unit, and
-    the function that gives a stack the picture's own axes again."""
+    the function that restores the picture's own axes."""
     check_picture(picture)
     image, shape = as_float(picture), jnp.shape(picture)
     if len(shape) == 2:

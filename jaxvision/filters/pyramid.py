@@ -145,7 +145,8 @@ def laplacian_pyramid(picture: AnyPicture, levels: int, *, border: str = "mirror
 def collapse_laplacian(pyramid: Pyramid, *, border: str = "mirror") -> Floats:
     """The picture of a Laplacian pyramid.
 
-    Exact for any size and border, up to the rounding of one subtraction and one addition a level.
+    It is exact for any size and border, up to the rounding of one subtraction and one addition per
+    level.
 
     Args:
         pyramid: the levels, finest first, relative or DN.
@@ -183,8 +184,8 @@ def blend_by_pyramid(
 ) -> Floats:
     """mask first + (1 - mask) second, separately for each band of spatial frequencies.
 
-    Coarse structure is blended over a wide strip and fine detail over a narrow one, so that no seam
-    shows.
+    Coarse structure is blended over a wide strip and fine detail over a narrow one, so that there
+    is no visible seam.
 
     Args:
         first: (h, w) or (..., h, w, bands), relative or DN.

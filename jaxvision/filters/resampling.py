@@ -1,9 +1,9 @@
-"""Pictures on another grid: at another size, or warped by any map of places.
+"""Pictures on another grid: at another size, or warped by any map of positions.
 
 Pixels are squares whose centres lie at whole rows and columns, so that n rows span -1/2 to n - 1/2.
-What shrinks is averaged (antialiased): `resize` widens its kernel by the factor, `warp`
-averages places within each pixel of the result. Values are relative or DN; integer pictures are
-computed as floating numbers.
+Reductions are averaged (antialiased): `resize` widens its kernel by the factor, and `warp` averages
+positions within each pixel of the result. Values are relative or DN; integer pictures are computed
+as floating numbers.
 """
 
 from functools import partial
@@ -86,9 +86,9 @@ def _resized(picture: AnyPicture, size: tuple[int, int], method: str, antialias:
 
 
 def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array, "count side"]:
-    """The matrix that makes `count` samples of `side`, as `jax.image.scale_and_translate` has it,
-    but in double precision and 0 where the kernel is: a bright pixel lends nothing to those that it
-    does not reach."""
+    """The matrix from `side` to `count` samples, as in `jax.image.scale_and_translate`, but in
+    double precision and exactly 0 outside the kernel, so that a bright pixel does not affect pixels
+    outside its reach."""
     with jax.enable_x64(True):
         scale = side / count
         middle = (jnp.arange(count, dtype=jnp.float64) + 0.5) * scale - 0.5
@@ -108,10 +108,10 @@ def _weights(side: int, count: int, method: str, antialias: bool) -> Float[Array
 
 
 def _with_unknown(total: Floats, image: Floats, rows: Floats, columns: Floats) -> Floats:
-    """The sums of the finite values, and what NaN and infinity that have a weight make of them."""
+    """The sums of the finite values, with NaN and infinity where they have a weight."""
 
     def count(chosen: Bool[Array, "..."], sign: int) -> Floats:
-        """How many of the chosen pixels have a weight of that sign."""
+        """The number of the chosen pixels with a weight of that sign."""
         values = chosen.astype(jnp.float32)
         same, opposite = (
             jnp.einsum(
@@ -141,7 +141,7 @@ def warp(
     border: str = "clamp",
     fill: Float[Array, ""] | float = 0.0,
 ) -> Floats:
-    """The picture at given places, interpolated linearly.
+    """The picture at given positions, interpolated linearly.
 
     Args:
         picture: (h', w') or (..., h', w', bands), relative or DN.

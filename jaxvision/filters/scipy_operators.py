@@ -1,6 +1,7 @@
 """Filters for scipy's solvers: as a sparse matrix, or as an operator with its transpose.
 
-Pixels row by row, values in any unit. The results are NumPy's; nothing is traced.
+Pixels are ordered row by row, with values in any unit. The results are NumPy arrays; nothing is
+traced.
 """
 
 from collections.abc import Callable
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def scipy_matrix(matrix: MatrixForm | BCOO) -> "scipy.sparse.csr_array":
-    """A sparse matrix as one of scipy; entries at one place are added up.
+    """A sparse matrix in scipy's form; entries at one place are summed.
 
     Args:
         matrix: (rows, columns), any unit: what `filter_matrix` gives, or a sparse matrix of JAX.

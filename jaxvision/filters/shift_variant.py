@@ -90,7 +90,8 @@ def correlate_per_pixel(
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
 ) -> Filtered:
-    """Correlation with one kernel a pixel: g[p] = sum over i of kernels[i, p] f[p + i - anchor].
+    """Correlation with one kernel for each pixel: g[p] = sum over i of kernels[i, p] f[p + i -
+    anchor].
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -120,10 +121,11 @@ def convolve_per_pixel(
     anchor: Sequence[int] | None = None,
     border: str = "mirror",
 ) -> Filtered:
-    """Convolution with one kernel a pixel: g[p] = sum over i of kernels[i, p] f[p - i + anchor].
+    """Convolution with one kernel for each pixel: g[p] = sum over i of kernels[i, p] f[p - i +
+    anchor].
 
-    A kernel belongs to the pixel of the result. Where it is what the light of a pixel of the
-    picture spreads into, `adjoint` of `correlate_per_pixel` is the blur.
+    A kernel belongs to the pixel of the result. If it describes how the light of a pixel of the
+    picture spreads, the blur is the `adjoint` of `correlate_per_pixel`.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -165,10 +167,10 @@ def correlate_bank(
     fill: Fill = 0.0,
     method: str = "auto",
 ) -> Filtered:
-    """The picture under each kernel of a bank, blended pixel by pixel.
+    """The picture filtered with each kernel of a bank, blended pixel by pixel.
 
     The kernel of a pixel is the blend of two kernels of the bank. The error is proportional to the
-    square of the distance between two members.
+    square of the distance between neighbouring kernels.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -204,9 +206,9 @@ def radial_blur(
 ) -> Filtered:
     """The mean over the pixels within `radius`, weighted by profile(distance, scale[p]).
 
-    Exact for kernels that depend on the distance alone. Pixels at one distance share their weight
-    and are summed first: that takes one exponential a ring, not one a tap. Where all weights vanish
-    the pixel keeps its value.
+    It is exact for kernels that depend on the distance alone. Pixels at one distance share their
+    weight and are summed first, so there is one exponential for each ring, not for each tap. If all
+    weights vanish, the pixel keeps its value.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -239,9 +241,9 @@ def gaussian_varying(
 ) -> Filtered:
     """A Gaussian with a `sigma` for each pixel, interpolated in a bank of Gaussians.
 
-    Between two members the blend keeps the variance exactly, so that only the fourth moment is off:
-    the error falls with the square of their distance. `kernels.blur_sigmas` chooses the members.
-    `radial_blur` is exact.
+    Between two kernels of the bank the blend keeps the variance exactly. Only the fourth moment has
+    an error, which decreases with the square of their distance. `kernels.blur_sigmas` chooses the
+    bank. `radial_blur` is exact.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -325,8 +327,7 @@ def _radial(
 
 def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Offsets (a, b) with 0 <= b <= a, one for each set of eight images under the symmetries of the
-    square, their distances, and the share of each image: 1/2 where two coincide, 1/8 where all
-    do."""
+    square, their distances, and the share of each image: 1/2 if two coincide, 1/8 if all do."""
     a, b = np.tril_indices(radius + 1)
     a, b = (v[a * a + b * b <= radius * radius] for v in (a, b))
     share = np.where(a == 0, 1 / 8, np.where((b == 0) | (a == b), 1 / 2, 1.0))
@@ -336,7 +337,7 @@ def _octets(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _rows_of_planes(
     picture: Picture, reach: Widths, border: str
 ) -> tuple[Planes, Callable[[Planes], Filtered]]:
-    """A picture, padded, as (n, h, c, w), and the way back."""
+    """A padded picture as (n, h, c, w), and the inverse function."""
     image, restore = as_planes(picture)
     wide = materialise(lambda f: jnp.moveaxis(pad(f, reach, border=border), -1, 2), image)
     return wide, lambda planes: restore(jnp.moveaxis(planes, 2, -1))
@@ -366,7 +367,7 @@ def _gaussian_bank(
 
 @jax.jit
 def _blended(members: list[Filtered], position: ScaleMap) -> Filtered:
-    """The members of a bank, each with its hat function of `position`."""
+    """The kernels of a bank, weighted with hat functions of `position`."""
     bands = 1 if members[0].ndim == 2 else members[0].shape[-1]
     batch = (1,) * max(members[0].ndim - 3, 0)
     # rows of numbers, whatever the bands: see `_methods.by_shifts`

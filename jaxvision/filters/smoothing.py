@@ -1,4 +1,4 @@
-"""Averages, and the sharpening that undoes them.
+"""Averages, and sharpening.
 
 Pictures, borders and methods as in `convolution`; sizes in pixels.
 """
@@ -98,7 +98,7 @@ def unsharp_mask(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """f + amount (f - gaussian(f)): adds `amount` times the detail finer than `sigma`.
+    """f + amount (f - gaussian(f)), which adds `amount` times the detail finer than `sigma`.
 
     The overshoot is not limited.
 
@@ -133,11 +133,11 @@ def unsharp_mask(
 def blur_straight(
     picture: Float[Array, "... h w channels"], *, blur: Callable[[Filtered], Filtered]
 ) -> Float[Array, "... h w channels"]:
-    """Any blur of a picture with transparency whose light is straight (not premultiplied).
+    """Any blur of a picture with transparency and straight (not premultiplied) colours.
 
-    Light counts in proportion to its coverage: the result is blur(alpha light) / blur(alpha) with
-    coverage blur(alpha), so that the colour of wholly transparent pixels never shows. For a
-    premultiplied layer, blur all channels with the same filter instead.
+    Light is weighted by its coverage: the result is blur(alpha light) / blur(alpha) with coverage
+    blur(alpha), so the colour of fully transparent pixels has no effect. For a premultiplied layer,
+    blur all channels with the same filter instead.
 
     Args:
         picture: (..., h, w, channels): straight light in any unit, then the coverage alpha. An

@@ -1,5 +1,5 @@
-"""Filters of any orientation as sums of a few fixed ones (Freeman and Adelson, "The Design and Use
-of Steerable Filters", PAMI 13, 1991).
+"""Filters of any orientation as sums of a few basis filters (Freeman and Adelson, "The Design and
+Use of Steerable Filters", PAMI 13, 1991).
 
 Angles are in rad, 0 to the right and pi/2 UP, with shape () or (h, w). `width`, in pixels, is the
 unit of length in the paper's exp(-x^2 - y^2), a Gaussian of sigma = width / sqrt(2). First-order
@@ -63,7 +63,7 @@ def directional_derivative(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> Filtered:
-    """The slope of the picture under a Gaussian, towards an angle: cos f_x + sin f_up.
+    """The derivative of a Gaussian-filtered picture along an angle: cos f_x + sin f_up.
 
     This is the steerable filter of first order.
 
@@ -101,11 +101,11 @@ def quadrature_basis(
     border: str = "mirror",
     fill: Fill = 0.0,
 ) -> QuadratureBasis:
-    """The seven separable responses that give G2 and H2 at every orientation.
+    """The seven separable responses from which G2 and H2 follow at every orientation.
 
-    From a width of 2 on, the sum of squares of G2 is 1 (to 4e-5) and that of H2, which is the
-    paper's fit to a Hilbert transform, 0.99. Narrower filters are sampled too coarsely: at width 1
-    the two are 1.18 to 1.41 and 0.53 to 0.81, depending on the angle.
+    From a width of 2 on, the sum of squares of G2 is 1 (to 4e-5), and that of H2, the paper's fit
+    to a Hilbert transform, is 0.99. Narrower filters are sampled too coarsely: at width 1 the two
+    are 1.18 to 1.41 and 0.53 to 0.81, depending on the angle.
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
@@ -139,8 +139,8 @@ def quadrature_basis(
 def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filtered]:
     """The responses of G2 and H2, rotated to an angle.
 
-    With y up they are x cos + y sin to the second and third power: all signs are plus. (In the
-    paper y points down, and some signs are minus.)
+    With y up, their basis functions use x cos + y sin to the second and third power, so all signs
+    are plus. (In the paper y points down, and some signs are minus.)
 
     Args:
         basis: the responses of `quadrature_basis`.
@@ -158,7 +158,8 @@ def steer(basis: QuadratureBasis, angle: Angle | float) -> tuple[Filtered, Filte
 def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
     """G2^2 + H2^2 at an angle: the strength of a line or an edge across that direction.
 
-    It does not depend on the phase, that is on where in the period of the pair the line lies.
+    It is independent of the phase, that is of the position of the line within the period of the
+    pair.
 
     Args:
         basis: the responses of `quadrature_basis`.
@@ -172,10 +173,11 @@ def oriented_energy(basis: QuadratureBasis, angle: Angle | float) -> Filtered:
 
 
 def dominant_orientation(basis: QuadratureBasis) -> tuple[Filtered, Filtered]:
-    """The angle at which the energy's lowest harmonic, C_2 cos 2 theta + C_3 sin 2 theta, peaks.
+    """The angle at which the energy's lowest harmonic, C_2 cos 2 theta + C_3 sin 2 theta, is
+    largest.
 
-    C_2 and C_3 are sums of products of the responses, without the part of the energy that all
-    angles share, in which they would lose their digits.
+    C_2 and C_3 are sums of products of the responses without the isotropic part of the energy,
+    which would cause cancellation.
 
     Args:
         basis: the responses of `quadrature_basis`.
@@ -205,7 +207,7 @@ def _weighted(weights: tuple[Angle, ...], basis: Basis) -> Filtered:
 
 
 def _mapped(weight: Angle, picture: Filtered) -> Float[Array, "..."]:
-    """A number, or a map of numbers, with the axes of a picture."""
+    """A number, or a map of numbers, in the axes of a picture."""
     if weight.ndim == 0 or picture.ndim == 2:
         return weight.astype(picture.dtype)
     shape = (1,) * (picture.ndim - 3) + weight.shape + (1,)

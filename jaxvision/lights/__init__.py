@@ -1,8 +1,8 @@
-"""What shines, one file per kind of light: its record, and what arrives from it at a point.
+"""Light sources, one file for each kind: its record, and the light from it at a point.
 
 A light at one place sends one `Incident`. An extended one is a map of the unit square onto its
 directions, and a rule (`Quadrature`, `MonteCarlo`, `Balanced`) gives the sample points. The sum
-over the samples is the light. For ONE point; the caller vmaps. A new kind touches one file, which
+over the samples is the light. For ONE point; the caller vmaps. A new kind needs one file, which
 ends in `register` or `register_extended`; a user's own file may do the same.
 """
 

@@ -1,7 +1,7 @@
 """Emission: rays drawn from a light, each with its flux.
 
-Weighting any quantity of a ray by `flux` and averaging over the uniform numbers estimates what the
-whole light contributes. Flux in W, lengths in m. For ONE ray; the caller vmaps.
+The average over the uniform numbers of any quantity of a ray, weighted by `flux`, estimates the
+contribution of the whole light. Flux in W, lengths in m. For ONE ray; the caller vmaps.
 """
 
 import jax.numpy as jnp
@@ -83,8 +83,8 @@ def emitted_from_surface(
     *,
     two_sided: Bool[Array, ""] | bool = False,
 ) -> Emitted:
-    """A ray from a surface of uniform radiance, of the flux pi A L: uniform by area, and by the
-    cosine about the normal; from both sides half each where the surface is two-sided.
+    """A ray from a surface of uniform radiance, with the flux pi A L: uniform by area, and
+    cosine-distributed about the normal. A two-sided surface emits half from either side.
 
     Args:
         shape: the surface, bounded.
@@ -107,7 +107,8 @@ def emitted_from_surface(
 
 
 def _emit_from_afar(around: Ball, arriving: Incident, u: Float[Array, "4"]) -> Emitted:
-    """E pi R^2: evenly through the disc, across the direction, that covers the scene."""
+    """A ray with the flux E pi R^2, uniform through the disc, perpendicular to the direction, that
+    covers the scene."""
     toward = as_vec(arriving.direction)
     radius, phi = around.radius * safe_sqrt(u[0]), 2 * jnp.pi * u[1]
     aside = Vec(radius * jnp.cos(phi), radius * jnp.sin(phi), around.radius)

@@ -1,5 +1,5 @@
-"""Places in the unit square and how much each counts; no units. Fixed nodes are NumPy float64, made
-while tracing."""
+"""Nodes in the unit square and their weights; no units. Fixed nodes are NumPy float64, computed
+during tracing."""
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +41,7 @@ def square_nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
 def shifted_lattice(
     key: Key, samples: int, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
-    """Evenly spread points of [0, 1)^2, each of which is uniform by itself.
+    """Evenly spread points of [0, 1)^2, each of which is uniformly distributed.
 
     Args:
         key: of the random shift.

@@ -1,7 +1,7 @@
-"""The table of lights: what each kind can say about itself.
+"""The table of lights, with the registered functions of each kind.
 
-A light at one place (a point, a direction) registers `incident`. An extended one registers how it
-looks along a ray, and maps of the unit square onto its directions.
+A light at one place (a point, a direction) registers `incident`. An extended light registers its
+appearance along a ray, and maps of the unit square onto its directions.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,7 +21,7 @@ from ._nodes import square_nodes
 
 
 class Incident(Shown):
-    """Light that arrives at a point from one direction.
+    """Light at a point from one direction.
 
     Attributes:
         direction: (3,) unit, from the point toward the light.
@@ -43,7 +43,7 @@ class Incident(Shown):
 
 
 class Seen(Shown):
-    """What a ray sees of an extended light.
+    """The view of an extended light along a ray.
 
     Attributes:
         distance: () m along the ray to the light; inf where the light is infinitely far away or
@@ -99,7 +99,7 @@ _KINDS: dict[type, Discrete | Extended] = {}
 
 
 def kinds() -> Mapping[type, Discrete | Extended]:
-    """All that is registered, the lights of the library among them.
+    """All registered lights, including those of the library.
 
     Returns:
         What each record has registered.
@@ -119,7 +119,7 @@ def register(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Makes a light that reaches a point from one direction known to every integrator.
+    """Register a light that reaches a point from one direction with every integrator.
 
     Args:
         light: the class of the light.
@@ -153,7 +153,7 @@ def register_extended(
     word: str | None = None,
     from_file: Callable[..., Any] | None = None,
 ) -> None:
-    """Makes a light that reaches a point from many directions known to every integrator.
+    """Register a light that reaches a point from many directions with every integrator.
 
     Args:
         light: the class of the light.
@@ -192,7 +192,7 @@ def kind_of(light: Light) -> Discrete | Extended:
 
 
 def can_be_seen(light: Light) -> bool:
-    """Whether a ray can meet a light: points and directions have no size.
+    """Whether a ray can hit a light: points and directions have no size.
 
     Args:
         light: any registered light.

@@ -1,4 +1,4 @@
-"""A light sampled by a rule, one node at a time, for a loop over samples."""
+"""Samples of a light by a rule, one node at a time, for a loop over samples."""
 
 from collections.abc import Sequence
 from functools import reduce
@@ -24,7 +24,7 @@ AnyRule = TypeVar("AnyRule", bound=Rule)
 def light_nodes(
     light: Light, rule: Rule, dtype: DTypeLike
 ) -> tuple[Float[Array, "samples 2"], Float[Array, " samples"]]:
-    """The places of the unit square at which a rule samples a light.
+    """The positions in the unit square at which a rule samples a light.
 
     Args:
         light: any registered light; one at a single place is sampled once.
@@ -57,7 +57,7 @@ def light_nodes(
 def incident_sample(
     light: Light, rule: Rule, point: Vector, u: Float[Array, "2"], weight: Scalar
 ) -> Incident:
-    """What one node of `light_nodes` sends to a point.
+    """The light from one node of `light_nodes` at a point.
 
     Args:
         light: any registered light.
@@ -84,7 +84,7 @@ def incident_sample(
 
 
 def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
-    """The rule for one of many points, each of which draws random samples of its own.
+    """The rule for one of many points, each with its own random samples.
 
     Args:
         rule: of all points.
@@ -101,7 +101,7 @@ def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
 def rules_of(
     scene: Scene, rule: Rule, *, numbers: Sequence[Array] = (), count: int | None = None
 ) -> tuple[Rule, ...]:
-    """The rule of each light of a scene: its own where `Scene.rules` has one, else `rule`.
+    """The rule of each light of a scene: its own from `Scene.rules`, else `rule`.
 
     Args:
         scene: its lights, and their rules or None.
@@ -175,7 +175,7 @@ def lights_by_rule(
 def split_by_rule(
     members: tuple[int, ...], group: Any, rules: Sequence[AnyRule]
 ) -> list[tuple[tuple[int, ...], Any, AnyRule]]:
-    """A stack of sources, cut by their rules.
+    """A stack of sources, divided by their rules.
 
     Args:
         members: numbers of the sources in the scene.

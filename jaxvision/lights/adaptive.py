@@ -1,10 +1,11 @@
-"""The irradiance that a uniform rectangle puts on many receivers, by Gauss-Legendre nodes as many
-as distance over size asks for: chosen while it runs.
+"""The irradiance of a uniform rectangle on many receivers, by Gauss-Legendre quadrature whose order
+is selected at run time from distance over size.
 
-The integrand is singular where the complex place of an edge is at no distance: on a receiver at
-distance d of an edge of length s, n nodes a side miss K rho^(-2 n), rho = x + sqrt(1 + x^2) with
-x = 2 d / s, the half-axes' sum of the largest ellipse about the edge in which it is smooth
-(Trefethen, Approximation Theory and Approximation Practice, 2013, theorem 19.3); K is measured.
+The integrand is singular where the complex position of an edge is at distance 0. On a receiver at
+distance d from an edge of length s, the error of n nodes per side is K rho^(-2 n) with rho = x +
+sqrt(1 + x^2) and x = 2 d / s. rho is the sum of the half-axes of the largest ellipse around the
+edge in which the integrand is smooth (Trefethen, Approximation Theory and Approximation Practice,
+2013, theorem 19.3). K is measured.
 """
 
 import math
@@ -93,7 +94,7 @@ def _adaptive(light: RectangleLight, points: Vec, normals: Vec, tolerance: float
 
 
 def _rules(light: RectangleLight, points: Vec, normals: Vec, tolerance: float) -> Int[Array, "..."]:
-    """Which rule each receiver needs: the place of its order in `_ORDERS`, or one past the last."""
+    """The rule that each receiver needs, as an index into `_ORDERS`, or one past the last."""
     u, v = as_vec(light.edge_u), as_vec(light.edge_v)
     apart = points - light.corner
     nearest = _nearest_offset(light, points)

@@ -1,4 +1,4 @@
-"""A source at infinity in one direction, such as the sun taken as a point."""
+"""A source at infinity in one direction, such as the sun as a point."""
 
 import equinox as eqx
 import numpy as np
@@ -36,14 +36,14 @@ class DirectionalLight(Light):
 
 
 def from_directional_light(light: DirectionalLight, point: Vector) -> Incident:
-    """Light that arrives from infinity, the same everywhere: its unit direction and irradiance,
-    (bands,) W m^-2, without a distance."""
+    """Light from infinity, equal everywhere: its unit direction and irradiance, (bands,) W m^-2,
+    without a distance."""
     del point
     return Incident(normalize(light.direction), light.irradiance)
 
 
 def _bound(light: Ends[DirectionalLight]) -> Source:
-    """A cone of directions."""
+    """The bound of the light: a cone of directions."""
     low, high = numbers(light.low.direction), numbers(light.high.direction)
     points = unit(box_about(low, high))
     middle = unit(points.mean(0))

@@ -1,10 +1,10 @@
 """Light from infinitely far away, as a latitude-longitude picture of radiance.
 
-The picture is as seen from inside with the zenith up: row 0 looks to +z, the last row to -z, the
-middle column to +x, and columns to the right turn clockwise seen from above (+y lies a quarter of
-the width to the left of the middle). Pixel centres carry the samples; between them the radiance is
-bilinear, around the seam and across the poles. Directions are unit vectors in the world. For ONE
-ray or point; the caller vmaps.
+The picture is as seen from inside with the zenith up. Row 0 looks to +z, the last row to -z, and
+the middle column to +x. Increasing columns turn clockwise as seen from above (+y is a quarter of
+the width left of the middle). Samples are at pixel centres. Between them the radiance is bilinear,
+around the seam and across the poles. Directions are unit vectors in the world. For ONE ray or
+point; the caller vmaps.
 """
 
 from typing import Annotated, Any
@@ -28,7 +28,7 @@ from ._registry import Incident, Seen, register_extended
 class EnvironmentMap(Light):
     """Radiance from all directions, infinitely far away.
 
-    `environment_map` makes it and computes what sampling needs.
+    `environment_map` makes it and computes the tables for sampling.
 
     Attributes:
         radiance: (h, w, bands) W m^-2 sr^-1.
@@ -60,8 +60,8 @@ class EnvironmentMap(Light):
 def environment_radiance(environment: EnvironmentMap, direction: Direction) -> Colour:
     """Radiance from a unit direction, (bands,) W m^-2 sr^-1, bilinear between the pixels.
 
-    Its gradient by the direction is finite everywhere; at a pole, where longitude is undefined, the
-    part along the circle of latitude is 0.
+    Its gradient with respect to the direction is finite everywhere. At a pole, where longitude is
+    undefined, the component along the circle of latitude is 0.
     """
     row, column = _place(environment, _to_map(environment, direction))
     return _bilinear(environment.radiance, row, column)
@@ -70,9 +70,9 @@ def environment_radiance(environment: EnvironmentMap, direction: Direction) -> C
 def environment_sample(
     environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """A unit direction drawn where the map is bright, and L / pdf, (bands,) W m^-2: by `u`, (2,)
-    uniform in [0, 1), the row from u_0, the column from u_1, uniform in solid angle within the
-    pixel."""
+    """A unit direction drawn where the map is bright, and L / pdf, (bands,) W m^-2. `u`, (2,)
+    uniform in [0, 1), gives the row by u_0 and the column by u_1; within the pixel the direction is
+    uniform in solid angle."""
     row, row_place = _invert(environment.rows, u[0])
     column, column_place = _invert(environment.columns[row], u[1])
     h, w, _ = environment.radiance.shape
@@ -98,8 +98,8 @@ def environment_pdf(environment: EnvironmentMap, point: Vector, wi: Direction) -
 
 
 def environment_node(environment: EnvironmentMap, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A unit direction spread evenly over the sphere by `u`, (2,) in [0, 1], and 4 pi L, (bands,) W
-    m^-2: what quadrature uses."""
+    """A unit direction distributed uniformly over the sphere by `u`, (2,) in [0, 1], and 4 pi L,
+    (bands,) W m^-2, for quadrature."""
     direction = _direction(1 - 2 * u[0], u[1])
     radiance = _bilinear(environment.radiance, *_place(environment, direction))
     return Incident(_to_world(environment, direction, point), radiance * (4 * jnp.pi))
@@ -112,7 +112,8 @@ def _seen(environment: EnvironmentMap, ray: Ray) -> Seen:
 
 
 def _nodes(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre in cos(theta), the trapezium rule, twice as many, around the axis."""
+    """Nodes that are Gauss-Legendre in cos(theta) and, twice as many, the trapezium rule around the
+    axis."""
     turns = 2 * order
     around = (np.arange(turns) + 0.5) / turns, np.full(turns, 1 / turns)
     return product(gauss_legendre(order), around)
@@ -136,7 +137,7 @@ def _place(environment: EnvironmentMap, direction: Vec) -> tuple[Scalar, Scalar]
 
 
 def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -> Colour:
-    """Linear between rows and columns; beyond a pole its row goes on half a turn further."""
+    """Bilinear interpolation; beyond a pole its row continues half a turn away."""
     h, w, _ = picture.shape
     above = jnp.floor(row)
     below_share = row - above
@@ -154,8 +155,8 @@ def _bilinear(picture: Float[Array, "h w bands"], row: Scalar, column: Scalar) -
 
 
 def _invert(cumulative: Float[Array, " n_1"], u: Scalar) -> tuple[Array, Scalar]:
-    """The cell that contains `u`, and the fraction of it before the middle of the step of uniform
-    floats that `u` stands for: never a border, where the density of another cell might be read."""
+    """The cell that contains `u`, and the fraction of it below the middle of the float step of `u`.
+    It is never a border, where the density of another cell could be read."""
     last = cumulative.shape[0] - 2
     cell = jnp.clip(jnp.searchsorted(cumulative, u, side="right") - 1, 0, last)
     start, end = cumulative[cell], cumulative[cell + 1]
@@ -179,7 +180,7 @@ def _to_world(environment: EnvironmentMap, direction: Vec, point: Vector) -> Vec
 
 
 def _bound(light: Ends[EnvironmentMap]) -> Source:
-    """The sum over the pixels of the largest radiance beside each, and all of the largest."""
+    """The sum over pixels of the largest radiance around each, and the overall maximum."""
     radiance = np.maximum(*(np.abs(numbers(end.radiance)) for end in light))
     peak = radiance.reshape(-1, radiance.shape[-1]).max(0)
     rows, columns, _ = radiance.shape

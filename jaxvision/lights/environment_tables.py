@@ -90,7 +90,7 @@ def _density(rows: Float[Array, " h_1"], columns: Float[Array, "h w_1"]) -> Floa
 
 
 def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Means of the bilinear picture over its pixels: [1 6 1] / 8 along both axes. Positive
+    """Means of the bilinear picture over its pixels: [1 6 1] / 8 along both axes. They are positive
     wherever the picture is, so that every bright place can be drawn."""
     w = picture.shape[1]
     near, far = picture[:1], picture[-1:]
@@ -103,14 +103,14 @@ def _pixel_means(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
 
 
 def _solid_angles(h: int, w: int) -> Float[np.ndarray, "h 1"]:
-    """Of a pixel in each row: the difference of cos(theta), 2 sin(middle) sin(half a row), times
-    that of phi."""
+    """Solid angle of a pixel in each row: the difference of cos(theta), 2 sin(middle) sin(half a
+    row), times that of phi."""
     differences = 2 * np.sin(np.pi * (np.arange(h) + 0.5) / h) * np.sin(np.pi / (2 * h))
     return differences[:, None] * (2 * np.pi / w)
 
 
 def _cumulative(probability: Float[Array, "... n"]) -> Float[Array, "... n_1"]:
-    """Running sums from 0 to exactly 1, multiples of the resolution of uniform floats."""
+    """Running sums from 0 to exactly 1, in multiples of the resolution of uniform floats."""
     step = jnp.finfo(probability.dtype).eps
     least = jnp.where(probability > 0, _LEAST * step, 0)
     total = running_sum(least + probability * (1 - least.sum(axis=-1, keepdims=True)))

@@ -1,4 +1,4 @@
-"""Diffuse irradiance from an environment by nine numbers a band: spherical harmonics to order 2.
+"""Diffuse irradiance from an environment by nine numbers per band: spherical harmonics to order 2.
 
 Source: Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps",
 SIGGRAPH 2001. For ONE normal; the caller vmaps.
@@ -40,8 +40,8 @@ def harmonics(direction: Directions) -> Float[Array, "9 ..."]:
 
 
 def irradiance_coefficients(environment: EnvironmentMap) -> Float[Array, "9 bands"]:
-    """The nine coefficients of the irradiance under a map, (9, bands) W m^-2, in the map's own
-    axes, from every pixel.
+    """The nine coefficients of the irradiance from a map, (9, bands) W m^-2, in the map's own axes,
+    from all pixels.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))
@@ -68,10 +68,10 @@ def harmonic_irradiance(
     """Irradiance of an environment on a surface that faces `normal`, (bands,) W m^-2, by spherical
     harmonics of order <= 2 from `irradiance_coefficients`.
 
-    Off by at most 3/32 of the integral of the radiance over the sphere, which a single bright
-    direction reaches on its horizon (6 % of its irradiance where it stands overhead), and possibly
-    negative; about 1 % off on average under natural skies. A map that is itself of order <= 2 is
-    exact, to the pixels' own error.
+    The error is at most 3/32 of the integral of the radiance over the sphere. A single bright
+    direction reaches it on its horizon (and 6 % of its irradiance overhead). The result may be
+    negative. Under natural skies the mean error is about 1 %. A map of order <= 2 is exact up to
+    the pixels' own error.
 
     Example:
         >>> sky = jv.environment_map(np.ones((8, 16, 1)))  # W m^-2 sr^-1 from everywhere

@@ -76,8 +76,8 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
 def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) -> Colour:
     """Irradiance of any light on a receiver, E = sum_i E_i [n.l_i]+.
 
-    A rectangle has it exactly in `polygon.rectangle_irradiance` and for many receivers in
-    `adaptive`, an environment cheaply in `harmonics`.
+    For a rectangle `polygon.rectangle_irradiance` is exact, and `adaptive` serves many receivers.
+    For an environment `harmonics` is cheap.
 
     Args:
         light: any light.
@@ -100,7 +100,7 @@ def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) ->
 
 
 def seen(light: Light, ray: Ray) -> Seen:
-    """What a ray sees of an extended light.
+    """The view of an extended light along a ray.
 
     Args:
         light: an extended light.
@@ -122,7 +122,7 @@ def seen(light: Light, ray: Ray) -> Seen:
 
 
 def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
-    """The first of all extended lights that a ray meets.
+    """The first of all extended lights that a ray hits.
 
     Args:
         lights: any lights; those that have no size are left out.

@@ -27,7 +27,7 @@ from .window import Window, _window_bound, crossing, hit_window, window_pdf, win
 
 
 class LightFieldLight(Light):
-    """What leaves through a window, place by place and direction by direction.
+    """The radiance through a window by position and direction.
 
     It illuminates surfaces in front of it, and a camera that looks at it sees the scene behind.
 
@@ -98,8 +98,8 @@ def _check_windows(aperture: Window, focal: Window) -> None:
 
 def light_field_radiance(light_field: LightFieldLight, ray: Ray) -> Colour:
     """Radiance against the direction of a ray, (bands,) W m^-2 sr^-1, quadrilinear between the
-    samples; 0 for a ray that misses either window or meets the aperture from behind. The ray starts
-    before the aperture, at any distance."""
+    samples; 0 for a ray that misses either window or hits the aperture from behind. The ray starts
+    in front of the aperture, at any distance."""
     return light_field_seen(light_field, ray).radiance
 
 
@@ -116,8 +116,8 @@ def light_field_seen(light_field: LightFieldLight, ray: Ray) -> Seen:
 def light_field_sample(
     light_field: LightFieldLight, point: Vector, u: Float[Array, "2"]
 ) -> Incident:
-    """A unit direction toward a place of the aperture chosen by `u`, (2,) in [0, 1], L times solid
-    angle, (bands,) W m^-2, and the distance, m."""
+    """A unit direction toward a position of the aperture selected by `u`, (2,) in [0, 1], L times
+    solid angle, (bands,) W m^-2, and the distance, m."""
     direction, distance, solid_angle, _ = window_sample(light_field.aperture, point, u)
     radiance = light_field_radiance(light_field, Ray(point, direction))
     wi = as_array(direction) if isinstance(point, Array) else direction
@@ -131,8 +131,8 @@ def light_field_pdf(light_field: LightFieldLight, point: Vector, wi: Direction) 
 
 @takes_numbers
 def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -> Ray:
-    """The viewing ray of one sample of a light field, at s, t, u, v in [0, 1] of the windows, m:
-    what to trace to record one. It starts in the aperture and looks away from its front."""
+    """The viewing ray of one sample of a light field, at s, t, u, v in [0, 1] of the windows, m,
+    for recording one. It starts in the aperture and looks away from its front."""
     start = _point(aperture, place[:2])
     return Ray(start, _inward(aperture, start, _point(focal, place[2:])))
 
@@ -141,10 +141,10 @@ def light_field_ray(aperture: Window, focal: Window, place: Float[Array, "4"]) -
 def refocus(
     light_field: LightFieldLight, focus: Vector, *, order: int = 8, opening: float = 1.0
 ) -> Colour:
-    """The mean radiance on the lines that join the aperture to one point.
+    """The mean radiance on the lines from the aperture to one point.
 
-    It is the value of the pixel that images the point, with a lens as large as the aperture:
-    surfaces at that depth come out sharp, others blurred.
+    It is the value of the pixel that images the point with a lens as large as the aperture:
+    surfaces at that depth are sharp, others blurred.
 
     Args:
         light_field: the light field.
@@ -191,7 +191,7 @@ def _point(window: Window, place: Float[Array, "2"]) -> Float[Array, "3"]:
 
 
 def _interpolate(grid: Float[Array, "s t u v bands"], places: Float[Array, "4"]) -> Colour:
-    """The sixteen samples around a place, weighted along the four axes."""
+    """The sixteen samples around a position, weighted along the four axes."""
     cells = []
     for at, size in zip(places, grid.shape[:4], strict=True):
         at = at * (size - 1)

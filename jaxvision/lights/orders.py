@@ -1,5 +1,5 @@
-"""The order of quadrature that a tolerance asks for: chosen before the call, outside `jit`, from
-the points that will be lit."""
+"""The quadrature order for a tolerance, chosen before the call, outside `jit`, from the illuminated
+points."""
 
 import math
 
@@ -53,7 +53,7 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
 
 
 def _distance_over_size(light: RectangleLight, points: Vec3) -> Scalars:
-    """Distance from points to the nearest place of the rectangle, over its longer edge."""
+    """Distance from points to the nearest position of the rectangle, divided by its longer edge."""
     return norm(_nearest_offset(light, as_vec(points))) / jnp.maximum(
         norm(light.edge_u), norm(light.edge_v)
     )

@@ -1,4 +1,5 @@
-"""A point: the same intensity in every direction, falling with the square of the distance."""
+"""A point light: equal intensity in every direction, and irradiance inversely proportional to the
+square of the distance."""
 
 from typing import Any
 
@@ -41,11 +42,11 @@ class PointLight(Light):
 
 
 def from_point_light(light: PointLight, point: Vector) -> Incident:
-    """Light that arrives from a point, E = I / d^2 on a surface that faces it: the unit direction,
-    the irradiance, (bands,) W m^-2, and the distance, m.
+    """Light from a point, E = I / d^2 on a surface that faces it: the unit direction, the
+    irradiance, (bands,) W m^-2, and the distance, m.
 
-    Nearer than `smallest_divisor` (3e-10 m in float32) the point is the light itself: direction,
-    irradiance and gradients are 0. Farther than 1e19 m in float32 the irradiance is 0.
+    At distances below `smallest_divisor` (3e-10 m in float32) direction, irradiance and gradients
+    are 0. At distances above 1e19 m in float32 the irradiance is 0.
     """
     direction, distance, dilution = _toward(light.position, point)
     return Incident(direction, map_bands(lambda band: band * dilution, light.intensity), distance)
@@ -53,7 +54,7 @@ def from_point_light(light: PointLight, point: Vector) -> Incident:
 
 def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar, Scalar]:
     """The unit direction from a point to a position, their distance, m, and its inverse square,
-    m^-2; 0 where both are one."""
+    m^-2; 0 if the two coincide."""
     toward = position - point
     square = dot(toward, toward)
     apart = ~(square <= smallest_divisor(square.dtype) ** 2)
@@ -63,14 +64,14 @@ def _toward(position: Float[Array, "3"], point: Vector) -> tuple[Vector, Scalar,
 
 
 def _emitted(light: PointLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray in a direction uniform over the sphere, by u_2 and u_3 of `u`, (4,) uniform in [0, 1);
-    its flux is 4 pi I, (bands,) W."""
+    """A ray in a direction uniform over the sphere, from u_2 and u_3 of `u`, (4,) uniform in [0,
+    1); its flux is 4 pi I, (bands,) W."""
     direction = direction_at(2 * u[2], 2 * jnp.pi * u[3])
     return emitted_from_point(as_vec(light.position), direction, 4 * jnp.pi * light.intensity)
 
 
 def _place_bound(light: Ends[Any], *, normal: np.ndarray | None = None) -> Source:
-    """A lamp at one place that emits in all directions, or on the side of a normal."""
+    """A lamp at one position that emits in all directions, or on the side of a normal."""
     points = box_about(numbers(light.low.position), numbers(light.high.position))
     middle = points.mean(0)
     size = np.linalg.norm(points - middle, axis=1).max()

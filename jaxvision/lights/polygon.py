@@ -70,8 +70,8 @@ _ARCTAN_OVER = {
 
 
 def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[Array, "..."]]:
-    """(narrow, wide): where the series holds, and where the quotient does. Neither is where the
-    vectors are opposite to rounding or of no length."""
+    """(narrow, wide): the ranges of validity of the series and of the quotient. Neither is valid if
+    the vectors are opposite within rounding or have no length."""
     smallest = smallest_divisor(square.dtype)
     narrow = (cosine > smallest) & (square < _SMALL * cosine * cosine)
     opposite = (cosine < 0) & (square < (jnp.finfo(square.dtype).eps * cosine) ** 2)
@@ -80,14 +80,14 @@ def _cases(square: Scalars, cosine: Scalars) -> tuple[Bool[Array, "..."], Bool[A
 
 def angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
     """theta / sqrt(s2) with theta = atan2(sqrt(s2), c) in [0, pi] rad, for `square` s2 >= 0 and
-    `cosine` c, no units, of vectors of length about 1; 0 where theta is pi to rounding or both are
-    nothing, since no plane holds the angle.
+    `cosine` c, no units, of vectors of length about 1. It is 0 if theta is pi within rounding or
+    both vectors vanish, because the plane of the angle is then undefined.
 
-    With A(t^2) = arctan(t) / t, which needs no root, it is A(s2 / c^2) / c up to 45 degrees,
-    (pi / 2) / s - c A(c^2 / s2) / s2 from there, and pi / s + A(s2 / c^2) / c from 135 degrees.
+    With A(t^2) = arctan(t) / t, which needs no root, it is A(s2 / c^2) / c up to 45 degrees, then
+    (pi / 2) / s - c A(c^2 / s2) / s2, and pi / s + A(s2 / c^2) / c from 135 degrees.
 
-    Its own derivatives, d/dc = -1 / (s2 + c^2) and d/ds2 = (c / (s2 + c^2) - value) / (2 s2), the
-    second by its series where s2 << c^2, are finite and exact where autodiff divides 0 by 0.
+    Its custom derivatives are d/dc = -1 / (s2 + c^2) and d/ds2 = (c / (s2 + c^2) - value) / (2 s2),
+    the second by its series if s2 << c^2. They are finite and exact where autodiff divides 0 by 0.
     """
     return _angle_over_sine(square, cosine)
 
@@ -109,7 +109,7 @@ def _angle_over_sine(square: Scalars, cosine: Scalars) -> Scalars:
 
 
 def _slopes(square: Scalars, cosine: Scalars, value: Scalars) -> tuple[Scalars, Scalars]:
-    """Derivatives of `angle_over_sine`, whose `value` is known, by both arguments."""
+    """Derivatives of `angle_over_sine`, whose `value` is known, with respect to both arguments."""
     narrow, wide = _cases(square, cosine)
     length = square + cosine * cosine
     inverse = divide(1, length, where=narrow | wide)
@@ -134,15 +134,15 @@ def _angle_over_sine_jvp(primals, tangents):
 def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction) -> Colour:
     """Irradiance of a rectangle on a receiver, exact.
 
-    The part of the light below the horizon of the receiver does not count; a point behind the light
-    or in its plane gets 0. `adaptive.adaptive_irradiance` takes many receivers, in a quarter of the
-    time.
+    The part of the light below the receiver's horizon does not count. A point behind the light or
+    in its plane receives 0. `adaptive.adaptive_irradiance` computes many receivers in a quarter of
+    the time.
 
     At a large distance d from a light of size s the terms of the contour integral cancel. For d / s
     above (3e-4 / eps)^(1/10), which is 2.2 in float32 and 16 in float64, 4 x 4 Gauss-Legendre nodes
-    replace it. The rounding error is 10 eps (300 eps in float64 at that distance) of the irradiance
-    with receiver and light face to face, and d / s times as much if the horizon cuts the light.
-    Relative to a slanted receiver or light it is larger by both cosines: 1e-4 in float32 where
+    replace it. The rounding error is 10 eps of the irradiance (300 eps in float64 at that distance)
+    if receiver and light face each other, and d / s times as much if the horizon cuts the light.
+    For a slanted receiver or light the relative error grows with both cosines: 1e-4 in float32 if
     their product is .01.
 
     Args:
@@ -184,15 +184,15 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
 
 @jax.custom_jvp
 def contour_integral(corners: Sequence[Vec], normal: Vec) -> Scalar:
-    """The integral of the cosine over what four corners, m, cover above the horizon of a receiver
-    at the origin that faces `normal`, unit: () sr.
+    """The integral of the cosine over the region that four corners, m, cover above the horizon of a
+    receiver at the origin that faces `normal`, unit; () sr.
 
-    `corners`: of a flat convex polygon, clockwise where the receiver looks at them, else the
-    result is negative; not so large or small that the fourth power of a length overflows. A cut
-    polygon leaves and enters the horizon once each; the edge between both places closes it. The
-    part of an edge above the horizon spans the same share of the edge's own area v_i+1 x v_i.
+    `corners`: of a flat convex polygon, clockwise as seen from the receiver, else the result is
+    negative. The fourth power of a length must not overflow or underflow. A cut polygon crosses the
+    horizon twice, and the edge between the two crossings closes it. The visible part of an edge is
+    the same fraction of the edge's own area v_i+1 x v_i.
 
-    Its derivatives are a sum over the same edges, in a tenth of the time that autodiff takes.
+    Its derivatives are a sum over the same edges, which takes a tenth of the time of autodiff.
     """
     total = jnp.zeros_like(normal.x)
     for edge in _seen_edges(corners, normal):
@@ -291,8 +291,8 @@ def _nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, order: int) -> Sca
 
 @_nodes_integral.defjvp
 def _nodes_integral_jvp(order, primals, tangents):
-    """Of w [n.t]+ / |t|^4 by t: w n / |t|^4 - 4 w [n.t]+ t / |t|^6 above the horizon; and of
-    -(u x v) . c by c, u and v: -u x v, c x v and u x c."""
+    """The derivatives of w [n.t]+ / |t|^4 with respect to t, w n / |t|^4 - 4 w [n.t]+ t / |t|^6
+    above the horizon; and of -(u x v) . c with respect to c, u and v: -u x v, c x v and u x c."""
     corner, u, v, normal = primals
     value = _nodes_integral(*primals, order)
     area = cross(u, v)
@@ -323,7 +323,8 @@ def _nodes_integral_jvp(order, primals, tangents):
 
 
 def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
-    """(weight, place along u, along v, way there in m, 1 / square of its length) of each node."""
+    """(weight, position along u, along v, vector to it in m, 1 / square of its length) of each
+    node."""
     nodes, weights = (jnp.asarray(x, corner.x.dtype) for x in square_nodes(order))
     for (s, t), weight in zip(nodes, weights, strict=True):
         toward = corner + (s * u + t * v)
@@ -333,6 +334,6 @@ def _node_places(corner: Vec, u: Vec, v: Vec, order: int) -> Iterator[tuple]:
 
 def nodes_integral(corner: Vec, u: Vec, v: Vec, normal: Vec, *, order: int) -> Scalars:
     """The integral of `contour_integral` over a parallelogram, sr, by `order` Gauss-Legendre nodes
-    a side, whose error `adaptive` has; corner and edges in m, as seen from receivers of any shape,
-    0 for those behind it."""
+    per side, with the error that `adaptive` states. Corner and edges are in m, relative to
+    receivers of any shape; 0 for those behind it."""
     return _nodes_integral(corner, u, v, normal, order)

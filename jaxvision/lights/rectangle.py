@@ -1,7 +1,7 @@
-"""A rectangle that emits equally in all directions: one radiance from its whole front.
+"""A rectangle that emits equally in all directions, with one radiance over its front.
 
 Directions and lengths (m) in the world; for ONE point, the caller vmaps. `polygon` has the exact
-irradiance; here is what any BRDF needs, sample by sample.
+irradiance. This module has samples for any BRDF.
 """
 
 import equinox as eqx
@@ -24,8 +24,8 @@ from .window import Window, _window_bound, hit_window, window_pdf, window_sample
 class RectangleLight(Light):
     """A one-sided, uniform, diffusely emitting rectangle.
 
-    It shines to the side of edge_u x edge_v; points behind it, in its plane and on it receive
-    nothing from it.
+    It emits to the side of edge_u x edge_v. Points behind it, in its plane and on it receive
+    nothing.
 
     Attributes:
         corner: (3,) m.
@@ -60,7 +60,7 @@ _FLAT = 1e-9  # sine of the angle between edges that are called parallel
 
 
 def _check_not_parallel(one: Float[Array, "3"], other: Float[Array, "3"]) -> None:
-    """`ValueError` for edges that are known and lie on a line: they have no area to shine."""
+    """`ValueError` for known edges that are parallel, which leave no area."""
     if not (is_known(one) and is_known(other)):
         return
     u, v = (np.asarray(x, float) / np.linalg.norm(np.asarray(x, float)) for x in (one, other))
@@ -83,14 +83,14 @@ def _nearest_offset(light: RectangleLight, points: Vec) -> Vec:
 
 
 def rectangle_seen(light: RectangleLight, ray: Ray) -> Seen:
-    """The radiance of the front that a ray meets, (bands,) W m^-2 sr^-1, and its distance, m."""
+    """The radiance of the front that a ray hits, (bands,) W m^-2 sr^-1, and its distance, m."""
     at, hit = hit_window(ray, window_of(light))
     return Seen(jnp.where(hit, at.distance, jnp.inf), jnp.where(hit, light.radiance, 0))
 
 
 def rectangle_sample(light: RectangleLight, point: Vector, u: Float[Array, "2"]) -> Incident:
-    """A unit direction toward a place of the rectangle chosen by `u`, (2,) in [0, 1], L times solid
-    angle, (bands,) W m^-2, and the distance, m."""
+    """A unit direction toward a position of the rectangle selected by `u`, (2,) in [0, 1], L times
+    solid angle, (bands,) W m^-2, and the distance, m."""
     direction, distance, solid_angle, _ = window_sample(window_of(light), point, u)
     wi = direction if not isinstance(point, Array) else as_array(direction)
     return Incident(wi, light.radiance * solid_angle, distance)
@@ -102,8 +102,8 @@ def rectangle_pdf(light: RectangleLight, point: Vector, wi: Direction) -> Scalar
 
 
 def _emitted(light: RectangleLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray from a place of the front, uniform by area, by the cosine about its normal; `u`: (4,)
-    uniform in [0, 1). Its flux is pi A L, (bands,) W."""
+    """A ray from a position of the front, uniform by area and cosine-distributed about its normal;
+    `u`: (4,) uniform in [0, 1). Its flux is pi A L, (bands,) W."""
     quad = Quad(light.corner, light.edge_u, light.edge_v)
     return emitted_from_surface(quad, light.radiance, u)
 
@@ -118,7 +118,7 @@ def _small_light(light: RectangleLight) -> SmallLight:
 
 
 def _bound(light: Ends[RectangleLight]) -> Source:
-    """A window, which a small light at its middle may replace if it does not move."""
+    """A window, which a small light at its middle may replace if it is fixed."""
     source = _window_bound(light, light)._replace(even=True)
     u, v = numbers(light.low.edge_u), numbers(light.low.edge_v)
     if light.low is not light.high or not np.any(np.cross(u, v)):

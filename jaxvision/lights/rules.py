@@ -12,18 +12,18 @@ from ..core._types import Key, check_count, check_key, print_by_name
 
 
 class Quadrature(Shown):
-    """Fixed nodes, `order` a side: order^2 for a rectangle, twice that for an environment.
+    """Fixed nodes, `order` per side: order^2 for a rectangle, twice that for an environment.
 
     Use it for diffuse surfaces under area lights, and for gradients without noise.
 
     The error falls exponentially if light and surface are smooth. It falls like 1 / order^2 if the
     light crosses the surface's horizon, as every sky does: under a constant sky the error of a
-    diffuse surface is up to 1.2 % at order 8, and .3 % at 16. A nearer area light needs more
-    nodes. At the middle of a square light, order 8 (the default) has an error of -1.2e-5 at a
-    quarter of its side, -1.2e-3 at a tenth, -1.9 % at .03 and -34 % at a hundredth (+47 % at other
-    points). Order 32 has -4e-4 at a hundredth. `orders.order_for` gives the order for a distance,
-    and `adaptive.adaptive_irradiance` chooses it for many receivers. Structure smaller than the
-    distance between nodes is missed, and no error is reported:
+    diffuse surface is up to 1.2 % at order 8, and .3 % at 16. A nearer area light needs more nodes.
+    At the middle of a square light, order 8 (the default) has an error of -1.2e-5 at a quarter of
+    its side, -1.2e-3 at a tenth, -1.9 % at .03 and -34 % at a hundredth (+47 % at other points).
+    Order 32 has -4e-4 at a hundredth. `orders.order_for` gives the order for a distance, and
+    `adaptive.adaptive_irradiance` chooses it for many receivers. Structure finer than the distance
+    between nodes is missed without a warning:
 
       * The sun of a sky.
       * A glossy lobe. For the highlight of GGX facets in a square light, at a distance equal to its
@@ -54,11 +54,11 @@ class Quadrature(Shown):
 
 
 class MonteCarlo(Shown):
-    """Random samples where the light is bright, without bias.
+    """Random samples, concentrated where the light is bright, without bias.
 
     Use it for skies, and for surfaces whose lobe is at least as wide as the light. The samples of
-    one key are spread evenly (a Kronecker sequence with a random shift), so that their mean is
-    better than that of independent ones.
+    one key are spread evenly (a Kronecker sequence with a random shift), so their mean has a
+    smaller error than that of independent ones.
 
     Attributes:
         key: random key.
@@ -83,10 +83,10 @@ class MonteCarlo(Shown):
 class Balanced(Shown):
     """Random samples of light and material, joined by the balance heuristic.
 
-    As `MonteCarlo`, with a direction from the material's own sampler in addition to each one from
-    the light. Use it for glossy lobes, and whenever in doubt. The error is near the smaller of the
-    two, whether the lobe or the light is the smaller one, for the price of two samples. Where there
-    is no material to draw from (`irradiance`) it is `MonteCarlo`.
+    It works like `MonteCarlo`, with an additional direction from the material's own sampler for
+    each one from the light. Use it for glossy lobes, and whenever in doubt. The error is near the
+    smaller of the two, for lobes smaller or larger than the light, at the cost of two samples.
+    Without a material (`irradiance`) it equals `MonteCarlo`.
 
     Attributes:
         key: random key.

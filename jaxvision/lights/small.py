@@ -1,7 +1,7 @@
-"""A small flat lamp: bright along its normal, falling with the cosine to the side.
+"""A small flat lamp, whose intensity is proportional to the cosine of the angle to its normal.
 
-The limit of a lamp of uniform radiance that is small relative to every distance: a `RectangleLight`
-of area A and radiance L far away is a `SmallLight` of intensity A L.
+It is the limit of a lamp of uniform radiance that is small relative to every distance: a
+`RectangleLight` of area A and radiance L far away is a `SmallLight` of intensity A L.
 """
 
 import equinox as eqx
@@ -22,9 +22,9 @@ from .point import _place_bound, _toward
 
 
 class SmallLight(Light):
-    """A flat source that is small against its distance from everything, such as an LED chip.
+    """A flat source whose size is small compared with all distances, such as an LED chip.
 
-    It emits to the side of its normal, with the intensity I cos(theta) at the angle theta to it; a
+    It emits to the side of its normal, with the intensity I cos(theta) at the angle theta to it. A
     receiver at the distance d whose normal makes the angle theta_s with the light gets the
     irradiance E = I cos(theta) cos(theta_s) / d^2.
 
@@ -50,11 +50,11 @@ class SmallLight(Light):
 
 
 def from_small_light(light: SmallLight, point: Vector) -> Incident:
-    """Light that arrives from a small light, E = I cos(theta) / d^2 on a surface that faces it: the
-    unit direction, the irradiance, (bands,) W m^-2, and the distance, m.
+    """Light from a small light, E = I cos(theta) / d^2 on a surface that faces it: the unit
+    direction, the irradiance, (bands,) W m^-2, and the distance, m.
 
-    Behind the light and in its plane the irradiance is 0. Nearer than `smallest_divisor` (3e-10 m
-    in float32) the point is the light itself: direction, irradiance and gradients are 0.
+    Behind the light and in its plane the irradiance is 0. At distances below `smallest_divisor`
+    (3e-10 m in float32) direction, irradiance and gradients are 0.
     """
     direction, distance, dilution = _toward(light.position, point)
     cosine = jnp.maximum(-dot(direction, normalize(light.normal)), 0)
@@ -64,14 +64,14 @@ def from_small_light(light: SmallLight, point: Vector) -> Incident:
 
 
 def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
-    """A ray by the cosine about the normal, by u_2 and u_3; its flux is pi I, W."""
+    """A cosine-distributed ray about the normal, from u_2 and u_3; its flux is pi I, W."""
     local = cosine_direction(u[2:])
     direction = as_vec(to_world(local_frame(normalize(light.normal)), local))
     return emitted_from_point(as_vec(light.position), direction, jnp.pi * light.intensity)
 
 
 def _bound(light: Ends[SmallLight]) -> Source:
-    """A lamp at one place; its normal counts where it stays."""
+    """A lamp at one position; its normal counts if it is fixed."""
     fixed = np.array_equal(light.low.normal, light.high.normal)
     return _place_bound(light, normal=unit(numbers(light.low.normal)) if fixed else None)
 

@@ -47,7 +47,7 @@ class Window(Shown):
 
 
 class Crossing(eqx.Module):
-    """Where a ray's line crosses the plane of a window."""
+    """The crossing of a ray's line with the plane of a window."""
 
     distance: Scalar  # () m along the ray, of either sign
     u: Scalar  # () place along edge_u, 0 to 1 inside, no unit
@@ -75,8 +75,9 @@ def hit_window(ray: Ray, window: Window) -> tuple[Crossing, Array]:
 
 
 class Spread(eqx.Module):
-    """Maps [0, 1] onto an interval of a line, from `start` on and `length` long: x = scale
-    sinh(first + u span), measured from the foot of a perpendicular. start, length, scale: () m."""
+    """Map from [0, 1] to an interval of a line that begins at `start` and is `length` long: x =
+    scale sinh(first + u span), relative to the foot of a perpendicular. start, length, scale: () m.
+    () m."""
 
     start: Scalar
     length: Scalar
@@ -86,8 +87,8 @@ class Spread(eqx.Module):
 
 
 def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
-    """asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a sqrt(1 + b^2)), whose difference is a
-    quotient of sums where both have one sign: nothing cancels for an interval far away."""
+    """asinh(b) - asinh(a) = asinh(b sqrt(1 + a^2) - a sqrt(1 + b^2)). If both have one sign, the
+    difference is a quotient of sums, so nothing cancels for a distant interval."""
     a, step = start / scale, length / scale
     b = a + step
     across_a, across_b = jnp.sqrt(1 + a * a), jnp.sqrt(1 + b * b)
@@ -99,8 +100,8 @@ def _spread(start: Scalar, length: Scalar, scale: Scalar) -> Spread:
 
 
 def _place(spread: Spread, u: Scalar) -> tuple[Scalar, Scalar]:
-    """(fraction of the interval, its derivative by u), by sinh(x + 2 h) - sinh(x) = 2 sinh(h)
-    cosh(x + h): a short interval far away keeps its digits."""
+    """(fraction of the interval, its derivative by u), from sinh(x + 2 h) - sinh(x) = 2 sinh(h)
+    cosh(x + h), which is accurate for a short distant interval."""
     half = u * spread.span / 2
     per_length = spread.scale / spread.length
     fraction = 2 * per_length * jnp.sinh(half) * jnp.cosh(spread.first + half)
@@ -114,8 +115,8 @@ def _density(spread: Spread, fraction: Scalar) -> Scalar:
 
 
 def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
-    """Along each edge, the scale is the distance from the point to the nearest of the lines
-    parallel to that edge: where 1 / d^2 peaks."""
+    """For each edge, the scale is the distance from the point to the nearest of the lines parallel
+    to that edge, at which 1 / d^2 peaks."""
     toward = as_vec(window.corner - as_vec(point))
     normal = normalize(cross(window.edge_u, window.edge_v))
     height = dot(normal, toward)
@@ -138,12 +139,12 @@ def _spreads(window: Window, point: Vector) -> tuple[Spread, Spread]:
 def window_sample(
     window: Window, point: Vector, u: Float[Array, "2"]
 ) -> tuple[Vec, Scalar, Scalar, Float[Array, "2"]]:
-    """A place of the window by `u`, (2,) in [0, 1], dense where the window is near: x = D sinh(p +
-    u q) along each edge, which stays even where the window is far.
+    """A position of the window by `u`, (2,) in [0, 1], dense where the window is near: x = D sinh(p
+    + u q) along each edge, which is uniform if the window is far away.
 
-    Gives the unit direction toward the place, the distance, m, the solid angle per unit of the
-    square, sr, which is 0 for a point behind the window or in its plane, and the place, (2,) in [0,
-    1] along the edges.
+    Returns the unit direction toward it, the distance, m, the solid angle per unit of the square,
+    sr, which is 0 for a point behind the window or in its plane, and the position, (2,) in [0, 1]
+    along the edges.
 
     Source: Johnston & Elliott, "A sinh transformation for evaluating nearly singular boundary
     element integrals", Int. J. Numer. Meth. Engng 62 (2005).
@@ -176,8 +177,8 @@ _PIECES = 5  # along each side of a window
 
 
 def _window_bound(light: Ends[Any], windows: Ends[Any]) -> Source:
-    """A lamp that sends at most the largest radiance through a window, cut into pieces where that
-    stays."""
+    """A lamp that emits at most its largest radiance through a window, which is divided into pieces
+    if it is fixed."""
     low, high = windows
     corner, u, v = (numbers(getattr(low, name)) for name in ("corner", "edge_u", "edge_v"))
     fixed = all(

@@ -1,4 +1,4 @@
-"""A small problem for each knob that no scene file has. Each takes seconds.
+"""A small problem for each setting that no scene file has. Each takes seconds.
 
 light      roulette, strategies, form factors, adaptive nodes, tables of directions, spectra
 cameras    lens, motion, pixel aperture, diffraction, shot noise
@@ -15,7 +15,7 @@ ROOMS = ("light", "cameras", "pictures")
 
 
 def examples() -> dict[str, Callable[[], Problem]]:
-    """By the name of its knob, a function without arguments that makes the problem."""
+    """Functions without arguments that make the problems, by setting."""
     found: dict[str, Callable[[], Problem]] = {}
     for room in ROOMS:
         found |= import_module(f"{__name__}.{room}").EXAMPLES
@@ -23,7 +23,7 @@ def examples() -> dict[str, Callable[[], Problem]]:
 
 
 def example(knob: str) -> Problem:
-    """The problem on which a knob is measured when there is no scene file.
+    """The problem on which a setting is measured when there is no scene file.
 
     Args:
         knob: its name, one of `KNOBS`.

@@ -166,7 +166,7 @@ def _diffraction_nodes() -> Problem:
 
 
 def _shot_noise() -> Problem:
-    """The distribution of 2^18 draws at means of 1 to 100 electrons, against Poisson's."""
+    """The distribution of 2^18 draws at means of 1 to 100 electrons, compared with Poisson's."""
     from scipy.stats import poisson
 
     draws, most = 2**18, 160

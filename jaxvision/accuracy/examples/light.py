@@ -41,7 +41,8 @@ def _box() -> SceneFile:
 
 
 def _paths(method: Callable[[Any], Paths], knob: str) -> Problem:
-    """The Cornell box by paths, below its lamp, whose edges would outweigh all that paths find."""
+    """The Cornell box by path tracing, cropped below its lamp, whose edges would dominate the
+    error."""
     view = with_resolution(_box().view, (SIDE, SIDE))
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
@@ -70,7 +71,7 @@ def _form_factors() -> Problem:
 
 
 def _progressive() -> Problem:
-    """A closed cube of 96 patches: equal factors but for its own wall."""
+    """A closed cube of 96 patches, with equal form factors except within a wall."""
     rng = np.random.default_rng(0)
     factors = rng.uniform(0.5, 1.5, (96, 96))
     factors = (factors + factors.T) * (1 - np.eye(96))
@@ -90,7 +91,7 @@ def _progressive() -> Problem:
 
 
 def _adaptive() -> Problem:
-    """A floor under a lamp, against Lambert's closed form."""
+    """A floor under a lamp, compared with Lambert's closed form."""
     lamp = RectangleLight((-0.5, -0.5, 0.6), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), radiance=(1.0,))
     x, y = np.meshgrid(np.linspace(-1, 1, SIDE), np.linspace(-1, 1, SIDE))
     points = jnp.asarray(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1))
@@ -142,7 +143,7 @@ def _polygons() -> Problem:
 
 
 def _sampler() -> Problem:
-    """The reflected light of a sky at a tabulated lobe, by 64 directions drawn from its own
+    """The light of a sky reflected by a tabulated lobe, from 64 directions drawn from its own
     table."""
     angles = jnp.asarray(np.linspace(0.01, 1.5, 16))
     samples = samples_of(_gloss(0.2), angles, angles, jnp.asarray(np.linspace(0, np.pi, 19)))
@@ -175,7 +176,8 @@ def _sampler() -> Problem:
 
 
 def _bands() -> Problem:
-    """Tristimulus values of D65 through a filter, from samples at so many wavelengths."""
+    """Tristimulus values of D65 through a filter, from samples at the given number of
+    wavelengths."""
 
     def prepare(settings: Mapping[str, Any]) -> Compute:
         wavelengths = jnp.linspace(380e-9, 780e-9, settings["bands"])

@@ -86,7 +86,7 @@ def _bilateral() -> Problem:
 
 
 def _layer() -> tuple[np.ndarray, np.ndarray]:
-    """A disc with a soft edge before a ramp, and its coverage."""
+    """A disc with a soft edge in front of a ramp, and its coverage."""
     y, x = np.mgrid[:SIDE, :SIDE] / SIDE
     alpha = np.clip((0.3 - np.hypot(x - 0.5, y - 0.5)) * 20 + 0.5, 0, 1)[..., None]
     front = np.stack([0.8 + 0 * x, 0.2 + 0.3 * y, 0.1 + 0.2 * x], axis=-1)
@@ -135,7 +135,7 @@ def _power() -> Problem:
 
 
 def _interpolation() -> Problem:
-    """Of waves of 9 and 13 pixels, whose values between pixels are known."""
+    """Interpolation of waves of 9 and 13 pixels, whose values between pixels are known."""
     places = np.linspace(4.0, SIDE - 5.0, SIDE)
 
     def waves(y: np.ndarray, x: np.ndarray) -> np.ndarray:

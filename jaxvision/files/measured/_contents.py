@@ -1,4 +1,4 @@
-"""Shared by the readers: the bytes of a file, and the units that files use."""
+"""Common parts of the readers: the bytes of a file, and the units of files."""
 
 import os
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ TURN = 6.2832  # rad, 2 pi rounded up to the digits that files hold
 
 
 def representable(values: np.ndarray | Sequence[float]) -> np.ndarray:
-    """Which values, in any unit, are finite in JAX's default dtype, which a record takes."""
+    """Mask of the values, in any unit, that are finite in JAX's default dtype, as records need."""
     with np.errstate(over="ignore"):
         return np.isfinite(np.asarray(values).astype(jnp.result_type(float)))
 

@@ -75,7 +75,7 @@ def fields_in(file: Path, data: bytes) -> dict[str, np.ndarray]:
 
 
 def tensor_file(arrays: dict[str, np.ndarray]) -> bytes:
-    """The bytes of a tensor file, all heads before all data."""
+    """The bytes of a tensor file, with all headers before all data."""
     kinds = {np.dtype(name): number for number, name in _TYPES.items()}
     offset = len(_MAGIC + _VERSION) + 4
     offset += sum(2 + len(name.encode()) + 11 + 8 * x.ndim for name, x in arrays.items())

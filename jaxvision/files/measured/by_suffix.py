@@ -1,4 +1,4 @@
-"""The reader of a file of measured reflectance, by its suffix."""
+"""The reader for a file of measured reflectance, by its suffix."""
 
 import os
 from pathlib import Path
@@ -13,7 +13,7 @@ from .rgl import read_rgl
 
 
 def read_measured(path: str | os.PathLike[str]) -> HalfDifferenceTable | BRDFSamples | RGL:
-    """Reads a file of measured reflectance, its format taken from the suffix.
+    """Read a file of measured reflectance, in the format of its suffix.
 
     Args:
         path: a file ending in `.binary` (MERL), `.brdf` (Cornell) or `.bsdf` (RGL).

@@ -72,7 +72,7 @@ def _rows_of_numbers(file: Path, data: bytes) -> list[Row]:
 
 
 def _take_wavelengths(file: Path, rows: list[Row]) -> list[float]:
-    """The wavelengths of the header in nm; takes the header off the rows."""
+    """The wavelengths in the header in nm, which are removed from the rows."""
     if not rows or len(rows[0][1]) != 1 or rows[0][1][0] % 1 or rows[0][1][0] < 1:
         raise InputError(
             f"{file}: the first number must be the count of wavelengths, alone on its line; this "
@@ -95,7 +95,7 @@ def _take_wavelengths(file: Path, rows: list[Row]) -> list[float]:
 
 
 def _check_samples(file: Path, rows: list[Row], *, bands: int) -> None:
-    """`InputError` for rows that do not hold four angles in rad and a value for each band."""
+    """`InputError` for rows without four angles in rad and a value for each band."""
     if not rows:
         raise InputError(f"{file}: the header is followed by no samples; copy the file again.")
     for number, row in rows:

@@ -28,9 +28,8 @@ MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 
 def _nearest_valid(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(bins..., bands) with every invalid bin replaced by the nearest valid one, measured in bins
-    and around the circle of phi_d.
-    """
+    """(bins..., bands) with every invalid bin replaced by the nearest valid one, with distance in
+    bins and periodic in phi_d."""
     from scipy.ndimage import distance_transform_edt
 
     turn = valid.shape[2]
@@ -98,7 +97,7 @@ def read_merl(
 
 
 def _name_padding(file: Path, stored: np.ndarray) -> None:
-    """Warns of a colour that ends in zeros, as in a copy that was cut short and filled up."""
+    """Warn of a colour that ends in zeros, as in a truncated file that was padded."""
     for colour, values in zip(("red", "green", "blue"), stored.reshape(3, -1), strict=True):
         ends = len(values) - 1 - int(np.max(np.flatnonzero(values), initial=-1))
         if _PADDED * len(values) < ends < len(values):
@@ -110,7 +109,7 @@ def _name_padding(file: Path, stored: np.ndarray) -> None:
 
 
 def write_merl(path: str | os.PathLike[str], table: HalfDifferenceTable) -> None:
-    """Writes a table as a MERL file; no bin is marked as not measured.
+    """Write a table as a MERL file; no bin is marked as unmeasured.
 
     Args:
         path: the file.

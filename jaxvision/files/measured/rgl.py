@@ -78,7 +78,8 @@ def read_rgl(path: str | os.PathLike[str]) -> RGL:
 
 
 def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bool) -> int:
-    """How many equal sectors of azimuth make a turn; `InputError` for values out of range."""
+    """The number of equal azimuth sectors in a full circle; `InputError` for values out of
+    range."""
     theta, phi = fields["theta_i"], fields["phi_i"]
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
@@ -122,7 +123,7 @@ def _check_rgl_values(file: Path, fields: dict[str, np.ndarray], *, spectral: bo
 def write_rgl(path: str | os.PathLike[str], material: RGL, *, description: str = "") -> None:
     """Writes a material as an RGL file, in float32 like the database.
 
-    Densities are written normalised; every reader normalises them anyway.
+    Densities are written normalised; readers normalise them anyway.
 
     Args:
         path: the file.

@@ -75,7 +75,7 @@ class SceneFile:
         return f"{self.path.name}: {', '.join(held)}"
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows: what surfaces and lights are, by name."""
+        """The table of surfaces and lights, by name, for a notebook."""
         surfaces = zip(self.surfaces, self.scene.surfaces, strict=True)
         rows = [(name, type(s.shape).__name__, type(s.material).__name__) for name, s in surfaces]
         lights = zip(self.lights, self.scene.lights, strict=True)
@@ -172,7 +172,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
 
 
 def _content(file: Path) -> dict[str, Any]:
-    """The tables of a TOML file, or those that a scene of Mitsuba or glTF amounts to."""
+    """The tables of a TOML file, or the equivalent of a Mitsuba or glTF scene."""
     suffix = file.suffix.lower()
     if suffix not in (".xml", *GLTF):
         return read_toml(file, "scene")
@@ -191,7 +191,7 @@ def _digest(*records: object) -> str:
 
 
 def _names(kind: str, entries) -> tuple[str, ...]:
-    """What messages call each entry: its own name, or its place in the file."""
+    """The names of the entries in messages: their own, or their position in the file."""
     return tuple(
         f'{kind} "{entry["name"]}"' if isinstance(entry.get("name"), str) else f"{kind}[{i}]"
         for i, entry in enumerate(entries, 1)
@@ -212,7 +212,7 @@ def _check_rounded(
     rounded: tuple[Scene, View],
 ) -> None:
     """`InputError` for the first object that the dtype of the rendering cannot represent, and a
-    warning of those that it represents coarsely."""
+    warning of objects that it represents coarsely."""
     (scene, view), (kept, kept_view) = exact, rounded
     objects = [
         *zip(surfaces, scene.surfaces, kept.surfaces, strict=True),
@@ -233,7 +233,7 @@ def _check_rounded(
 
 @contextmanager
 def _named(file: Path, name: str) -> Iterator[None]:
-    """Adds the file and the object to the message of an error or a warning."""
+    """Add the file and the object to the message of an error or a warning."""
     where = f"{file}: {name}: " if name else f"{file}: "
     try:
         with warnings.catch_warnings(record=True) as caught:

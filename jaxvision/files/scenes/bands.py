@@ -49,7 +49,7 @@ _ROUNDING = 1e-3  # white is up to 1.0002 in linear sRGB, whose matrix is rounde
 class Tabulated:
     """A spectrum by its wavelengths or by name, reduced to the bands of the scene.
 
-    One of `pairs`, `file`, `illuminant`, `patch` and `blackbody` is given.
+    Exactly one of `pairs`, `file`, `illuminant`, `patch` and `blackbody` is given.
 
     Attributes:
         pairs: [wavelength in nm, value], wavelengths ascending, as many as there are.
@@ -113,8 +113,8 @@ class Bands:
 
 
 def bands_of(count: int | None, wavelengths: Grid | tuple[float, ...] | None) -> Bands:
-    """The bands that a scene file asks for, 3 by default; a list or a grid of wavelengths is in nm.
-    `InputError` for wavelengths that do not ascend, or were meant in another unit."""
+    """The bands of a scene file, 3 by default; a list or a grid of wavelengths is in nm.
+    `InputError` for wavelengths that do not ascend, or that seem to be in another unit."""
     if wavelengths is None:
         return Bands(3 if count is None else count)
     if isinstance(wavelengths, Grid):
@@ -175,8 +175,8 @@ def reduction(known: np.ndarray, bands: Bands, *, quantity: Quantity) -> np.ndar
 def _integrals(
     known: np.ndarray, grid: np.ndarray, density: np.ndarray, covered: np.ndarray
 ) -> np.ndarray:
-    """(known, bands): the integrals over a grid of a spectrum times a density of each band, both
-    linear between their wavelengths, and 0 beyond those that are covered."""
+    """(known, bands): the integrals of a spectrum times a density for each band, over a grid. Both
+    are linear between their wavelengths and 0 beyond them."""
     points = np.concatenate([grid, known[(known > grid[0]) & (known < grid[-1])]])
     points = np.unique(points[(points >= covered[0]) & (points <= covered[1])])
     at = np.stack([np.interp(points, grid, one) for one in density.T], axis=-1)
@@ -187,7 +187,8 @@ def _integrals(
 
 
 def _shares(known: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(known, bands): the sums over points, (points, bands), of weights times a spectrum there."""
+    """(known, bands): the sums over points of weights, (points, bands), times a spectrum at the
+    points."""
     above = np.clip(np.searchsorted(known, points, side="right"), 1, max(len(known) - 1, 1))
     below, above = above - 1, np.minimum(above, len(known) - 1)
     t = np.clip((points - known[below]) / np.maximum(known[above] - known[below], 1e-300), 0, 1)
@@ -223,8 +224,8 @@ def _tabulated(spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quan
 def _table_of(
     spectrum: Tabulated, bands: Bands, folder: Folder, quantity: Quantity
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Wavelengths, m, and values of a spectrum that is a table: pairs, a file, or a lamp of the CIE
-    that no formula gives."""
+    """Wavelengths, m, and values of a tabulated spectrum: pairs, a file, or a CIE lamp without a
+    formula."""
     if spectrum.pairs is not None:
         nanometres, values = np.asarray(spectrum.pairs, float).T
         return nanometres * 1e-9, values
@@ -249,7 +250,8 @@ def _table_of(
 
 
 def _samples(bands: Bands) -> np.ndarray:
-    """The wavelengths in m at which spectra are evaluated: the bands' own, or the visible range."""
+    """The wavelengths in m at which spectra are evaluated: those of the bands, or the visible
+    range."""
     if bands.wavelengths is not None:
         return bands.wavelengths
     if bands.count != 3:
@@ -261,8 +263,8 @@ def _samples(bands: Bands) -> np.ndarray:
 
 
 def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
-    """Linear sRGB, (wavelengths, 3), relative, of a spectrum of reflectance or light that is 1 at
-    one wavelength, m, and 0 at the others."""
+    """Linear sRGB, (wavelengths, 3), relative, of a reflectance or light that is 1 at one
+    wavelength, m, and 0 at the others."""
     grid, each = jnp.asarray(wavelengths), jnp.eye(len(wavelengths))
     observer = colour_data.observer(grid)
     if quantity == "reflectance":
@@ -274,7 +276,7 @@ def colours_of(wavelengths: np.ndarray, quantity: Quantity) -> np.ndarray:
 
 
 def _from_library(spectrum: Tabulated, wavelengths: np.ndarray) -> np.ndarray:
-    """The spectrum of a name or a temperature at these wavelengths in m."""
+    """The spectrum for a name or a temperature at these wavelengths in m."""
     grid = jnp.asarray(wavelengths)
     if spectrum.illuminant is not None:
         return np.asarray(colour_data.illuminant(spectrum.illuminant, grid))

@@ -1,4 +1,4 @@
-"""Files that belong to a scene, found relative to its file."""
+"""Files of a scene, with paths relative to the scene file."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from ...errors import InputError, plain_text
 
 
 class Folder:
-    """The folder at which the paths of one scene file start."""
+    """The folder to which the paths of a scene file are relative."""
 
     def __init__(self, scene_file: Path) -> None:
         self._start = scene_file.parent

@@ -36,7 +36,7 @@ _IDLE = {
 
 
 class RenderEntry(Entry):
-    """How the scene is rendered unless the command says otherwise.
+    """The default rendering of the scene, which the command's options override.
 
     Attributes:
         integrator: "direct" sums over the lights; "path" adds reflected light; "rays" follows
@@ -80,13 +80,13 @@ class RenderEntry(Entry):
 
 
 def idle(integrator: str, given: Mapping[str, Any]) -> list[str]:
-    """Those of some settings, None where not given, that an integrator does not use."""
+    """The given settings (not None) that an integrator does not use."""
     return [name for name in _IDLE[integrator] if given.get(name) is not None]
 
 
 def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]:
-    """The materials and the keys of `[render]` in a file that change no picture, a sentence each,
-    without its stop; `entry` is the content, checked."""
+    """The materials and the keys of `[render]` in a file that change no picture, one sentence each
+    without its full stop; `entry` is the checked content."""
     integrator = entry.render.integrator
     given = content.get("render", {})
     used = {surface.get("material") for surface in entry.surface}
@@ -100,11 +100,11 @@ def without_effect(content: Mapping[str, Any], entry: "SceneEntry") -> list[str]
 
 
 def overridden(settings: RenderEntry, given: Mapping[str, Any]) -> RenderEntry:
-    """Settings of a file with those replaced that are given and not None; `InputError` for the
-    first that is out of range or belongs to another integrator.
+    """Settings of a file with the given ones (not None) in their place; `InputError` for the first
+    that is out of range or belongs to another integrator.
 
-    Samples and depth belong to the integrator beside which they were written: another integrator
-    starts from its own defaults.
+    Samples and depth belong to the integrator next to which they were written. Another integrator
+    uses its own defaults.
     """
     given = {name: value for name, value in given.items() if value is not None}
     kept = settings.model_dump()

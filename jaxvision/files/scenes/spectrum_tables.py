@@ -53,13 +53,13 @@ _NO_LENGTH = {"hz", "thz", "ev", "frequency", "energy"}
 
 
 def read_table(file: Path, column: str | None, quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths, (n,) m, ascending, and values, (n,) in the unit of the file, of one column of a
-    CSV below a line of heads; lines before it may begin with #. A reflectance in % is given without
+    """Wavelengths, (n,) m, ascending, and values, (n,) in the unit of the file, from one column of
+    a CSV below a header line. Earlier lines may begin with #. A reflectance in % is given without
     it.
 
-    Without a column it is the only one that holds neither wavelengths nor an index nor an
-    uncertainty, or else the only one whose head names the quantity. `InputError` for heads that
-    leave column or unit open, and for rows that are no spectrum.
+    By default it is the only column that is not a wavelength, an index or an uncertainty, or else
+    the only one whose header names the quantity. `InputError` for headers that leave the column or
+    the unit ambiguous, and for rows that are not a spectrum.
     """
     lines = plain_text(file).splitlines()
     first = next((n for n, line in enumerate(lines) if line.strip()[:1] not in ("", "#")), None)
@@ -121,12 +121,12 @@ def _is_number(cell: str) -> bool:
 
 
 def _words(head: str) -> set[str]:
-    """The words of a head in lower case: wavelength and um of "Wavelength_um"."""
+    """The words of a header in lower case: wavelength and um for "Wavelength_um"."""
     return set(re.findall(r"[^\W\d_]+", head.lower())) or {""}
 
 
 def _along(file: Path, heads: list[str]) -> int:
-    """The column of the wavelengths: the first that is named so, or else the first of all."""
+    """The column of the wavelengths: the first with such a name, or else the first."""
     sure = [set() if _words(head) & _UNCERTAINTY else _words(head) for head in heads]
     units = set(_METRES) | _NO_LENGTH
     named = [n for n, words in enumerate(sure) if words & _WAVELENGTH]
@@ -140,7 +140,7 @@ def _along(file: Path, heads: list[str]) -> int:
 
 
 def _only(file: Path, others: list[str], quantity: str) -> str:
-    """The column of the values, where only one can be meant."""
+    """The column of the values, if it is unambiguous."""
     left = [h for h in others if not (_words(h) <= _INDEX or _words(h) & _UNCERTAINTY)]
     named = [h for h in left if _words(h) & _VALUES[quantity]]
     chosen = left if len(left) == 1 else named

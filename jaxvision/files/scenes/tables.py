@@ -100,7 +100,7 @@ def beside_shape(
     emission: Colour | None = None,
     two_sided: bool = False,
 ) -> dict[str, Any]:
-    """The keys of a table `[[surface]]` besides its shape."""
+    """The keys of a table `[[surface]]` in addition to its shape."""
     if material is None and emission is None:
         raise InputError("give a material, an emission or both.")
     return {"material": material, "emission": emission, "two_sided": two_sided}
@@ -223,7 +223,7 @@ def keys_of_kind(table: Table) -> dict[str, Key]:
 
 
 def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> Reading:
-    """How the tables of a scene file are read, with spectra of that quantity."""
+    """The settings for reading the tables of a scene file, with spectra of that quantity."""
 
     def typed(hint: Any, where: str, value: Any) -> Any:
         if hint == Colour:
@@ -239,7 +239,7 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
 
 
 def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:
-    """The light of a table `[[light]]`; `InputError` for what cannot be one."""
+    """The light of a table `[[light]]`; `InputError` for an invalid one."""
     word, rest = _word(reading, where, "kind", entry, light_tables())
     table = light_tables()[word]
     keys = keys_of(beside_light) | keys_of_kind(table)
@@ -248,7 +248,7 @@ def light_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Light:
 
 
 def material_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> Material:
-    """The material of a table `[material.NAME]`; `InputError` for what cannot be one."""
+    """The material of a table `[material.NAME]`; `InputError` for an invalid one."""
     word, rest = _word(reading, where, "family", entry, material_tables())
     table = material_tables()[word]
     keys = keys_of_kind(table)
@@ -283,7 +283,7 @@ def surface_of(
 
 
 def view_of(reading: Reading, where: str, entry: Mapping[str, Any]) -> View:
-    """The view of the table `[camera]`; `InputError` for what cannot be one."""
+    """The view of the table `[camera]`; `InputError` for an invalid one."""
     word, rest = _word(reading, where, "kind", entry, VIEWS)
     make, beside = VIEWS[word], keys_of(beside_camera)
     values = _values(reading, where, beside | keys_of(make), rest)
@@ -304,7 +304,7 @@ def _word(
 def _values(
     reading: Reading, where: str, keys: Mapping[str, Key], entry: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The values of a table, with spectra that are given by default."""
+    """The values of a table, with default spectra."""
     usual = {
         name: key.default
         for name, key in keys.items()

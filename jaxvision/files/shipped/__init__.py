@@ -1,6 +1,6 @@
-"""Scene and camera files by their paths or, of those that come with the package, by their names.
+"""Scene and camera files by path, or by name if they come with the package.
 
-Nothing here loads a library that computes: a wrong path is answered at once.
+No numerical library is loaded here, so a wrong path is reported immediately.
 """
 
 import os
@@ -19,7 +19,7 @@ def shipped_files(kind: Kind) -> tuple[str, ...]:
 
 
 def existing_file(path: str | os.PathLike[str], kind: Kind) -> Path:
-    """The existing file that is meant; `InputError` without one."""
+    """The existing file for a path or name; `InputError` without one."""
     file, known = Path(path), shipped_files(kind)
     if file.is_file():
         return file

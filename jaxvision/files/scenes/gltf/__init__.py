@@ -40,7 +40,7 @@ _UNREAD = ("COLOR_", "JOINTS_", "WEIGHTS_")  # attributes that change what is se
 
 def scene_of(file: Path) -> dict[str, Any]:
     """The tables of a TOML scene file, by name, with the content of a `.gltf` or `.glb`;
-    `InputError` for the first part that is not read, or is wrong."""
+    `InputError` for the first unsupported or wrong part."""
     content = content_of(file, read_gltf(file).content)
     for name in content.extensionsRequired or ():
         if name not in _EXTENSIONS:
@@ -95,7 +95,7 @@ def _item(items: tuple, index: int, label: str):
 
 
 def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
-    """A light at its node; one with a direction shines along the node's -z."""
+    """A light at its node; a directional one shines along the node's -z."""
     if light.type not in ("point", "directional"):
         raise InputError(
             f"a light of type {light.type!r} is not read, only 'point' and 'directional'; put a "

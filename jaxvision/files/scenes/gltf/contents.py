@@ -1,4 +1,4 @@
-"""What of glTF's JSON is read, as models: a key that is not here has no exact counterpart."""
+"""The supported part of glTF's JSON, as models: a missing key has no exact counterpart."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -14,7 +14,7 @@ Colour = tuple[Share, Share, Share]
 
 
 class Named(Entry):
-    """What every object of glTF may have; `extras` are notes of other programs."""
+    """The common fields of glTF objects; `extras` are data of other programs."""
 
     name: str | None = None
     extras: Any = None
@@ -62,19 +62,19 @@ class Lights(Entry):
 
 
 class RootExtensions(Entry):
-    """At the root."""
+    """Extensions at the root."""
 
     KHR_lights_punctual: Lights = Lights()
 
 
 class LightHere(Entry):
-    """The number of a light."""
+    """The index of a light."""
 
     light: Index
 
 
 class NodeExtensions(Entry):
-    """At a node."""
+    """Extensions at a node."""
 
     KHR_lights_punctual: LightHere | None = None
 
@@ -151,7 +151,7 @@ class Volume(Entry):
 
 
 class MaterialExtensions(Entry):
-    """At a material."""
+    """Extensions at a material."""
 
     KHR_materials_emissive_strength: Strength = Strength()
     KHR_materials_ior: Ior = Ior()
@@ -178,8 +178,8 @@ class Part(Named):
 
 
 class Content(Entry):
-    """A whole file; buffers are read by `files.gltf`, pictures and their samplers by nobody, since
-    a material that uses them is refused."""
+    """A whole file. Buffers are read by `files.gltf`. Images and samplers are not read, because a
+    material that uses them is refused."""
 
     asset: Any
     scene: Index = 0
@@ -201,8 +201,8 @@ class Content(Entry):
 
 
 def content_of(path: object, content: Mapping[str, Any]) -> Content:
-    """The JSON of the file at `path` as records; `InputError` for the first key that is not read,
-    or value that cannot be."""
+    """The JSON of the file at `path` as records; `InputError` for the first unsupported key or
+    value."""
     try:
         return Content.model_validate(content)
     except ValidationError as error:
@@ -216,7 +216,7 @@ def content_of(path: object, content: Mapping[str, Any]) -> Content:
 
 
 def _place(loc: tuple[int | str, ...], content: Any) -> str:
-    """`materials "red".normalTexture`."""
+    """The place of an error, such as `materials "red".normalTexture`."""
     place, at = "", content
     for part in loc:
         at = at[part]

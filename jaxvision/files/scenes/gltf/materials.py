@@ -3,9 +3,9 @@
 glTF mixes a metal and a coated matt body, f = (1 - m) ((1 - F) c / pi + F D V) + m F_m D V, with
 Schlick's F from F0 = ((ior - 1) / (ior + 1))^2 and F_m from F0 = c, the GGX density D of alpha =
 roughness^2 and Smith's V. The specular parts are those of `TorranceSparrow` with Schlick's F from
-the mean of both F0, since Schlick's formula is linear in F0. The matt part keeps (1 - F0) of itself
-here at all angles: with an index of 1.5 its albedo is 0.5 % too high seen at 60 degrees, and 2.2 %
-at 85. Source: Khronos, glTF 2.0 Specification, appendix B.
+the mean of both F0, which is exact because Schlick's formula is linear in F0. The matt part keeps
+(1 - F0) at all angles here. With an index of 1.5 its albedo is 0.5 % too high at a viewing angle of
+60 degrees, and 2.2 % at 85. Source: Khronos, glTF 2.0 Specification, appendix B.
 """
 
 import warnings
@@ -20,8 +20,8 @@ LEAST_ALPHA = 1e-6  # of a polished metal, as `TorranceSparrow` takes it
 
 
 def material_of(material: Material, label: str) -> dict[str, Any]:
-    """`family` and the other keys of a material that messages call `label`; `InputError` for a
-    transparent one without an exact counterpart."""
+    """`family` and the other keys of a material; `label` is its name in messages. `InputError` for
+    a transparent one without an exact counterpart."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     colour, metal = np.array(surface.baseColorFactor[:3]), surface.metallicFactor
     factors = {
@@ -55,7 +55,7 @@ def material_of(material: Material, label: str) -> dict[str, Any]:
 
 
 def _glass(material: Material, label: str) -> dict[str, Any]:
-    """Smooth, clear or absorbing glass about a volume."""
+    """Smooth glass, clear or absorbing, around a volume."""
     surface, more = material.pbrMetallicRoughness, material.extensions
     volume = more.KHR_materials_volume
     smooth = surface.roughnessFactor == 0 and surface.metallicFactor == 0

@@ -1,4 +1,4 @@
-"""The tree of glTF's nodes: where meshes, lights and the camera stand. In m; y is up."""
+"""The tree of glTF's nodes: the positions of meshes, lights and the camera. In m; y is up."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,8 +10,8 @@ from .contents import Content, Node
 
 
 def placed(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray]]:
-    """The nodes of the file's scene, parents first: name, node, and its (4, 4) map of points, as
-    columns, to the world. `InputError` for a node that is not there, or is reached twice."""
+    """The nodes of the file's scene, parents first: name, node, and its (4, 4) map of column points
+    to the world. `InputError` for a missing node, or one that is reached twice."""
     if not content.scenes:
         raise InputError("has no scene; export it again.")
     if content.scene >= len(content.scenes):
@@ -30,7 +30,7 @@ def placed(path: Path, content: Content) -> Iterator[tuple[str, Node, np.ndarray
 
 
 def _local(node: Node) -> np.ndarray:
-    """(4, 4): scaled, then turned, then moved."""
+    """(4, 4): scale, then rotation, then translation."""
     if node.matrix is not None:
         return np.reshape(node.matrix, (4, 4)).T
     x, y, z, w = np.array(node.rotation) / np.linalg.norm(node.rotation)

@@ -31,8 +31,8 @@ _READ = ("shape", "bsdf", "emitter", "sensor", "integrator")
 
 
 def scene_of(file: Path) -> dict[str, Any]:
-    """The tables of a TOML scene file, by name, with the content of a scene of Mitsuba;
-    `InputError` for the first part that is not read, or is wrong."""
+    """The tables of a TOML scene file, by name, with the content of a Mitsuba scene; `InputError`
+    for the first unsupported or wrong part."""
     root = root_of(file)
     root.must_be_read(tags=_READ)
     sensors = root.within("sensor")
@@ -55,7 +55,7 @@ def scene_of(file: Path) -> dict[str, Any]:
 
 
 def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
-    """A shape, its BSDF and its light; one that shines reflects only by a BSDF of its own."""
+    """A shape with its BSDF and its light; an emissive one reflects only if it has its own BSDF."""
     bsdf, emitter = node.only("bsdf"), node.only("emitter")
     made = {"name": node.label, **shape_of(node)}
     two_sided = False
@@ -87,8 +87,8 @@ def _surface(node: Node, materials: dict[str, Any]) -> dict[str, Any]:
 
 
 def _render(node: Node | None, samples: int, *, old: bool) -> dict[str, Any]:
-    """The integrator, as ours counts: its segments are as many as Mitsuba's `max_depth`. Without
-    one, versions before 2 render direct light, later ones all."""
+    """The integrator with its path depth, which equals Mitsuba's `max_depth`. Without one, versions
+    before 2 render direct light, later ones all light."""
     if node is None and old:
         return {"integrator": "path", "samples": samples, "depth": 2}
     if node is None:

@@ -16,8 +16,8 @@ _UNUSED = (*_CLIPS, "shutter_open", "shutter_close")
 
 
 def camera_of(node: Node) -> tuple[dict[str, Any], int]:
-    """The keys of the camera of a `<sensor>`, `kind` among them, in m and degrees, and samples a
-    pixel; `InputError` for a camera that has no counterpart."""
+    """The keys of the camera of a `<sensor>`, including `kind`, in m and degrees, and the samples
+    per pixel; `InputError` for a camera without a counterpart."""
     kind = node.must_be(*SENSORS)
     rows, columns = _resolution(node.only("film"), node.label)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
@@ -53,7 +53,7 @@ def camera_of(node: Node) -> tuple[dict[str, Any], int]:
 
 
 def _pose(to_world: Affine) -> dict[str, Any]:
-    """It looks along its z axis, y up."""
+    """The camera looks along its z axis, with y up."""
     position = to_world[:3, 3]
     _, up, forward = (to_world[:3, :3] / lengths_of_axes(to_world)).T
     return {
@@ -112,8 +112,8 @@ def _half_width(node: Node, rows_per_column: float) -> float:
 
 
 def _lens(node: Node, half_width: float, columns: int) -> dict[str, Any]:
-    """A lens in focus at a distance s, whose focal length is small beside it: the sensor lies at
-    the image v of s, and is as wide as the field of view at v asks for."""
+    """A lens focused at a distance s, with a short focal length: the sensor is at the image
+    distance v of s, and its width follows from the field of view at v."""
     radius = node.take("aperture_radius", float)
     distance = node.take("focus_distance", float)
     if radius is None or distance is None or radius <= 0 or distance <= 0:

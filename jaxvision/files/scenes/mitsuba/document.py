@@ -1,4 +1,5 @@
-"""Mitsuba's XML as a tree of nodes: values typed, `$names`, references and includes resolved."""
+"""Mitsuba's XML as a tree of nodes, with typed values and resolved `$names`, references and
+includes."""
 
 import re
 import xml.etree.ElementTree as xml
@@ -19,14 +20,14 @@ _DEEPEST = 16  # files that include each other
 
 @dataclass(frozen=True)
 class Colour:
-    """Linear RGB of the sRGB primaries, three numbers or one for all, no unit of its own."""
+    """Linear RGB in sRGB primaries, three numbers or one for all."""
 
     values: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Flat:
-    """A spectrum of one value at all wavelengths."""
+    """A spectrum with one value at all wavelengths."""
 
     value: float
 
@@ -47,7 +48,7 @@ class Blackbody:
 
 @dataclass
 class Node:
-    """An object of the file. An element that is never taken is unknown here, and an error.
+    """An object of the file. An element that no reader takes is unsupported and an error.
 
     Attributes:
         tag: "shape", "bsdf", ...
@@ -67,7 +68,7 @@ class Node:
     _taken: set[str] = field(default_factory=set)
 
     def take(self, name: str, kinds: type | tuple[type, ...], otherwise: Any = None) -> Any:
-        """The value of a name; `InputError` if it is of another kind."""
+        """The value with that name; `InputError` if it has another type."""
         self._taken.add(name)
         if any(called == name for called, _ in self.parts):
             part = next(part for called, part in self.parts if called == name)
@@ -85,18 +86,18 @@ class Node:
         return value
 
     def within(self, tag: str) -> list["Node"]:
-        """The objects of a tag within."""
+        """The child objects with a tag."""
         return [part for _, part in self.parts if part.tag == tag]
 
     def only(self, tag: str) -> "Node | None":
-        """The object of a tag within, if there is one; `InputError` if there are several."""
+        """The child object with a tag, if there is one; `InputError` if there are several."""
         found = self.within(tag)
         if len(found) > 1:
             raise InputError(f"{self.label}: has {len(found)} of <{tag}>; leave one.")
         return found[0] if found else None
 
     def must_be(self, *known: str) -> str:
-        """The type, one of those that are read; `InputError` otherwise."""
+        """The type, which must be a supported one; `InputError` otherwise."""
         if self.kind not in known:
             words = ", ".join(known)
             raise InputError(
@@ -106,8 +107,8 @@ class Node:
         return self.kind
 
     def must_be_read(self, *, tags: tuple[str, ...] = (), without: tuple[str, ...] = ()) -> None:
-        """`InputError` for the first value or object within that nothing has taken; objects of
-        `tags` are read, values of the names `without` change nothing here."""
+        """`InputError` for the first value or child object that no reader has taken. Objects with a
+        tag in `tags` count as read, and values with a name in `without` have no effect here."""
         for name in self.values:
             if name not in self._taken and name not in without:
                 hint = nearest(name, self._taken) if self._taken else "remove it"
@@ -145,7 +146,7 @@ def _parsed(file: Path) -> xml.Element:
 
 
 def _shallow(root: xml.Element) -> xml.Element:
-    """The root of a tree that is not too deep."""
+    """The root of a tree, checked for its depth."""
     level, depth = [root], 0
     while level:
         level, depth = [child for element in level for child in element], depth + 1
@@ -163,7 +164,7 @@ def _is_old(root: xml.Element) -> bool:
 
 
 class _Reader:
-    """Elements to nodes, with what the elements before them have named."""
+    """The conversion of elements to nodes, with the definitions of earlier elements."""
 
     def __init__(self, file: Path, old: bool) -> None:
         self._file, self._old, self._depth = file, old, 0
@@ -200,7 +201,7 @@ class _Reader:
         return made
 
     def _flattened(self, element: xml.Element) -> Iterator[xml.Element]:
-        """The children, those of included files in their place."""
+        """The children, with those of included files in their place."""
         for child in element:
             if child.tag != "include":
                 yield child
@@ -218,7 +219,7 @@ class _Reader:
             yield from self._flattened(root) if root.tag == "scene" else (root,)
 
     def _attributes(self, element: xml.Element) -> dict[str, str]:
-        """With the values of `$names`; in today's spelling."""
+        """Attributes with the values of `$names`, in current spelling."""
         given = {key: self._filled(value) for key, value in element.attrib.items()}
         if self._old and "name" in given:
             given["name"] = re.sub(
@@ -299,12 +300,12 @@ class _Reader:
 
 
 def _alike(value: Any, otherwise: Any) -> bool:
-    """A transform is no point, though both are arrays."""
+    """Whether two values have the same type; a transform is not a point, though both are arrays."""
     return not isinstance(otherwise, np.ndarray) or np.shape(value) == otherwise.shape
 
 
 def _numbers(text: str, place: str, counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Finite numbers, between commas or spaces."""
+    """Finite numbers, separated by commas or spaces."""
     words = text.replace(",", " ").split()
     try:
         values = tuple(float(word) for word in words)

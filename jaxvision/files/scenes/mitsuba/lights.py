@@ -1,4 +1,4 @@
-"""Mitsuba's emitters, but for those of shapes, as the tables `[[light]]`."""
+"""Mitsuba's emitters, except those of shapes, as the tables `[[light]]`."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ EMITTERS = ("point", "directional", "constant", "envmap")
 
 def light_entry(node: Node) -> dict[str, Any]:
     """`kind` and the other keys of an `<emitter>` of the scene, lengths in m; `InputError` for one
-    that has no counterpart."""
+    without a counterpart."""
     kind = node.must_be(*EMITTERS)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     match kind:

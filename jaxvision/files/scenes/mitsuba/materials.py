@@ -37,9 +37,9 @@ _INDICES = {
 
 
 def material_of(node: Node | None) -> tuple[dict[str, Any], bool]:
-    """`family` and the other keys of a `<bsdf>`, of Mitsuba's default (diffuse with albedo 0.5)
-    without one, and whether both sides are fronts; `InputError` for a BSDF that has no counterpart.
-    """
+    """`family` and the other keys of a `<bsdf>` (without one, of Mitsuba's default, diffuse with
+    albedo 0.5), and whether both sides are fronts; `InputError` for a BSDF without a
+    counterpart."""
     if node is None:
         return {"family": "lambert", "albedo": 0.5}, False
     if node.must_be(*BSDFS) == "twosided":
@@ -103,7 +103,7 @@ _FAMILIES = {
 
 
 def _reflects_all(node: Node) -> bool:
-    """Whether a metal is given neither by its index nor by its name."""
+    """Whether a metal has neither an index nor a name."""
     given = {"eta", "k"} <= set(node.values)
     name = node.take("material", str, "Cu" if node.old and not given else "none")
     if name != "none":

@@ -19,7 +19,7 @@ SHAPES = ("sphere", "rectangle", "disk", "cube", "obj", "ply")
 
 def shape_of(node: Node) -> dict[str, Any]:
     """`shape` and the other keys of a `<shape>`, m; `InputError` for a shape, or a stretched one,
-    that has no counterpart."""
+    without a counterpart."""
     kind = node.must_be(*SHAPES)
     to_world = node.take("to_world", np.ndarray, np.eye(4))
     flip = node.take("flip_normals", bool, False)
@@ -63,7 +63,7 @@ def _sphere(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
 
 
 def _quad(to_world: Affine, flip: bool) -> dict[str, Any]:
-    """Of [-1, 1] x [-1, 1], its front toward z."""
+    """The square [-1, 1] x [-1, 1] with its front toward z."""
     u, v = (2 * to_world[:3, axis] for axis in (0, 1))
     if flip != mirrors(to_world):
         u, v = v, u
@@ -76,7 +76,7 @@ def _quad(to_world: Affine, flip: bool) -> dict[str, Any]:
 
 
 def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
-    """Of radius 1, its front toward z."""
+    """The disc of radius 1 with its front toward z."""
     if not keeps_shape(to_world, axes=2):
         raise InputError(f"{node.label}: is stretched to an ellipse; give it as a mesh.")
     normal = np.linalg.inv(to_world[:3, :3])[2]  # normals go by the transposed inverse
@@ -89,7 +89,7 @@ def _disc(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
 
 
 def _box(node: Node, to_world: Affine, flip: bool) -> dict[str, Any]:
-    """Of [-1, 1] along each axis."""
+    """The box [-1, 1] along each axis."""
     if not keeps_right_angles(to_world):
         raise InputError(f"{node.label}: is sheared to a parallelepiped; give it as a mesh.")
     _not_inside_out(node, flip)

@@ -1,4 +1,4 @@
-"""Mitsuba's colours and spectra as those of a scene file, for its rendering in RGB."""
+"""Mitsuba's colours and spectra as spectra of a scene file, for rendering in RGB."""
 
 from typing import Any
 

@@ -13,7 +13,7 @@ Affine = Float[np.ndarray, "4 4"]
 
 def transform_of(steps: Iterable[tuple[str, Mapping[str, str]]], place: str) -> Affine:
     """The map to the world: the product of all steps, each with its tag and attributes, the last
-    one applied last. `InputError` for a step that is unknown, or without an inverse."""
+    one applied last. `InputError` for an unknown step, or one without an inverse."""
     whole = np.eye(4)
     for tag, given in steps:
         whole = _step(tag, given, f"{place}, {tag}") @ whole
@@ -58,7 +58,7 @@ def _step(tag: str, given: Mapping[str, str], place: str) -> Affine:
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray, place: str) -> Affine:
-    """Mitsuba's camera looks along its z axis, y up, and so x to the left."""
+    """Mitsuba's camera looks along its z axis with y up, so x points to the left."""
     forward = target - origin
     left = np.cross(up, forward)
     if not forward.any() or np.linalg.norm(left) <= 1e-9 * np.linalg.norm(forward):
@@ -94,17 +94,17 @@ def lengths_of_axes(to_world: Affine) -> np.ndarray:
 
 
 def keeps_right_angles(to_world: Affine, *, axes: int = 3) -> bool:
-    """Whether the first axes stay at right angles."""
+    """Whether the coordinate axes stay perpendicular."""
     linear = (to_world[:3, :3] / lengths_of_axes(to_world))[:, :axes]
     return bool(np.abs(linear.T @ linear - np.eye(axes)).max() <= 1e-5)
 
 
 def keeps_shape(to_world: Affine, *, axes: int = 3) -> bool:
-    """Whether the first axes stay at right angles and of one length."""
+    """Whether the coordinate axes stay perpendicular and equally long."""
     lengths = lengths_of_axes(to_world)[:axes]
     return keeps_right_angles(to_world, axes=axes) and bool(np.ptp(lengths) <= 1e-5 * lengths.max())
 
 
 def mirrors(to_world: Affine) -> bool:
-    """Whether left and right change places."""
+    """Whether the map swaps left and right."""
     return bool(np.linalg.det(to_world[:3, :3]) < 0)
