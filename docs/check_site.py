@@ -68,7 +68,7 @@ def places(page):
 
 
 def dead_links(site):
-    """(page, link) that lead nowhere inside of the site."""
+    """(page, link) for links inside the site that lead nowhere."""
     known = {page: places(page) for page in pages(site)}
     for page in known:
         for link in set(re.findall(r'<a\b[^>]*\bhref="([^"]+)"', page.read_text("utf-8"))):
@@ -83,7 +83,7 @@ def dead_links(site):
 
 
 def opened(browser, site, root, *, whole):
-    """What is wrong with each page, one sentence a time."""
+    """The faults of each page, one sentence each."""
     window = browser.new_page()
     window.route("**/*", lambda r: r.continue_() if r.request.url.startswith(root) else r.abort())
     errors = []

@@ -1,4 +1,5 @@
-"""The tables of keys on the pages of file formats, made from the schemas that read the files."""
+"""The tables of keys for the pages on file formats, generated from the schemas that read the
+files."""
 
 import inspect
 import re
@@ -19,7 +20,8 @@ from jaxvision.scene import AmbientLight
 
 
 def kinds_of(word, tables, beside=None):
-    """The tables of one place: what says which it is, what makes its record, and its keys."""
+    """The tables of one place in a file: the key that selects the kind, the function that makes its
+    record, and its keys."""
     more = {} if beside is None else keys_of(beside)
     return [
         (f'{word} = "{name}"', make, {word: Key(str, MISSING, f'"{name}".')} | more | keys)
@@ -76,14 +78,15 @@ def tables(parts):
 
 
 def models_of(hint) -> list[type[BaseModel]]:
-    """The kinds of table that may stand in one place."""
+    """The kinds of table that may occur in one place."""
     if isinstance(hint, type) and issubclass(hint, BaseModel):
         return [hint]
     return [model for part in get_args(hint) for model in models_of(part)]
 
 
 def read(model: type[BaseModel]):
-    """A declared model as the tables of records are: its keys, of which all kinds have one."""
+    """A declared model in the same form as the tables of records: its keys, which all kinds
+    have."""
     said = described(model)
     keys = {
         name: Key(
@@ -142,7 +145,7 @@ def shown(default: Any) -> str:
 
 
 def words_of(hint) -> tuple[str, ...]:
-    """The words that a key takes."""
+    """The words that a key accepts."""
     if get_origin(hint) is Annotated:
         return words_of(get_args(hint)[0])
     literals = [one for one in members_of(hint) if get_origin(one) is Literal]

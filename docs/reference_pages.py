@@ -1,4 +1,4 @@
-"""The reference, made from the packages: a page a module, and a page each for its submodules.
+"""The reference, generated from the packages: one page per module and per submodule.
 
 Every public name has one entry, under the shortest name by which it is imported. Other names of the
 same thing, and names without their package, lead to that entry.
@@ -50,7 +50,7 @@ SENTENCE_END = re.compile(
 
 
 def public_modules(package):
-    """The package and its public modules, command lines apart."""
+    """The package and its public modules, except command lines."""
     yield package
     for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
         if not re.search(r"\._|\.cli$", name):
@@ -64,7 +64,7 @@ def home(value):
 
 
 def entries(package):
-    """{name of the entry: the function or class}, one for each public thing of a package."""
+    """{name of the entry: function or class} for each public object of a package."""
     names = defaultdict(list)
     for module in public_modules(package):
         exported = getattr(module, "__all__", ())
@@ -85,14 +85,14 @@ def is_data(name, value, exported):
 
 
 def page_of(name, value):
-    """The page of a thing: the package or module, just below the root, that defines it."""
+    """The page of an object: the package or module, just below the root, that defines it."""
     parts = (home(value) or name).split(".")
     below = parts[1] if len(parts) > 1 else BASICS
     return f"{parts[0]}.{BASICS if below == 'core' else below}"
 
 
 def summary(thing):
-    """The first sentence of a docstring, or what an alias of types stands for."""
+    """The first sentence of a docstring, or the definition of a type alias."""
     text = inspect.getdoc(thing) or ""
     if alias := re.fullmatch(r"\w+ = (.*)", text):  # by the name that types print themselves by
         return f"`{plain_type(alias[1])}`"
@@ -101,8 +101,8 @@ def summary(thing):
 
 
 def exported(names):
-    """Those of the names that a package lists in `__all__`, or that lie in a module just below the
-    root, which lists nothing: what users import."""
+    """The names that a package lists in `__all__`, or that are in a module just below the root
+    without a list: those that users import."""
     found = set()
     for name in names:
         module = importlib.import_module(name.rpartition(".")[0])
@@ -162,7 +162,7 @@ def line_of(module):
 
 
 def submodule_page(page, submodule, own):
-    """A page beside the contents, which would be too long with it."""
+    """A page next to the contents, which would be too long with it."""
     text = [":orphan:", ":nosearch:", "", *headed(submodule, "=")]
     text += explained(inspect.getdoc(importlib.import_module(submodule)) or "")
     text += [f"A part of :doc:`{page} </reference/{page}>`, whose page has what users import.", ""]
@@ -170,8 +170,8 @@ def submodule_page(page, submodule, own):
 
 
 def root_page(package, pages):
-    """What a package offers by itself, such as `jaxvision.Sphere`, by topic: a line for each name,
-    which leads to the entry on the page of its module."""
+    """The names of a package itself, such as `jaxvision.Sphere`, by topic: one line per name with a
+    link to the entry on its module's page."""
     places = {id(value): name for found in pages.values() for name, value in found.items()}
     names = {topic: [] for topic in TOPICS}
     for name in sorted(package.__all__, key=str.lower):
@@ -190,7 +190,7 @@ def root_page(package, pages):
 
 
 def topic_of(value):
-    """The topic of `TOPICS` that names the innermost module around what a value is defined in."""
+    """The topic of `TOPICS` for the innermost module around a value's definition."""
     topics = {
         f"jaxvision.{name}": topic for topic, names in TOPICS.items() for name in names.split()
     }
@@ -201,7 +201,7 @@ def topic_of(value):
 
 
 def group_of(page):
-    """The group of `GROUPS` that a page of the reference is listed in."""
+    """The group of `GROUPS` for a page of the reference."""
     package, _, name = page.partition(".")
     groups = (group for group, names in GROUPS.items() if name in names.split())
     return "Fitting" if package == "fitting" else next(groups, "Machinery")

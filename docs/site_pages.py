@@ -1,6 +1,5 @@
-"""Pages that are made before the site is: the reference, the gallery and the notebooks. And what
-the site changes in what Sphinx reads.
-"""
+"""Pages that are generated before the site is built: the reference, the gallery and the notebooks.
+It also has the changes to Sphinx's input."""
 
 import ast
 import importlib
@@ -30,14 +29,14 @@ GALLERY = {  # the gallery's scripts by topic, in the order of the page
 
 
 def notebook_pages(folder):
-    """The notebooks, which lie outside of the site."""
+    """The notebooks, which lie outside the site's folder."""
     folder.mkdir(exist_ok=True)
     for notebook in (HERE.parent / "notebooks").glob("*.ipynb"):
         write(folder / notebook.name, notebook.read_text())
 
 
 def gallery_pages(folder):
-    """A page for each script of the gallery, its picture above its code, and one of them all."""
+    """A page for each script of the gallery, with the picture above the code, and a page of all."""
     order = [name for names in GALLERY.values() for name in names.split()]
     assert sorted(order) == sorted(script.stem for script in folder.glob("*.py"))
     text = f"# Gallery\n\n{len(order)} pictures, each with the script that drew it.\n\n"
@@ -70,7 +69,7 @@ def after_docstring(script):
 
 
 def write_types(app, what, name, thing, options, lines):
-    """Types as `Float[Array, "*picture bands"]` in what napoleon says of attributes."""
+    """Types such as `Float[Array, "*picture bands"]` in napoleon's text on attributes."""
     names = names_where(thing)
     for i, line in enumerate(lines):
         if head := re.match(r"\s*:vartype \w+: ", line):
@@ -79,7 +78,7 @@ def write_types(app, what, name, thing, options, lines):
 
 
 def names_where(thing):
-    """What the module that defines a thing knows, by name."""
+    """The names in the module that defines an object."""
     module = sys.modules.get(getattr(inspect.unwrap(thing), "__module__", None) or "")
     return vars(module) if module else {}
 
@@ -102,7 +101,7 @@ def escape_docstring(app, what, name, thing, options, lines):
 
 
 def errors_of(code):
-    """The label of a row of the table of errors, from the name in its first cell."""
+    """The label of a row in the table of errors, from the name in its first cell."""
     return "errors-of-" + re.match(r"[\w.]+", code)[0].replace(".", "-").replace("_", "-")
 
 
@@ -115,13 +114,13 @@ def rows_of_errors(entry_of):
 
 
 def link_errors(app, what, name, thing, options, lines):
-    """The way from a function to its row in the table of errors."""
+    """Link a function to its row in the table of errors."""
     if label := app.rows_of_errors.get(name):
         lines += ["", f"Rounding error: :ref:`the table's row <{label}>`.", ""]
 
 
 def label_errors(app, doctree):
-    """A label for the first row of each function in the table of errors."""
+    """Add a label to the first row of each function in the table of errors."""
     if app.env.docname != "errors":
         return
     labels = app.env.get_domain("std").anonlabels
@@ -134,14 +133,14 @@ def label_errors(app, doctree):
 
 
 def short_types(app, domain, kind, content):
-    """Types as code writes them, in what autodoc says of arguments and results."""
+    """Types as code writes them in autodoc's text on arguments and results."""
     for name, types in app.env.current_document.autodoc_annotations.items():
         names = names_where(pydoc.locate(name)) if types else {}
         types.update({key: plain_type(text, names, app.entry) for key, text in types.items()})
 
 
 def read_doctree(app, doctree):
-    """Names in tables may break after a dot or an underscore; curves that follow each other are one
+    """Let names in tables break after a dot or an underscore, and join consecutive curves into one
     grid."""
     for cell in doctree.findall(nodes.entry):
         for code in [*cell.findall(nodes.literal)]:
@@ -167,7 +166,7 @@ def is_curve(node):
 
 
 class Entry(PyXRefRole):
-    """{api}`name` leads to the entry of a public name; a name without one fails the build."""
+    """{api}`name` links to the entry of a public name; a name without one fails the build."""
 
     def __init__(self):
         super().__init__(warn_dangling=True)
@@ -178,8 +177,8 @@ class Entry(PyXRefRole):
 
 
 def find_entry(app, env, node, content):
-    """The entry of any other name of the same thing: as another package exports it, or without
-    the package."""
+    """The entry for another name of the same object: as another package exports it, or without the
+    package."""
     if node.get("refdomain") != "py":
         return None
     target = node["reftarget"]

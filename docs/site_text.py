@@ -1,4 +1,4 @@
-"""Text of the site: types as readers write them, docstrings as reStructuredText."""
+"""Text of the site: readable types, and docstrings as reStructuredText."""
 
 import re
 import sys
@@ -11,13 +11,13 @@ NAMED = re.compile(r"(?<![\w.])(~?)((?:jaxvision|fitting)(?:\.\w+)*)\.([A-Z]\w*)
 
 
 def write(file, text):
-    """Only what changed, so that a second build reads nothing again."""
+    """Write a file only if its content changed, so that a second build reads nothing again."""
     if not file.exists() or file.read_text() != text:
         file.write_text(text)
 
 
 def escaped(text):
-    """Plain text with code in backticks, as docstrings have it, as reStructuredText."""
+    """Plain text with code in backticks, as in docstrings, converted to reStructuredText."""
     bullet, text = re.match(r"(\s*(?:\* )?)(.*)", text, flags=re.DOTALL).groups()
     parts = re.split(r"(`[^`]*`)", text)
     plain = [re.sub(r"([*|\\]|_(?!\w))", r"\\\1", part) for part in parts[::2]]
@@ -26,7 +26,7 @@ def escaped(text):
 
 
 def explained(docstring):
-    """A module's docstring: formulas and tables, which are indented, as they stand, and a head such
+    """A module's docstring: formulas and tables, which are indented, unchanged, and a heading such
     as "Source:" before its text."""
     text = []
     for block in re.split(r"\n\s*\n", docstring):
@@ -49,8 +49,8 @@ def explained(docstring):
 
 
 def plain_type(text, names=None, entry_of=lambda value: None):
-    """A type as code writes it, `Float[Array, "levels"]` or `float`. What has an entry goes by its
-    name, other aliases by what they stand for.
+    """A type as code writes it, `Float[Array, "levels"]` or `float`. A type with an entry has its
+    name, and other aliases their definition.
 
     Args:
         text: as the type prints itself.
@@ -74,7 +74,7 @@ def plain_type(text, names=None, entry_of=lambda value: None):
 
 
 def without_checks(text):
-    """`Annotated[X, ...]` as X, wherever it stands in a type."""
+    """`Annotated[X, ...]` as X, anywhere in a type."""
     while found := re.search(r"(?:~?typing\.|~)?\bAnnotated\[", text):
         depth, parts = 0, [found.end()]
         for at, letter in enumerate(text[found.end() :], found.end()):

@@ -1,4 +1,4 @@
-"""The `jaxvision` command, `python -m jaxvision`: an interrupt ends it while it imports, too."""
+"""The `jaxvision` command, `python -m jaxvision`. An interrupt also ends it during its imports."""
 
 from importlib import import_module
 

@@ -1,4 +1,4 @@
-"""Textbook words, and what they are called here. The hint after an unknown name reads this table,
+"""Textbook words and their names in this library. The hint after an unknown name reads this table,
 and `docs/notions.md` lists it.
 
 A target with a dot is a public name below `jaxvision` or `fitting`. Any other target is a public
@@ -128,13 +128,13 @@ TARGETS = {
 
 
 def meant(word: str, known: Iterable[str]) -> tuple[str, ...]:
-    """The known names that a textbook's word means; often none."""
+    """The known names for a textbook's word; often none."""
     names = set(known)
     return tuple(name for name in TARGETS.get(folded(word), ()) if name in names)
 
 
 def places(word: str, offered: Iterable[str]) -> str:
-    """Where the public names and arguments of a textbook's word are; empty for another word.
+    """The public names and arguments for a textbook's word; empty for another word.
 
     `offered` are the names of `jaxvision` itself.
     """

@@ -1,5 +1,5 @@
-"""Errors of input: the exception that users of the tools see, hints for misspelt words, and names
-and texts that are not UTF-8."""
+"""Errors of input: the exception that users of the tools see, hints for misspelt words, and
+handling of names and texts that are not UTF-8."""
 
 import difflib
 import errno
@@ -49,8 +49,8 @@ class InputError(ValueError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Hint after an unknown word: the known word that a textbook's word means, the nearest known
-    word, or all of them.
+    """Hint after an unknown word: the known name for a textbook's word, the nearest known word, or
+    all of them.
 
     Args:
         word: the unknown word.
@@ -78,7 +78,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def check_utf8(path: str | Path) -> None:
-    """Checks a path: libraries of images, reports and rigs take text.
+    """Check a path, because libraries for images, reports and rigs need text.
 
     Args:
         path: of a file, there or not.
@@ -112,7 +112,7 @@ def unwritable(error: OSError) -> str:
 
 
 def plain_text(file: Path) -> str:
-    """The content of a text file in UTF-8, with a byte order mark or without.
+    """The content of a UTF-8 text file, with or without a byte order mark.
 
     Args:
         file: there.

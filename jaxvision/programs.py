@@ -26,9 +26,9 @@ _MOST_BYTES = 2**29
 
 
 def on_processor() -> bool:
-    """Whether programs are now traced for a processor, and not for an accelerator: by
-    `jax.default_device`, or else by the devices that JAX found. Where arguments lie is not known
-    while a program is traced."""
+    """Whether programs are now traced for a processor and not for an accelerator, from
+    `jax.default_device` or else the devices that JAX found. The place of the arguments is not known
+    during tracing."""
     import jax  # here: what else this module does comes before JAX's first use
 
     device = getattr(jax.config, "jax_default_device", None)
@@ -36,10 +36,10 @@ def on_processor() -> bool:
 
 
 def quick_options() -> Options:
-    """XLA's options for programs that run once and take most of their time to compile: without
-    optimisation, and by the older emitters where this XLA still has them. Fits of 470,000 samples
-    run a fifth longer with them. Empty for a version that has not been tried, and with an
-    accelerator's plugin."""
+    """XLA's options for programs that run once and take most of their time to compile: no
+    optimisation, and the older emitters if this XLA still has them. Fits of 470,000 samples run a
+    fifth longer with them. They are empty for an untested version, and with an accelerator's
+    plugin."""
     if not version("jaxlib").startswith(_TRIED) or find_spec("jax_plugins") is not None:
         return {}
     older = version("jaxlib").startswith(_HAVE_OLDER_EMITTERS)
@@ -47,26 +47,26 @@ def quick_options() -> Options:
 
 
 def quick_flags() -> str:
-    """`quick_options` as XLA_FLAGS has them."""
+    """`quick_options` in the form for XLA_FLAGS."""
     return " ".join(f"--{name}={str(x).lower()}" for name, x in quick_options().items())
 
 
 def compile_quickly() -> None:
-    """Compiles all programs of this process by `quick_options`, unless the user's XLA_FLAGS say
-    how (even if empty)."""
+    """Compile all programs of this process with `quick_options`, unless the user has set XLA_FLAGS
+    (even if empty)."""
     if quick_flags():
         os.environ.setdefault("XLA_FLAGS", quick_flags())
 
 
 def briefly() -> Options | None:
-    """`compiler_options` of `jax.jit` for a program that computes for less time than XLA takes to
-    optimise it: `quick_options`, unless the user's XLA_FLAGS say how (even if empty)."""
+    """`compiler_options` of `jax.jit` for a program that runs for less time than XLA takes to
+    optimise it: `quick_options`, unless the user has set XLA_FLAGS (even if empty)."""
     return None if "XLA_FLAGS" in os.environ else quick_options() or None
 
 
 def thoroughly() -> Options | None:
-    """`compiler_options` of `jax.jit` for a program that computes for so long that it is compiled
-    with optimisation even where `compile_quickly` was asked for; read them after that."""
+    """`compiler_options` of `jax.jit` for a long-running program, which is compiled with
+    optimisation even after `compile_quickly`; read them after that call."""
     flags = os.environ.get("XLA_FLAGS", "")
     if not flags or flags != quick_flags():
         return None
@@ -75,9 +75,9 @@ def thoroughly() -> Options | None:
 
 
 def keep_programs() -> None:
-    """Keeps compiled programs for the next run, in the user's cache folder, unless
-    JAX_COMPILATION_CACHE_DIR names another or is empty. Where nothing can be written, nothing is
-    kept."""
+    """Keep compiled programs for the next run in the user's cache folder, unless
+    JAX_COMPILATION_CACHE_DIR names another folder or is empty. If the folder is not writable,
+    nothing is kept."""
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     folder = kept_in()
@@ -91,7 +91,7 @@ def keep_programs() -> None:
 
 
 def kept_in() -> str:
-    """The folder in which the commands keep compiled programs; empty where none are kept."""
+    """The folder in which the commands keep compiled programs; empty if there is none."""
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return os.environ["JAX_COMPILATION_CACHE_DIR"]
     try:
@@ -101,8 +101,8 @@ def kept_in() -> str:
 
 
 def _folder() -> Path:
-    """Programs of this version of XLA for this processor; of too many, of whatever version, the
-    older half goes."""
+    """The folder for programs of this version of XLA and this processor. If there are too many
+    programs of all versions, the older half is deleted."""
     kept = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxvision"
     folder = kept / f"{version('jaxlib')}-{_processor()}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +114,8 @@ def _folder() -> Path:
 
 
 def _processor() -> str:
-    """Of eight letters; a home folder may be shared by machines whose programs differ."""
+    """An identifier of the processor in eight letters, because machines with different programs may
+    share a home folder."""
     described = f"{sys.platform} {platform.machine()} {platform.processor()}"
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

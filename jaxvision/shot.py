@@ -1,4 +1,4 @@
-"""The one composition, read downward: scene -> radiance -> irradiance -> raw -> picture.
+"""The composition of all stages: scene -> radiance -> irradiance -> raw -> picture.
 
 Radiance in W m^-2 sr^-1, irradiance in W m^-2, raw data in DN, pictures relative to white.
 """
@@ -62,7 +62,7 @@ class Capture(Shown):
     certificate: Certificate | None = eqx.field(static=True, default=None)
 
     def _repr_html_(self) -> str:
-        """The picture that a notebook shows, or the raw numbers in grey, beside the table."""
+        """The developed picture, or the raw numbers in grey, with the table, for a notebook."""
         table = super()._repr_html_()
         if not is_known(self.raw) or not np.size(self.raw):
             return table
@@ -83,10 +83,10 @@ def capture(
     tolerance: Tolerance | str | None = None,
     integrator: Paths | Renderer | None = None,
 ) -> Capture:
-    """One picture of the scene, with every stage on the way.
+    """Take one picture of the scene, and return every stage.
 
-    Derivatives by the place of a lamp, the camera or a shape leave out moving edges of shadows and
-    outlines, as `render` says.
+    Derivatives with respect to positions of a lamp, the camera or a shape neglect moving edges of
+    shadows and outlines, as in `render`.
 
     Args:
         key: random key of what changes from frame to frame; None where the sensor draws nothing
@@ -169,8 +169,8 @@ def capture(
 
 
 def _seen_as(shot: Capture) -> np.ndarray:
-    """(h, w, 1 or 3), of the first of a batch: the developed picture if it is RGB, else the mean of
-    the bands between its least and its largest."""
+    """(h, w, 1 or 3), for the first of a batch: the developed picture if it is RGB, else the mean
+    of the bands, scaled from its minimum to its maximum."""
     seen = np.asarray(shot.raw if shot.picture is None else shot.picture, float)
     seen = np.nan_to_num(seen.reshape(-1, *seen.shape[-3:])[0], posinf=0, neginf=0)
     if shot.picture is None or seen.shape[2] != 3:
@@ -188,7 +188,8 @@ def _bands(scene: Scene) -> int:
 
 
 def _check_keys(key: Key | None, die_key: Key | None, camera: Camera, bands: int) -> None:
-    """`ValueError` for a missing key that the sensor draws from, which is traced, not run."""
+    """`ValueError` for a missing key that the sensor needs for its draws, checked by tracing
+    without running."""
     if key is None or die_key is None:
         view = camera.view
         seen = jax.ShapeDtypeStruct((*view.resolution, bands), view.pixel_pitch.dtype)

@@ -1,10 +1,10 @@
 """Spectra: a value per wavelength, (..., bands), on a grid of wavelengths, (bands,) in m.
 
-An RGB colour is a spectrum of three bands, so every function of `bands` takes both;
-`spectrum_to_camera`, `spectrum_to_xyz` and `reflectance_to_xyz` reduce the many bands of a physical
-spectrum to the few of a camera or an observer, and `rgb_to_reflectance` makes many of three.
-Integrals are the sums of CIE 15:2018, section 7: value times width of the band. Tables for these
-functions (illuminants, reflectances, sensitivities, observers) come from `colour_data`.
+An RGB colour is a spectrum of three bands, so every function of `bands` takes both.
+`spectrum_to_camera`, `spectrum_to_xyz` and `reflectance_to_xyz` reduce the bands of a physical
+spectrum to the few of a camera or an observer. `rgb_to_reflectance` does the opposite. Integrals
+are the sums of CIE 15:2018, section 7: value times width of the band. Tables for these functions
+(illuminants, reflectances, sensitivities, observers) come from `colour_data`.
 """
 
 from fractions import Fraction
@@ -118,7 +118,7 @@ def interpolate_spectrum(
 
 
 def _check_visible(name: str, wavelengths: Wavelengths) -> None:
-    """`ValueError` for known wavelengths of which no observer sees any."""
+    """`ValueError` for known wavelengths outside the range of every observer."""
     if is_known(wavelengths):
         shortest, longest = np.min(np.asarray(wavelengths)), np.max(np.asarray(wavelengths))
         if shortest > 1e-6 or longest < 1e-7:
@@ -129,7 +129,7 @@ def _check_visible(name: str, wavelengths: Wavelengths) -> None:
 
 
 def _check_ascending(name: str, wavelengths: Wavelengths) -> None:
-    """`ValueError` for known wavelengths that do not ascend."""
+    """`ValueError` for known wavelengths that are not ascending."""
     if is_known(wavelengths) and (np.diff(np.asarray(wavelengths)) <= 0).any():
         raise ValueError(f"{name} must ascend.")
 
@@ -138,8 +138,8 @@ def _check_ascending(name: str, wavelengths: Wavelengths) -> None:
 def band_widths(wavelengths: Wavelengths) -> Wavelengths:
     """Width of the interval that each sample of a spectrum represents.
 
-    Half the distance between both neighbours; an end sample takes a full step. On an even grid
-    every width is the step, so that an integral is the plain sum times the step, as in CIE 15:2018.
+    It is half the distance between both neighbours; an end sample has a full step. On an even grid
+    every width is the step, so an integral is the sum times the step, as in CIE 15:2018.
 
     Args:
         wavelengths: (bands,) m, ascending, at least two.
@@ -246,13 +246,13 @@ def reflectance_to_xyz(
 def rgb_to_reflectance(
     rgb: Float[Array, "... 3"], basis: Float[Array, "bands 3"]
 ) -> Float[Array, "... bands"]:
-    """A smooth reflectance that looks under D65 as a colour of linear sRGB.
+    """A smooth reflectance whose colour under D65 is the given linear sRGB.
 
-    The sum of the reflectances of red, green and blue, each times its amount: linear, and within
-    [0, 1] for colours within [0, 1]. It is one of many reflectances of that colour: under another
-    lamp, or seen by another camera, a real surface of the same colour may look different. Summed
-    back, RGB is off by 2.4e-4 at most every 5 nm from 380 to 780 nm, by 1.1e-2 every 10 nm from 400
-    to 700 nm.
+    It is the sum of the reflectances of red, green and blue, each times its amount. It is linear,
+    and within [0, 1] for colours within [0, 1]. It is one of many reflectances of that colour:
+    under another lamp, or seen by another camera, a real surface of the same colour may look
+    different. Converted back, the error of RGB is at most 2.4e-4 every 5 nm from 380 to 780 nm, and
+    1.1e-2 every 10 nm from 400 to 700 nm.
 
     Args:
         rgb: (..., 3) linear sRGB, relative; or k_d in sr^-1, in which the result is then.
@@ -316,8 +316,8 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
 
 @jax.custom_jvp
 def _planck(wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
-    """`blackbody` to two units in the last place: each product and quotient comes with the share of
-    it that rounding has taken, and these are put back at the end."""
+    """`blackbody` within two ULP: each product and quotient is computed with its rounding error,
+    and the errors are added at the end."""
     one = jnp.ones_like(wavelengths)
     x = float(_H_C_OVER_K) / (wavelengths * kelvin)
     left, left_rest, scale, further, lost, lost_rest = decay(
@@ -357,8 +357,7 @@ def _planck_jvp(primals, tangents):
 
 
 def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) -> Wavelengths:
-    """h c / (lambda k T) - x, what rounding has taken from it, which the exponential magnifies by
-    its own size; no unit."""
+    """The rounding error h c / (lambda k T) - x, which the exponential amplifies; no unit."""
     product, one = wavelengths * kelvin, jnp.ones_like(wavelengths)
     nearest, rest = exact(_H_C_OVER_K, x.dtype)
     lost = difference_of_products(nearest * one, one, x, product)
@@ -369,7 +368,7 @@ def _lost_of_exponent(x: Wavelengths, wavelengths: Wavelengths, kelvin: Scalar) 
 
 def _locus_polynomial(constant: str, x: str, y: str) -> tuple[float, float, float]:
     """Coefficients of constant + x x_D + y y_D on the daylight locus y_D = -3 x_D^2 + 2.87 x_D -
-    0.275, which would cancel 300 times over if x_D and y_D were rounded first."""
+    0.275. Rounding x_D and y_D first would amplify the error 300 times by cancellation."""
     c, a, b = Fraction(constant), Fraction(x), Fraction(y)
     return float(c - b * Fraction("0.275")), float(a + b * Fraction("2.87")), float(-3 * b)
 
@@ -412,7 +411,7 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
     cool = temperature <= 7000
 
     def above(x_0: float) -> Scalar:
-        """x - x_0, of CIE's polynomials in 1 / T for either half of the range."""
+        """x - x_0, from CIE's polynomials in 1 / T for either half of the range."""
         low = (0.244063 - x_0) + inverse * (0.09911 + inverse * (2.9678 - 4.6070 * inverse))
         high = (0.237040 - x_0) + inverse * (0.24748 + inverse * (1.9018 - 2.0064 * inverse))
         return jnp.where(cool, low, high)

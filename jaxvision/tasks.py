@@ -1,10 +1,10 @@
-"""Independent tasks: one after another, or by Dask on many processes and machines.
+"""Independent tasks, run in sequence or by Dask on many processes and machines.
 
-Tiles and passes of a render, folders of a study and simulations of a check do not depend on each
-other. Inside `with jaxvision.cluster(client)` they run on the workers of a Dask client. Results
-come in the order of the tasks whatever the order of arrival, so a file made of them holds the same
-bytes as one made without workers on the same kind of processor. Another worker repeats the
-unfinished tasks of a lost one.
+Tiles and passes of a render, folders of a study and simulations of a check are independent. Inside
+`with jaxvision.cluster(client)` they run on the workers of a Dask client. Results come in the order
+of the tasks, regardless of the order of arrival. A file made of them has the same bytes as one made
+without workers on the same kind of processor. Another worker repeats the unfinished tasks of a lost
+one.
 """
 
 import hashlib
@@ -89,8 +89,8 @@ def cluster(client: "Client") -> Iterator[None]:
 
 
 def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """How each worker differs, or why it cannot say. Those that are lost just now are asked again,
-    once others took their place."""
+    """The difference of each worker, or why it cannot report. Workers that were just lost are asked
+    again when others have replaced them."""
     found: Any = {}
     for _ in range(_ASKED):
         found = client.run(_difference, wanted, on_error="return")
@@ -103,8 +103,8 @@ def _answers(client: "Client", wanted: Mapping[str, Any]) -> dict[str, Any]:
 
 @contextmanager
 def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
-    """Context in which independent tasks run on processes of this machine, or on a running
-    cluster; with neither, in this process one after another.
+    """Context in which independent tasks run on processes of this machine or on a running cluster;
+    with neither, in sequence in this process.
 
     Args:
         count: processes, each of one thread; 0 for none.
@@ -149,7 +149,7 @@ def in_order(
     *,
     memory: float = 0.0,
 ) -> Iterator[Result]:
-    """Results of independent tasks in the order of the tasks, on the workers of `cluster` or here.
+    """Results of independent tasks in order, computed on the workers of `cluster` or here.
 
     Args:
         function: of a module, from what all tasks share and one item to a result; what it raises
@@ -230,7 +230,7 @@ def _on(
 
 
 def _check_room(client: "Client", needed: float) -> None:
-    """Each worker's threads share its memory, and each thread works on one task."""
+    """Check the memory: each worker's threads share it, and each thread works on one task."""
     rooms: Any = client.run(_room, on_error="ignore")  # one that is lost just now starts again
     for address, room in rooms.items():
         if room < needed:
@@ -241,13 +241,13 @@ def _check_room(client: "Client", needed: float) -> None:
 
 
 def _room(dask_worker: Any) -> float:
-    """Bytes of a worker for each of its threads; infinite without a limit."""
+    """Memory per thread of a worker in bytes; infinite without a limit."""
     return (dask_worker.memory_manager.memory_limit or math.inf) / dask_worker.state.nthreads
 
 
 def _packed(shared: Any) -> bytes:
-    """What tasks share as bytes. Equinox 0.13 keeps what pickle makes of a record for ever, as one
-    that is being made; here it is made otherwise."""
+    """The shared data of tasks as bytes. Equinox 0.13 permanently retains records that pickle
+    creates, as unfinished ones. Here they are created differently."""
     import cloudpickle
     from equinox import Module
 
@@ -297,9 +297,9 @@ def _awaited(client: "Client", future: "Future") -> Any:
 
 
 class _Bundles:
-    """Items in bundles of about `BUNDLE` seconds: what Dask spends on a task, some ms, is then
-    spent on many. A size at most doubles from one measurement to the next, and the last bundles
-    are small, so that no worker waits long for another."""
+    """Items in bundles of about `BUNDLE` seconds, so that Dask's cost per task, some ms, is spread
+    over many. A size at most doubles from one measurement to the next. The last bundles are small,
+    so that no worker waits long for another."""
 
     def __init__(self, items: Iterable[Any], threads: int) -> None:
         self._left, self._threads = deque(items), max(threads, 1)
@@ -311,14 +311,14 @@ class _Bundles:
         return tuple(self._left.popleft() for _ in range(min(size, len(self._left))))
 
     def measured(self, count: int, seconds: float) -> None:
-        """What tasks took: sets the size of the next bundles."""
+        """Record the duration of tasks, which sets the size of the next bundles."""
         fitting = BUNDLE * count / max(seconds, 1e-6)
         self._size = int(min(2 * self._size, max(fitting, 1)))
 
 
 class _Task:
-    """A function in a worker. It is sent after the worker was found equal to the client, and finds
-    the shared data unpacked."""
+    """A function in a worker. It is sent after the worker was found equal to the client, and uses
+    the unpacked shared data."""
 
     def __init__(
         self, function: Callable[..., Any], wanted: Mapping[str, Any], digest: str
@@ -326,9 +326,9 @@ class _Task:
         self.function, self.wanted, self.digest = function, wanted, digest
 
     def __call__(self, packed: bytes, items: Sequence[Any]) -> tuple[list[Any], float]:
-        """Results of the first items of a bundle, at least of one, and the seconds that they took.
-        Where a task fails or time is up, those before it return; it is then the first of its own
-        bundle, and raises there."""
+        """Results of the first items of a bundle (at least one), and their duration in seconds. If
+        a task fails or time is up, the results before it are returned. The failed task is then the
+        first of its own bundle, and raises there."""
         import cloudpickle
 
         if self.digest not in _objects:
@@ -364,7 +364,7 @@ def _source() -> str:
 
 
 def _environment() -> dict[str, Any]:
-    """What results depend on besides the task."""
+    """Everything besides the task that results depend on."""
     import jax
 
     packages = ("jax", "jaxlib", "numpy")

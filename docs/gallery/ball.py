@@ -1,7 +1,7 @@
 """A ball under three lamps
 
-Phong's shading of a sphere: body, highlight and ambient light, each a number of three bands.
-Every one of them can be differentiated.
+Phong's shading of a sphere: body, highlight and ambient light, each a number of three bands. All of
+them can be differentiated.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """The colours of black bodies
 
-Planck's law through the CIE's observer to sRGB, from the glow of a candle to a blue star.
+Planck's law, converted by the CIE observer to sRGB, from the glow of a candle to a blue star.
 """
 
 import jax

@@ -1,6 +1,6 @@
 """Overfull wells of a CCD
 
-A lamp 25 times as bright as a well can hold, beside lit windows: charge spills along the columns
+A lamp 25 times as bright as a well can hold, next to lit windows. Charge spills along the columns
 (blooming), is collected during the transfer (smear), or is left behind by it.
 """
 

@@ -1,7 +1,7 @@
 """A ball cut from a blue screen
 
-Rendered before a blue wall, keyed by the rule that the foreground is grey, and composited in
-linear light over another picture.
+The ball is rendered in front of a blue wall, keyed under the assumption that the foreground is
+grey, and composited in linear light over another picture.
 """
 
 import jax.numpy as jnp

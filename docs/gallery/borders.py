@@ -1,6 +1,6 @@
 """What lies beyond the border
 
-The eight borders at which every filter works, by what they continue a picture with.
+The eight borders of every filter, which define the continuation of a picture.
 """
 
 import jax.numpy as jnp

@@ -1,8 +1,8 @@
 """The Cornell box, path traced
 
-The shipped scene by 256 paths a pixel of up to eight segments, exposed so that 95 % of the pixels
-lie below 0.8 of white, as `jaxvision render` exposes its previews. `Traced` also holds the standard
-error of each pixel.
+The shipped scene by 256 paths per pixel of up to eight segments. The exposure puts 95 % of the
+pixels below 0.8 of white, as in the previews of `jaxvision render`. `Traced` also contains the
+standard error of each pixel.
 """
 
 from functools import partial

@@ -1,7 +1,7 @@
 """Three balls through a thin lens
 
-Rays start all over the lens of 50 mm at f/1.4, focused at 2 m: the near and the far ball are out
-of focus by the circle of confusion.
+Rays start all over the lens of 50 mm at f/1.4, focused at 2 m. The near and the far ball are
+blurred by the circle of confusion.
 """
 
 import jax

@@ -1,7 +1,7 @@
 """Equalisation, whole and local
 
-Codes are mapped by their own cumulative distribution: of the whole picture, and of 8 x 8 tiles
-with a limit on contrast (CLAHE). Both equal OpenCV's, but for single levels.
+Codes are mapped by their own cumulative distribution, of the whole picture and of 8 x 8 tiles with
+a contrast limit (CLAHE). Both equal OpenCV's except for single levels.
 """
 
 import matplotlib.pyplot as plt

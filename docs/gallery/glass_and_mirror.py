@@ -1,7 +1,7 @@
 """Glass and mirror
 
-Each ray splits at glass into what is reflected and what is refracted, by Fresnel's equations, and
-goes on at a mirror: a tree of at most 16 rays a pixel.
+At glass each ray splits into a reflected and a refracted one by Fresnel's equations, and at a
+mirror it continues: a tree of at most 16 rays per pixel.
 """
 
 from functools import partial

@@ -1,8 +1,8 @@
 """How a picture depends on a lamp
 
-The derivative of each pixel by the lamp's place, by forward differentiation through the renderer.
-Red becomes brighter, and blue darker, as the lamp moves to the right (x), up (y) or towards the
-viewer (z).
+The derivative of each pixel with respect to the lamp's position, by forward differentiation through
+the renderer. Red becomes brighter, and blue darker, as the lamp moves to the right (x), up (y) or
+towards the viewer (z).
 """
 
 import jax

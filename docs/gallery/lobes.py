@@ -1,8 +1,8 @@
 """Three lobes of one material
 
-The same light at 60 degrees, reflected by Phong's lobe, by Blinn's of four times the exponent,
-which in this plane is the same, and by GGX facets with Fresnel's law, which shine at grazing
-angles too. Each is drawn over its largest value.
+The same light at 60 degrees is reflected by three lobes: Phong's, Blinn's with four times the
+exponent, which is equal in this plane, and GGX facets with Fresnel's law, which also shine at
+grazing angles. Each is drawn relative to its largest value.
 """
 
 import jax

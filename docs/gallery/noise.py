@@ -1,6 +1,6 @@
 """The same scene in less and less light
 
-Raw numbers of one sensor, each picture scaled to its own mean: at 3 photons a pixel the shot
+Raw numbers of one sensor, each picture scaled to its own mean. At 3 photons per pixel the shot
 noise is stronger than the scene.
 """
 

@@ -1,7 +1,7 @@
 """Edges and their directions
 
 Freeman and Adelson's steerable filters: a quadrature pair at every angle from a few convolutions.
-Colour is direction, brightness the energy there.
+Colour is direction, and brightness is the energy there.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """Where was the lamp?
 
-A noisy picture of a matte ball tells the lamp's place, with errors: the posterior of two of its
-coordinates by Laplace's approximation, 68 and 95 % of it, and the truth.
+A noisy picture of a matte ball determines the lamp's position, with errors. The plot shows the
+posterior of two of its coordinates by Laplace's approximation (68 and 95 % regions) and the truth.
 """
 
 import jax

@@ -1,8 +1,8 @@
 """A photon transfer curve
 
-Pairs of frames of an even field at 24 levels: the variance grows with the mean by the gain, 0.25
-DN per electron. In the dark read noise and rounding remain; where the well is full, all pixels
-read alike and only read noise is left.
+Pairs of frames of an even field at 24 levels. The variance grows with the mean, and the slope is
+the gain, 0.25 DN per electron. In the dark only read noise and rounding remain. Where the well is
+full, all pixels have the same charge and only read noise is left.
 """
 
 import jax

@@ -1,7 +1,7 @@
 """Two pictures joined without a seam
 
-Burt and Adelson's blend: each level of a Laplacian pyramid is joined over a width of its own
-scale.
+Burt and Adelson's blend: each level of a Laplacian pyramid is joined over a width in proportion to
+its scale.
 """
 
 import jax.numpy as jnp

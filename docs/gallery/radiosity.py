@@ -1,7 +1,7 @@
 """The same box by radiosity
 
-Patches of 6 cm, form factors in closed form where nothing stands between, and a sum over the
-patches at each pixel: no noise, and one solution serves every view.
+Patches of 6 cm, closed-form form factors where nothing is in between, and a sum over the patches at
+each pixel. There is no noise, and one solution serves every view.
 """
 
 import jax

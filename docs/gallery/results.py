@@ -1,7 +1,7 @@
 """Results, drawn
 
-Six of the plots of `jaxvision.plots`: a picture, a quantity in false colour with its unit, a
-histogram, spectra, lobes, and a curve with its band beside the truth.
+Six of the plots of `jaxvision.plots`: a picture, a false-colour map with its unit, a histogram,
+spectra, lobes, and a curve with its band and the truth.
 """
 
 import jax.numpy as jnp

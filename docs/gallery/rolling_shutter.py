@@ -1,7 +1,7 @@
 """A turning blade under a rolling shutter
 
-Rows are exposed one after another, 0.1 ms apart, while the blade turns 40 times a second. The
-scene is a function of time; the camera asks for it when each group of rows is exposed.
+Rows are exposed one after another, 0.1 ms apart, while the blade turns 40 times per second. The
+scene is a function of time, which the camera evaluates when each group of rows is exposed.
 """
 
 from dataclasses import replace

@@ -1,7 +1,7 @@
-"""Body and highlight told apart
+"""Body and highlight separated
 
-Shafer's dichromatic model: the colours of a plastic ball lie in the plane of its own colour and
-that of the lamp, and each pixel is one part of each.
+Shafer's dichromatic model: the colours of a plastic ball lie in the plane of its own colour and the
+lamp's, and each pixel is a sum of both parts.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """A blur that varies
 
-The width of the Gaussian grows with the distance from the face: a filter that no convolution is,
-from a bank of 12 blurs between which each pixel interpolates.
+The width of the Gaussian grows with the distance from the face. No convolution does this; here each
+pixel interpolates in a bank of 12 blurs.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """A ball under a sky
 
-An environment map as the only light: every glossy reflection is a mean over directions drawn from
-the sky and from the lobe at once (the balance heuristic), with 64 rays a pixel.
+An environment map is the only light. Every glossy reflection is a mean over directions drawn from
+the sky and from the lobe together (the balance heuristic), with 64 rays per pixel.
 """
 
 import jax

@@ -1,7 +1,7 @@
 """Smoothing that keeps edges, and one that does not
 
-Gaussian noise and a few dead pixels: the Gaussian blurs both with the edges, the median removes
-the dead pixels, the bilateral filter keeps the edges and trusts dead pixels.
+Gaussian noise and a few dead pixels. The Gaussian blurs both together with the edges, the median
+removes the dead pixels, and the bilateral filter keeps the edges but also the dead pixels.
 """
 
 import jax

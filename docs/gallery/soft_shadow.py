@@ -1,7 +1,6 @@
 """A soft shadow
 
-A rectangular lamp above a ball: 16 x 16 rays from each point to the lamp, each one asked whether
-the ball is in its way.
+A rectangular lamp above a ball, with 16 x 16 shadow rays from each point to the lamp.
 """
 
 import jax.numpy as jnp

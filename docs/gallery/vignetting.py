@@ -1,6 +1,6 @@
 """Light falls off towards the corners
 
-A lens of 8 mm at f/2: the cosine to the fourth alone, and with a rim in front of it, which cuts
+A lens of 8 mm at f/2, with the fourth power of the cosine alone and with a rim in front, which cuts
 the pupil of oblique rays.
 """
 

@@ -1,4 +1,4 @@
-"""The command `jaxvision`, and what the commands of both packages share (`command_line`)."""
+"""The command `jaxvision`, and common parts of the commands of both packages (`command_line`)."""
 
 from ..core.lazy_names import names_of
 

@@ -1,8 +1,8 @@
-"""The `jaxvision` command: inspects image files, renders scene files, bounds their effects.
+"""The `jaxvision` command: inspect image files, render scene files, bound their effects.
 
 Bad input ends with one sentence on standard error and exit status 2; an interrupt with status 130.
-The libraries that compute are imported when a command starts its work, so that `--help` and a
-mistyped option answer at once.
+The numerical libraries are imported when a command starts its work, so `--help` and mistyped
+options are answered immediately.
 """
 
 import json
@@ -326,7 +326,7 @@ def accuracy(
 
 
 def _share(text: str) -> float:
-    """A relative tolerance as it is written, above 0."""
+    """A relative tolerance from text, above 0."""
     from ..effects import parse
 
     goal = parse(text)
@@ -456,13 +456,13 @@ def _pair(option: str, text: str) -> tuple[int, int]:
 
 
 def _finite_or_null(values: dict[str, Any]) -> dict[str, Any]:
-    """JSON has neither NaN nor infinity."""
+    """JSON-compatible numbers: NaN and infinity become null."""
     return json.loads(json.dumps(values), parse_constant=lambda _: None)
 
 
 def _prepare() -> None:
-    """Keeps compiled programs, and computes in double precision, which histograms of 16-bit and
-    floating images need. The command switches both on, never an import."""
+    """Keep compiled programs, and compute in double precision, which histograms of 16-bit and
+    floating images need. The command does both, never an import."""
     keep_programs()
     import jax
 

@@ -1,4 +1,4 @@
-"""Common parts of the commands: `--version`, `-v`, and how a command that fails ends, with one
+"""Common parts of the commands: `--version`, `-v`, and the end of a failed command with one
 sentence on standard error and an exit status."""
 
 import logging
@@ -75,7 +75,8 @@ class _Command(TyperCommand):
 
 
 class _Group(TyperGroup):
-    """Sub-commands whose words, paths among them, and whose working folder are text."""
+    """A group of sub-commands that checks its words, including paths, and the working folder for
+    UTF-8."""
 
     def get_params(self, ctx: Any) -> Any:
         return _in_plain_words(super().get_params(ctx), ctx)
@@ -98,7 +99,7 @@ class _Group(TyperGroup):
             raise
 
     def _clearer(self, said: str, ctx: Any) -> str:
-        """What is wrong with a command line, and what to write."""
+        """A clearer message for a wrong command line, with the remedy."""
         said = said.removeprefix("Value error, ")
         if " is not one of " in said:
             word, *known = re.findall(r"'([^']*)'", said)
@@ -114,8 +115,8 @@ class _Group(TyperGroup):
 def command_app(
     name: str, about: str, *, elsewhere: Mapping[str, str] | None = None
 ) -> typer.Typer:
-    """A command to which sub-commands are added, with `--help`, `--version` and `--verbose`;
-    `elsewhere` says, by the name of a sub-command, which other command has it."""
+    """A command with sub-commands, `--help`, `--version` and `--verbose`. `elsewhere` gives, for a
+    sub-command of the other command, that command's name."""
     app = typer.Typer(
         name=name,
         cls=_Group,
@@ -150,8 +151,8 @@ def command_app(
 def sub_command(
     app: typer.Typer, *examples: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that adds a function to a command; its docstring is the help, in one paragraph, and
-    the examples stand at the end of that, as one would type them."""
+    """Decorator that adds a function to a command. Its docstring is the help, in one paragraph,
+    followed by the examples."""
 
     def added(function: Callable[..., None]) -> Callable[..., None]:
         sentences = " ".join((function.__doc__ or "").split())
@@ -190,8 +191,8 @@ def surroundings() -> list[str]:
 
 
 def say_what_is_done() -> None:
-    """Prints on standard error, with the seconds since the start: what the package logs, and each
-    program that JAX has compiled."""
+    """Print on standard error, with the seconds since the start, the package's log and each program
+    that JAX has compiled."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Elapsed("%(message)s"))
     own = logging.getLogger("jaxvision")
@@ -213,7 +214,7 @@ def say_what_is_done() -> None:
 
 
 class _Elapsed(logging.Formatter):
-    """Messages behind the seconds since logging was first loaded."""
+    """Log messages with the seconds since logging was loaded."""
 
     def format(self, record: logging.LogRecord) -> str:
         return f"{record.relativeCreated / 1e3:7.2f} s  {super().format(record)}"
@@ -225,9 +226,9 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
     with its name.
 
     Input errors and file errors end with exit status 2, an interrupt with 130 and `interrupted`,
-    unless it has a sentence of its own. A warning becomes one line; of warnings that many files
-    share, the first is printed, and then their number. A command whose output is no longer read
-    ends without a line, with 141.
+    unless it has a sentence of its own. A warning becomes one line. Of warnings that many files
+    share, the first is printed with their number. A command whose output is no longer read ends
+    without a line, with status 141.
     """
     say_if_interrupted(interrupted)
     alike: Counter[str] = Counter()
@@ -262,8 +263,8 @@ def failures_as_sentences(command: str, *, interrupted: str = "interrupted.") ->
 
 
 def print_table(title: str, records: Sequence[Any]) -> None:
-    """Prints dataclasses of one kind, whose field `name` is text and others are numbers, as tables:
-    a row a field, a column a record, as many side by side as fit 80 columns."""
+    """Print dataclasses of one kind, with a text field `name` and numeric fields, as tables: one
+    row per field, one column per record, as many side by side as fit 80 columns."""
     from rich.console import Console
     from rich.table import Table
 
@@ -286,7 +287,7 @@ def print_table(title: str, records: Sequence[Any]) -> None:
 
 
 def leave(command: str, sentence: str, status: int) -> NoReturn:
-    """Prints one line on standard error, the command's name and what went wrong and what to do, and
-    ends the command with that exit status."""
+    """Print one line on standard error, with the command's name, the error and the remedy, and end
+    the command with that exit status."""
     print(f"{command}: {sentence}", file=sys.stderr)
     raise typer.Exit(status)

@@ -6,12 +6,11 @@ turns in [0, 1). Nothing is clipped. Colours outside a gamut convert there and b
 colours outside [0, 1]: by HSV those with a largest component of 0, and by HSL those of lightness 0
 or 1.
 
-Values and gradients are finite at black, white and every grey, and however near to them; there the
-undefined hue is 0 with gradient 0. A divisor below `smallest_divisor` (3e-10 in float32) counts as
-0: so dark a colour has no chromaticity and no saturation, and so grey a colour has no hue in HSV
-and HSL. A last axis other than 3 and integer codes are a `ValueError`. Matrices come from
-`colour_data` by name, a static option. They are never applied by `@`, which is slow over an axis of
-three.
+Values and gradients are finite at and near black, white and every grey; there the undefined hue is
+0 with gradient 0. A divisor below `smallest_divisor` (3e-10 in float32) counts as 0: such a dark
+colour has no chromaticity and no saturation, and such a grey colour has no hue in HSV and HSL. A
+last axis other than 3 and integer codes are a `ValueError`. Matrices come from `colour_data` by
+name, a static option. They are never applied by `@`, which is slow over an axis of three.
 """
 
 from ..core.lazy_names import names_of

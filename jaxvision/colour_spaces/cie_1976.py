@@ -22,8 +22,8 @@ _BREAK = 6 / 29
 
 def _lightness(t: Scalars) -> tuple[Scalars, Scalars]:
     """CIE 15:2018, 8.2.1.1: the cube root above (6/29)^3, its tangent line t / (3 (6/29)^2) + 4/29
-    below. In two parts whose sum is f(t) - 4/29, so that a dark colour loses no digits to the
-    line's constant, nor the difference of two cube roots to its own."""
+    below. It is returned in two parts whose sum is f(t) - 4/29. Dark colours then lose no precision
+    to the line's constant, and differences of two cube roots none to their own."""
     curved = t > _BREAK**3
     root = jnp.cbrt(jnp.maximum(t, _BREAK**3 / 2))
     return jnp.where(curved, root, t * (1 / (3 * _BREAK**2))), jnp.where(curved, -4 / 29, 0.0)

@@ -1,8 +1,8 @@
 """Colorimetric tables of the library colour-science, as arrays on the caller's grid.
 
 Eager; colour-science is loaded on first use, which takes about two seconds. The usual RGB spaces,
-adaptations, luma weights and white points need no such time: they are below. Wavelengths are in m
-everywhere; `nanometres` converts. Smooth tables are interpolated by colour-science (Sprague's
+adaptations, luma weights and white points are defined here and need no such time. Wavelengths are
+in m everywhere; `nanometres` converts. Smooth tables are interpolated by colour-science (Sprague's
 quintic on an even grid, a cubic spline elsewhere). Beyond its table an observer or a sensitivity is
 0, and a reflectance keeps its end value. An illuminant is refused there, unless the CIE gives its
 formula: "A" has one at every wavelength, daylight from 300 to 830 nm. An unknown name is an
@@ -115,8 +115,8 @@ def wavelength_grid(
 def illuminant(name: str, wavelengths: Float[Array, " bands"]) -> Float[Array, " bands"]:
     """Relative spectral power of a standard illuminant.
 
-    The CIE's series A and D are 100 at 560 nm. Outside of 300 to 780 nm, where its table ends, A is
-    the black body that defines it. Above 780 nm D50, D55, D65 and D75 are the daylight of their
+    The CIE's series A and D are 100 at 560 nm. Outside 300 to 780 nm, where its table ends, A is
+    its defining black body. Above 780 nm D50, D55, D65 and D75 are the daylight of their
     temperature from the CIE's basis (300 to 830 nm), which is within 5e-4 of the tables from 380 nm
     on. "E" is the same at every wavelength.
 
@@ -216,7 +216,7 @@ def camera_sensitivities(
 def chart_reflectances(
     wavelengths: Float[Array, " bands"], *, name: str = "ColorChecker N Ohta"
 ) -> Float[Array, "patches bands"]:
-    """Reflectances of the patches of a colour chart, which keep their end values beyond its table.
+    """Reflectances of the patches of a colour chart, with constant continuation beyond its table.
 
     Args:
         wavelengths: (bands,) m.
@@ -238,7 +238,7 @@ def chart_reflectances(
 def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
     """The basis S_0, S_1, S_2 of CIE daylight, for `spectra.daylight`.
 
-    Interpolated linearly, as the CIE prescribes.
+    They are interpolated linearly, as the CIE prescribes.
 
     Args:
         wavelengths: (bands,) m, from 300e-9 to 830e-9.
@@ -264,8 +264,8 @@ def daylight_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3
 def rgb_basis(wavelengths: Float[Array, " bands"]) -> Float[Array, "bands 3"]:
     """The reflectances of linear sRGB's red, green and blue, for `spectra.rgb_to_reflectance`.
 
-    Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and continued by its end
-    values. All are in [0, 1], and their sum in each band is 1 within 1e-5, at most 1.
+    They are Mallett's and Yuksel's table from 380 to 780 nm, interpolated linearly and continued by
+    its end values. All are in [0, 1], and their sum in each band is 1 within 1e-5, at most 1.
 
     Args:
         wavelengths: (bands,) m.
@@ -314,7 +314,7 @@ def white_point(name: str, *, observer: str = OBSERVER) -> Float[Array, "3"]:
 def rgb_to_xyz_matrix(space: str) -> Float[np.ndarray, "3 3"]:
     """Matrix from linear RGB to XYZ, in full precision from the primaries and white of the space.
 
-    Standards print rounded matrices, whose inverses are off by up to 1e-4.
+    Standards print rounded matrices, whose inverses have errors of up to 1e-4.
 
     Args:
         space: "sRGB", "Adobe RGB (1998)", "Display P3", "ITU-R BT.2020", "ProPhoto RGB",
@@ -362,7 +362,7 @@ def cone_matrix(method: str) -> Float[np.ndarray, "3 3"]:
 
 @cache
 def luma_weights(standard: str) -> tuple[float, float, float]:
-    """Weights of R', G', B' in luma, of sum 1.
+    """Weights of R', G', B' in luma, with sum 1.
 
     Args:
         standard: "ITU-R BT.601", "ITU-R BT.709", "ITU-R BT.2020" or "SMPTE-240M".

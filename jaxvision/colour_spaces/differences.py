@@ -30,8 +30,8 @@ def delta_e_76(lab: Colours, other: Colours) -> Scalars:
 def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
     """The CIEDE2000 colour difference; the gradient is 0 between equal colours.
 
-    Discontinuous, as published, between colours of opposite hue. Hues of exactly opposite (a, b)
-    count as 180 degrees apart, which rounding of the hues does not decide.
+    As published, it is discontinuous between colours of opposite hue. Hues of exactly opposite (a,
+    b) count as 180 degrees apart, independent of rounding.
 
     Args:
         lab: (..., 3) Lab, no unit.
@@ -95,11 +95,11 @@ def delta_e_2000(lab: Colours, other: Colours) -> Scalars:
 def _hue_difference(
     roots: tuple[Scalars, Scalars], towards: Vec, change: tuple[Scalars, Scalars], turn: Scalars
 ) -> Scalars:
-    """2 sqrt(c1 c2) sin(turn / 2) of two colours, in units of chroma, from the roots of their
-    chromas, the unit vector of the first's (a, b), the `change` of (a, b) to the second, and the
-    `turn` of hue, rad, within half a circle.
+    """2 sqrt(c1 c2) sin(turn / 2) of two colours, in units of chroma. It is computed from the roots
+    of their chromas, the unit vector of the first's (a, b), the `change` of (a, b) to the second,
+    and the hue difference `turn`, rad, within half a circle.
 
-    With k = c1 c2 sin(turn) that is k / (sqrt(c1 c2) cos(turn / 2)), which loses nothing at small
+    With k = c1 c2 sin(turn) it is k / (sqrt(c1 c2) cos(turn / 2)), which is accurate at small
     angles.
     """
     (root1, root2), (d_a, d_b) = roots, change
@@ -110,7 +110,7 @@ def _hue_difference(
 
 
 def _chroma_weight(chroma: Scalars) -> Scalars:
-    """sqrt(C^7 / (C^7 + 25^7)); written so that neither power overflows, nor its gradient at 0."""
+    """sqrt(C^7 / (C^7 + 25^7)), computed without overflow of the powers or of the gradient at 0."""
     low = jnp.minimum(chroma / 25, 1)
     high = 25 / jnp.maximum(chroma, 25)
     colourful = chroma > 25

@@ -1,4 +1,4 @@
-"""HSV and HSL: hue as turns around the hexagon of R, G and B, in [0, 1); no unit."""
+"""HSV and HSL: hue in turns around the hexagon of R, G and B, in [0, 1); no unit."""
 
 import jax.numpy as jnp
 
@@ -114,7 +114,7 @@ def _ends(r: Scalars, g: Scalars, b: Scalars) -> tuple[Scalars, Scalars]:
 
 
 def _hue(r: Scalars, g: Scalars, b: Scalars) -> Scalars:
-    """In turns; 0 for greys."""
+    """Hue in turns; 0 for greys."""
     least, most = _ends(r, g, b)
     share = over(jnp.ones_like(most), most - least)
     sextant = jnp.where(

@@ -119,7 +119,7 @@ def adapt(
 def change_rgb_space(
     rgb: Colours, *, source: str, target: str, adaptation: str | None = "Bradford"
 ) -> Colours:
-    """Linear RGB of one working space in the primaries of another.
+    """Linear RGB of one working space converted to the primaries of another.
 
     Args:
         rgb: (..., 3) linear, relative.

@@ -1,4 +1,4 @@
-"""Development: from the raw data of a sensor to the picture of a file."""
+"""Development: from the raw data of a sensor to a picture file."""
 
 from ..core.lazy_names import names_of
 

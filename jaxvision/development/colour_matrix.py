@@ -1,8 +1,8 @@
 """Colour matrices from a camera's primaries to the primaries of a colour space, fitted to spectra.
 
-Sensitivities are no linear combinations of the colour matching functions (no camera meets Luther's
-condition), so a matrix maps camera RGB to colours only approximately. The best matrix depends on
-the light and on the objects. Colours are linear and relative; 1 is white.
+Sensitivities are not linear combinations of the colour matching functions (no camera meets Luther's
+condition), so a matrix converts camera RGB to colours only approximately. The best matrix depends
+on the light and on the objects. Colours are linear and relative; 1 is white.
 """
 
 import equinox as eqx
@@ -104,9 +104,9 @@ def camera_colour(
     space: str = "sRGB",
     keep_white: bool = True,
 ) -> CameraColour:
-    """The gains that balance a camera under a light, and the matrix from there to linear RGB.
+    """The gains that balance a camera under a light, and the matrix from balanced to linear RGB.
 
-    The matrix reproduces the reflectances best, in the least squares of that RGB.
+    The matrix minimises the squared errors of the reflectances in that RGB.
 
     Args:
         sensitivities: (bands, 3) of the camera, relative.
@@ -158,7 +158,7 @@ def _least_squares(
 
 
 def _across(v: Float[Array, "3"]) -> Float[Array, "3 2"]:
-    """Two orthonormal directions across v, by the reflection that turns v onto an axis."""
+    """Two orthonormal directions perpendicular to v, from the reflection that maps v to an axis."""
     length = jnp.sqrt(jnp.vdot(v, v))
     axis = jnp.zeros_like(v).at[0].set(jnp.where(v[0] < 0, -length, length))
     mirror = v + axis

@@ -114,9 +114,9 @@ def demosaic_bilinear(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_
 @takes_numbers
 @partial(jax.jit, static_argnames=("pattern", "border"))
 def demosaic_malvar(raw: Mosaic, pattern: Pattern | str, *, border: str = "in_phase") -> Picture:
-    """Bilinear means plus a share of the Laplacian of the measured band: four 5 x 5 filters.
+    """Bilinear means plus a share of the Laplacian of the measured band, by four 5 x 5 filters.
 
-    (colour-demosaicing does this with border "mirror".)
+    (colour-demosaicing uses border "mirror".)
 
     Args:
         raw: (..., h, w) DN or relative.
@@ -164,8 +164,8 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
     """Directional filtering and a posteriori decision.
 
     Green is interpolated along rows or columns, whichever has the smoother colour differences
-    nearby, and the other bands by their difference from it. The border is "in_phase"; differences
-    beyond it do not count. The decision has no gradient.
+    nearby. The other bands are interpolated by their difference from green. The border is
+    "in_phase"; differences beyond it do not count. The decision has no gradient.
 
     Args:
         raw: (..., h, w) DN or relative.
@@ -236,9 +236,10 @@ def demosaic_menon(raw: Mosaic, pattern: Pattern | str, *, refine: bool = True) 
 @takes_numbers
 @partial(jax.jit, static_argnames="pattern")
 def demosaic_normalised(raw: Mosaic, pattern: Pattern | str) -> Picture:
-    """Means of the nearby pixels that measured the band, weighted by tents as wide as the tile.
+    """Means of the nearby pixels that measured the band, with triangular weights as wide as the
+    tile.
 
-    For any pattern. Pixels outside the picture take no part. For a Bayer pattern it equals
+    It works for any pattern. Pixels outside the picture do not count. For a Bayer pattern it equals
     `demosaic_bilinear`, except for the outermost green.
 
     Args:
@@ -286,8 +287,8 @@ METHODS: dict[str, Callable[..., Picture]] = {
 
 
 class _Layout(NamedTuple):
-    """Which band is green, which shares a row with it in the first row, and which in the second;
-    and whether the first pixel is green."""
+    """The band that is green, the bands that share a row with it in the first and in the second
+    row, and whether the first pixel is green."""
 
     green: int
     first: int
@@ -295,7 +296,7 @@ class _Layout(NamedTuple):
     green_corner: bool
 
     def masks(self, height: int, width: int) -> tuple[Mask, Mask]:
-        """(which pixels are green, which rows hold the first band)."""
+        """(which pixels are green, which rows contain the first band)."""
         row = jnp.asarray(np.arange(height)[:, None] % 2 == 0)
         column = jnp.asarray(np.arange(width)[None] % 2 == 0)
         is_green = (row == column) if self.green_corner else (row != column)
@@ -320,8 +321,8 @@ def _layout(pattern: Pattern) -> _Layout:
 def _chosen(
     layout: _Layout, own: Plane, green: Plane, along: Plane, across: Plane, opposite: Plane
 ) -> Float[Array, "h w 3"]:
-    """The three bands of each pixel: `own` where it saw the band, else the estimate for where the
-    band's pixels are around it: in its row (`along`), its column or its diagonals."""
+    """The three bands of each pixel: `own` if it measured the band, else the estimate from the
+    band's pixels in its row (`along`), its column or its diagonals."""
     is_green, first_rows = layout.masks(*own.shape)
     in_rows = jnp.where(is_green, along, own)
     in_others = jnp.where(is_green, across, opposite)
@@ -334,8 +335,8 @@ def _chosen(
 
 
 def _joined(layout: _Layout, green: Plane, first: Plane, second: Plane) -> Float[Array, "h w 3"]:
-    """The planes in the order of the bands, by a choice in each number, which vectorises: three
-    planes that are stacked last are copied number by number."""
+    """The planes in the order of the bands, selected number by number, which vectorises; stacking
+    three planes last would copy each number."""
     planes = dict(zip(layout[:3], (green, first, second), strict=True))
     shape = (*green.shape, 3)
     band = jax.lax.broadcasted_iota(jnp.int32, shape, 2)
@@ -368,7 +369,7 @@ def _continued(plane: Plane, reach: int, border: str) -> Float[Array, "_ _"]:
 
 
 class _Shifted(NamedTuple):
-    """A plane continued by `reach` on all sides, to be read at an offset from each pixel."""
+    """A plane padded by `reach` on all sides, for reads at an offset from each pixel."""
 
     wide: Float[Array, "_ _"]
     reach: int
@@ -400,7 +401,8 @@ def _mean_of_three(plane: Plane, axis: int) -> Plane:
 
 
 def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
-    """Menon's green, and by how much rows are smoother than columns: equations 1 to 6."""
+    """Menon's green, and the difference in smoothness between rows and columns: equations 1 to
+    6."""
     greens, roughness = [], []
     for axis in (1, 0):
         far_before, far_behind = _neighbours(raw, axis, 2)
@@ -415,12 +417,12 @@ def _directed_green(raw: Plane, is_green: Mask) -> tuple[Plane, Plane]:
 
 
 def _directed(lead: Plane, by_rows: Plane, by_columns: Plane) -> Plane:
-    """The better of two directions, NaN where NaN leaves that open."""
+    """The better of two directions, NaN where NaN makes that undecidable."""
     return jnp.where(lead >= 0, by_rows, jnp.where(lead < 0, by_columns, lead))
 
 
 def _near(change: Plane, axis: int) -> Plane:
-    """Changes between pixels two apart, summed about each pixel, its own with weight 3."""
+    """Changes between pixels two apart, summed around each pixel, with weight 3 for its own."""
     at = _Shifted(jnp.pad(change if axis == 1 else change.T, 2), 2)
     own = at(0, -2) + at(0, 0)
     beside = at(-2, -2) + at(-2, 0) + at(2, -2) + at(2, 0) + at(-1, -1) + at(1, -1)
@@ -429,5 +431,6 @@ def _near(change: Plane, axis: int) -> Plane:
 
 
 def _tent(tile: int) -> np.ndarray:
-    """Weights that fall to 0 a tile away, so that some pixel of each band is always within."""
+    """Weights that decrease to 0 one tile away, so that some pixel of each band is always
+    included."""
     return tile - np.abs(np.arange(1 - tile, tile), dtype=float)

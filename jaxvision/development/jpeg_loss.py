@@ -177,8 +177,8 @@ def _is_whole(rounding: str) -> bool:
 
 
 def _part(total: Array, bias: Array | float | int, of: Array | int, whole: bool) -> Array:
-    """floor((total + bias) / of), an integer division that the bias turns into a rounding; or
-    total / of."""
+    """floor((total + bias) / of), an integer division that `bias` turns into rounding; or total /
+    of."""
     exact = total / of
     return with_gradient_of(jnp.floor((total + bias) / of), exact) if whole else exact
 
@@ -195,7 +195,7 @@ def _fraction(x: float) -> int:
 
 
 def _to_ycbcr(codes: Float[Array, "h w 3"], whole: bool) -> tuple[Plane, Float[Array, "2 h w"]]:
-    """Luma, and the two chromas about 128, in codes."""
+    """Luma, and the two chromas centred at 128, in codes."""
     r, g, b = (codes[..., i] for i in range(3))
     half, f = _ONE // 2, _fraction
     luma = f(0.29900) * r + f(0.58700) * g + f(0.11400) * b
@@ -224,7 +224,7 @@ def _coded_at_half_size(plane: Plane, table: Table, whole: bool) -> Plane:
 
 
 def _halved(plane: Plane, whole: bool) -> Other:
-    """Means of 2 x 2 codes, the halves rounded down and up in turn (jcsample.c)."""
+    """Means of 2 x 2 codes, with halves rounded down and up alternately (jcsample.c)."""
     height, width = plane.shape
     # codes are repeated to the right at full size until the blocks are full, downwards at half size
     even = jnp.pad(plane, ((0, height % 2), (0, -width % 16)), mode="edge")
@@ -234,7 +234,7 @@ def _halved(plane: Plane, whole: bool) -> Other:
 
 
 def _doubled(plane: Plane, whole: bool) -> Other:
-    """Each code nine, three, three and one sixteenth of its nearest four (jdsample.c)."""
+    """Each code as nine, three, three and one sixteenth of its nearest four (jdsample.c)."""
     wide = jnp.pad(plane, 1, mode="edge")
     height, width = plane.shape
     rows = [3 * wide[1:-1] + wide[:-2], 3 * wide[1:-1] + wide[2:]]
@@ -250,8 +250,9 @@ def _doubled(plane: Plane, whole: bool) -> Other:
 
 
 def _coded(plane: Plane, table: Table, whole: bool) -> Plane:
-    """The codes of a plane from its rounded coefficients. Rows, then columns, and back in reverse,
-    with the whole numbers that libjpeg has in between (jfdctint.c, jcdctmgr.c, jidctint.c)."""
+    """The codes of a plane from its rounded coefficients. It transforms rows, then columns, and
+    back in reverse, with libjpeg's intermediate whole numbers (jfdctint.c, jcdctmgr.c,
+    jidctint.c)."""
     height, width = plane.shape
     full = jnp.pad(plane - 128, ((0, -height % 8), (0, -width % 8)), mode="edge")
     along = materialise(lambda x: _pass(x.T, _COSINES, 11, whole), full)

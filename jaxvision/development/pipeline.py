@@ -1,4 +1,4 @@
-"""From raw data to a picture, stage after stage; and to the integers of a file."""
+"""From raw data to a picture by successive stages, and to the integers of a file."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, UInt

@@ -1,4 +1,4 @@
-"""Tone curves through points, and the choice among the named ones.
+"""Tone curves through points, and the selection among the named ones.
 
 Elementwise on relative values of any shape; the named curves are in `point_ops`.
 """
@@ -15,7 +15,7 @@ from ..scene import SRGB, Filmic, Gamma, Reinhard, ToneCurve, ToneEncoding, Tone
 
 @takes_numbers
 def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
-    """The smooth curve through given points, monotone wherever the points are; constant outside.
+    """The smooth curve through given points, monotone where the points are and constant outside.
 
     It is the cubic Hermite spline that scipy calls PCHIP. NaN stays NaN.
 
@@ -56,7 +56,7 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
 
 @takes_numbers
 def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
-    """Linear light to the range of a display: each band by the curve of the record.
+    """Linear light mapped to the range of a display: each band by the curve of the record.
 
     Args:
         picture: (...) linear, relative.
@@ -80,7 +80,7 @@ def map_tone(picture: Scalars, tone_map: ToneMap) -> Scalars:
 
 @takes_numbers
 def encode_tone(picture: Scalars, tone: ToneEncoding) -> Scalars:
-    """Linear values to encoded ones, by the curve of the record.
+    """Linear values encoded by the curve of the record.
 
     Args:
         picture: (...) linear, relative.

@@ -1,4 +1,4 @@
-"""White balance: one gain a band, so that neutral objects look neutral.
+"""White balance: one gain per band, so that neutral objects look neutral.
 
 Images are (..., h, w, bands), linear, in DN or relative. Gains have no unit, and the smallest is 1:
 no band becomes darker than the sensor recorded it. They are von Kries' law in the camera's own
@@ -24,9 +24,9 @@ def white_balance(
 ) -> Picture:
     """Each band times its gain.
 
-    A pixel that is burnt out in all bands would take the colour of the gains, magenta as a rule.
-    With `saturation` nothing exceeds it times the smallest gain, the brightest value that all bands
-    can reach, and such a pixel comes out neutral.
+    A pixel that is saturated in all bands would take the colour of the gains, usually magenta. With
+    `saturation`, values are limited to it times the smallest gain, the brightest value that all
+    bands can reach, and such a pixel becomes neutral.
 
     Args:
         image: (h, w) or (..., h, w, bands) linear, DN or relative.
@@ -138,7 +138,7 @@ def grey_world_gains(
 
 
 def _balancing(means: Gains) -> Gains:
-    """The largest mean over each: 1 where there is none. NaN spreads to all."""
+    """The largest mean divided by each mean: 1 if there is none. NaN spreads to all bands."""
     brightest = jnp.max(means, axis=-1, keepdims=True)
     share = divide(means, brightest, ~(brightest <= 0))
     return divide(1, share, ~(share <= smallest_divisor(means.dtype)), 1)

@@ -1,4 +1,4 @@
-"""Spheres around shapes. Lengths in m."""
+"""Enclosing spheres of shapes. Lengths in m."""
 
 from collections.abc import Sequence
 from functools import reduce

@@ -45,12 +45,12 @@ def available() -> bool:
 
 
 def embree_nearest(ray: Ray, mesh: TriangleMesh) -> Int[Array, ""]:
-    """Index of the triangle met first, -1 for none."""
+    """Index of the first triangle hit, -1 for none."""
     return _answer(_nearest, jnp.int32, ray, mesh)
 
 
 def embree_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray meets a triangle before `distance`, m."""
+    """Whether the ray hits a triangle before `distance`, m."""
     return _answer(_blocks, jnp.bool_, ray, mesh, distance)
 
 
@@ -85,14 +85,14 @@ def _found_before(
 
 
 def _beside(direction: np.ndarray) -> np.ndarray:
-    """Rays moved aside by a few roundings: a ray that met nothing is traced again, since one in
-    100000 of those aimed at a vertex slips through."""
+    """Rays displaced by a few roundings. A ray without a hit is traced again, because one in 100000
+    of those aimed at a vertex slips through."""
     return direction + 4 * np.finfo(np.float32).eps * direction[:, [1, 2, 0]]
 
 
 def _ask(query: Query, vertices: Any, faces: Any, *rays: Any) -> np.ndarray:
-    """`query(scene, *rays)` for rays with any leading axes, against one mesh, or against one mesh
-    each where `vmap` ran over the mesh too."""
+    """`query(scene, *rays)` for rays with any leading axes, against one mesh, or each against its
+    own mesh if `vmap` is over the mesh too."""
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
     meshes = np.broadcast_shapes(vertices.shape[:-2], faces.shape[:-2])
     ends = (3,), (3,), ()
@@ -123,7 +123,8 @@ _nearest, _blocks = partial(_ask, _found), partial(_ask, _found_before)
 
 
 def _split_by_cores(found: Callable[[slice], np.ndarray], count: int) -> Iterable[np.ndarray]:
-    """Results for `count` rays, one part a core: Embree releases the interpreter lock."""
+    """Results for `count` rays, divided over the cores, since Embree releases the interpreter
+    lock."""
     parts = max(min(cores(), count // _SHARE), 1)
     ends = [count * k // parts for k in range(parts + 1)]
     slices = [slice(*pair) for pair in pairwise(ends)]
@@ -136,11 +137,10 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, np.float32]:
-    """The search tree of a mesh, and the power of two that brings it to the size of 1: rays pass
+    """The search tree of a mesh, and the power of two that scales it to a size of 1: rays slip
     through the edges of very small triangles. A tree is built once and found again by the mesh's
-    numbers, since a pure function may be called with any mesh at any time; to compare 80000
-    triangles costs less than to trace a thousand rays.
-    """
+    numbers, because a pure function may be called with any mesh at any time. Comparing 80000
+    triangles costs less than tracing a thousand rays."""
     from embreex.mesh_construction import TriangleMesh as EmbreeMesh
     from embreex.rtcore_scene import EmbreeScene
 

@@ -1,5 +1,5 @@
-"""A ray and a triangle mesh: every triangle is tried up to a hundred, on an accelerator up to some
-thousands; Embree searches above. For ONE ray; lengths in metres."""
+"""A ray and a triangle mesh. Up to a hundred triangles are all tested, on an accelerator up to some
+thousands; Embree searches larger meshes. For ONE ray; lengths in metres."""
 
 import warnings
 from functools import cache
@@ -20,7 +20,7 @@ _TRIED_ELSEWHERE = 4096  # the same on an accelerator, whose rays go to the proc
 
 
 def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
-    """(distance in m, index) of the triangle met first, (inf, -1) where none is."""
+    """(distance in m, index) of the first triangle hit, (inf, -1) for none."""
     if not _searched(mesh):
         return nearest_triangle(ray, mesh)
     primitive = _embree.embree_nearest(ray, mesh)
@@ -28,14 +28,15 @@ def mesh_nearest(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, ""]]:
 
 
 def mesh_blocks(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray meets the mesh before `distance`, m."""
+    """Whether the ray hits the mesh before `distance`, m."""
     if not _searched(mesh):
         return any_triangle(ray, mesh, distance)
     return _embree.embree_blocks(ray, mesh, distance)
 
 
 def intersect_mesh(ray: Ray, mesh: TriangleMesh) -> Hit:
-    """The nearest point of a mesh in front of the ray's origin, smooth in the ray and the vertices.
+    """The nearest point of a mesh ahead of the ray's origin, differentiable with respect to the ray
+    and the vertices.
 
     Args:
         ray: its origin in m.

@@ -1,7 +1,7 @@
-"""Points spread evenly over a shape: how surfaces that shine are sampled.
+"""Points distributed uniformly over a shape, for sampling emissive surfaces.
 
-Two uniform numbers become a point whose density by area is the same everywhere, 1 / area. Lengths
-in m, areas in m^2, normals unit. For ONE point; the caller vmaps.
+Two uniform numbers become a point with the constant density 1 / area. Lengths in m, areas in m^2,
+normals unit. For ONE point; the caller vmaps.
 """
 
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ class SurfacePoint(Shown):
 
 
 def has_area(shape: Shape) -> bool:
-    """Whether points of a shape can be drawn.
+    """Whether points of a shape can be sampled.
 
     Args:
         shape: any shape.
@@ -113,7 +113,7 @@ def point_on(shape: Shape, u: Float[Array, "2"]) -> SurfacePoint:
 
 
 def _face_areas(box: Box) -> Float[Array, "3"]:
-    """Area of one of the two faces across each axis, m^2."""
+    """Area of one of the two faces perpendicular to each axis, m^2."""
     x, y, z = box.half_extents
     return 4 * jnp.stack([y * z, z * x, x * y])
 
@@ -136,7 +136,7 @@ def _point_on_box(box: Box, u: Float[Array, "2"]) -> SurfacePoint:
 
 
 def _pick(weights: Float[Array, " n"], u: Scalar) -> tuple[Array, Scalar]:
-    """An index with probability in proportion to its weight, and what is left of `u`."""
+    """An index with probability proportional to its weight, and the rescaled `u`."""
     ends = running_sum(weights)
     at = u * ends[-1]
     last = jnp.searchsorted(ends, ends[-1])  # that has a weight: `at` may be rounded to the end

@@ -52,7 +52,7 @@ def size_of(shape: Shape) -> Scalar:
 
 
 def largest_size(shapes: Sequence[Shape]) -> Scalar:
-    """The largest coordinate that any of the shapes reaches.
+    """The largest coordinate of any of the shapes.
 
     Args:
         shapes: at least one.

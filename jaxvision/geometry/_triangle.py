@@ -1,7 +1,7 @@
 """A ray and triangles, without gaps along shared edges. For ONE ray; lengths in metres.
 
-After Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) (2013): vertices in
-the ray's own frame, where the ray is the z axis, and the three edge functions there,
+The method is that of Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1)
+(2013). In a frame where the ray is the z axis, the vertices a, b, c give three edge functions:
 
     U = c x b    V = a x c    W = b x a    t = (U a_z + V b_z + W c_z) / (U + V + W).
 
@@ -33,7 +33,7 @@ def corners(mesh: TriangleMesh) -> Float[Array, "faces 3 3"]:
 
 
 def _edge(p: Vec, q: Vec) -> tuple[Scalar, Scalar]:
-    """(p x q in the plane across the ray, a bound on its rounding error)."""
+    """(p x q in the plane perpendicular to the ray, a bound on its rounding error)."""
     one, other = p.x * q.y, p.y * q.x
     of_products = jnp.abs(one) + jnp.abs(other)
     of_vertices = _across(p) * _reach(q) + _across(q) * _reach(p)
@@ -45,8 +45,8 @@ def _across(v: Vec) -> Scalar:
 
 
 def _reach(v: Vec) -> Scalar:
-    """An upper bound on the length of a vector that is turned into the frame of the ray: the
-    rounding of each component is relative to it."""
+    """An upper bound on the length of a vector in the frame of the ray, which scales the rounding
+    error of each component."""
     return _across(v) + jnp.abs(v.z)
 
 
@@ -89,7 +89,7 @@ def nearest_triangle(ray: Ray, mesh: TriangleMesh) -> tuple[Scalar, Int[Array, "
 
 
 def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray meets a triangle before `distance`, m."""
+    """Whether the ray hits a triangle before `distance`, m."""
     frame, triangles = local_frame(ray.direction), corners(mesh)
 
     def try_one(
@@ -102,8 +102,8 @@ def any_triangle(ray: Ray, mesh: TriangleMesh, distance: Scalar) -> Bool[Array, 
 
 
 def in_chunks(step, carry, items, count: int):
-    """`carry = step(carry, i, items[i])` for each item, unrolled a chunk at a time. `items`: a
-    tree with a leading axis of `count`. Items may be seen twice."""
+    """`carry = step(carry, i, items[i])` for each item, unrolled a chunk at a time. `items`: a tree
+    with a leading axis of `count`. Some items may be visited twice."""
     if count <= 2 * _CHUNK:
         for i in range(count):
             carry = step(carry, jnp.asarray(i, jnp.int32), jax.tree.map(lambda x, i=i: x[i], items))
@@ -119,8 +119,8 @@ def in_chunks(step, carry, items, count: int):
 
 
 def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit:
-    """Where the ray meets the plane of a triangle that it is known to meet; a miss for -1. Smooth
-    in the ray and the vertices."""
+    """The hit of the plane of a triangle that the ray is known to hit; a miss for -1. It is
+    differentiable with respect to the ray and the vertices."""
     face = mesh.faces.at[primitive].get(mode="clip")
     a, b, c = (as_vec(v) for v in mesh.vertices.at[face].get(mode="clip"))
     distance, v, w = materialise(_place, ray, primitive >= 0, a, b, c)
@@ -145,8 +145,8 @@ def triangle_hit(ray: Ray, mesh: TriangleMesh, primitive: Int[Array, ""]) -> Hit
 def _place(
     ray: Ray, known: Bool[Array, ""], a: Vec, b: Vec, c: Vec
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """(distance, weight of b, weight of c). The weights come from the reciprocal edges; those that
-    rounding puts outside the triangle are clipped to it."""
+    """(distance, weight of b, weight of c). The weights come from the reciprocal edges. Weights
+    that rounding puts outside the triangle are clipped to it."""
     edge_b, edge_c = b - a, c - a
     area = cross(edge_b, edge_c)
     normal = as_vec(normalize(area))

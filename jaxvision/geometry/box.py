@@ -34,8 +34,8 @@ def _world(box: Box, v: Vec) -> Vec:
 def _slabs(
     origin: Vec, direction: Vec, half: Vec
 ) -> tuple[list[Scalar], list[Scalar], Bool[Array, ""]]:
-    """Where the ray enters and leaves each pair of faces, and whether it runs between those to
-    which it is parallel."""
+    """The distances at which the ray enters and leaves each pair of faces, and whether it runs
+    between faces that it is parallel to."""
     enter, leave, between = [], [], jnp.asarray(True)
     for o, d, h in zip(
         (origin.x, origin.y, origin.z),
@@ -83,8 +83,7 @@ def _first_face(ray: Ray, box: Box) -> Int[Array, ""]:
 
 
 def _place(ray: Ray, box: Box, face: Int[Array, ""]) -> tuple[Scalar, Vec]:
-    """(distance, the place in the axes of the box, projected onto the face), m, for a known
-    face."""
+    """(distance, position in the axes of the box, projected onto the face), m, for a known face."""
     origin, direction = _local(box, ray.origin - box.centre), _local(box, ray.direction)
     axis, half = face // 2, as_vec(box.half_extents)
     to_face = _side(face, half.x) * _component(half, axis) - _component(origin, axis)
@@ -106,9 +105,9 @@ def _side(face: Int[Array, ""], like: Scalar) -> Scalar:
 
 
 def intersect_box(ray: Ray, box: Box) -> Hit:
-    """The nearest point of a box in front of the ray's origin, which may lie inside.
+    """The nearest point of a box ahead of the ray's origin, which may lie inside.
 
-    On an edge the first of the box's own axes gives the normal.
+    On an edge, the first of the box's own axes gives the normal.
 
     Args:
         ray: its origin in m.
@@ -122,7 +121,8 @@ def intersect_box(ray: Ray, box: Box) -> Hit:
 
 def box_hit(ray: Ray, box: Box, compute: Callable[..., Any]) -> Hit:
     """The hit, m, of a box. `compute`: `materialise`, or `inline` if the caller computes the whole
-    hit in one loop: computed again elsewhere, with other rounding, face and place could differ."""
+    hit in one loop. If the face were computed again elsewhere with other rounding, face and
+    position could disagree."""
     face = compute(_first_face, *jax.lax.stop_gradient((ray, box)))
     distance, place = compute(_place, ray, box, face)
     hit, axis, side = face >= 0, face // 2, _side(face, distance)

@@ -1,5 +1,5 @@
-"""Sentences about invalid shapes, for files and command lines, before anything is traced. NumPy;
-lengths in metres."""
+"""Findings on invalid shapes for files and command lines, before tracing. NumPy; lengths in
+metres."""
 
 import jax
 import numpy as np
@@ -33,7 +33,7 @@ def problems(shape: Shape) -> list[str]:
 
 
 def invalid(shape: Shape) -> list[str]:
-    """The problems of a shape wherever it lies."""
+    """The problems of a shape, independent of its position."""
     kind = type(shape).__name__
     found = [
         f"{kind}.{name} holds a number that is not finite."
@@ -67,9 +67,9 @@ def invalid(shape: Shape) -> list[str]:
 
 
 def coarse(shape: Shape) -> list[str]:
-    """A sentence on a valid shape so far from the origin that numbers of its dtype, there, are
-    further apart than a thousandth of its size, or than 4 % of the heights of a mesh's triangles:
-    rounding moves their corners by a quarter of that on average."""
+    """A finding on a valid shape so far from the origin that the spacing of numbers of its dtype
+    there exceeds a thousandth of its size, or 4 % of the heights of a mesh's triangles. Rounding
+    moves their corners by a quarter of that on average."""
     match shape:
         case Sphere() | Disc():
             place, size = np.asarray(shape.centre), float(shape.radius)
@@ -104,7 +104,7 @@ def coarse(shape: Shape) -> list[str]:
 
 
 def warn_if_coarse(*shapes: Shape) -> None:
-    """Warns of the first shape that rounding deforms where it lies, if its numbers are known."""
+    """Warn of the first shape that rounding deforms at its position, if its numbers are known."""
     for shape in shapes:
         if all(map(is_known, jax.tree.leaves(shape))) and (found := coarse(shape)):
             warn_caller(found[0])
@@ -147,8 +147,8 @@ def _behind(mesh: TriangleMesh) -> np.ndarray:
 
 
 def faces_without_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which triangles of a mesh, (faces,), have no area, m^2, that its numbers could hold: two
-    corners in one place, or three on a line. False where a corner is not finite."""
+    """Which triangles of a mesh, (faces,), have no area, m^2, at the precision of its numbers: two
+    corners coincide, or three are on a line. False if a corner is not finite."""
     corners = vertices[faces].astype(float)
     with np.errstate(invalid="ignore"):
         edge_b, edge_c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -24,8 +24,8 @@ from .rays import Hit, Ray
 
 
 def _distance(ray: Ray, point: Vector, normal: Vec) -> Scalar:
-    """Distance to the plane through `point`, m; 0 for a ray within the plane, negative if the plane
-    lies behind."""
+    """Distance to the plane through `point`, m; 0 for a ray in the plane, negative for a plane
+    behind."""
     slope = dot(normal, ray.direction)
     crosses = jnp.abs(slope) > smallest_divisor(slope.dtype)
     return divide(dot(normal, point - ray.origin), slope, where=crosses)
@@ -44,8 +44,8 @@ def _hit(
     compute: Callable[..., Any],
 ) -> Hit:
     """The hit of a plane through `point`, projected onto the plane, if it lies ahead. `compute`:
-    `materialise`, or `inline` if the caller computes the whole hit in one loop: a projection by a
-    height that was rounded differently would miss the plane by the difference."""
+    `materialise`, or `inline` if the caller computes the whole hit in one loop. A projection with a
+    differently rounded height would miss the plane by the difference."""
     distance = compute(_distance, ray, point, normal)
     hit = meets & (distance > 0)
     place = compute(_along, ray, jnp.where(hit, distance, 0))
@@ -55,7 +55,7 @@ def _hit(
 
 
 def intersect_plane(ray: Ray, plane: Plane) -> Hit:
-    """Where a ray meets a plane, from either side.
+    """The hit of a plane, from either side.
 
     Args:
         ray: its origin in m.
@@ -79,7 +79,7 @@ def plane_hit(ray: Ray, plane: Plane, compute: Callable[..., Any]) -> Hit:
 
 
 def intersect_disc(ray: Ray, disc: Disc) -> Hit:
-    """Where a ray meets a disc, rim included, from either side.
+    """The hit of a disc, including its rim, from either side.
 
     Args:
         ray: its origin in m.
@@ -118,7 +118,7 @@ class FlatQuad(Shown):
 
 
 def flat_quad(quad: Quad) -> FlatQuad:
-    """The quad, m, made ready for many rays."""
+    """The quad, m, prepared for many rays."""
     area = exact_cross(quad.edge_u, quad.edge_v)
     normal = as_vec(normalize(area))
     length = dot(area, normal)
@@ -131,8 +131,8 @@ def flat_quad(quad: Quad) -> FlatQuad:
 
 def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """(height, slope, u slope, v slope) of the crossing of the ray's line with the plane of the
-    parallelogram: at the distance height / slope, m, of either sign, and at u edge_u + v edge_v
-    from the corner. slope >= 0. All are multiplied by the slope, so that a test needs no
+    parallelogram, at the distance height / slope, m, of either sign, and at u edge_u + v edge_v
+    from the corner; slope >= 0. All are multiplied by the slope, so that a test needs no
     division."""
     toward = quad.corner - ray.origin
     height, slope = dot(quad.normal, toward), dot(quad.normal, ray.direction)
@@ -143,7 +143,7 @@ def line_crossing(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Scalar, Sca
 
 
 def _meet_quad(ray: Ray, quad: FlatQuad) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """(height, slope, whether the ray meets it); the distance is height / slope."""
+    """(height, slope, whether the ray hits it); the distance is height / slope."""
     height, slope, u, v = line_crossing(ray, quad)
     inside = (jnp.minimum(u, v) >= 0) & (jnp.maximum(u, v) <= slope)
     return height, slope, inside & (height > 0) & (slope > smallest_divisor(slope.dtype))
@@ -156,13 +156,13 @@ def quad_distance(ray: Ray, quad: FlatQuad) -> Scalar:
 
 
 def quad_blocks(ray: Ray, quad: FlatQuad, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray meets the parallelogram before `distance`, m."""
+    """Whether the ray hits the parallelogram before `distance`, m."""
     height, slope, meets = _meet_quad(ray, quad)
     return meets & (height < distance * slope)
 
 
 def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
-    """Where a ray meets a parallelogram, rim included, from either side.
+    """The hit of a parallelogram, including its rim, from either side.
 
     Args:
         ray: its origin in m.
@@ -182,5 +182,5 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
 
 def quad_hit(ray: Ray, quad: FlatQuad, meets: Bool[Array, ""], compute: Callable[..., Any]) -> Hit:
-    """The hit, m, of a parallelogram, given whether the ray meets it; `compute` as in `_hit`."""
+    """The hit, m, of a parallelogram, given whether the ray hits it; `compute` as in `_hit`."""
     return _hit(ray, quad.corner, quad.normal, meets, quad.size, compute)

@@ -2,7 +2,7 @@
 
 The local frame has the normal along +z. Directions are unit vectors that point away from the
 surface; densities and weights are per solid angle, in sr^-1 and sr. For ONE direction: the caller
-vmaps. A direction made from uniform numbers is a `Vec`; rotations return the type they were given.
+vmaps. Sampling functions return a `Vec`. Rotations return the type they were given.
 """
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from ..core._vector import Directions, Vec, Vec3, as_array, as_vec, vector_field
 
 
 class Frame(Shown):
-    """Three unit vectors at right angles, right-handed: tangent x bitangent = normal.
+    """Three perpendicular unit vectors, right-handed: tangent x bitangent = normal.
 
     Attributes:
         tangent, bitangent, normal: (3,) unit length; (..., 3) arrays are split into components.
@@ -126,15 +126,15 @@ def to_world(frame: Frame, w: Vec3) -> Vec3:
 
 @takes_numbers
 def direction_at(one_minus_cos: Scalars, phi: Scalars) -> Vec:
-    """The unit vector at azimuth `phi` (radians) whose polar cosine falls short of 1 by
-    `one_minus_cos`, in [0, 2]: sharp lobes keep their digits, which 1 - cos would lose."""
+    """The unit vector at azimuth `phi` (radians) with the polar cosine 1 - `one_minus_cos`, in [0,
+    2]. This keeps the precision of narrow lobes, which 1 - cos would lose."""
     sine = safe_sqrt(one_minus_cos * (2 - one_minus_cos))
     return Vec(sine * jnp.cos(phi), sine * jnp.sin(phi), 1 - one_minus_cos)
 
 
 @takes_numbers
 def cosine_direction(u: Float[Array, "2"]) -> Vec:
-    """A direction of density cos(theta) / pi from two uniform numbers in [0, 1); unit, local.
+    """A direction with density cos(theta) / pi from two uniform numbers in [0, 1); unit, local.
 
     The radius sqrt(u_0) of a point uniform in the disk is the direction's sine (Malley).
     """
@@ -149,7 +149,7 @@ def cosine_pdf(w: Directions) -> Scalars:
 
 @takes_numbers
 def uniform_direction(u: Float[Array, "2"]) -> Vec:
-    """A direction of the constant density 1 / (2 pi) in sr^-1 over the hemisphere, from two
+    """A direction with the constant density 1 / (2 pi) in sr^-1 over the hemisphere, from two
     uniform numbers in [0, 1); unit, local."""
     return _spherical_direction(safe_sqrt(u[0] * (2 - u[0])), 1 - u[0], u[1])
 
@@ -171,10 +171,10 @@ def _spherical_direction(sine: Scalars, cosine: Scalars, turns: Scalars) -> Vec:
 def product_nodes(
     polar: int, azimuths: int
 ) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, " nodes"]]:
-    """Unit directions, (nodes, 3), and weights, (nodes,) sr of sum 2 pi, of a quadrature over the
-    local hemisphere: NumPy float64, made while tracing.
+    """Unit directions, (nodes, 3), and weights, (nodes,) sr with sum 2 pi, of a quadrature over the
+    local hemisphere. They are NumPy float64, computed during tracing.
 
-    Gauss-Legendre in cos(theta) times the trapezium rule in phi: exact for polynomials in the
+    It is Gauss-Legendre in cos(theta) times the trapezium rule in phi, exact for polynomials in the
     components of the direction up to degree min(2 polar - 1, azimuths - 1).
     """
     if polar < 1 or azimuths < 1:

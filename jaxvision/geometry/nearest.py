@@ -1,9 +1,9 @@
 """Find the first of many surfaces that a ray intersects, and test for occlusion. For ONE ray; the
 caller vmaps.
 
-The search returns integers and has no gradient. The hit is then computed once more from the shape
-that was found, and has all gradients. Only intersections at a distance > 0 count. A miss has
-distance inf, a zero normal, and gradients of zero. Lengths are metres.
+The search returns integers and has no gradient. The hit is then recomputed from the found shape,
+and has all gradients. Only intersections at a distance > 0 count. A miss has distance inf, a zero
+normal, and gradients of zero. Lengths are metres.
 """
 
 from collections.abc import Callable, Sequence
@@ -48,7 +48,7 @@ _CHUNK = 8  # shapes tested at once: one alone does not fill the vector units
 
 
 class Sorted(Shown):
-    """Shapes sorted by kind, with everything that does not depend on the ray computed once.
+    """Shapes sorted by kind, with everything precomputed that does not depend on the ray.
 
     Attributes:
         groups: all but meshes, stacked by kind.
@@ -69,7 +69,7 @@ Shapes = Sequence[Shape] | Sorted
 
 
 def sorted_shapes(shapes: Shapes) -> Sorted:
-    """Shapes made ready for many rays: worth doing once, outside a loop over rays.
+    """Shapes prepared for many rays; call it once, outside a loop over rays.
 
     Args:
         shapes: any shapes, lengths in m, or what this function returned.
@@ -94,7 +94,7 @@ def sorted_shapes(shapes: Shapes) -> Sorted:
 
 
 def intersect(ray: Ray, shape: Shape) -> Hit:
-    """Where a ray meets a shape.
+    """The hit of a ray and a shape.
 
     Args:
         ray: its origin in m.
@@ -133,7 +133,7 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
 
 
 def nearest_shape(ray: Ray, shapes: Shapes) -> Encounter:
-    """Find the shape that a ray intersects first. Of equally near shapes of one kind it is the
+    """Find the shape that a ray intersects first. Among equally near shapes of one kind it is the
     first.
 
     Args:
@@ -228,8 +228,8 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
 
 
 def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
-    """The hit of one shape, computed within a loop of the caller. `among`: whether this shape is
-    known to be met."""
+    """The hit of one shape, computed inside a loop of the caller. `among`: whether this shape is
+    known to be hit."""
     match shape:
         case FlatQuad():
             return quad_hit(ray, shape, among, inline)
@@ -244,7 +244,7 @@ def _hit_of(ray: Ray, shape: Shape | FlatQuad, among: Bool[Array, ""]) -> Hit:
 
 
 def _choose(here: Bool[Array, ""], hit: Hit, other: Hit) -> Hit:
-    """`hit` where `here` holds, else `other`; fields that `hit` lacks are filled in."""
+    """`hit` if `here` is true, else `other`; fields that `hit` lacks are filled in."""
     shading_normal = None if other.shading_normal is None else hit.shading_normal or hit.normal
     zero = jnp.zeros_like(hit.distance)
     uv = None if other.uv is None else hit.uv or (zero, zero)
@@ -374,8 +374,8 @@ def _blocks(ray: Ray, shape: Shape | FlatQuad, distance: Scalar) -> Bool[Array, 
 
 
 def _each_stored(of_chunk: Callable[..., Any], count: int) -> Callable[..., Any]:
-    """The function of a chunk, stored by itself where there is a loop over chunks: its reads of the
-    chunk would else be repeated for each ray."""
+    """The function of a chunk, materialised separately in a loop over chunks. Its reads of the
+    chunk would otherwise be repeated for each ray."""
     return partial(materialise, of_chunk) if count > 2 * _CHUNK else of_chunk
 
 
@@ -406,8 +406,9 @@ def _each(chunk: Any) -> list[Any]:
 
 
 def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
-    """The nearest shape of a chunk as one integer, found by one comparison a shape: the bits of its
-    distance, which increase with it, with the last three replaced by its place."""
+    """The nearest shape of a chunk as one integer, found by one comparison per shape. It has the
+    bits of the distance, which increase with it, with the last three replaced by the shape's
+    position."""
     keys = []
     for place, shape in enumerate(_each(chunk)):
         distance = _distance(ray, shape)
@@ -417,7 +418,7 @@ def _first_of(ray: Ray, chunk: Any) -> Int[Array, ""]:
 
 
 def _unpacked(key: Int[Array, ""]) -> tuple[Scalar, Int[Array, ""]]:
-    """(distance in m, place in its chunk) of `_first_of`."""
+    """(distance in m, position in its chunk) from `_first_of`."""
     floats = jnp.float64 if key.dtype.itemsize == 8 else jnp.float32
     place = (key & (_CHUNK - 1)).astype(jnp.int32)
     return jax.lax.bitcast_convert_type(key & -_CHUNK, floats), place

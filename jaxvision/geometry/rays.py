@@ -58,7 +58,7 @@ class Encounter(Shown):
 
 
 class Hit(Shown):
-    """Where a ray meets a shape.
+    """The intersection of a ray and a shape.
 
     Attributes:
         distance: () m along the ray, inf for a miss.
@@ -108,12 +108,13 @@ def mirror_direction(normal: Directions, w: Directions) -> Vec3:
 def offset_origin(
     point: Vector, normal: Direction, direction: Direction, *, size: Scalar | None = None
 ) -> Vec:
-    """Where a ray that leaves a surface starts, so that it does not meet the surface again.
+    """The origin of a ray that leaves a surface, displaced so that it does not hit the surface
+    again.
 
-    The point moves along the normal, toward the side to which the ray goes, by the largest distance
-    by which rounding may have put it on the wrong side. Only one normal is known here: a ray from
-    an edge or a corner of a mesh that goes outward of one face and inward of its neighbour starts
-    on the wrong side of the neighbour and may meet it.
+    The point moves along the normal to the side of the ray, by the largest distance by which
+    rounding can have put it on the wrong side. Only one normal is known here. From an edge or a
+    corner of a mesh, a ray that goes outward of one face and inward of its neighbour starts on the
+    wrong side of the neighbour and may hit it.
 
     Args:
         point: (3,) m.

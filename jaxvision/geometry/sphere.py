@@ -22,8 +22,8 @@ from .rays import Hit, Ray
 
 
 def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
-    """The distance alone, m, by the plain formula, accurate to a few eps of the distance to the
-    centre: enough to tell which of several surfaces comes first."""
+    """The distance alone, m, by the plain formula. It is accurate to a few eps of the distance to
+    the centre, which is enough to find the first of several surfaces."""
     b, discriminant = _closest(ray, sphere)
     half_chord = jnp.sqrt(jnp.maximum(discriminant, 0))
     near, far = b - half_chord, b + half_chord
@@ -32,7 +32,7 @@ def sphere_distance(ray: Ray, sphere: Sphere) -> Scalar:
 
 
 def sphere_blocks(ray: Ray, sphere: Sphere, distance: Scalar) -> Bool[Array, ""]:
-    """Whether the ray meets the sphere before `distance`, m, without a square root."""
+    """Whether the ray hits the sphere before `distance`, m, without a square root."""
     b, discriminant = _closest(ray, sphere)
     rest = distance - b  # from the closest approach to the end
     less, more = jnp.minimum(b, rest), jnp.maximum(b, rest)
@@ -47,14 +47,15 @@ def _closest(ray: Ray, sphere: Sphere) -> tuple[Scalar, Scalar]:
 
 
 def _closest_approach(ray: Ray, sphere: Sphere) -> tuple[Scalar, Vec]:
-    """Where the ray is nearest to the centre: (distance along it, place from the centre), m."""
+    """The closest approach of the ray to the centre: (distance along it, position relative to the
+    centre), m."""
     f = ray.origin - sphere.centre
     b = -dot(f, ray.direction)
     return b, f + b * ray.direction
 
 
 def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
-    """The nearest point of a sphere in front of the ray's origin, which may lie inside.
+    """The nearest point of a sphere ahead of the ray's origin, which may lie inside.
 
     A tangent ray misses.
 
@@ -87,9 +88,9 @@ def intersect_sphere(ray: Ray, sphere: Sphere) -> Hit:
 
 
 def _first_crossing(ray: Ray, sphere: Sphere) -> Scalar:
-    """The distance of the first crossing ahead, m, inf for a miss. The result has to be stored: for
-    a ray that starts on the sphere rounding decides between the near and the far crossing, and
-    compiled code that computes it again may round differently."""
+    """The distance of the first crossing ahead, m, inf for a miss. The result must be materialised:
+    for a ray that starts on the sphere, rounding decides between the near and the far crossing, and
+    recomputing it may give another rounding."""
     near, far, meets = _crossings(ray, sphere)
     return jnp.where(meets & (far > 0), jnp.where(near > 0, near, far), jnp.inf)
 

@@ -1,9 +1,9 @@
-"""How often each value occurs, and what follows from it: distributions, quantiles, thresholds,
-equalisation (full, partial, locally adaptive) and matching.
+"""Histograms and what follows from them: distributions, quantiles, thresholds, equalisation (full,
+partial, locally adaptive) and matching.
 
-Images are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a plane
-of its own. `uint8` and `uint16` images are counted code by code and exactly. Floating images have
-relative values, counted in equal bins of a stated range. NaN is never counted.
+Images are (h, w), one grey plane, or (..., h, w, bands), where each band of each image is a
+separate plane. `uint8` and `uint16` images are counted code by code and exactly. Floating images
+have relative values, counted in equal bins of a stated range. NaN is never counted.
 """
 
 from ..core.lazy_names import names_of

@@ -1,7 +1,7 @@
-"""Planes, their bins, and counting in them.
+"""Planes, their bins, and counting.
 
-ONE scatter into a flat table counts everything: bin b of group g is entry g bins + b, where a group
-is a plane, or a tile of a plane. So bands need no transposition and a batch no loop.
+A single scatter into a flat table counts everything: bin b of group g is entry g bins + b, where a
+group is a plane or a tile of a plane. Bands therefore need no transposition, and a batch no loop.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ BLOCK = 2**16
 
 
 class Binning(NamedTuple):
-    """Equal bins of a range: numpy's, half-open [edge, next edge), only the last one closed."""
+    """Equal bins of a range as in numpy: half-open [edge, next edge), only the last one closed."""
 
     bins: int
     low: float
@@ -46,8 +46,8 @@ class Binning(NamedTuple):
 
 
 def as_stack(image: Pixels) -> Stack:
-    """An image as (n, h, w, bands), half precision in float32, which holds the counts; `ValueError`
-    for a wrong rank, no pixels or another dtype."""
+    """An image as (n, h, w, bands), with half precision converted to float32, which also has the
+    counts; `ValueError` for a wrong rank, no pixels or another dtype."""
     pixels = jnp.asarray(image)
     if pixels.ndim < 2 or 0 in pixels.shape:
         raise ValueError(
@@ -63,7 +63,7 @@ def as_stack(image: Pixels) -> Stack:
 
 
 def per_plane(table: Shaped[Array, "planes ..."], image: Pixels) -> Shaped[Array, "..."]:
-    """One row a plane -> (...) for (h, w), (..., bands, ...) for (..., h, w, bands)."""
+    """From one row per plane to (...) for (h, w) and (..., bands, ...) for (..., h, w, bands)."""
     shape = jnp.shape(image)
     planes = () if len(shape) == 2 else (*shape[:-3], shape[-1])
     return table.reshape(*planes, *table.shape[1:])
@@ -95,7 +95,7 @@ def binning(image: Pixels, bins: int | np.integer | None, value_range: Range | N
 
 
 def check_codes_whole(stack: Stack, bins: Any, value_range: Any) -> None:
-    """`ValueError` for bins or a range of integers, which are equalised code by code."""
+    """`ValueError` for bins or a range with integer images, which are equalised code by code."""
     if levels_of(stack) is not None and (bins, value_range) != (None, None):
         raise ValueError(
             f"an integer image is equalised code by code, without bins or value_range; got {bins} "
@@ -120,8 +120,8 @@ def bin_of_codes(levels: int, chosen: Binning) -> np.ndarray:
 def bin_of_values(x: Float[Array, "..."], chosen: Binning) -> Int[Array, "..."]:
     """The bin of each value; `bins` for NaN and values outside the range.
 
-    The quotient may be one bin off next to an edge; comparing with the edges themselves puts it
-    right, as numpy does.
+    The quotient may be one bin off next to an edge. A comparison with the edges themselves corrects
+    it, as in numpy.
     """
     bins, low, high = chosen
     edges = jnp.asarray(chosen.edges, x.dtype)
@@ -169,7 +169,7 @@ def bin_counts(stack: Stack, chosen: Binning) -> Int[Array, "planes bins"]:
 def cumulative_fractions(
     counts: Shaped[Array, "*planes bins"], dtype: DTypeLike
 ) -> Float[Array, "*planes edges"]:
-    """The fraction of all counts below each edge; 0 throughout where there are none."""
+    """The fraction of all counts below each edge; 0 throughout if there are none."""
     below = jnp.cumsum(counts, axis=-1).astype(dtype)
     total = below[..., -1:]
     fractions = divide(below, total, total != 0)
@@ -179,8 +179,8 @@ def cumulative_fractions(
 def equalising_curves(
     counts: Shaped[Array, "groups bins"], chosen: Binning, dtype: DTypeLike
 ) -> Float[Array, "groups edges"]:
-    """The new value of each edge: low + (high - low) CDF; the identity where fewer than two bins
-    are occupied, so that there is no contrast to spread."""
+    """The new value of each edge: low + (high - low) CDF; the identity if fewer than two bins are
+    occupied, since there is no contrast to spread."""
     curves = chosen.low + (chosen.high - chosen.low) * cumulative_fractions(counts, dtype)
     several = (counts > 0).sum(-1, keepdims=True) > 1
     return jnp.where(several, curves, jnp.asarray(chosen.edges, dtype)[None])

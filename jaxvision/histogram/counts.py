@@ -59,7 +59,7 @@ def exact_histogram(
 ) -> Histogram:
     """The number of pixels of each plane in each of `bins` equal bins of a range.
 
-    The result is numpy's to the last count; its gradient is 0.
+    The result equals numpy's exactly; its gradient is 0.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -92,11 +92,11 @@ def soft_histogram(
 ) -> Histogram:
     """The differentiable histogram: each value shares its weight of 1 among the nearest bins.
 
-    Weight that would fall outside the range goes to the end bin, so the counts sum to the number of
-    values in the range, within a millionth for 25 million equal values in 256 bins. An integer code
-    stands at the centre of its own unit interval. `departure` tells how far the result is from the
-    exact histogram: it grows with the number of bins (fewer values near a centre), and for data
-    smooth on the scale of a bin it vanishes as the bin's width squared.
+    Weight outside the range goes to the end bin, so the counts sum to the number of values in the
+    range, within a millionth for 25 million equal values in 256 bins. An integer code is at the
+    centre of its own unit interval. `departure` is the difference from the exact histogram. It
+    grows with the number of bins (fewer values near a centre). For data that are smooth on the
+    scale of a bin it decreases as the square of the bin's width.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -146,8 +146,8 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
 def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
     """The smallest value that a fraction q of all values does not exceed.
 
-    Values count as spread evenly within their bin, so the result is within a bin's width of the
-    exact quantile.
+    Values are taken as uniform within their bin, so the result is within a bin's width of the exact
+    quantile.
 
     Args:
         histogram: exact or soft.
@@ -182,10 +182,10 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
 def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
     """The inner edge t with the largest variance between the values < t and those >= t.
 
-    The first such edge is taken, and the first of all where the values lie in one bin. For integer
-    images OpenCV and scikit-image return the last code of the lower class: t - 1. Near its maximum
-    the variance is flat to the rounding of float32: without x64 the threshold of 65536 bins may be
-    a few of them off (30002 for 30000).
+    It is the first such edge, and the first of all if the values are in one bin. For integer images
+    OpenCV and scikit-image return the last code of the lower class: t - 1. Near its maximum the
+    variance is flat within float32 rounding: without x64 the threshold for 65536 bins may be off by
+    a few bins (30002 for 30000).
 
     Args:
         histogram: exact or soft, of at least 2 bins.
@@ -246,10 +246,10 @@ def _weighted_counts(
 ) -> Float[Array, "planes bins"]:
     """Sums of B-spline weights about the bins' centres.
 
-    A running float32 sum of equal weights loses digits at each step, and stalls near 2^24 of them
-    (a black background). So a weight is cut in two: the upper digits of thousands of weights add
-    without rounding, and the lower ones, with the gradient, are too small for it to matter. Groups
-    of pixels are summed separately, and the sums are then added in pairs.
+    A running float32 sum of equal weights loses precision at each step, and stalls near 2^24 of
+    them (a black background). A weight is therefore split: the upper digits of thousands of weights
+    add without rounding, and the lower ones, with the gradient, are too small to matter. Groups of
+    pixels are summed separately, and the sums are then added in pairs.
     """
     bins, low, high = chosen
     n, h, w, bands = values.shape
@@ -281,7 +281,7 @@ def _weighted_counts(
 
 
 def _pairwise_sum(parts: Float[Array, "planes parts bins"]) -> Float[Array, "planes bins"]:
-    """Sums over parts; an error grows with the logarithm of their number alone."""
+    """Sums over parts, whose error grows only with the logarithm of their number."""
     while (count := parts.shape[1]) > 1:
         parts = jnp.pad(parts, ((0, 0), (0, count % 2), (0, 0)))
         parts = parts[:, ::2] + parts[:, 1::2]

@@ -2,7 +2,7 @@
 Vision, 3.1.4). Values are codes (integer images) or relative.
 
 Gradients treat the curve as constant: a pixel's derivative is the slope of the curve at its value.
-For an exact histogram that is the true derivative almost everywhere, since counts are constant as
+For an exact histogram that is the true derivative almost everywhere, because counts are constant as
 long as no value crosses an edge.
 """
 
@@ -42,18 +42,18 @@ def equalise(
     value_range: Range | None = None,
     first_to_zero: bool = True,
 ) -> Shaped[Array, "..."]:
-    """Each plane through its equalising curve.
+    """Each plane mapped by its equalising curve.
 
-    uint8 and uint16 are OpenCV's `equalizeHist`, code by code: the first occupied code c goes to 0,
-    and every code to round((N(<= code) - n_c) / (N - n_c) (levels - 1)). Without `first_to_zero`
-    they are the textbook's f(I) = (levels - 1) c(I), rounded, with c(I) = N(<= I) / N.
+    For uint8 and uint16 it equals OpenCV's `equalizeHist`: the first occupied code c becomes 0, and
+    every code becomes round((N(<= code) - n_c) / (N - n_c) (levels - 1)). Without `first_to_zero`
+    it is the textbook's f(I) = (levels - 1) c(I), rounded, with c(I) = N(<= I) / N.
 
-    For floating images, value x goes to low + (high - low) CDF(x), with values spread evenly within
-    their bin: so the darkest bin starts at low, as the first code goes to 0, and the brightest ends
-    at high. Values outside are clamped to [low, high] and counted there; NaN stays NaN and is not
+    In floating images the value x becomes low + (high - low) CDF(x), with values uniform within
+    their bin. The darkest bin starts at low, as the first code becomes 0, and the brightest ends at
+    high. Values outside are clamped to [low, high] and counted there. NaN stays NaN and is not
     counted.
 
-    A plane with a single code, with all values in one bin, or without values stays as it is.
+    A plane with a single code, with all values in one bin, or without values is unchanged.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -96,8 +96,8 @@ def _equalised(
 
 
 def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:
-    """The new value of each code, not yet rounded: 0 for the first occupied code and those
-    below, levels - 1 for the last occupied one; the identity where only one code is occupied."""
+    """The new value of each code before rounding: 0 up to the first occupied code, levels - 1 for
+    the last occupied one; the identity if only one code is occupied."""
     levels = counts.shape[-1]
     dtype = jnp.result_type(float)
     below = jnp.cumsum(counts, axis=-1)
@@ -110,7 +110,7 @@ def _equalising_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "grou
 
 
 def _cumulative_codes(counts: Int[Array, "groups levels"]) -> Float[Array, "groups levels"]:
-    """The textbook's (levels - 1) c(I), not yet rounded."""
+    """The textbook's (levels - 1) c(I) before rounding."""
     below = jnp.cumsum(counts, axis=-1).astype(jnp.result_type(float))
     return (counts.shape[-1] - 1) * below / below[:, -1:]
 

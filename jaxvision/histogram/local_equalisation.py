@@ -48,13 +48,14 @@ def equalise_locally(
 ) -> Shaped[Array, "..."]:
     """Each plane equalised tile by tile.
 
-    For uint8 and uint16 it is OpenCV's `CLAHE`, including whole counts and its order of
-    redistributing the remainder. As there, a size that the tiles do not divide is first extended by
-    `tiles - size % tiles` rows and columns, mirrored about the last pixel. Where a blend of curves
-    ends half way between two codes, rounding may choose the other one: 1 pixel in 1,000 of noise.
+    For uint8 and uint16 it equals OpenCV's `CLAHE`, including whole counts and its order of
+    redistributing the remainder. As in OpenCV, a size that the tiles do not divide is first
+    extended by `tiles - size % tiles` rows and columns, mirrored about the last pixel. Where a
+    blend of curves ends half-way between two codes, rounding may give the other one, in 1 of 1,000
+    pixels of noise.
 
     Floating images use equal bins and fractional counts. Values outside the range are clamped to it
-    and counted there; NaN stays NaN. A tile keeps its values if they share one bin after
+    and counted there. NaN stays NaN. A tile keeps its values if they share one bin after
     redistribution, or if it has none.
 
     Args:
@@ -127,7 +128,7 @@ def _equalised(
 
 
 def _extended(stack: Stack, tiles: Tiles) -> Stack:
-    """Mirrored on at the bottom and right until the tiles divide the size."""
+    """Mirrored at the bottom and right until the tiles divide the size."""
     over = [-size % parts for size, parts in zip(stack.shape[1:3], tiles, strict=True)]
     if not any(over):
         return stack
@@ -156,13 +157,13 @@ def _tile_counts(
 def _group(
     plane: Int[Array, "n 1 1 bands"], row: Int[Array, " h"], column: Int[Array, " w"], tiles: Tiles
 ) -> Int[Array, "n h w bands"]:
-    """The number of the tile in that row and column of tiles, of every plane."""
+    """The index of the tile in that row and column of tiles, for every plane."""
     row, column = row[None, :, None, None], column[None, None, :, None]
     return (plane * tiles[0] + row) * tiles[1] + column
 
 
 def _clipped(counts: Float[Array, "groups bins"], limit: Scalars) -> Float[Array, "groups bins"]:
-    """Counts up to the limit, the rest handed out evenly."""
+    """Counts up to the limit, with the excess distributed evenly."""
     kept = jnp.minimum(counts, limit)
     return kept + (counts - kept).mean(axis=-1, keepdims=True)
 
@@ -187,7 +188,7 @@ def _blended(
     tiles: Tiles,
     tile: Tiles,
 ) -> Float[Array, "..."]:
-    """Each pixel through the curves of the four tiles about it, blended bilinearly, with each
+    """Each pixel mapped by the curves of the four tiles around it, blended bilinearly, with each
     curve at the centre of its tile."""
     plane = plane_numbers(stack)
     (top, bottom, down), (left, right, along) = (
@@ -209,8 +210,8 @@ def _blended(
 
 
 def _neighbours(size: int, parts: int, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each pixel along an axis: the tiles before and behind it, and how far it is from the
-    centre of the first toward that of the second, in [0, 1]."""
+    """For each pixel along an axis: the tiles before and after it, and its position in [0, 1]
+    between their centres."""
     position = np.arange(size) / length - 0.5
     before = np.floor(position).astype(np.int32)
     first, second = (np.clip(before + i, 0, parts - 1) for i in (0, 1))

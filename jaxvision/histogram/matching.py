@@ -1,5 +1,5 @@
-"""Histogram matching: an image takes on the distribution of another. Values are codes (integer
-images) or relative."""
+"""Histogram matching: give an image the distribution of another. Values are codes (integer images)
+or relative."""
 
 import jax
 import jax.numpy as jnp
@@ -15,12 +15,12 @@ from ._planes import Pixels, Stack, as_stack, bin_counts, binning, levels_of, pl
 def match_histogram(image: Pixels, reference: Pixels) -> Shaped[Array, "..."]:
     """Map each value to the value of equal cumulative frequency in the same plane of a reference.
 
-    That is F_reference^-1(F_image(x)), linear between the values that occur. Integer images are
-    matched as in scikit-image's `match_histograms`, but rounded to the nearest code instead of
-    truncated. Floating images are matched by rank, without bins; NaN in the image stays NaN and is
-    left out of its ranks, and a plane of the reference that holds NaN gives NaN. The gradient goes
-    to the values of `reference`; that with respect to `image` is 0, since a small change leaves
-    every rank.
+    The result is F_reference^-1(F_image(x)), linear between the values that occur. Integer images
+    are matched as in scikit-image's `match_histograms`, but rounded to the nearest code instead of
+    truncated. Floating images are matched by rank, without bins. NaN in the image stays NaN and is
+    left out of its ranks. A plane of the reference with NaN gives NaN. The gradient goes to the
+    values of `reference`. It is 0 with respect to `image`, because a small change leaves every rank
+    unchanged.
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
@@ -96,7 +96,7 @@ def _match_ranks(source: Stack, target: Stack) -> Stack:
 def _matched(
     values: Float[Array, " pixels"], offered: Float[Array, " others"]
 ) -> Float[Array, " pixels"]:
-    """One plane by ranks. NaN sorts last, beyond every fraction."""
+    """One plane by ranks. NaN is sorted last, beyond every fraction."""
     ordered = jnp.sort(offered)
     at, wanted = _fraction_up_to(ordered, ordered), _fraction_up_to(jnp.sort(values), values)
     unknown = jnp.isnan(values) | jnp.isnan(ordered[-1])
@@ -104,7 +104,7 @@ def _matched(
 
 
 def _fraction_up_to(ordered: Float[Array, " n"], values: Float[Array, " m"]) -> Float[Array, " m"]:
-    """The fraction of the ordered values, NaN left out, that each value is not below."""
+    """The fraction of the ordered values, without NaN, that are at most each value."""
     rank = jnp.searchsorted(ordered, values, side="right", method="sort")
     known = (~jnp.isnan(ordered)).sum()
     return rank.astype(values.dtype) / jnp.maximum(known, 1).astype(values.dtype)

@@ -1,4 +1,4 @@
-"""The matting Laplacian, as a stencil: 25 coefficients a pixel instead of a sparse matrix.
+"""The matting Laplacian as a stencil: 25 coefficients per pixel instead of a sparse matrix.
 
     L = sum over 3 x 3 windows of  I - (1 + X^T (Sigma + epsilon / 9 I)^-1 X) / 9
 
@@ -49,7 +49,7 @@ def matting_laplacian(
 
 
 def apply_stencil(stencil: Stencil, x: Plane) -> Plane:
-    """The stencil's matrix times a picture of one band, (h, w); relative."""
+    """The stencil's matrix times a one-band picture, (h, w); relative."""
     rows, columns = x.shape
     padded = jnp.pad(x, 2)
 
@@ -72,11 +72,11 @@ def restricted_to(stencil: Stencil, kept: Plane) -> Stencil:
 def _whitened_windows(
     image: Float[Array, "h w bands"], floor: Scalar | float
 ) -> list[list[Scalars]]:
-    """[pixel of the window][band], each (h - 2, w - 2): C^-1 (colour - mean), C C^T the covariance
-    plus `floor` on its diagonal.
+    """[pixel of the window][band], each (h - 2, w - 2): C^-1 (colour - mean) with C C^T the
+    covariance plus `floor` on its diagonal.
 
-    Cholesky and forward substitution band by band: no array of small matrices. A pivot is at least
-    `floor` in exact arithmetic, and is kept there.
+    It uses Cholesky factorisation and forward substitution band by band, without arrays of small
+    matrices. A pivot is at least `floor` in exact arithmetic, and is limited to that here.
     """
     rows, columns, bands = image.shape
     colours = [

@@ -1,7 +1,7 @@
-"""One V-cycle of geometric multigrid for a symmetric positive definite stencil: the preconditioner
-with which conjugate gradients take tens of steps, where a diagonal one takes hundreds.
+"""One V-cycle of geometric multigrid for a symmetric positive definite stencil. As a preconditioner
+it reduces conjugate gradients to tens of steps; a diagonal one needs hundreds.
 
-Every second pixel is kept, interpolation P is bilinear, restriction is its transpose, and the
+Every second pixel is kept, interpolation P is bilinear, and restriction is its transpose. The
 coarse stencil is Galerkin's P^T A P, which again has 5 x 5 coefficients. Source: Briggs, Henson,
 McCormick, "A Multigrid Tutorial" (2000), chapter 10; nothing here has a unit.
 """
@@ -58,7 +58,8 @@ def v_cycle(grids: Grids, residual: Plane) -> Plane:
 
 
 def interpolated(coarse: Grid, shape: tuple[int, ...]) -> Grid:
-    """P: pixel (2 i, 2 j) takes coarse (i, j), the others the mean of their neighbours; (h, w)."""
+    """P: pixel (2 i, 2 j) gets coarse (i, j), and the others the mean of their neighbours; (h,
+    w)."""
     rows, columns = shape
     return _doubled(_doubled(coarse, rows, 0), columns, 1)
 
@@ -82,8 +83,8 @@ def _coarse_shape(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _galerkin(stencil: Stencil) -> Float[Array, "5 5 _ _"]:
-    """P^T A P, read off its action on combs: pixels five apart do not meet in a 5 x 5 stencil, so
-    25 combs show every coefficient."""
+    """P^T A P, from its action on combs: pixels five apart do not interact in a 5 x 5 stencil, so
+    25 combs give every coefficient."""
     shape = stencil.shape[2:]
     rows, columns = _coarse_shape(shape)
     y, x = np.mgrid[:rows, :columns]

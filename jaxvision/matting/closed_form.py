@@ -49,10 +49,10 @@ def closed_form_matte(
     tolerance: float | None = None,
     max_steps: int = 500,
 ) -> Matte:
-    """The matte of a picture by a trimap.
+    """The matte of a picture from a trimap.
 
-    Its first call for a size of picture compiles for some seconds, a later one takes a fraction of
-    one.
+    The first call for a size of picture compiles for some seconds, and later ones take a fraction
+    of a second.
 
     Args:
         image: (h, w, bands) linear relative light, at least 3 x 3 pixels.
@@ -108,7 +108,7 @@ def _solved(
     tolerance: Scalar,
     max_steps: int,
 ) -> Matte:
-    """The matte of checked arguments, one program for each size."""
+    """The matte from checked arguments, with one program for each size."""
     known = ((trimap <= BACKGROUND) | (trimap >= FOREGROUND)).astype(image.dtype)
     known = jnp.where(jnp.isnan(trimap), jnp.nan, known)  # neither known nor to be found
     alpha_known = (trimap >= FOREGROUND).astype(image.dtype)

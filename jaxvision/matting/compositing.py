@@ -1,18 +1,18 @@
-"""Compositing: pictures with coverage, laid over each other in linear light.
+"""Compositing: pictures with coverage, layered in linear light.
 
-A layer is (..., bands + 1): linear relative light already multiplied by its coverage, then the
-coverage alpha in [0, 1] as the last channel. In this form every operator of Porter and Duff is one
-line for all channels,
+A layer is (..., bands + 1): linear relative light multiplied by its coverage, then the coverage
+alpha in [0, 1] as the last channel. In this form every operator of Porter and Duff is one line for
+all channels,
 
     result = F_A A + F_B B,
 
 and light may exceed its alpha (a glow). `layer_from_srgb` and `layer_to_srgb` convert from and to
 the straight, encoded RGBA of files. Integer codes are a `ValueError`.
 
-An alpha that is not a number, or outside [0, 1] by more than rounding (100 units of the last place:
-blurred full coverage reaches 1 + 4 eps), is a `ValueError` that says how many there are. Under a
-trace alpha is not checked, and the same polynomials continue. Nothing is clipped. Source: Porter
-and Duff, "Compositing Digital Images", SIGGRAPH 1984.
+An alpha that is NaN, or outside [0, 1] by more than rounding (100 ULP: blurred full coverage
+reaches 1 + 4 eps), is a `ValueError` with their number. During tracing alpha is not checked, and
+the same polynomials apply. Nothing is clipped. Source: Porter and Duff, "Compositing Digital
+Images", SIGGRAPH 1984.
 """
 
 import warnings
@@ -55,7 +55,7 @@ _FRACTIONS: dict[str, tuple[Callable[[Alpha], Alpha], Callable[[Alpha], Alpha]]]
 def over(front: Layer, back: Layer) -> Layer:
     """front + (1 - alpha) back: the front hides the back in proportion to its coverage.
 
-    Associative, not commutative.
+    It is associative, not commutative.
 
     Args:
         front: (..., bands + 1) premultiplied relative light and coverage.
@@ -80,8 +80,9 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
     """F_A front + F_B back, for any of the thirteen operators.
 
     "in" is the front where the back covers, "out" where it does not, "atop" the front within the
-    outline of the back, "xor" each where the other is not; "back ..." exchanges the roles. "plus"
-    adds light and coverage (for a cross-dissolve of two dissolved layers); its alpha may exceed 1.
+    outline of the back, and "xor" each where the other is absent. "back ..." exchanges the roles.
+    "plus" adds light and coverage (for a cross-dissolve of two dissolved layers); its alpha may
+    exceed 1.
 
     Args:
         front: (..., bands + 1) premultiplied relative light and coverage.
@@ -109,7 +110,8 @@ def composite(front: Layer, back: Layer, *, operator: str = "over") -> Layer:
 
 
 def _warn_of_rgb(*layers: Layer) -> None:
-    """A warning where pictures of three channels have hardly a pixel that is covered or not."""
+    """A warning for pictures of three channels whose last channel is hardly ever 0 or 1, and so no
+    coverage."""
     if any(not is_known(x) or x.ndim < 3 or x.shape[-1] != 3 or x.size < 100 for x in layers):
         return
     whole = [np.isin(np.asarray(x[..., -1]), (0, 1)).mean() for x in layers]
@@ -247,7 +249,7 @@ def layer_to_srgb(layer: Layer) -> Layer:
 
 @takes_numbers
 def checked_alpha(alpha: Float[Array, "..."]) -> Float[Array, "..."]:
-    """`alpha` itself, after a check that all of it lies in [0, 1].
+    """`alpha` unchanged, after a check that it lies in [0, 1].
 
     Args:
         alpha: (...) coverage, relative; a tracer passes unchecked.

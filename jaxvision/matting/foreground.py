@@ -5,7 +5,7 @@ They minimise, band by band,
     sum_i (alpha F + (1 - alpha) B - I)^2
         + sum_ij (regularisation + |alpha_i - alpha_j|) ((F_i - F_j)^2 + (B_i - B_j)^2)
 
-over pixels i and their four neighbours j. The colours are smooth, most of all where alpha changes.
+over pixels i and their four neighbours j. The colours are smooth, especially where alpha changes.
 Source: Germer, Uelwer, Conrad, Harmeling, "Fast Multi-Level Foreground Estimation", ICPR 2020.
 """
 
@@ -35,14 +35,14 @@ def estimate_foreground(
     coarse_steps: int = 10,
     fine_steps: int = 4,
 ) -> tuple[Picture, Picture]:
-    """The straight colours of foreground and background, defined in every pixel, also where hidden.
+    """The straight colours of foreground and background in every pixel, including hidden ones.
 
-    From one pixel to the whole picture each level has twice the size of the last. A step solves
-    every pixel exactly with its neighbours fixed. Premultiplied by alpha, the foreground is a
-    layer.
+    From one pixel to the whole picture, each level has twice the size of the previous one. A step
+    solves every pixel exactly with its neighbours fixed. Premultiplied by alpha, the foreground is
+    a layer.
 
-    Four `fine_steps` are fast, not exact: in the soft edge of a disc on 256 x 256 pixels the layer
-    errs by 0.0142 rms in relative light, with 40 steps by 0.0102, and at the minimum itself by
+    Four `fine_steps` are fast, not exact: in the soft edge of a disc on 256 x 256 pixels the error
+    of the layer is 0.0142 rms in relative light, with 40 steps 0.0102, and at the minimum itself
     0.0094.
 
     Args:
@@ -84,7 +84,7 @@ def estimate_foreground(
 def _solve_levels(
     image: Picture, alpha: Alpha, regularisation: Scalar, coarse_steps: int, fine_steps: int
 ) -> tuple[Picture, Picture]:
-    """Both pictures from checked arguments, one program for each size."""
+    """Both pictures from checked arguments, with one program for each size."""
     rows, columns = image.shape[:2]
     levels = max(math.ceil(math.log2(max(rows, columns))), 0)
     foreground = background = jnp.mean(image, axis=(0, 1), keepdims=True)
@@ -113,7 +113,7 @@ def _relaxed(
     regularisation: Scalar,
     steps: int,
 ) -> tuple[Picture, Picture]:
-    """Jacobi's iteration: of the two equations of each pixel, neighbours fixed,
+    """Jacobi's iteration for the two equations of each pixel, with fixed neighbours:
 
     (alpha^2 + w) F + alpha (1 - alpha) B = alpha I + sum_j w_j F_j
     alpha (1 - alpha) F + ((1 - alpha)^2 + w) B = (1 - alpha) I + sum_j w_j B_j
@@ -133,8 +133,8 @@ def _relaxed(
 
 
 def _neighbours(x: Picture) -> tuple[Picture, Picture, Picture, Picture]:
-    """The pixels above, below, left and right of each: at the edge the pixel itself, which slows
-    the iteration there but does not change its limit."""
+    """The pixels above, below, left and right of each. At the border it is the pixel itself, which
+    slows the iteration there but does not change its limit."""
     return (
         jnp.concatenate([x[:1], x[:-1]]),
         jnp.concatenate([x[1:], x[-1:]]),

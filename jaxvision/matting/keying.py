@@ -1,8 +1,8 @@
 """Mattes from a known background: its picture, its colour, or several of them.
 
-Pictures are (..., bands) in linear light of any unit; alpha is (..., 1), clipped to [0, 1]. Where a
+Pictures are (..., bands) in linear light of any unit; alpha is (..., 1), clipped to [0, 1]. If a
 background carries no information (the same behind every picture, or equal to the foreground, within
-eight roundings) the matte is opaque: the picture itself. NaN stays NaN, in its own pixel only.
+eight roundings), the matte is opaque: the picture itself. NaN stays NaN, in its own pixel only.
 Integer codes are a `ValueError`.
 """
 
@@ -65,8 +65,8 @@ def blue_screen_matte(
 ) -> Alpha:
     """The matte of an object before a screen of one colour, under an assumption about the object.
 
-    A combination n of each pixel's bands then belongs to the screen alone, so that
-    alpha = 1 - n . image / n . backing.
+    A combination n of each pixel's bands then depends on the screen only, so that alpha = 1 - n .
+    image / n . backing.
 
     Args:
         image: (..., bands) linear relative light.
@@ -147,14 +147,14 @@ def least_squares_matte(
     images: Float[Array, "pictures *picture bands"],
     backgrounds: Float[Array, "pictures *picture bands"],
 ) -> Layer:
-    """The layer that, over each known background, comes nearest to its picture.
+    """The layer whose composites over the known backgrounds are nearest to their pictures.
 
     The residual C_i - C_o - (1 - alpha) K_i is linear in both unknowns. The means eliminate C_o,
     and the clipped optimum of the rest is the optimum in [0, 1]:
 
         alpha = 1 - sum (C_i - mean C) . (K_i - mean K) / sum |K_i - mean K|^2
 
-    Exact for two backgrounds without noise, whatever the object's colours.
+    It is exact for two backgrounds without noise, for any colours of the object.
 
     Args:
         images: (pictures, ..., bands) linear relative light of one object before at least two
@@ -258,7 +258,7 @@ def _lifted(image: Picture, alpha: Alpha, background: Picture) -> Layer:
 
 
 def _is_rounding(difference: Scalars, light: Scalars) -> Bool[Array, "... 1"]:
-    """Whether a difference of light is within eight roundings of the light, in each band."""
+    """Whether a difference of light is within eight rounding errors of the light, in each band."""
     least = 8 * float(jnp.finfo(light.dtype).eps) * jnp.max(jnp.abs(light), axis=-1, keepdims=True)
     return (jnp.abs(difference) <= least).all(axis=-1, keepdims=True)
 

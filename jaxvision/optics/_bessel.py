@@ -1,7 +1,7 @@
 """The Bessel function of diffraction at a round aperture, vectorised.
 
-Chebyshev expansions, computed with 40 digits and cut off below 1e-16: of 2 J_1(x) / x in x^2 up to
-x = 8; beyond, of the slowly varying parts P and Q of
+It uses Chebyshev expansions, computed with 40 digits and truncated below 1e-16: of 2 J_1(x) / x in
+x^2 up to x = 8, and beyond of the slowly varying P and Q of
 
     J_1(x) = sqrt(2 / (pi x)) (P cos(x - 3 pi / 4) - (8 / x) Q sin(x - 3 pi / 4))
 

@@ -1,7 +1,7 @@
-"""The aperture of a lens: points in it, its area, and the image it makes of a point out of focus.
+"""The aperture of a lens: points in it, its area, and its image of a point out of focus.
 
 Points are (right, down) in the camera's axes, relative to the radius of the lens. Everything is in
-closed form and differentiable in the shape.
+closed form and differentiable with respect to the shape.
 """
 
 import jax
@@ -26,8 +26,8 @@ from .overlap import _segment
 def aperture_point(aperture: Aperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
     """Maps the unit square to the aperture; equal areas map to equal areas.
 
-    A disc uses the concentric map, which keeps neighbours together; a ring squared radius and
-    angle; a polygon one triangle per blade.
+    A disc uses the concentric map, which preserves neighbourhoods; a ring uses squared radius and
+    angle; a polygon uses one triangle per blade.
 
     Args:
         aperture: the shape.
@@ -84,7 +84,7 @@ def aperture_area(aperture: Aperture, diameter: Scalar) -> Scalar:
 def aperture_corners(
     aperture: PolygonalAperture | RectangularAperture, dtype: np.dtype
 ) -> tuple[Float[Array, " corners"], Float[Array, " corners"]]:
-    """Corners of the aperture in turn, from right towards down.
+    """Corners of the aperture in order, from right towards down.
 
     Args:
         aperture: the shape.
@@ -103,7 +103,8 @@ def aperture_corners(
 
 @takes_numbers
 def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[Array, "size size"]:
-    """Kernel by which a pixel gathers a point out of focus: the shape of the aperture.
+    """The kernel by which a pixel gathers the light of a point out of focus: the shape of the
+    aperture.
 
     Each weight is the share of the aperture that falls on that pixel.
 
@@ -152,9 +153,8 @@ def _concentric(u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
 
 
 def _sample_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
-    """u[0] chooses the triangle between the centre and one side, and the place from its centre to
-    that side; u[1] the place along the side.
-    """
+    """u[0] selects the triangle between the centre and one side, and the position between its
+    centre and that side; u[1] selects the position along the side."""
     n = aperture.blades
     blade = jnp.minimum(jnp.floor(u[0] * n), n - 1)
     outwards = safe_sqrt(u[0] * n - blade)
@@ -169,7 +169,7 @@ def _sample_polygon(aperture: PolygonalAperture, u: Float[Array, "2"]) -> tuple[
 
 
 def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
-    """Area of a disc about 0 in each pixel of a square; one quadrant of it has them all."""
+    """Area of a disc centred at 0 in each pixel of a square, computed in one quadrant."""
     away = np.abs(np.arange(size) - size // 2)
     outer = jnp.asarray(np.arange(size // 2 + 1) + 0.5, radius.dtype)
     inner = jnp.maximum(outer - 1, 0)
@@ -185,8 +185,8 @@ def _disc_in_pixels(radius: Scalar, size: int) -> Float[Array, "size size"]:
 def _disc_in_rectangle(
     radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
 ) -> Scalar:
-    """Area of the disc where left < x < right and low < y < high, all >= 0: what lies left of the
-    arc, what lies below its chord, and the segment beyond the chord, all >= 0."""
+    """Area of the disc where left < x < right and low < y < high, all >= 0: the area left of the
+    arc, the area below its chord, and the segment beyond the chord, all >= 0."""
     (start_x, start_y), (end_x, end_y), angle = _arc(radius, left, right, low, high)
     full = (start_x - left) * (high - low)
     below = (end_x - start_x) * ((start_y - low) + (end_y - low)) / 2
@@ -195,7 +195,7 @@ def _disc_in_rectangle(
 
 @_disc_in_rectangle.defjvp
 def _disc_in_rectangle_jvp(primals, tangents):
-    """The area grows by the arc in the rectangle, which stays where it is."""
+    """The area grows by the arc inside the rectangle, whose ends stay fixed."""
     radius, *sides = primals
     _, _, angle = _arc(radius, *sides)
     return _disc_in_rectangle(*primals), radius * angle * tangents[0]
@@ -204,8 +204,8 @@ def _disc_in_rectangle_jvp(primals, tangents):
 def _arc(
     radius: Scalar, left: Scalar, right: Scalar, low: Scalar, high: Scalar
 ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar], Scalar]:
-    """Where the circle is highest and where it is lowest in a rectangle, and the angle, rad, that
-    it turns between them."""
+    """The highest and the lowest point of the circle inside a rectangle, and the angle, rad,
+    between them."""
 
     def reach(place: Scalar) -> Scalar:
         return safe_sqrt((radius - place) * (radius + place))
@@ -224,7 +224,7 @@ def _arc(
 def _polygon_in_pixels(
     starts: Float[Array, " n"], x: Float[Array, " corners"], y: Float[Array, " corners"]
 ) -> Float[Array, "n n"]:
-    """Area of a polygon in each pixel, which starts there in x and in y and has sides of 1.
+    """Area of a polygon in each pixel, a unit square that starts at given x and y.
 
     Green's theorem: a pixel's share is the integral of x dy around it. Each side of the polygon
     contributes its run in y within the pixel's row times the mean of x in the pixel along that run.
@@ -244,8 +244,8 @@ def _polygon_in_pixels(
 
 
 def _mean_within(a: Scalar, b: Scalar, left: Scalar) -> Scalar:
-    """The mean of x for x from a to b, each x outside [left, left + 1] taken as the nearer end,
-    from the place in [left, left + 1] that is nearest to 0: a small polygon keeps its digits."""
+    """The mean of x from a to b, with each x clipped to [left, left + 1], relative to the point of
+    that interval nearest to 0, so that a small polygon is accurate."""
     right = left + 1
     origin = jnp.clip(0, left, right)
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)

@@ -3,10 +3,10 @@
 It approximates in one pass the result of sampling the lens with hundreds of rays per pixel.
 
 A point whose reciprocal distance differs by delta from that of the plane in focus is spread over
-the image of the aperture, of signed radius (d / 2) z_i delta: upright for points nearer than the
+the image of the aperture, with signed radius (d / 2) z_i delta: upright for points nearer than the
 plane in focus, inverted behind it. For a single plane all methods and the sampled lens give the
-same picture. They differ at the edge of a nearer surface, since the sharp picture does not contain
-the light from behind it:
+same picture. They differ at the edge of a nearer surface, because the sharp picture does not
+contain the light from behind it:
 
 - `gather_defocus`: each pixel averages by its own kernel. A flat picture stays flat; before a sharp
   background a blurred foreground keeps a sharp edge.
@@ -15,14 +15,15 @@ the light from behind it:
 - `layered_defocus`: surfaces are blurred by depth and composited. A foreground's blurred edge
   covers the background, which is extrapolated behind it from its visible part.
 
-Measured against 48 x 48 rays per pixel on patterns of amplitude 0.3 to 0.4, rms over 48 x 64
-pixels: a plane blurred by 7 to 10 pixels 3e-4 to 7e-4 for all methods; a blurred foreground before
-a sharp background 0.04 (gather), 0.11 (scatter), 0.03 (layers); a sharp foreground before a blurred
-background 0.001 to 0.007, 0.10 and 0.005 to 0.02; both blurred 0.01 to 0.04 for all methods.
+The errors were measured against 48 x 48 rays per pixel on patterns of amplitude 0.3 to 0.4, as rms
+over 48 x 64 pixels: a plane blurred by 7 to 10 pixels 3e-4 to 7e-4 for all methods; a blurred
+foreground before a sharp background 0.04 (gather), 0.11 (scatter), 0.03 (layers); a sharp
+foreground before a blurred background 0.001 to 0.007, 0.10 and 0.005 to 0.02; both blurred 0.01 to
+0.04 for all methods.
 
 Pictures are (h, w, bands) in any unit linear in light. `depth` is (h, w) m along the optical axis,
-not along the ray; NaN (no depth) counts as in focus. `radius` is the static radius in pixels of the
-largest kernel: larger blurs are cut off.
+not along the ray. NaN (no depth) counts as in focus. `radius` is the static radius in pixels of the
+largest kernel; larger blurs are truncated.
 """
 
 from functools import partial
@@ -78,8 +79,8 @@ def gather_defocus(
 ) -> Picture:
     """Blurs each pixel by the kernel of its own depth.
 
-    Kernels of a round aperture are exact up to their edge, which is one pixel soft; other shapes
-    are blended from a bank of kernels. The picture is mirrored at its border.
+    Kernels of a round aperture are exact up to their edge, which is softened over one pixel. Other
+    shapes are blended from a bank of kernels. The picture is mirrored at its border.
 
     Args:
         view: the lens.
@@ -112,8 +113,8 @@ def scatter_defocus(
 ) -> Picture:
     """Spreads each pixel's light over the image of the aperture at its own depth.
 
-    The transpose of `gather_defocus`: the sum of light is conserved, as light that leaves the
-    picture is mirrored back.
+    It is the transpose of `gather_defocus`: the sum of light is conserved, because light that
+    leaves the picture is mirrored back.
 
     Args:
         view: the lens.
@@ -208,7 +209,7 @@ def chromatic_defocus(
 ) -> Picture:
     """Longitudinal chromatic aberration: `gather_defocus` with a focal length for each band.
 
-    The sensor stays where the view has it.
+    The sensor stays at the view's image distance.
 
     Args:
         view: the lens.
@@ -237,13 +238,13 @@ def chromatic_defocus(
 
 
 def _blur(view: ThinLens, depth: Depth) -> Depth:
-    """`defocus_radius`, or 0 where the depth is not known."""
+    """`defocus_radius`, or 0 where the depth is unknown."""
     known = ~jnp.isnan(depth)
     return jnp.where(known, defocus_radius(view, jnp.where(known, depth, jnp.inf)), 0)
 
 
 def _pixels_per_vergence(view: ThinLens) -> Scalar:
-    """Radius of blur in pixels per reciprocal distance in m^-1."""
+    """Blur radius in pixels per reciprocal distance in m^-1."""
     radius = view.focal_length / view.f_number / 2
     return radius / view.pixel_pitch * _reciprocal(sensor_vergence(view))
 

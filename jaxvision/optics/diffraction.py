@@ -1,8 +1,8 @@
 """Diffraction at a round aperture, which limits the sharpness of every image.
 
 All lengths are m on the sensor, frequencies in cycles per m (m^-1). The f-number is the working
-one, image distance over diameter (`working_f_number`), which at infinity focus is that of the lens.
-Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each band.
+one, image distance over diameter (`working_f_number`), which equals that of the lens at infinity
+focus. Arguments are elementwise and broadcast: wavelengths (bands,) give a result for each band.
 
 Source:
     Born and Wolf, Principles of Optics, sections 8.5.2 and 9.5.
@@ -91,16 +91,16 @@ def airy_kernel(
 ) -> Float[Array, "..."]:
     """Share of a point's light that falls on each pixel around it.
 
-    Pixels up to 3 lambda N: Gauss-Legendre quadrature of the pattern over each pixel. Larger ones
-    hold more rings than nodes; there the light that leaves a pixel is integrated along its edges.
-    By Gauss's theorem, with Rayleigh's encircled energy 1 - J_0(x)^2 - J_1(x)^2 in
-    x = pi r / (lambda N), a pixel keeps
+    Pixels up to 3 lambda N use Gauss-Legendre quadrature of the pattern over each pixel. Larger
+    pixels contain more rings than nodes. There the light that leaves a pixel is integrated along
+    its edges. By Gauss's theorem, with Rayleigh's encircled energy 1 - J_0(x)^2 - J_1(x)^2 in x =
+    pi r / (lambda N), a pixel keeps
 
         [1 in the middle, else 0] - integral (J_0^2 + J_1^2) / (2 pi r^2) (r . n) ds
 
-    in which almost no ring is visible. The share of light beyond the distance R is about 2 lambda N
-    / (pi^2 R); light outside the kernel is put back by rescaling. At a wavelength or an f-number of
-    0 all light is in the middle.
+    an integrand with hardly any rings. The share of light beyond the distance R is about 2 lambda N
+    / (pi^2 R). Light outside the kernel is included by rescaling. At a wavelength or an f-number of
+    0, all light is in the middle.
 
     Args:
         wavelength: () or (bands,) m.
@@ -158,8 +158,8 @@ def _leaving(scale: Scalar, size: int, order: int) -> Float[Array, "size size"]:
 
 
 def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """J_0(x)^2 + J_1(x)^2, the share of light outside x, by Hankel's expansion: to 3e-6 of itself
-    from x = 3 pi / 2. Source: DLMF 10.17.3."""
+    """J_0(x)^2 + J_1(x)^2, the share of light outside x, by Hankel's expansion, with a relative
+    error of 3e-6 from x = 3 pi / 2 on. Source: DLMF 10.17.3."""
     far = jnp.maximum(x, 1)
     inverse = 1 / far
     wave = jnp.cos(far - np.pi / 4), jnp.sin(far - np.pi / 4)
@@ -181,7 +181,7 @@ def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
 def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> Image:
     """Irradiance on the sensor after diffraction at the aperture.
 
-    Convolves with the `airy_kernel` of the working f-number. The picture is continued by its
+    It convolves with the `airy_kernel` of the working f-number. The picture is continued by its
     border, so a flat picture stays flat.
 
     Args:
@@ -211,8 +211,8 @@ def diffraction_mtf(
     """Return the contrast of a sine pattern after diffraction; 0 from the cut-off 1 / (lambda N)
     on.
 
-    The overlap of the pupil with itself, shifted by 2 lambda N frequency radii: for a full disc (2
-    / pi) (arccos v - v sqrt(1 - v^2)), with v the frequency over the cut-off.
+    It is the overlap of the pupil with itself, shifted by 2 lambda N frequency radii: for a full
+    disc (2 / pi) (arccos v - v sqrt(1 - v^2)), with v the frequency over the cut-off.
 
     Args:
         frequency: (...) m^-1.

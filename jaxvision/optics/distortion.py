@@ -1,9 +1,10 @@
-"""Distortion by a lens: from the slopes of chief rays to their places on the sensor, and back.
+"""Distortion by a lens: from the slopes of chief rays to their positions on the sensor, and the
+inverse.
 
-Places are in units of the image distance. Slopes are relative: m to the side per m forward. Forward
-is the closed form of `Distortion`; back is Newton's method, which started at the distorted place
-converges for barrels and pincushions alike. It is differentiated as an implicit function, not step
-by step.
+Positions are in units of the image distance. Slopes are relative: m to the side per m forward. The
+forward map is the closed form of `Distortion`. The inverse uses Newton's method, which started at
+the distorted position converges for barrel and pincushion distortion. It is differentiated as an
+implicit function, not step by step.
 
 Source:
     Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971).
@@ -88,10 +89,10 @@ def distortion_area(distortion: Distortion, x: Scalar, y: Scalar) -> Scalar:
 
 @takes_numbers
 def undistort(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Slopes of the chief ray that meets the sensor at a given place: the inverse of `distort`.
+    """Slopes of the chief ray that meets the sensor at a given position: the inverse of `distort`.
 
-    A strong barrel folds the plane, and nothing is imaged beyond its edge: there the result is a
-    slope near the fold, with gradient 0. NaN stays NaN.
+    A strong barrel distortion folds the plane, and nothing is imaged beyond its edge. There the
+    result is a slope near the fold, with gradient 0. NaN stays NaN.
 
     Args:
         distortion: coefficients.
@@ -191,7 +192,7 @@ def _jacobian(distortion: Distortion, x: Scalar, y: Scalar) -> tuple[Scalar, Sca
 
 
 def _is_before_fold(distortion: Distortion, x: Scalar, y: Scalar) -> Bool[Array, ""]:
-    """Where the derivative of `distort` is positive definite, as it is on the axis."""
+    """Whether the derivative of `distort` is positive definite, as it is on the axis."""
     a, b, c = _jacobian(distortion, x, y)
     return (a > 0) & (a * c - b * b > 0)
 

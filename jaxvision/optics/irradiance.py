@@ -29,9 +29,9 @@ from .vignetting import clear_fraction
 def pixel_irradiance(view: View, radiance: Colour, row: Scalar, column: Scalar) -> Colour:
     """Irradiance on the sensor at one pixel.
 
-    A rim vignettes (`clear_fraction`), and where distortion stretches the image the light is spread
-    thinner in proportion. A view without an f-number returns the radiance unchanged, without
-    fall-off.
+    A rim vignettes (`clear_fraction`), and where distortion stretches the image the irradiance is
+    reduced in proportion. A view without an f-number returns the radiance unchanged, without
+    falloff.
 
     Args:
         view: the camera's projection.

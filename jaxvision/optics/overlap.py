@@ -1,4 +1,4 @@
-"""Overlap of two apertures seen through one another: areas in closed form.
+"""Overlap of two apertures in projection: areas in closed form.
 
 Areas are in the square of the unit of the lengths, such as m^2 for m. The derivative of such an
 area is the length of an arc or a chord, also in closed form; it is finite where the derivative of
@@ -16,11 +16,11 @@ from ..core._types import Scalar, Scalars
 
 @takes_numbers
 def overlap_of_discs(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -> Scalars:
-    """Area that two discs share; elementwise.
+    """Area that two discs share, elementwise.
 
-    Two circular segments, r^2 (alpha - sin alpha cos alpha) with alpha half the angle of the arc.
-    The angle comes from the sides of the triangle of the centres and a crossing, by the formula for
-    its half: no digits are lost where the circles just touch.
+    It is the sum of two circular segments, r^2 (alpha - sin alpha cos alpha) with alpha half the
+    angle of the arc. The angle comes from the sides of the triangle of the centres and a crossing,
+    by the half-angle formula, which is accurate where the circles just touch.
 
     Args:
         distance: (...) m between the centres, >= 0.
@@ -52,7 +52,7 @@ def _overlap(distance: Scalars, first_radius: Scalars, second_radius: Scalars) -
 
 @_overlap.defjvp
 def _overlap_jvp(primals, tangents):
-    """The area loses the common chord with the distance, and gains each arc with its radius."""
+    """The derivative by the distance is minus the common chord, and by each radius its arc."""
     distance, r1, r2 = primals
     along, d1, d2 = tangents
     first, second = _half_angles(distance, r1, r2)
@@ -71,8 +71,8 @@ def overlap_of_disc_and_polygon(
 ) -> Scalar:
     """Area that a disc shares with a polygon.
 
-    The sides in the disc and the arcs between them bound the area. It is summed in the polygon's
-    coordinates: the digits are those of the corners, however large the disc.
+    The sides inside the disc and the arcs between them bound the area. It is summed in the
+    polygon's coordinates, so its precision is that of the corners for any size of the disc.
 
     Args:
         right: () m, of the disc's centre.
@@ -102,9 +102,9 @@ def _overlap_with_polygon(
 
 @_overlap_with_polygon.defjvp
 def _overlap_with_polygon_jvp(primals, tangents):
-    """The derivative by the radius is the length of the arcs. The derivative by a corner is the
-    area that the chords sweep: a chord's point moves with its two corners in proportion to the
-    distances, relative to the disc."""
+    """The derivative with respect to the radius is the length of the arcs. The derivative with
+    respect to a corner is the area that the chords sweep: each point of a chord moves with its two
+    corners, in proportion to the distances, relative to the disc."""
     radius, x, y = primals[2:]
     to_right, to_down, wider, x_by, y_by = tangents
     _, arcs, enters, leaves = _sides(*primals)
@@ -125,9 +125,8 @@ def _sides(
 
 
 def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars]:
-    """Half the angle of each circle's arc that lies in the other disc: pi and 0 where one disc
-    contains the other, pi / 2 where they coincide.
-    """
+    """Half the angle of each circle's arc inside the other disc: pi and 0 if one disc contains the
+    other, pi / 2 if they coincide."""
     # twice the semi-perimeter, and twice it less each side; negative values form no triangle. The
     # distance from the larger rim keeps its digits where the smaller disc lies on it.
     larger, smaller = jnp.maximum(r1, r2), jnp.minimum(r1, r2)
@@ -144,8 +143,8 @@ def _half_angles(d: Scalars, r1: Scalars, r2: Scalars) -> tuple[Scalars, Scalars
 
 
 def _segment(alpha: Scalars) -> Scalars:
-    """alpha - sin alpha cos alpha = (t - sin t) / 2 of t = 2 alpha, by the series
-    t^3 / 3! (1 - t^2 / (4 5) (1 - t^2 / (6 7) (...))) where the two nearly cancel."""
+    """alpha - sin alpha cos alpha = (t - sin t) / 2 with t = 2 alpha, by the series t^3 / 3! (1 -
+    t^2 / (4 5) (1 - t^2 / (6 7) (...))) if the two nearly cancel."""
     t = 2 * alpha
     small = t < 2
     square = jnp.square(jnp.minimum(t, 2.25))
@@ -158,10 +157,12 @@ def _segment(alpha: Scalars) -> Scalars:
 def _side(
     right: Scalar, down: Scalar, radius: Scalar, x0: Scalar, y0: Scalar, x1: Scalar, y1: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """(area, angle of the arcs, where it enters and leaves the disc in [0, 1]) of one side.
+    """(area, angle of the arcs, positions in [0, 1] where it enters and leaves the disc) for one
+    side.
 
-    Its part outside the disc is drawn in to the rim. The area is that of the triangles of the
-    origin with its part inside and with the chords of the arcs, and of the segments beyond these.
+    The part outside the disc is projected onto the rim. The area is that of the triangles formed by
+    the origin with the part inside and with the chords of the arcs, and of the segments beyond
+    these.
     """
     along_x, along_y = x1 - x0, y1 - y0
     square = along_x * along_x + along_y * along_y

@@ -1,7 +1,7 @@
-"""Interpolation between pixels, and the pictures that distortion and lateral colour errors make.
+"""Interpolation between pixels, and pictures with distortion and lateral colour errors.
 
-Coordinates are (row, column) in pixels, (0, 0) the centre of the upper left one; beyond the picture
-its outermost pixels continue. Values keep their unit.
+Coordinates are (row, column) in pixels, with (0, 0) the centre of the upper left one. Beyond the
+picture its outermost pixels continue. Values keep their unit.
 """
 
 from collections.abc import Callable
@@ -66,9 +66,9 @@ def sample_image(
 
 @takes_numbers
 def distort_image(view: Pinhole | ThinLens, image: Image, *, interpolation: str = "cubic") -> Image:
-    """The picture that the view's lens makes of an ideal one.
+    """The picture that the view's lens makes from an ideal one.
 
-    Each pixel is interpolated at the place where its light would have gone without distortion.
+    Each pixel is interpolated at the position that its light would have without distortion.
 
     Args:
         view: the lens; without distortion it returns the picture itself.
@@ -149,7 +149,7 @@ def lateral_aberration(
 def _bent(
     view: Pinhole | ThinLens, image: Image, move: Callable[..., tuple], interpolation: str
 ) -> Image:
-    """The image at the places to which `move` takes the slope of each pixel's chief ray."""
+    """The image at the positions to which `move` maps the slope of each pixel's chief ray."""
     if view.distortion is None:
         return image
     if image.shape[-3:-1] != view.resolution:

@@ -1,4 +1,4 @@
-"""The thin lens: where it images an object, how large, and how sharp.
+"""The thin lens: position, size and sharpness of the image of an object.
 
     1 / z_o + 1 / z_i = 1 / f
 
@@ -54,7 +54,8 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 @takes_numbers
 def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
-    """Reciprocal of the image distance, 1 / z_i = 1 / f - 1 / z_o: finite where z_i is not.
+    """Reciprocal of the image distance, 1 / z_i = 1 / f - 1 / z_o, which is finite where z_i is
+    not.
 
     Args:
         object_distance: (...) m from the lens.
@@ -73,7 +74,7 @@ def image_vergence(object_distance: Scalars, focal_length: Scalars) -> Scalars:
 
 @takes_numbers
 def vergence_difference(first: Scalars, second: Scalars) -> Scalars:
-    """Difference of two reciprocal distances, with all digits where they are nearly equal.
+    """Difference of two reciprocal distances, accurate where they are nearly equal.
 
     Args:
         first: (...) m.
@@ -284,7 +285,7 @@ def depth_of_field(
 def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: Scalars) -> Scalars:
     """Nearest focus distance at which infinity is still sharp: f + f^2 / (c N).
 
-    Everything from half of it on is then sharp.
+    Everything beyond half of it is then sharp.
 
     Args:
         focal_length: (...) f in m.
@@ -308,7 +309,7 @@ def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: 
 
 
 def _check_metres(name: str, distance: Scalars, focal_length: Scalars) -> None:
-    """`ValueError` for a focal length that was not meant in m, where both are known."""
+    """`ValueError` for a focal length that seems not to be in m, if both are known."""
     if not (is_known(distance) and is_known(focal_length)):
         return
     distances, lengths = np.broadcast_arrays(np.asarray(distance), np.asarray(focal_length))
@@ -321,7 +322,7 @@ def _check_metres(name: str, distance: Scalars, focal_length: Scalars) -> None:
 
 
 def _check_focus(name: str, distance: Scalars, focal_length: Scalars) -> None:
-    """`ValueError` for a plane in focus whose image is virtual, where both are known."""
+    """`ValueError` for a plane in focus with a virtual image, if both are known."""
     _check_metres(name, distance, focal_length)
     if not (is_known(distance) and is_known(focal_length)):
         return
@@ -335,7 +336,7 @@ def _check_focus(name: str, distance: Scalars, focal_length: Scalars) -> None:
 
 
 def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None:
-    """`ValueError` for lengths that were not meant in one unit, where they are known."""
+    """`ValueError` for lengths that seem to have different units, if they are known."""
     if not (is_known(focal_length) and is_known(allowed_blur)):
         return
     lengths, blurs = np.broadcast_arrays(np.abs(focal_length), np.abs(allowed_blur))
@@ -349,12 +350,13 @@ def _check_blur(name: str, focal_length: Scalars, allowed_blur: Scalars) -> None
 
 
 def _is_near(z: Scalars, f: Scalars, times: float = 2.0) -> Bool[Array, "..."]:
-    """Where z is at most twice f, so that the difference of reciprocals would lose digits."""
+    """Whether z is at most twice f, so that the difference of reciprocals would cancel."""
     return jnp.abs(z) <= times * jnp.abs(f)
 
 
 def _parts(z: Scalars, f: Scalars) -> tuple[Scalars, Scalars]:
-    """z in m, where it is near and where it is far, and in both about the border between them."""
+    """z in m, with separate inputs for the near and the far formula, each harmless outside its
+    range."""
     return jnp.where(_is_near(z, f, 4.0), z, 0), jnp.where(_is_near(z, f, 1.5), jnp.inf, z)
 
 

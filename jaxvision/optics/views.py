@@ -205,7 +205,7 @@ def pixel_grid(view: View) -> tuple[Float[Array, " h"], Float[Array, " w"]]:
 
 @takes_numbers
 def pixel_offset(view: View, row: Scalar, column: Scalar) -> tuple[Scalar, Scalar]:
-    """Place of a pixel's centre on the sensor, from the optical axis.
+    """Position of a pixel's centre on the sensor, relative to the optical axis.
 
     Args:
         view: the camera's projection.
@@ -311,7 +311,7 @@ def camera_ray(view: View, row: Scalar, column: Scalar) -> Ray:
 
 
 class Projection(NamedTuple):
-    """Where a point of the world is seen.
+    """The image position of a point of the world.
 
     Attributes:
         row: () pixels, fractional; whole at the centre of a pixel.
@@ -326,9 +326,9 @@ class Projection(NamedTuple):
 
 @takes_numbers
 def project(view: View, point: Float[Array, "3"]) -> Projection:
-    """The pixel at which a point of the world is seen: the inverse of `camera_ray`.
+    """The pixel at which a point of the world is imaged: the inverse of `camera_ray`.
 
-    Occlusion is not asked for, and the place may lie outside of the picture.
+    Occlusion is ignored, and the position may lie outside the picture.
 
     Args:
         view: the camera's projection.
@@ -362,8 +362,8 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
 
     Uniform `u` give rays with equal shares of the aperture: the mean of the radiance along them is
     the argument of `pixel_irradiance`. Vignetting by a rim acts on that irradiance, not on these
-    rays: a blurred point far off the axis has the right brightness, but the shape of the aperture
-    instead of the cat's eye that the rim leaves of it.
+    rays. A blurred point far off the axis has the right brightness, but the full shape of the
+    aperture instead of a cat's eye.
 
     Args:
         view: the lens.
@@ -395,7 +395,7 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
 
 @takes_numbers
 def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | None = None) -> Ray:
-    """The ray of any view: `lens_ray` for a thin lens and a `u`, else `camera_ray`.
+    """The ray of any view: `lens_ray` for a thin lens with a given `u`, else `camera_ray`.
 
     Args:
         view: the camera's projection.

@@ -22,7 +22,7 @@ _SMALLEST = 1e-4
 
 @takes_numbers
 def clear_fraction(view: ThinLens, row: Scalar, column: Scalar) -> Scalar:
-    """Share of the aperture's area that a pixel sees through the rim.
+    """Share of the aperture's area that is visible from a pixel through the rim.
 
     Args:
         view: the lens.

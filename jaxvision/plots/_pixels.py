@@ -1,4 +1,4 @@
-"""Images as their views and summaries take them. Values in the unit of the image."""
+"""Images in the form for views and summaries. Values in the unit of the image."""
 
 import numpy as np
 
@@ -28,5 +28,5 @@ def white_level(pixels: np.ndarray, white: float | None) -> float:
 
 
 def colours_of(pixels: np.ndarray) -> np.ndarray:
-    """The bands that are light: alpha left out."""
+    """The bands of light, without alpha."""
     return pixels[..., : {2: 1, 4: 3}.get(pixels.shape[-1], pixels.shape[-1])]

@@ -72,8 +72,8 @@ def draw_picture(
 
 
 def draw_histogram(axis: "Axes", pixels: np.ndarray, white: float, names: Sequence[str]) -> None:
-    """Counts in equal bins: of codes, of values, or of log10 of the values (high dynamic range),
-    whose label says how many are at or below 0."""
+    """Counts in equal bins of codes, of values, or of log10 of the values (high dynamic range). The
+    label then gives the number at or below 0."""
     bands = pixels.shape[-1]
     values, unit = pixels.astype(float), "DN" if pixels.dtype.kind in "ui" else "relative"
     finite = values[np.isfinite(values)]
@@ -157,7 +157,7 @@ def draw_numbers(
     columns: range,
     names: Sequence[str],
 ) -> None:
-    """Each pixel its own cell, its values printed one below the other."""
+    """Each pixel as a cell with its values printed one below the other."""
     cells = [[_printed(pixels[i, j]) for j in columns] for i in rows]
     longest = max(len(number) for line in cells for cell in line for number in cell)
     stacked = max(len(cell) for line in cells for cell in line)
@@ -219,7 +219,7 @@ def draw_surface(axis: "Axes3D", pixels: np.ndarray) -> None:
 
 
 def draw_summary(axis: "Axes", bands: Sequence[BandSummary], white: float) -> None:
-    """The numbers of `summarise` as a table: a column a band."""
+    """The numbers of `summarise` as a table with one column for each band."""
     rows = ["min", "max", "mean", "s.d.", "median", "≤ 0", f"≥ {white:.6g}", "NaN", "inf"]
     shown = bands[:4]
     cells = zip(*(_cells(band) for band in shown), strict=True)

@@ -36,7 +36,7 @@ MOST_VECTORS = 8_000  # points of a row, beyond which its pixels take less room 
 
 @runtime_checkable
 class Measured(Protocol):
-    """A setting with its error and time, as `accuracy.Trial`."""
+    """A setting with its error and time, like `accuracy.Trial`."""
 
     @property
     def setting(self) -> Any: ...

@@ -19,7 +19,7 @@ NO_NUMBER = "magenta"  # where a map is NaN
 
 
 def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None) -> "Axes":
-    """An image as a picture: codes and values up to white as they are, radiance in sRGB.
+    """An image as a picture: codes and values up to white unchanged, radiance in sRGB.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative; other than 1 to 4 bands show their mean.
@@ -57,7 +57,7 @@ def pictures(
     unit: str = "",
     inches: float = 2.6,
 ) -> "Figure":
-    """Images side by side under their titles, all on one scale, so that they compare.
+    """Images side by side with titles, on one scale for comparison.
 
     Args:
         images: (h, w), (h, w, 1), or (h, w, 3) encoded as they are to be seen, by title.
@@ -113,7 +113,7 @@ def false_colour(
     limits: tuple[float, float] | None = None,
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """A map of one quantity in colours that run evenly from dark to light, with its scale.
+    """A map of one quantity in a colour scale that is uniform from dark to light.
 
     Args:
         values: (h, w) or (h, w, 1), any unit.
@@ -162,9 +162,9 @@ def false_colour(
 def histogram(
     image: np.ndarray, *, white: float | None = None, axes: "Axes | None" = None
 ) -> "Axes":
-    """Counts of the values of each channel, in bins of equal width; of log10 of the values where
-    they span more than three decades. Values at or below 0 have no logarithm: the label of the axis
-    says how many there are.
+    """Counts of the values of each channel in bins of equal width, or of log10 of the values if
+    they span more than three decades. Values at or below 0 have no logarithm; the axis label gives
+    their number.
 
     Args:
         image: (h, w) or (h, w, bands), DN or relative.

@@ -1,4 +1,4 @@
-"""Figures inside a page, in the colours of its text, dark or light as the reader prefers."""
+"""Figures in HTML pages with the page's text colour, in dark or light mode."""
 
 import io
 import math
@@ -31,9 +31,9 @@ DOTS_PER_INCH = 130  # of pictures and clouds of points, which stay pixels
 def inline_svg(
     draw: "Callable[[Axes], None]", *, size: tuple[float, float] = (4.8, 3.6), font: float = 11
 ) -> str:
-    """One axes as an `<svg>` element that stands inside HTML and takes the width that it is given;
-    its text is text, of that many points, and what `draw` draws in `INK` has the colour of the
-    page's. The size is in inches."""
+    """One axes as an `<svg>` element for HTML that fills its container's width. Its text stays
+    text, in the given points, and lines drawn in `INK` have the page's text colour. The size is in
+    inches."""
 
     def drawn() -> "Figure":
         from matplotlib.figure import Figure
@@ -46,10 +46,10 @@ def inline_svg(
 
 
 def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
-    """A figure as an `<svg>` element that stands inside HTML and takes the width that it is given;
-    its text is text, of that many points, and artists that it rasterises stay pixels.
+    """A figure as an `<svg>` element for HTML that fills its container's width. Its text stays
+    text, in the given points, and rasterised artists stay pixels.
 
-    Black and white follow the page's text and background; the background itself is not drawn.
+    Black and white follow the page's text and background; the figure's own background is not drawn.
     """
     (whole,) = figure_strips(draw, widest=math.inf, font=font)
     return whole
@@ -58,9 +58,9 @@ def figure_svg(draw: "Callable[[], Figure]", *, font: float = 10) -> str:
 def figure_strips(
     draw: "Callable[[], Figure]", *, widest: float, font: float = 10
 ) -> tuple[str, ...]:
-    """A figure as `figure_svg` gives it, cut between its columns of panels into as few elements as
-    `widest`, points, allows: side by side the strips are the figure, and a narrow page places them
-    below each other."""
+    """The result of `figure_svg`, cut between its columns of panels into as few elements as
+    `widest`, points, allows. Side by side the strips form the figure, and a narrow page stacks
+    them."""
     import matplotlib
     from matplotlib.transforms import Bbox
 
@@ -86,7 +86,7 @@ def figure_strips(
 
 
 def _columns(figure: "Figure") -> "list[_Strip]":
-    """Left and right end of each column of panels with its labels, inches, and its panels."""
+    """Left and right end of each column of panels including labels, in inches, and its panels."""
     figure.draw_without_rendering()
     found: list[_Strip] = []
     boxes = [(axes.get_tightbbox(), axes) for axes in figure.axes]
@@ -101,7 +101,7 @@ def _columns(figure: "Figure") -> "list[_Strip]":
 
 
 def _strips(columns: "list[_Strip]", widest: float) -> "list[_Strip]":
-    """Neighbouring columns together, in as few strips as the width allows, of like widths."""
+    """Neighbouring columns combined into as few strips as the width allows, of similar widths."""
     packed = _packed(columns, widest)
     for limit in sorted(b[1] - a[0] for a in columns for b in columns if a[0] < b[1]):
         alike = _packed(columns, limit)

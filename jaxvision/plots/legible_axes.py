@@ -1,4 +1,4 @@
-"""Legible axes: names of points and numbers that do not overlap, and colours for any background."""
+"""Legible axes: labels of points and ticks that do not overlap, and colours for any background."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -29,9 +29,9 @@ def name_points(
     color: str | None = None,
     size: float | None = None,
 ) -> None:
-    """Write the names of points, (name, s, error) each, next to them on logarithmic axes, where few
-    other marks are. Points that are close together share one label with all their names. The axes
-    grow to make room above the highest point."""
+    """Write the names of points, (name, s, error) each, next to them on logarithmic axes, in free
+    places. Points that are close together share one label with all their names. The axes grow to
+    make room above the highest point."""
     from matplotlib import rcParams
 
     if not points:
@@ -73,7 +73,7 @@ def name_points(
 
 
 def few_ticks(axes: "Axes") -> None:
-    """At most `MOST` numbers on either axis, which do not touch: powers of ten, or 1, 2 and 5 of
+    """At most `MOST` tick labels on either axis, without overlap: powers of ten, or 1, 2 and 5 of
     each, or equal steps, whichever are more. Times below a second are written in ms."""
     from matplotlib import rcParams
     from matplotlib.font_manager import FontProperties
@@ -100,7 +100,7 @@ def few_ticks(axes: "Axes") -> None:
 
 
 def _candidates(low: float, high: float) -> Iterator[list[float]]:
-    """Numbers between the ends of an axis, the rounder ones first."""
+    """Numbers between the ends of an axis, roundest first."""
     from matplotlib.ticker import MaxNLocator
 
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
@@ -127,7 +127,7 @@ def _fits(
 
 
 def _size(axes: "Axes") -> np.ndarray:
-    """Width and height, pt, as far as is known before they are laid out."""
+    """Estimated width and height of a label, pt, before layout."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     share = LAID_OUT if figure.get_layout_engine() else 1.0
@@ -135,7 +135,7 @@ def _size(axes: "Axes") -> np.ndarray:
 
 
 def _make_room(axes: "Axes", logs: np.ndarray, needed: float, below: bool) -> None:
-    """Above the highest point, or below the lowest, for a name."""
+    """Extend the axis above the highest point, or below the lowest, to make room for a name."""
     bottom, top = np.log(axes.get_ylim())
     share = min(needed / _size(axes)[1], 0.4)
     if below:
@@ -148,7 +148,7 @@ def _make_room(axes: "Axes", logs: np.ndarray, needed: float, below: bool) -> No
 def _around(
     point: np.ndarray, extent: np.ndarray, *, below: bool
 ) -> Iterator[tuple[float, float, np.ndarray]]:
-    """Offsets of a name, pt, with the box that it takes: its lower left and upper right corner."""
+    """Offsets of a name, pt, with its box: lower left and upper right corner."""
     for lines in (0.0, 0.8):
         for up in (-1, 1) if below else (1, -1):
             for right in (1, -1):
@@ -158,7 +158,7 @@ def _around(
 
 
 def _box_of(text, whole: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """The position of a name that was written before."""
+    """The box of a name that is already written."""
     place = (np.log(text.xy) - first) / np.maximum(last - first, 1e-9) * whole
     extent = np.array([WIDE * len(text.get_text()), HIGH]) * text.get_fontsize()
     sides = np.sign(text.xyann)
@@ -192,7 +192,7 @@ def _drawn(axes: "Axes", whole: np.ndarray, first: np.ndarray, last: np.ndarray)
 def _covered_area(
     box: np.ndarray, taken: Sequence[np.ndarray], drawn: np.ndarray, whole: np.ndarray
 ) -> float:
-    """pt^2 of a name over others, over what is drawn, and beyond the axes."""
+    """Area, pt^2, in which a name covers other names, drawn marks, or lies outside the axes."""
     overlaps = (np.minimum(box[1], one[1]) - np.maximum(box[0], one[0]) for one in taken)
     inside = np.clip(np.minimum(box[1], whole) - np.maximum(box[0], 0), 0, None)
     beyond = float(np.prod(box[1] - box[0]) - np.prod(inside))
@@ -216,6 +216,6 @@ def new_axes(axes: "Axes | None", *, polar: bool = False) -> "Axes":
 
 
 def tidy(axes: "Axes") -> None:
-    """A quiet grid, and no frame above and to the right."""
+    """Draw a light grid, and no frame above and on the right."""
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)

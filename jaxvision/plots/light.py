@@ -30,7 +30,7 @@ def spectrum(
     label: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Spectra over wavelength, as light, reflectance or the sensitivity of a camera.
+    """Plot spectra over wavelength, as light, reflectance or the sensitivity of a camera.
 
     Args:
         wavelengths: (bands,) m, ascending.
@@ -96,8 +96,8 @@ def lobe(
 ) -> "Axes":
     """Plot the BRDF of materials for one direction of light, in the plane of incidence.
 
-    A direction a degree, and more wherever the curve is steep: a highlight of any width shows its
-    height.
+    It is evaluated at every degree, and more finely where the curve is steep, so that highlights of
+    any width have their full height.
 
     Args:
         materials: one, or several by name.
@@ -194,8 +194,8 @@ _ROUNDS = 40
 def refined(
     function: Callable[[np.ndarray], np.ndarray], places: np.ndarray, *, peaks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places, (m,) ascending, m >= n, and the values of a function there, from (n,) places of the
-    first look; narrow peaks are looked for at all distances from where they may stand."""
+    """Positions, (m,) ascending, m >= n, and the values of a function there, refined from (n,)
+    first positions; narrow peaks are searched on all scales around their possible positions."""
     low, high = places[0], places[-1]
     steps = (high - low) * np.geomspace(NARROWEST, 0.05, 24)
     about = np.concatenate([peaks, *(peaks[:, None] + sign * steps for sign in (-1, 1))], axis=None)

@@ -1,4 +1,5 @@
-"""The channels of an image in numbers: DN (integer images) or relative (floating images)."""
+"""Statistics of the channels of an image, in DN (integer images) or relative values (floating
+images)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from ._pixels import checked, white_level
 
 @dataclass(frozen=True)
 class BandSummary:
-    """One channel in numbers, over its finite values; the moments are NaN where there are none.
+    """Statistics of one channel over its finite values; the moments are NaN if there are none.
 
     Attributes:
         name: of the channel.

@@ -1,4 +1,4 @@
-"""Gains that differ across a picture: a graded filter and vignetting. Relative values."""
+"""Gains that vary across a picture: a graded filter and vignetting. Relative values."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +23,7 @@ def graded_filter(
     centre: Scalar | float,
     width: Scalar | float,
 ) -> Picture:
-    """A graded neutral density filter before the lens: linear light times 10^(-density s).
+    """A graded neutral density filter in front of the lens: linear light times 10^(-density s).
 
     s rises smoothly, 3 t^2 - 2 t^3, from 0 on the clear side to 1 on the dark one.
 
@@ -73,7 +73,7 @@ def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
 
 @takes_numbers
 def correct_vignetting(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
-    """The inverse of `vignette`; pixels that received no light at all stay 0.
+    """The inverse of `vignette`; pixels without any light stay 0.
 
     Args:
         image: (h, w) or (..., h, w, bands) relative, linear.
@@ -104,7 +104,7 @@ def _falloff(
 
 
 def _sized(image: Picture) -> tuple[Picture, int, int]:
-    """The picture, its rows and its columns."""
+    """The picture with its numbers of rows and columns."""
     image = as_relative(image)
     if image.ndim < 2:
         raise ValueError(f"image must be (h, w) or (..., h, w, bands), got shape {image.shape}.")
@@ -115,14 +115,14 @@ def _sized(image: Picture) -> tuple[Picture, int, int]:
 def _centred_places(
     rows: int, columns: int, dtype: np.dtype, *, unit: float | int
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """(right, up) of each pixel's centre from that of the picture, in `unit`s of pixels."""
+    """(right, up) of each pixel's centre relative to the picture's centre, in `unit`s of pixels."""
     right = (jnp.arange(columns, dtype=dtype) - (columns - 1) / 2) / unit
     up = ((rows - 1) / 2 - jnp.arange(rows, dtype=dtype)) / unit
     return jnp.broadcast_to(right, (rows, columns)), jnp.broadcast_to(up[:, None], (rows, columns))
 
 
 def _per_pixel(values: Float[Array, "h w"], image: Picture) -> Float[Array, "..."]:
-    """A map of the picture, with the axes of a batch of images."""
+    """A map of the picture, in the axes of a batch of images."""
     if image.ndim == 2:
         return values
     return values.reshape((1,) * (image.ndim - 3) + values.shape + (1,))

@@ -1,4 +1,4 @@
-"""Curves of encoding: gamma and sRGB, and the limits of a range. Relative values."""
+"""Encoding curves: gamma and sRGB, and clipping. Relative values."""
 
 from fractions import Fraction
 

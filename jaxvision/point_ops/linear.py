@@ -57,7 +57,7 @@ def contrast_brightness(
 
 @takes_numbers
 def exposure(x: Scalars, stops: Scalars | float) -> Scalars:
-    """2^stops x: linear light as `stops` more of exposure would have recorded it.
+    """2^stops x: the linear light that `stops` more of exposure would have recorded.
 
     Args:
         x: (...) relative, linear.
@@ -94,7 +94,8 @@ def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars
 def cross_dissolve(
     first: Float[Array, "frames ..."], second: Float[Array, "frames ..."]
 ) -> Float[Array, "frames h w bands"]:
-    """Two sequences blended frame by frame: `first` alone at the first frame, `second` at the last.
+    """Two sequences blended frame by frame: only `first` at the first frame, only `second` at the
+    last.
 
     Args:
         first: (frames, h, w, bands) relative, at least two frames.

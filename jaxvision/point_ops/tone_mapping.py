@@ -1,4 +1,4 @@
-"""Tone mapping: relative light of any range to [0, 1]."""
+"""Tone mapping: from relative light of any range to [0, 1]."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from ..core._types import AMOUNT, DIVISOR, Scalars, as_relative, refuse_codes
 def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
     """Reinhard's tone curve: x / (1 + x), or with a white x (1 + x / white^2) / (1 + x).
 
-    Below 0 it is x itself, which continues value and slope.
+    Below 0 it is x itself, with continuous value and slope.
 
     Args:
         x: (...) relative scaled luminance, as `scaled_to_key` gives it.
@@ -47,7 +47,8 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
 
 @jax.custom_jvp
 def _saturating(x: Scalars) -> Scalars:
-    """x / (1 + x), and 1 at infinity. The slope is computed as 1 / (1 + x)^2: nothing cancels."""
+    """x / (1 + x), and 1 at infinity. The slope is computed as 1 / (1 + x)^2, without
+    cancellation."""
     return jnp.where(x == jnp.inf, 1, x / (1 + x))
 
 
@@ -63,7 +64,7 @@ def _saturating_jvp(primals, tangents):
 def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) -> Scalars:
     """Luminance times key / log-average, which moves the picture's middle grey to the key.
 
-    The log-average clamps black at 1e-6 of the mean and leaves out values that are not finite.
+    The log-average clamps black at 1e-6 of the mean and ignores values that are not finite.
 
     Args:
         luminance: (h, w) relative.
@@ -90,7 +91,7 @@ def scaled_to_key(luminance: Float[Array, "h w"], *, key_value: float = 0.18) ->
 def filmic(x: Scalars) -> Scalars:
     """The ACES film curve x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), clipped to 1.
 
-    Unclipped it ends a little above 1, at 1.033.
+    Without clipping it would reach 1.033.
 
     Args:
         x: (...) relative; below 0 counts as 0.
@@ -150,8 +151,8 @@ def _log_ratio(x: Scalars, strength: Scalars) -> Scalars:
 
 @_log_ratio.defjvp
 def _log_ratio_jvp(primals, tangents):
-    """The slope in `strength` is a difference, of nearly equal numbers where both logarithms are
-    of numbers near 1: there of their series."""
+    """The slope in `strength` is a difference of nearly equal numbers if both logarithms are of
+    numbers near 1; their series is used there."""
     (x, strength), (dx, ds) = primals, tangents
     mapped, product = _log_ratio(x, strength), strength * x
     gentle = strength < 1
@@ -186,7 +187,8 @@ _SERIES = [(-1) ** n * n / (n + 1) for n in range(17, 0, -1)]  # of d/dz log(1 +
 def with_luminance(
     image: Float[Array, "... channels"], luminance: Scalars, wanted: Scalars
 ) -> Float[Array, "... channels"]:
-    """image times wanted / luminance, pixel by pixel: applies a curve and keeps the chromaticity.
+    """image times wanted / luminance, pixel by pixel, which applies a curve and keeps the
+    chromaticity.
 
     Args:
         image: (..., channels) relative.

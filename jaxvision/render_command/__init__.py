@@ -1,9 +1,9 @@
-"""The inside of `jaxvision render`: a scene file to an image file.
+"""The implementation of `jaxvision render`: from a scene file to an image file.
 
 cost         the standard error of a render and its time
 job          tile by tile, in memory that does not grow with the picture, and resumable
 integrators  the words of `[render] integrator` as functions from pixels to radiance
-pruning      the scene without what does not matter
+pruning      the scene without negligible effects
 tiles        the unfinished picture on disk
 """
 

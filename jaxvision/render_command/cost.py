@@ -14,7 +14,7 @@ _TARGETS = tuple(step * 10.0**power for power in range(0, -9, -1) for step in (3
 
 
 class Cost(NamedTuple):
-    """What a render took, and how far chance moved it.
+    """The time of a render, and its standard error.
 
     Attributes:
         error: rms standard error of the pixels over the rms radiance; None for one ray a pixel.
@@ -28,20 +28,20 @@ class Cost(NamedTuple):
 
 
 class Clock:
-    """The time of a block, s, split into compiling and the rest."""
+    """The time of a block, s, divided into compilation and the rest."""
 
     def __init__(self) -> None:
         self._started = monotonic()
         self._spans: list[tuple[float, float]] = []
 
     def add(self, event: str, duration_secs: float, **_: object) -> None:
-        """A listener of JAX's events. Traces contain one another, so their ends are kept, too."""
+        """A listener for JAX's events. Traces are nested, so their ends are recorded, too."""
         if event.startswith("/jax/core/compile/"):
             now = monotonic()
             self._spans.append((now - duration_secs, now))
 
     def read(self) -> tuple[float, float]:
-        """The seconds so far without compiling, and those of compiling."""
+        """The seconds so far without compilation, and those of compilation."""
         compiling, reached = 0.0, self._started
         for start, end in sorted(self._spans):
             compiling += max(end - max(start, reached), 0.0)
@@ -105,7 +105,7 @@ _BESIDE = {
 
 
 def _kind(settings: RenderEntry) -> str:
-    """What else than the number of samples a picture's error depends on."""
+    """Everything besides the number of samples that a picture's error depends on."""
     if settings.integrator == "radiosity":
         return "radiosity"
     by_rule = settings.integrator in ("direct", "rays") and settings.rule == "quadrature"
@@ -113,7 +113,7 @@ def _kind(settings: RenderEntry) -> str:
 
 
 def _seconds(seconds: float) -> str:
-    """A time in the unit that people use for it."""
+    """A time in a readable unit."""
     if seconds < 120:
         return f"{seconds:.2g} s" if seconds < 100 else f"{seconds:.0f} s"
     return f"{seconds / 60:.2g} min" if seconds < 5400 else f"{seconds / 3600:.2g} h"

@@ -1,7 +1,7 @@
 """The words of `[render] integrator` as functions from pixels, or from passes, to radiance.
 
-Four integrators compute each pixel on its own, and so in tiles; radiosity is solved before the
-first tile. Light tracing makes whole pictures, the mean of independent passes.
+Four integrators compute each pixel separately, and therefore in tiles; radiosity is solved before
+the first tile. Light tracing makes whole pictures, whose mean is taken over independent passes.
 """
 
 import math
@@ -48,9 +48,9 @@ Pixels = Float[Array, "pixels bands"]
 def pixels_of(
     source: SceneFile, settings: RenderEntry
 ) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """(rows, columns) of n pixels to their radiance and its standard error, (n, bands) float32 in
-    W m^-2 sr^-1; compiled once for each n. What a pixel gets does not depend on the others. The
-    error is that of independent samples, inf for one."""
+    """A function from (rows, columns) of n pixels to their radiance and its standard error, (n,
+    bands) float32 in W m^-2 sr^-1; compiled once for each n. The value of a pixel does not depend
+    on the others. The error is that of independent samples, inf for a single one."""
     compute = _seeded_traces_of(source, settings)(settings.seed)
 
     def both(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,14 +114,14 @@ def _seeded_traces_of(source: SceneFile, settings: RenderEntry) -> Callable[...,
 
 
 def passes_of(source: SceneFile, settings: RenderEntry) -> tuple[int, Callable[[int], np.ndarray]]:
-    """The number of passes, and a function from the number of one to its picture, (h, w, bands) in
-    W m^-2 sr^-1. The result is the mean of all."""
+    """The number of passes, and a function from the number of a pass to its picture, (h, w, bands)
+    in W m^-2 sr^-1. The result is the mean of all."""
     passes = seeded_passes_of(source, settings)
     return settings.samples, lambda number: passes(settings.seed, number)
 
 
 def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int, int], np.ndarray]:
-    """From a seed and the number of a pass to its picture.
+    """A function from a seed and the number of a pass to its picture.
 
     Args:
         source: the scene and its view.
@@ -142,8 +142,8 @@ def seeded_passes_of(source: SceneFile, settings: RenderEntry) -> Callable[[int,
 
 
 def lacking(source: SceneFile, settings: RenderEntry) -> list[str]:
-    """What the picture of a scene file lacks: lamps that light nothing, and light that the
-    integrator cannot find.
+    """Findings on a scene file's picture: lamps that light nothing, and light that the integrator
+    cannot find.
 
     Args:
         source: the scene and its view.
@@ -168,12 +168,12 @@ def lacking(source: SceneFile, settings: RenderEntry) -> list[str]:
 
 
 def _compiled_in(settings: RenderEntry) -> RenderEntry:
-    """The settings without those for which nothing is compiled."""
+    """The settings that affect the compiled program."""
     return settings.model_copy(update={"seed": 0, "tile": 1})
 
 
 def _structure(source: SceneFile) -> Hashable:
-    """What a program asks of the scene and its view."""
+    """The structure of the scene and its view that a program needs."""
     leaves, tree = jax.tree.flatten((source.scene, source.view))
     return tree, tuple(map(jax.typeof, leaves))
 
@@ -181,13 +181,13 @@ def _structure(source: SceneFile) -> Hashable:
 @lru_cache(maxsize=1)
 def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tuple[Pixels, Pixels]]:
     """The program of the last picture. A similar scene uses it without compiling again. It holds no
-    scene, and is let go with the first of another structure."""
+    scene, and is released at the first scene of another structure."""
     return _tile_of(_along(settings), settings)
 
 
 @lru_cache(maxsize=1)
 def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Image]:
-    """The same of light tracing."""
+    """The same for light tracing."""
 
     @jax.jit
     def one(key: Key, scene: Scene, view: View) -> Image:
@@ -200,7 +200,7 @@ def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Imag
 
 
 def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels, Pixels]]:
-    """The program from pixels to their radiance and its standard error."""
+    """The program from pixels to radiance and standard error."""
 
     @jax.jit
     def tile(
@@ -225,8 +225,8 @@ def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels
 
 
 def _check_light(source: SceneFile, settings: RenderEntry) -> None:
-    """`InputError` where all light is ambient, which already stands for the light that the other
-    integrators follow."""
+    """`InputError` if all light is ambient, which is a substitute for the light that the other
+    integrators trace."""
     scene = source.scene
     shines = scene.lights or any(surface.emission is not None for surface in scene.surfaces)
     if settings.integrator != "direct" and not shines:
@@ -237,7 +237,7 @@ def _check_light(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
-    """`InputError` for a thin lens that a single ray a pixel would show as a pinhole."""
+    """`InputError` for a thin lens that a single ray per pixel would show as a pinhole."""
     lens = isinstance(source.view, ThinLens) and np.isfinite(source.view.f_number)
     if lens and settings.samples == 1 and settings.integrator != "path":
         raise InputError(
@@ -247,11 +247,11 @@ def _check_lens(source: SceneFile, settings: RenderEntry) -> None:
 
 
 def _nothing(key: Key) -> None:
-    """Work before the first pixel, for all integrators except radiosity."""
+    """No work before the first pixel, for all integrators except radiosity."""
 
 
 def _along(settings: RenderEntry) -> RaysOf:
-    """Radiance along rays, as a function of a scene and a key, which may be traced."""
+    """Radiance along rays, as a function of a scene and a key; both may be traced."""
     match settings.integrator:
         case "direct":
             return lambda scene, key, *_: direct_along(scene, _rule(settings, key))
@@ -266,8 +266,8 @@ def _along(settings: RenderEntry) -> RaysOf:
 
 
 def _solved(source: SceneFile, settings: RenderEntry) -> tuple[Solve, RaysOf]:
-    """The scene cut into patches, whose exchange of light, a function of a key, comes before the
-    first pixel; and the radiance along rays after it."""
+    """The scene divided into patches. Their exchange of light, a function of a key, precedes the
+    first pixel; then the radiance along rays follows."""
     with _refusals_in_words(source):
         scene = source.scene
         whole = float(patches_of(scene, plan_patches(scene, size=np.inf, split=1)).area.sum())
@@ -328,7 +328,7 @@ def _rule(settings: RenderEntry, key: Key) -> Rule:
 
 
 def in_words_of(source: SceneFile, text: str) -> str:
-    """A text in which surfaces and lights have the names of their scene file."""
+    """A text with surfaces and lights by their names in the scene file."""
     names = {"surfaces": source.surfaces, "lights": source.lights}
     return re.sub(
         r"(?:Scene\.)?\b(surfaces|lights)\[(\d+)\]",
@@ -339,7 +339,7 @@ def in_words_of(source: SceneFile, text: str) -> str:
 
 @contextmanager
 def _refusals_in_words(source: SceneFile) -> Iterator[None]:
-    """A refusal by the library, rephrased with the names of the scene file."""
+    """A refusal by the library, rephrased with the names in the scene file."""
     try:
         yield
     except ValueError as error:

@@ -1,10 +1,10 @@
 """Render a scene file to an image file, tile by tile. The memory does not grow with the picture. A
 killed render continues and ends bit-identical.
 
-Beside the EXR `out` lies `out.partial` as long as it is not finished. A tile is a run of pixels,
-row by row; every tile is computed by the same compiled code from pixel numbers and the seed alone.
-Light tracing adds light all over the picture. It is divided into passes instead, and keeps the
-whole picture in memory.
+While the EXR `out` is unfinished, `out.partial` lies next to it. A tile is a run of pixels in row
+order. Every tile is computed by the same compiled code from pixel numbers and the seed alone. Light
+tracing adds light all over the picture. It is divided into passes instead, and keeps the whole
+picture in memory.
 """
 
 import dataclasses
@@ -60,10 +60,10 @@ def render_to_file(
     fresh: bool = False,
     advance: Advance = lambda done, total: None,
 ) -> Cost:
-    """Renders a scene file to an image file, tile by tile.
+    """Render a scene file to an image file, tile by tile.
 
     With several samples a pixel the file has a layer `error`: the standard error of each pixel, as
-    if its samples were independent. Those of `path` and of a lens are stratified, which makes the
+    if its samples were independent. Samples of `path` and of a lens are stratified, which makes the
     true error smaller.
 
     Args:
@@ -137,8 +137,7 @@ def render_to_file(
 
 
 def _check_room(out: Path, unfinished: Path, source: SceneFile) -> None:
-    """`InputError` for a picture larger than what the disk has left, and an earlier part has
-    taken."""
+    """`InputError` for a picture larger than the free disk space plus an earlier partial file."""
     height, width = source.view.resolution
     # radiance and error: of the part that is done, and of the picture made from it
     wanted = 2 * 2 * 4 * height * width * source.bands
@@ -163,7 +162,7 @@ def _render_tiles(
     advance: Advance,
     clock: Clock,
 ) -> Iterator[tuple[Rows, Seconds]]:
-    """The picture tile by tile; the part that is done is deleted at the end of the block."""
+    """The picture tile by tile; the partial file is deleted at the end of the block."""
     height, width = source.view.resolution
     tile = min(settings.tile, height * width)
     tiles = math.ceil(height * width / tile)
@@ -194,7 +193,7 @@ def _render_passes(
     advance: Advance,
     clock: Clock,
 ) -> Iterator[tuple[Rows, Seconds]]:
-    """The picture as the mean of its passes; the part that is done is deleted at the end of the
+    """The picture as the mean of its passes; the partial file is deleted at the end of the
     block."""
     height, _ = source.view.resolution
     bands, several = source.bands, settings.samples > 1
@@ -223,7 +222,7 @@ def _render_passes(
 
 @dataclasses.dataclass
 class _Work:
-    """What the tiles, or passes, of one picture share. Compiled once in each process."""
+    """Data that the tiles or passes of one picture share. Compiled once in each process."""
 
     source: SceneFile
     settings: RenderEntry
@@ -234,8 +233,8 @@ class _Work:
 
     @cached_property
     def radiance(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """`pixels_of` what is left of the scene, in all of its bands: (n, bands), and with several
-        samples (n, 2 bands), the standard errors behind."""
+        """`pixels_of` the remaining scene, in all of its bands: (n, bands), or with several samples
+        (n, 2 bands), with the standard errors last."""
         compute = pixels_of(*left_of(self.source, self.settings, self.pruned))
         expand = None if self.pruned is None else self.pruned.expand
         several = self.settings.samples > 1
@@ -251,7 +250,7 @@ class _Work:
 
     @cached_property
     def passes(self) -> tuple[int, Callable[[int], np.ndarray]]:
-        """`passes_of` what is left of the scene."""
+        """`passes_of` the remaining scene."""
         return passes_of(*left_of(self.source, self.settings, self.pruned))
 
 
@@ -263,7 +262,8 @@ def _tile(work: _Work, index: int) -> np.ndarray:
 
 
 def _of_all(clock: Clock, parts: int, here: int) -> Seconds:
-    """The seconds of all parts from those computed here, and the seconds of compiling."""
+    """The estimated seconds of all parts from those computed here, and the seconds of
+    compilation."""
     seconds, compiling = clock.read()
     return seconds * parts / max(here, 1), compiling
 
@@ -309,7 +309,7 @@ def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
 
 
 def _key(source: SceneFile, settings: RenderEntry, pruned: Pruned | None) -> dict[str, Any]:
-    """Everything that the bits of the picture depend on, and for tiles their size."""
+    """Everything that the bits of the picture depend on, including the tile size."""
     unused = set() if settings.integrator in BY_PIXEL else {"tile"}
     return {
         "scene": source.digest,
@@ -359,8 +359,8 @@ def _display(rows: Rows, source: SceneFile) -> np.ndarray:
 
 
 def linear_srgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray, "bands 3"]:
-    """What each band adds to linear sRGB: as the standard observer sees wavelengths; RGB as it is,
-    any other bands as grey.
+    """The contribution of each band to linear sRGB: by the standard observer for wavelengths,
+    unchanged for RGB, grey for any other bands.
 
     Args:
         bands: how many there are.

@@ -1,5 +1,5 @@
-"""What `jaxvision effects` and `render --tolerance` ask: the effects of a scene file, and the scene
-without those that do not matter."""
+"""The implementation of `jaxvision effects` and `render --tolerance`: the effects of a scene file,
+and the scene without negligible ones."""
 
 import math
 import re
@@ -26,7 +26,7 @@ Box = dict[str, tuple[Any, Any]]
 
 
 def _asked(settings: RenderEntry) -> dict[str, Any]:
-    """The samples and the depth of paths that an integrator stands for."""
+    """The samples and the path depth of an integrator."""
     samples, depth = None, None
     if settings.samples > 1 or settings.integrator == "path":
         samples = PixelSamples(jax.random.key(settings.seed), settings.samples)
@@ -102,7 +102,7 @@ def pruned_for(
     level: float | None = None,
     estimates: bool = False,
 ) -> Pruned:
-    """A scene file without the effects that a tolerance allows to leave out.
+    """A scene file without the effects within a tolerance.
 
     Args:
         source, settings, camera, free: as in `inspected`.
@@ -148,7 +148,7 @@ def left_of(
 
 
 def box_of(free: Sequence[str]) -> Box:
-    """`NAME=LOW,HIGH`, several times, as the box of a fit in the unit of each field."""
+    """Repeated `NAME=LOW,HIGH` as the box of a fit, in the unit of each field."""
     found: Box = {}
     for text in free:
         name, _, ends = text.partition("=")
@@ -174,8 +174,8 @@ def with_names(source: SceneFile, effect: Effect) -> Effect:
 
 
 def listed(found: Iterable[Effect]) -> str:
-    """Effects as lines of text, each bound in its own unit, places in pixels, what was measured of
-    their time in ms."""
+    """Effects as lines of text, each bound in its own unit, displacements in pixels, measured times
+    in ms."""
     found = list(found)
     timed = any(effect.seconds is not None for effect in found)
     rows = [("effect", "bound", "", "pixels", "ms" if timed else "saves", "rank", "why")]
@@ -195,7 +195,7 @@ def listed(found: Iterable[Effect]) -> str:
 
 
 def smaller(source: SceneFile, pruned: Pruned) -> str:
-    """By how much the program of direct light shrinks, in percent, as the end of a sentence."""
+    """The reduction of the direct-light program's size in per cent, as the end of a sentence."""
     left, _ = left_of(source, source.render, pruned)
     before, after = (effects.equations(own.scene, own.view) for own in (source, left))
     share = 1 - after / np.maximum(before, 1)

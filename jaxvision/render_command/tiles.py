@@ -1,11 +1,11 @@
-"""A picture on its way to a file, whose finished part survives a kill.
+"""An unfinished picture on disk, whose completed part survives a kill.
 
-Of a picture by tiles the file is one line of JSON that says what is being rendered, and then a
-record per tile: its values as little-endian float32 and their CRC-32. A tile is a run of pixels,
-row by row, all of one length (the last is filled up), so that the tiles one after another are the
-picture. A record counts when it is whole; whatever was being written when the process died is cut
-off. Of a picture by passes the file is such a line, the sum so far in float64 and the CRC-32 of
-both, and is replaced as a whole. No file is touched before there is something to keep.
+For a picture in tiles the file is one line of JSON that describes the render, then a record per
+tile: its values as little-endian float32 and their CRC-32. A tile is a run of pixels in row order,
+all of one length (the last is padded), so that the tiles in sequence form the picture. A record
+counts when it is complete. A partial record at the end is cut off. For a picture in passes the file
+is such a line, the sum so far in float64 and the CRC-32 of both, and is replaced as a whole. No
+file is created before there is something to store.
 """
 
 import json
@@ -28,13 +28,13 @@ Key = Mapping[str, Any]  # of what JSON holds
 
 
 class PartialImage:
-    """The tiles of one picture. `key`: what tells this render from every other, by the names that
-    a refusal uses. `values`: numbers in a tile. `done`: whole tiles in the file so far. A context
-    manager."""
+    """The tiles of one picture. `key`: identifies this render, with the names for an error
+    message. `values`: numbers per tile. `done`: complete tiles in the file so far. It is a
+    context manager."""
 
     def __init__(self, path: Path, *, key: Key, values: int, fresh: bool) -> None:
-        """Goes on where a file of the same key ends; `InputError` for a file of another key unless
-        it may be replaced (`fresh`) or has no tile yet."""
+        """Continue at the end of a file with the same key; `InputError` for a file with another key
+        unless it may be replaced (`fresh`) or has no tile yet."""
         self._path, self._values = path, values
         self._record = 4 * values + _CHECKSUM
         self._head = _head(key, values=values)
@@ -62,7 +62,7 @@ class PartialImage:
                 self._file.close()
 
     def append(self, values: np.ndarray) -> None:
-        """The next tile; on the disk when this returns."""
+        """Append the next tile, which is on the disk when this returns."""
         data = np.ascontiguousarray(values, "<f4").tobytes()
         if len(data) != 4 * self._values:
             raise ValueError(f"a tile holds {self._values} values, got {values.size}.")
@@ -84,7 +84,8 @@ class PartialImage:
         return np.frombuffer(file.read(4 * self._values), "<f4")
 
     def rows(self, width: int, bands: int, height: int, *, at_once: int) -> Iterator[np.ndarray]:
-        """The finished picture from above, (rows, width, bands), so many rows `at_once`."""
+        """The finished picture from the top, (rows, width, bands), with `at_once` rows at a
+        time."""
         held = np.zeros(0, np.float32)
         left = height * width * bands
         for index in range(self.done):
@@ -97,7 +98,7 @@ class PartialImage:
                 held = held[size:]
 
     def delete(self) -> None:
-        """Deletes the partial file, once the picture is written."""
+        """Delete the partial file after the picture is written."""
         if self._file is not None:
             self._file.close()
         self._path.unlink(missing_ok=True)
@@ -122,12 +123,12 @@ class PartialImage:
 
 
 class PartialSum:
-    """The sum of the passes of one picture. `key`: what tells this render from every other, by the
-    names that a refusal uses. `total`: float64. `done`: passes so far."""
+    """The sum of the passes of one picture. `key`: identifies this render, with the names for an
+    error message. `total`: float64. `done`: passes so far."""
 
     def __init__(self, path: Path, *, key: Key, shape: tuple[int, ...], fresh: bool) -> None:
-        """Goes on from a file of the same key, or begins again where the file is damaged;
-        `InputError` for a file of another key unless it may be replaced (`fresh`)."""
+        """Continue from a file with the same key, or begin again if the file is damaged;
+        `InputError` for a file with another key unless it may be replaced (`fresh`)."""
         self._path, self._key = path, key
         self.total, self.done = np.zeros(shape), 0
         if fresh or not path.is_file():
@@ -142,7 +143,7 @@ class PartialSum:
             self.done = passes
 
     def add(self, picture: np.ndarray) -> None:
-        """One more pass; on the disk when this returns."""
+        """Add one more pass, which is on the disk when this returns."""
         self.total += picture
         self.done += 1
         data = _head(self._key, passes=self.done) + self.total.astype("<f8").tobytes()
@@ -152,7 +153,7 @@ class PartialSum:
             os.fsync(file.fileno())
 
     def delete(self) -> None:
-        """Deletes the partial file, once the picture is written."""
+        """Delete the partial file after the picture is written."""
         self._path.unlink(missing_ok=True)
 
 

@@ -1,6 +1,7 @@
-"""One light by directions drawn from it and from the material, and what arrives from a direction.
+"""The light of one source, sampled by directions from it and from the material, and the radiance
+from a direction.
 
-Directions in the frame of a surface are `Vec`s. A `Place` says what blocks light; None: nothing.
+Directions in the frame of a surface are `Vec`s. A `Place` has the occluders; None: there are none.
 """
 
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ def in_frame(normal: Direction, wo: Direction, tangent: Vector | None) -> tuple[
 
 
 def in_world(frame: Frame, wi: Vec, like: Vector) -> Vector:
-    """A local direction in the world, as an array or a `Vec`, whichever `like` is."""
+    """A local direction in the world, as an array or a `Vec`, like `like`."""
     world = to_world(frame, wi)
     return as_array(world) if isinstance(like, Array) else world
 
@@ -40,7 +41,7 @@ def balanced(
     place: Place | None,
 ) -> Colour:
     """One direction from the light and one from the material, each divided by the sum of both
-    densities: the mean over uniform numbers is the radiance, W m^-2 sr^-1."""
+    densities. The mean over uniform numbers is the radiance, W m^-2 sr^-1."""
 
     def weighed(wi: Vec) -> Colour:
         world = in_world(frame, wi, point)
@@ -54,12 +55,12 @@ def balanced(
 
 
 def arriving_from(light: Light, point: Vector, wi: Direction, place: Place | None) -> Colour:
-    """Radiance, W m^-2 sr^-1, that reaches the point from `wi`, 0 where something is between."""
+    """Radiance, W m^-2 sr^-1, at the point from `wi`, 0 if the way is blocked."""
     ahead = seen(light, Ray(point, wi))
     passes = None if place is None else clear(place, wi, ahead.distance)
     return where_clear(passes, ahead.radiance)
 
 
 def where_clear(condition: Bool[Array, ""] | None, value: Array) -> Array:
-    """The value where the condition holds, else 0; without a condition the value."""
+    """The value where the condition is true, else 0; without a condition the value."""
     return value if condition is None else jnp.where(condition, value, 0)

@@ -1,5 +1,5 @@
-"""The common number of bands of several spectra, from the shapes of the results of each kind of
-material and light. Nothing here has a unit."""
+"""The common number of bands of several spectra, from the result shapes of each kind of material
+and light. Nothing here has a unit."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -17,8 +17,8 @@ from ..scene import Light, Material
 def band_count(
     materials: Iterable[Material], lights: Iterable[Light], *, spectra: Iterable[jax.Array] = ()
 ) -> int:
-    """The number of bands that all share, no unit; a neutral spectrum, of one band, goes with any,
-    and others that differ raise `ValueError`."""
+    """The common number of bands, no unit. A neutral spectrum, with one band, goes with any number;
+    other differences raise `ValueError`."""
     reflected = [(type(own).__name__, _reflected(own)) for own in _one_each(materials)]
     emitted = [_emitted(light) for light in _one_each(lights)]
     emitted += [spectrum.shape[-1] for spectrum in spectra]
@@ -33,7 +33,7 @@ def band_count(
 
 
 def _one_each(records: Iterable[Any]) -> Iterable[Any]:
-    """One of the records of each structure."""
+    """One record of each structure."""
     return {str(jax.tree.map(jnp.shape, record)): record for record in records}.values()
 
 

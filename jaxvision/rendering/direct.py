@@ -1,4 +1,4 @@
-"""Scene and view -> radiance: what each ray of a camera sees by direct light.
+"""From scene and view to radiance: direct light along each ray of a camera.
 
 Radiance in W m^-2 sr^-1, lengths in m.
 """
@@ -57,7 +57,7 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
 
 
 class SortedScene(eqx.Module):
-    """The shapes of a scene made ready for many rays; lengths in m."""
+    """The shapes of a scene prepared for many rays; lengths in m."""
 
     shapes: Sorted  # of all surfaces
     # those that may block light; None: none, or a single shape that cannot
@@ -74,7 +74,7 @@ def sorted_scene(scene: Scene) -> SortedScene:
 
 
 def _along(scene: Scene, shapes: SortedScene, ray: Ray, rules: tuple[Rule, ...]) -> Colour:
-    """`radiance_along` one of many rays, for which the shapes have been sorted."""
+    """`radiance_along` for one of many rays, with sorted shapes."""
     encounter = checkpoint_name(nearest_shape(ray, shapes.shapes), TRACED)
     hit = fuse(hit_shape(ray, shapes.shapes, encounter))
     normal, leaving = _facing(scene, ray, encounter.shape, hit)
@@ -104,8 +104,10 @@ def _along(scene: Scene, shapes: SortedScene, ray: Ray, rules: tuple[Rule, ...])
 
 
 def can_shade(surfaces: Sequence[Surface]) -> bool:
-    """Whether light can be blocked at all (no unit): a single convex shape shades only its own
-    back."""
+    """Whether light can be blocked at all (no unit).
+
+    A single convex shape shades only its own back.
+    """
     first = surfaces[0]
     return len(surfaces) > 1 or first.two_sided or isinstance(first.shape, TriangleMesh)
 

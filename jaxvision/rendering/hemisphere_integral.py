@@ -112,7 +112,7 @@ def sampled_radiance(
     samples: int,
     tangent: Vector | None = None,
 ) -> Estimate:
-    """The integral over the hemisphere by directions drawn as the material reflects them.
+    """The integral over the hemisphere by random directions from the material's sampler.
 
     Args:
         key: random key.

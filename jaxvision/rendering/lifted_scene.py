@@ -1,4 +1,4 @@
-"""A scene in RGB described in the bands of a spectral camera, by a call and never implicitly."""
+"""Conversion of an RGB scene to the bands of a spectral camera, only by an explicit call."""
 
 from dataclasses import fields, replace
 from typing import Any, TypeVar
@@ -105,7 +105,7 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
 
 
 def _neutral(place: str, value: Array) -> Array:
-    """(..., 1), what all three bands share."""
+    """(..., 1), the value that all three bands share."""
     if not is_known(value) or bool((value != value[..., :1]).any()):
         raise InputError(
             f"{place} differs from band to band, and RGB does not tell its spectrum; give it at "

@@ -22,7 +22,7 @@ def render_light_field(
     resolution: tuple[int, int, int, int],
     rule: Rule = DEFAULT_RULE,
 ) -> LightFieldLight:
-    """What leaves a scene through a window, recorded line by line.
+    """Record the light field that leaves a scene through a window.
 
     Args:
         scene: what lies behind the aperture.

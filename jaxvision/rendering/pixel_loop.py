@@ -92,7 +92,7 @@ class Traced(Shown):
     error: Spectrum
 
     def _repr_html_(self) -> str:
-        """The picture that a notebook shows, of an image, beside the table."""
+        """The picture for a notebook, if it is an image, with the table."""
         table = super()._repr_html_()
         if not is_known(self.radiance) or not np.size(self.radiance) or self.radiance.ndim < 3:
             return table
@@ -120,7 +120,7 @@ def photograph(
     keep: Sequence[str] = (),
     several: bool = True,
 ) -> Traced:
-    """What the pixels of a view see.
+    """The values of a view's pixels.
 
     Args:
         along: radiance along a block of rays.
@@ -179,7 +179,7 @@ def photograph(
 
 
 def each(along: Callable[[Ray, Stream], Any]) -> Along:
-    """What arrives along a block of rays, from what arrives along one.
+    """A function of a block of rays from the function of one ray.
 
     Args:
         along: from one ray and its sample to radiance, W m^-2 sr^-1.
@@ -213,7 +213,7 @@ def numbers_of(stream: Stream) -> tuple[Array, ...]:
 def sample_ray(view: View, row: Scalar, column: Scalar, stream: Stream) -> Ray:
     """The ray of one sample of a pixel.
 
-    It takes two random numbers, and two more for the place on a lens.
+    It uses two random numbers, and two more for the position on a lens.
 
     Args:
         view: any view.
@@ -266,8 +266,8 @@ def in_blocks(
 def mean_of_samples(
     sample: Callable[[Word], Any], count: int, *, first: int | Word = 0, room: int = 1
 ) -> tuple[Any, Any]:
-    """The mean of samples and its standard error, in their unit. They are computed one after
-    another or, where there is `room` for several, so many at once.
+    """The mean of samples and its standard error, in their unit. They are computed in sequence or,
+    if there is `room` for several, that many at once.
 
     Source: Chan, Golub and LeVeque, The American Statistician 37(3) (1983), of groups of equal
     size; of single samples it is Welford's, Technometrics 4(3) (1962). No sum of squares cancels.
@@ -313,8 +313,8 @@ def mean_of_samples(
 
 
 def check_lens(view: View) -> None:
-    """`ValueError` for a thin lens, with an f-number (no unit) that is finite and known, which one
-    ray a pixel would show as a pinhole, all in focus."""
+    """`ValueError` for a thin lens with a finite, known f-number, if one ray per pixel would show
+    it as a pinhole, with everything in focus."""
     if isinstance(view, ThinLens) and is_known(view.f_number) and np.isfinite(view.f_number):
         raise ValueError(
             "a ThinLens defocuses by rays spread over its aperture: give samples, or use a Pinhole "

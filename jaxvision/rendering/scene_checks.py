@@ -1,7 +1,6 @@
-"""Mistakes in a scene, found before it is rendered and each described in one sentence.
+"""Checks of a scene before rendering, each with a finding in one sentence.
 
-Eager and NumPy: for concrete scenes, not for traced ones, which render to finite values all the
-same.
+They are eager NumPy, for concrete scenes. Traced scenes render to finite values without them.
 """
 
 from collections.abc import Sequence
@@ -32,15 +31,15 @@ _ROUNDING = 1e-6  # of a length in float32
 def scene_problems(
     scene: Scene, view: View, surfaces: Sequence[str], lights: Sequence[str]
 ) -> list[str]:
-    """One sentence for each problem of a scene, which begins with the name of the surface or light;
-    none for a sound scene.
+    """One finding for each problem of a scene, which begins with the name of the surface or light;
+    none for a valid scene.
 
-    Reports: the problems of each shape (`geometry.problems`, but for places far from the origin);
-    closed meshes turned inside out; emitters without area and lights without direction; a scene
-    without any light; a light, an emitter or the camera inside an opaque closed surface with a
-    hidden inside; a point light on a
-    surface other than a mesh, which it would not light. Objects may lie inside glass or a two-sided
-    surface: there the inside is seen, and a ray that starts in glass is taken to be in it.
+    Findings cover the problems of each shape (`geometry.problems`, except positions far from the
+    origin); closed meshes turned inside out; emitters without area and lights without direction; a
+    scene without any light; a light, an emitter or the camera inside an opaque closed surface; and
+    a point light on a surface other than a mesh, which it would not light. Objects may lie inside
+    glass or a two-sided surface: the inside is visible there, and a ray that starts in glass counts
+    as inside it.
     """
     found = [
         f"{name}: {problem}"
@@ -89,12 +88,12 @@ def scene_problems(
 
 
 def idle_lamps(scene: Scene, *, lights: Sequence[str] | None = None) -> list[str]:
-    """One sentence for each lamp that lights no surface, whatever stands between, which begins with
-    its name or, without names, its place in the scene.
+    """One finding for each lamp that lights no surface, regardless of occlusion. It begins with the
+    lamp's name or its index in the scene.
 
     A lamp is idle if it is black, if all surfaces lie behind a flat lamp, or if all of them show it
     their back. Ambient light is idle if no material has an ambient reflectance. Skies, light fields
-    and lamps of your own are not looked at.
+    and user-defined lamps are not checked.
 
     Example:
         >>> floor = jv.Surface(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), jv.Lambert([0.25]))
@@ -140,7 +139,7 @@ def reflects_ambient(scene: Scene) -> bool:
 
 
 def _front(light: Light) -> tuple[np.ndarray, np.ndarray] | None:
-    """A point of a flat lamp and the direction to which it shines; None for all others."""
+    """A point of a flat lamp and its emission direction; None for all others."""
     match light:
         case SmallLight():
             return _array(light.position), _array(light.normal)
@@ -151,7 +150,7 @@ def _front(light: Light) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _reaches(shape: Shape, point: np.ndarray, normal: np.ndarray) -> bool:
-    """Whether some of a shape lies before a plane."""
+    """Whether any part of a shape lies in front of a plane."""
     if isinstance(shape, Plane):
         across = np.linalg.norm(np.cross(_array(shape.normal), normal))
         size = np.linalg.norm(shape.normal) * np.linalg.norm(normal)
@@ -177,7 +176,8 @@ def _plane_of(shape: object) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
-    """Whether some of a surface is turned to one of a lamp's places in m, or, `far`, directions."""
+    """Whether any part of a surface faces one of a lamp's positions in m, or with `far`
+    directions."""
     if (flat := _plane_of(surface.shape)) is None:
         return True
     start, normal = flat
@@ -187,7 +187,7 @@ def _faces(surface: Surface, places: Sequence[np.ndarray], far: bool) -> bool:
 
 
 def lost_numbers(exact: object, kept: object) -> list[str]:
-    """One sentence for each field whose numbers become infinite, or all zeros, in the dtype of
+    """One finding for each field whose numbers become infinite, or all zero, in the dtype of
     `kept`."""
     found = []
     fields = jax.tree_util.tree_leaves_with_path(exact)

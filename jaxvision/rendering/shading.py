@@ -43,7 +43,8 @@ from .shadows import DEFAULT_RULE, UNROLLED, Leaving, Place, Visible, clear, vis
 
 
 class Lighting(eqx.Module):
-    """The light on one point of a surface, found once for all materials the surface may have."""
+    """The light on one point of a surface, computed once for all materials that the surface may
+    have."""
 
     lights: tuple[Light, ...]  # the sources
     rules: tuple[Rule, ...]  # one for each light, see `lights.rules`
@@ -120,8 +121,9 @@ def lighting(
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
     occluders: Shapes | None = None,
 ) -> Lighting:
-    """The light on one point of a surface, m, with all its shadows but those that follow a
-    material: what `reflected_radiance` needs, for any number of materials."""
+    """The light on one point of a surface, m, including shadows, except for shadow rays whose
+    direction depends on the material. It is the input of `reflected_radiance` for any number of
+    materials."""
     rules = rule_of_each(lights, rule)
     place = visible = None
     if occluders is not None and (ready := sorted_shapes(occluders)).size is not None:
@@ -138,11 +140,10 @@ def reflected_radiance(
     *,
     tangent: Vector | None = None,
 ) -> Colour:
-    """The sum at the top of this file: (bands,) in W m^-2 sr^-1, 0 where `wo` lies below the
-    surface.
+    """The sum at the top of this file, (bands,) in W m^-2 sr^-1, 0 if `wo` lies below the surface.
 
     The samples of one light, and more than eight lights at one place, are a loop over one piece of
-    code; up to eight lights at one place are summed in one pass over the rays.
+    code. Up to eight lights at one place are summed in one pass over the rays.
     """
     frame, viewer = in_frame(normal, wo, tangent)
     point, dtype = light.point, common_dtype(material, light, normal, wo)

@@ -1,4 +1,4 @@
-"""Which light comes through to a point of a surface: hard shadows for each sample of a light.
+"""Visibility of lights from a point of a surface: hard shadows for each sample of a light.
 
 Lengths in m; no gradient. For ONE point: the caller vmaps.
 """
@@ -39,7 +39,7 @@ Visible = tuple[Bool[Array, " _"] | None, ...]
 
 
 class Leaving(Shown):
-    """How shadow rays leave a surface.
+    """The start of shadow rays at a surface.
 
     Attributes:
         normal: (3,) unit length, of the surface itself, not interpolated.
@@ -57,7 +57,7 @@ class Leaving(Shown):
 
 
 class Place(Shown):
-    """A point of a surface and what may lie between it and the lights.
+    """A point of a surface and the possible occluders of its lights.
 
     Attributes:
         point: (3,) m.
@@ -71,7 +71,7 @@ class Place(Shown):
 
 
 def clear(place: Place, direction: Direction, distance: Scalar) -> Bool[Array, ""]:
-    """Whether light from `distance`, () m, in a unit direction reaches the place."""
+    """Whether light from `distance`, () m, in a unit direction reaches the point."""
     normal, size = place.leaving.normal, place.leaving.size
     return ~occluded(place.point, normal, direction, distance, place.occluders, size=size)
 
@@ -85,7 +85,7 @@ def visibility(
     *,
     rule: Rule | Sequence[Rule] = DEFAULT_RULE,
 ) -> Visible:
-    """Which samples of each light reach a point. No gradient.
+    """The samples of each light that reach a point. No gradient.
 
     Args:
         lights: any number of sources.

@@ -8,7 +8,8 @@ from .views import View
 
 
 class Camera(Shown):
-    """Where each pixel looks, how light is measured, and how raw data become a picture.
+    """A view, a sensor and a development: the direction of each pixel, the measurement of light,
+    and the conversion to a picture.
 
     Attributes:
         view: the projection.

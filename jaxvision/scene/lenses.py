@@ -95,7 +95,8 @@ print_by_name(globals(), "Aperture")
 
 
 class Rim(Shown):
-    """A round edge in front of the aperture, of the front element, that cuts off oblique light.
+    """A round rim in front of the aperture, such as the edge of the front element, that blocks
+    oblique light.
 
     Attributes:
         distance: () m in front of the aperture, >= 0.
@@ -147,13 +148,13 @@ class Diffraction(Shown):
 
 
 class Distortion(Shown):
-    """Polynomial distortion: where the lens images a ray that an ideal lens images at (x, y).
+    """Polynomial distortion: the image position of a ray that an ideal lens images at (x, y).
 
         r^2 = x^2 + y^2,   s = 1 + k_1 r^2 + k_2 r^4 + ...
         (x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),   y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y)
 
-    A sensor beside the optical axis, and pixels that are not square, move and stretch that image;
-    `optics.opencv_view` makes such views of a camera matrix.
+    A sensor off the optical axis, and pixels that are not square, shift and stretch that image;
+    `optics.opencv_view` makes such views from a camera matrix.
 
     Attributes:
         radial: (terms,) k_1, k_2, ..., no unit; k_1 < 0 is a barrel, k_1 > 0 a pincushion.

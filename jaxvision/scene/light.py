@@ -9,7 +9,7 @@ from ..core._types import AMOUNT, Colour, as_float, check_fields
 
 
 class Light(Shown):
-    """Base of every kind of light; the record and the equations of a kind share a file in
+    """Base of every kind of light; the record and the equations of a kind are in one file in
     `lights/`.
 
     Attributes:

@@ -104,7 +104,7 @@ class HotPixels(Shown):
 class PoissonShotNoise(Shown):
     """Electrons are counted exactly: a Poisson draw replaces the mean.
 
-    For means up to 2^31 electrons; more are refused, and NaN under `jax.jit`.
+    It is for means up to 2^31 electrons. Larger means are refused, and give NaN under `jax.jit`.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=2.0)
@@ -116,9 +116,10 @@ class PoissonShotNoise(Shown):
 class FastPoissonShotNoise(Shown):
     """Electrons are counted by inverting the Poisson distribution.
 
-    Draws whole numbers, ten times faster than `PoissonShotNoise`, with gradients along the draw.
-    Within 1.4e-4 of the Poisson distribution in total variation at every mean up to 2^31
-    electrons; more are refused, and NaN under `jax.jit`. `sensor.count` gives the details.
+    The draws are whole numbers, ten times faster than `PoissonShotNoise`, with gradients along the
+    draw. The total variation distance from the Poisson distribution is at most 1.4e-4 at every mean
+    up to 2^31 electrons. Larger means are refused, and give NaN under `jax.jit`. `sensor.count`
+    gives the details.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.FastPoissonShotNoise())
@@ -129,9 +130,9 @@ class FastPoissonShotNoise(Shown):
 
 
 class GaussianShotNoise(Shown):
-    """A Gaussian draw of variance equal to the mean.
+    """A Gaussian draw whose variance equals the mean.
 
-    Accurate from about 20 electrons up; below, draws can be negative.
+    It is accurate from about 20 electrons on; below, draws can be negative.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.GaussianShotNoise())

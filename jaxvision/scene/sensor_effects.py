@@ -1,4 +1,4 @@
-"""Effects on the charge that pixels hold, before anything is read.
+"""Effects on the charge of pixels, before the read-out.
 
 Ranges are checked when a record is made, for numbers that are known then: `ValueError` names the
 field, the value and the allowed range. Traced values pass unchecked and have a defined result.
@@ -23,7 +23,7 @@ _SUM_OFF = 1e-4  # of a kernel's sum from 1; above, it was not normalised
 
 
 class SensorEffect(Shown):
-    """Base of effects on charge; `jaxvision.sensor.register` enters those from outside.
+    """Base of effects on charge; `jaxvision.sensor.register` registers external ones.
 
     Example:
         >>> class Leak(jv.SensorEffect):
@@ -34,11 +34,11 @@ class SensorEffect(Shown):
 
 
 class Mixing(SensorEffect):
-    """Linear mixing of the charges of neighbours after they were counted.
+    """Linear mixing of the counted charges of neighbours.
 
-    Capacitance between pixels, or an amplifier that settles slowly, reads a share of a pixel's
-    signal in its neighbours. Unlike `Sensor.crosstalk` it acts on counted electrons: the variance
-    of a pixel falls to sum kernel^2 of it, and neighbours are correlated.
+    Capacitance between pixels, or a slowly settling amplifier, reads a share of a pixel's signal in
+    its neighbours. Unlike `Sensor.crosstalk` it acts on counted electrons: the variance of a pixel
+    is multiplied by sum kernel^2, and neighbours are correlated.
 
     Attributes:
         kernel: (rows, columns) no unit, both odd: how the electrons of the pixel in the middle are
@@ -67,7 +67,7 @@ class Mixing(SensorEffect):
 
 
 class Nonlinearity(SensorEffect):
-    """Base of the curves by which the signal of a pixel departs from proportion to its charge.
+    """Base of the curves that describe a nonlinear signal of a pixel.
 
     A curve maps electrons to electrons. The result is the charge that gives the same signal in a
     linear sensor with the same gain at 0. The curve acts before the read-out adds noise.
@@ -81,7 +81,7 @@ class Nonlinearity(SensorEffect):
 class Compression(Nonlinearity):
     """A signal of s = e (1 - first u - second u^2), u = e / electrons, for a charge of e electrons.
 
-    Below 0 and above `electrons` it goes straight on.
+    Below 0 and above `electrons` it continues as a straight line.
 
     Attributes:
         first: () share of the signal lost at `electrons`, no unit.
@@ -135,8 +135,8 @@ class ResponseTable(Nonlinearity):
 class ResponseSpline(Nonlinearity):
     """A signal measured at some charges, with a smooth monotone curve between them.
 
-    The curve is the cubic Hermite spline that scipy calls PCHIP. Beyond the ends it goes straight
-    on.
+    The curve is the cubic Hermite spline that scipy calls PCHIP. Beyond the ends it continues as a
+    straight line.
 
     Attributes:
         electrons: (entries,) e-, ascending, at least two.

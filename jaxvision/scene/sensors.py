@@ -77,7 +77,7 @@ class PhotonConversion(Shown):
 
 
 class PixelAperture(Shown):
-    """The square in the middle of each pixel that gathers light.
+    """The square in the middle of each pixel that collects light.
 
     Attributes:
         fill_factor: () share of the pixel's area, in (0, 1], no unit.
@@ -102,7 +102,7 @@ class PixelAperture(Shown):
 
 
 class ColourFilter(Shown):
-    """A filter over each pixel, which then measures one number: a weighted sum of the bands.
+    """A filter over each pixel, whose measurement is then one number: a weighted sum of the bands.
 
     Attributes:
         transmission: (colours, bands) >= 0, relative; with a quantum efficiency of None, electrons
@@ -131,12 +131,13 @@ class ColourFilter(Shown):
 
 
 class BrighterFatter(Shown):
-    """Charge that repels what follows it into neighbouring pixels: bright spots grow with light.
+    """The brighter-fatter effect: collected charge repels later charge into neighbouring pixels, so
+    bright spots grow with light.
 
-    Charge Q moves the borders of pixels while it gathers. Over the border between the pixels p and
-    q flows the current (I_p + I_q) (phi_p - phi_q) / 2, with phi = K * Q: no electron is lost. In
-    even light this is the model of Antilogus et al. (JINST 9 C03048, 2014) and Astier et al. (A&A
-    629 A36, 2019) with the area changes a = K's discrete Laplacian per electron
+    The charge Q moves the borders of pixels while it is collected. Across the border between the
+    pixels p and q flows the current (I_p + I_q) (phi_p - phi_q) / 2 with phi = K * Q. No electron
+    is lost. In even light this is the model of Antilogus et al. (JINST 9 C03048, 2014) and Astier
+    et al. (A&A 629 A36, 2019) with the area changes a = K's discrete Laplacian per electron
     (`jaxvision.sensor.area_changes`); K is the kernel of Coulton et al. (AJ 155 258, 2018).
 
     Attributes:
@@ -166,7 +167,7 @@ class BrighterFatter(Shown):
 class ChargeTransfer(Shown):
     """Charge that a CCD leaves behind at each transfer towards its read-out.
 
-    The read-out lies before the first row and column.
+    The read-out is next to the first row and column.
 
     Attributes:
         inefficiency: () share of a packet per row transfer, in [0, 1/2], no unit.
@@ -212,7 +213,7 @@ class RollingShutter(Shown):
 
 
 class ShutterOffset(Shown):
-    """Light is gathered for longer than the exposure time that is stated.
+    """An exposure that is longer than the stated time.
 
     Attributes:
         time: () s, added to the exposure time of light, but not of dark current; below 0 where
@@ -231,7 +232,8 @@ class ShutterOffset(Shown):
 
 
 class Taps(Shown):
-    """Amplifiers or sites of a mosaic that differ: which pixel belongs to which, and their numbers.
+    """Different amplifiers or sites of a mosaic: the tap of each pixel, and the parameters of each
+    tap.
 
     Attributes:
         pattern: rows of tap indices 0, 1, ..., repeated from the first pixel on, or the phase of a

@@ -1,4 +1,4 @@
-"""Shapes of surfaces, in metres. Each says on which side its normals point: its front."""
+"""Shapes of surfaces, in metres. Each states the direction of its normals: its front."""
 
 from typing import Any
 
@@ -144,10 +144,10 @@ def _as_indices(x: Any) -> Array:
 
 
 class TriangleMesh(Shown):
-    """Triangles; the front of each is the side from which its vertices turn counterclockwise.
+    """Triangles. The front of each is the side from which its vertices are counterclockwise.
 
-    A triangle without area is never hit, and a vertex index out of range counts as the nearest in
-    range; `geometry.problems` reports both, and the faces that vertex normals turn black.
+    A triangle without area is never hit, and a vertex index out of range is clipped.
+    `geometry.problems` reports both, and faces that vertex normals make black.
 
     Attributes:
         vertices: (vertices, 3) m.

@@ -12,7 +12,7 @@ from .shapes import Shape
 
 
 class Material(Shown):
-    """Base of every family of BRDFs; the record and the equations of a family share a file in
+    """Base of every family of BRDFs; the record and the equations of a family are in one file in
     `brdf/`.
 
     Attributes:

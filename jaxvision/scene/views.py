@@ -1,4 +1,4 @@
-"""Projections of a camera: where each pixel looks."""
+"""Projections of a camera: the direction of each pixel."""
 
 import equinox as eqx
 import numpy as np
@@ -85,7 +85,7 @@ class Pinhole(Shown):
 class ThinLens(Shown):
     """Central projection through a lens that is in focus at one distance.
 
-    The sensor stands where the lens law images the plane in focus.
+    The sensor is at the image distance of the plane in focus.
 
     Attributes:
         position: (3,) m, the centre of the lens.
