@@ -148,7 +148,9 @@ def photometric_stereo(
         degrees from the viewer, cones of 95 % held the normal in 94 to 98 % of the pixels of a matt
         ball, in 94 to 99 % of a glossy one and in 90 to 97 % of a rough one. With fewer than 16
         lights, some of which graze, a rough surface rotates normals by more than its residuals
-        show: cones held 54 to 67 %, and the sentence says that too.
+        show: cones held 54 to 67 %, and the sentence says that too. Light that one part of a
+        surface throws onto another changes the readings as another normal would, leaves hardly any
+        residual, and is not allowed for: in a hollow the standard deviations are lower bounds.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
@@ -320,8 +322,8 @@ def _of_misfit(
     used: Int[np.ndarray, " pixels"],
 ) -> str:
     few = (
-        f" With as few lights as {np.median(used):.0f} a rough surface may rotate normals twice as "
-        f"far; {FEW_LIGHTS} would show it."
+        f" With as few lights as {np.median(used):.0f} they are lower bounds: a rough surface may "
+        f"rotate normals twice as far; {FEW_LIGHTS} would show it."
         if np.median(used) < FEW_LIGHTS
         else ""
     )
@@ -330,7 +332,9 @@ def _of_misfit(
         "a gamma, clipped pixels), or the lights are not as stated: neighbouring lights depart "
         f"from m = E rho n.l alike, by {format_percent(np.nanmedian(misfit), decimals=1)} of the "
         f"albedo (median over pixels). The standard deviations of normals allow for it and are "
-        f"{np.nanmedian(wider):.1f} times what noise alone makes them.{few}"
+        f"{np.nanmedian(wider):.1f} times what noise alone makes them.{few} Where parts of the "
+        "surface light each other, as in a hollow, they are lower bounds too: such light rotates "
+        "normals and leaves hardly any residual."
     )
 
 

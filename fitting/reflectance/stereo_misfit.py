@@ -25,7 +25,8 @@ noise is at most twice the part that they do not share.
 
 Cameras count photons, so the variance of a reading grows with it, by a share that maximises the
 restricted likelihood. Under lights of unequal intensities, a constant variance would be mistaken
-for departures under the stronger lights.
+for departures under the stronger lights. Only pixels whose mean reading is clear of the noise
+count: in a dark background the readings above 0 are chosen by their noise, and are not Gaussian.
 """
 
 from dataclasses import dataclass
@@ -42,6 +43,7 @@ THINNEST = 1e-4  # of the largest eigenvalue: features of the process that are l
 WHOLE = 1e-9  # of the largest eigenvalue: what is no more than rounding
 EVIDENCE = 10.0  # logarithm of the likelihood ratio from which departures are seen
 FEW_LIGHTS = 16  # whose residuals, as far as they are no noise, are taken for slow departures
+CLEAR = 3.0  # standard deviations of a reading: the least mean of pixels that tell of departures
 SEEN = 5.0  # standard errors of the correlation of neighbouring pixels, likewise
 ROUNDS = 30  # of the distribution over the pixels
 MATT = 0.95  # share of pixels without departures that the search for it starts from
@@ -58,6 +60,8 @@ OF_PHOTONS = (
     0.93,
     0.98,
     0.995,
+    0.999,
+    0.9999,
 )  # shares of a typical reading's variance that grow with it
 
 
@@ -124,14 +128,21 @@ def departures(
     expected = np.maximum(np.nan_to_num(rows @ g.T), 0)
     typical = float(np.median(expected[counted & told])) or 1.0
 
-    some, fits = places[:: -(-len(places) // MOST)], []
+    left = np.where(counted, flat - rows @ g.T, 0)
+    clear = np.where(counted, flat, 0).sum(axis=0) ** 2 * (used - 3) > (
+        CLEAR**2 * used**2 * (left**2).sum(axis=0)
+    )
+    voters = told & clear if clear[told].any() else told
+    voting = counts & voters.reshape(counts.shape[1:])
+    some, fits = np.flatnonzero(voters), []
+    some = some[:: -(-len(some) // MOST)]
     for share in OF_PHOTONS:
         weights = counted / (1 - share + share * expected / typical)
         g, inverse = solved(rows, flat, weights)
         of = _Fit(rows, features, np.where(counted, flat - rows @ g.T, 0), weights, inverse)
         scaled = of.residuals * np.sqrt(weights)
-        shared = shared_squares(scaled.reshape(readings.shape), counts)
-        scatter = (scaled[:, told] ** 2).sum(axis=0) / (used[told] - 3)
+        shared = shared_squares(scaled.reshape(readings.shape), voting)
+        scatter = (scaled[:, voters] ** 2).sum(axis=0) / (used[voters] - 3)
         unshared = (1 - shared) * float(scatter.mean()) if shared else np.inf
         fits.append((of, _prior(of.reduced(some), unshared, RATIOS[:1])))
     best = max(fits, key=lambda fit: fit[1].likelihood)
@@ -329,17 +340,12 @@ def _radius(
 
 def shared_squares(residuals: np.ndarray, counts: np.ndarray) -> float:
     """Share of the residuals' squares that neighbouring pixels have in common; 0 within chance."""
-    product = square = pairs = freedom = 0.0
+    product = square = spread = 0.0
     for axis in (1, 2):
         one, other = (np.moveaxis(a, axis, 0) for a in (residuals, counts))
         both = other[:-1] & other[1:]
         first, second = np.where(both, one[:-1], 0), np.where(both, one[1:], 0)
         product += float((first * second).sum())
         square += float((first**2 + second**2).sum()) / 2
-        used = both.sum(axis=1)
-        pairs += float(used.sum())
-        freedom += float(np.maximum(used - 3, 0).sum())
-    if square == 0 or freedom == 0:
-        return 0.0
-    correlation = product / square
-    return correlation if correlation * np.sqrt(freedom) > SEEN else 0.0
+        spread += float((first**2 * second**2).sum())
+    return product / square if product > SEEN * np.sqrt(spread) else 0.0

@@ -289,6 +289,83 @@ def test_right_intensities_that_differ_are_not_called_wrong(brighter):
     assert 0.91 < np.mean(z < 1.96) < 0.98  # was all of them, of errors three times too large
 
 
+@pytest.mark.parametrize("albedo", [1.0, np.linspace(0.1, 1, 900)])
+def test_noise_that_grows_with_the_reading_is_not_called_another_surface(albedo):
+    """Background pixels, kept where their noise is above 0, had passed for departures."""
+    lights, normals = hemisphere(64, 0.5), ball(30).reshape(-1, 3)
+    mean = 1000 * albedo * np.maximum(np.nan_to_num(lights @ normals.T), 0)
+    noise = np.random.default_rng(0).normal(size=mean.shape)
+    readings = mean + np.sqrt(4 + 0.5 * mean) * noise
+    found = photometric_stereo(readings.reshape(-1, 30, 30), lights)
+    assert not found.findings
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    known = np.isfinite(off)
+    inside = np.mean((off < 2.448 * found.normal_sd.ravel())[known])
+    assert abs(inside - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / known.sum())
+
+
+def torrance(lights, normals, slope):
+    """Lambert's and Cook and Torrance's lobe of as much energy, index 1.5; the viewer in +z."""
+    half = lights + np.array([0, 0, 1.0])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    lit, seen, towards = lights @ normals.T, normals[None, :, 2], half[:, 2:]
+    cosine = np.clip(half @ normals.T, 1e-6, 1)
+    facets = np.exp((cosine**2 - 1) / (slope * cosine) ** 2) / (np.pi * slope**2 * cosine**4)
+    masked = np.minimum(1, 2 * cosine * np.minimum(seen, np.maximum(lit, 0)) / towards)
+    g = np.sqrt(1.25 + towards**2)
+    second = ((towards * (g + towards) - 1) / (towards * (g - towards) + 1)) ** 2
+    fresnel = ((g - towards) / (g + towards)) ** 2 * (1 + second) / 2
+    lobe = np.pi * facets * masked * fresnel / (4 * np.maximum(seen, 1e-3))
+    return power(lights, normals, 1) + np.where(lit > 0, lobe, 0)
+
+
+def near(lights, normals, distance):
+    """A matte ball under lights so many of its radii away, taken for distant."""
+    toward = distance * lights[:, None] - normals
+    apart = np.linalg.norm(toward, axis=-1)
+    return distance**2 * np.maximum((toward * normals).sum(axis=-1), 0) / apart**3
+
+
+def hollow(lights, normals, albedo):
+    """The inside of a sphere to 60 degrees, where light thrown from wall to wall is the same
+    everywhere: albedo F / (1 - albedo F) of the mean, F = 1/4 being the cap's share of a sphere."""
+    wall = normals_within(60, 20_000)
+    share = albedo / 4 / (1 - albedo / 4)
+    inside = np.where(normals[:, 2] > 0.5, power(lights, normals, 1), np.nan)
+    return inside + share * power(lights, wall, 1).mean(axis=1)[:, None]
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("lowest", [0.5, 0.1])
+@pytest.mark.parametrize(
+    ("surface", "shape", "least"),
+    [
+        (power, 1.0, 0.92),
+        (power, 1.1, 0.9),
+        (power, 0.9, 0.9),
+        (rough, 0.5, 0.9),
+        (torrance, 0.1, 0.9),
+        (torrance, 0.25, 0.9),
+        (torrance, 0.4, 0.9),
+        (near, 30.0, 0.9),
+        (hollow, 0.3, None),
+    ],
+)
+def test_the_cone_covers_or_is_said_to_be_a_lower_bound(surface, shape, least, lowest):
+    lights, normals = hemisphere(64, lowest), ball(30).reshape(-1, 3)
+    readings = 1000 * np.nan_to_num(surface(lights, normals, shape))
+    readings += np.random.default_rng(3).normal(0, 2, readings.shape)
+    found = photometric_stereo(readings.reshape(-1, 30, 30), lights)
+    off = np.arccos(np.clip((found.normals.reshape(-1, 3) * normals).sum(-1), -1, 1))
+    known = np.isfinite(off) & (normals[:, 2] > 0.5 if surface is hollow else True)
+    inside = np.mean((off < 2.448 * found.normal_sd.ravel())[known])
+    if least is None:
+        assert inside < 0.2
+        assert "as in a hollow, they are lower bounds" in str(found)
+    else:
+        assert inside > least
+
+
 def test_copies_are_named():
     readings = READ + RNG.normal(0, 2, READ.shape)
     readings[7] = readings[2]
