@@ -25,7 +25,7 @@ from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
 from ..inference.given import plain_numbers
 from .stereo_lights import FLAT, Common, common_departure, solved
-from .stereo_misfit import FEW_LIGHTS, departures, shared_squares
+from .stereo_misfit import departures, shared_squares
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
 FAR = 2.5  # standard deviations at which a reading is left out (Rousseeuw & Leroy, 1987)
@@ -39,6 +39,7 @@ APART = 8.0  # times the median image's median residual, from which an image sta
 FEWEST = 30  # pixels by which an image is judged
 ALONE = 0.02  # logarithm of a factor that sets an image apart from those that agree
 SHARED, SMALL = 0.5, 0.02  # of the residuals' squares; of the albedo: a contradiction that is told
+SHOWN_BY = 32  # lights whose residuals show what a rough surface does to normals
 NEGLIGIBLE = 1e-6  # of the albedo: a departure from Lambert's law that is rounding
 HEADS = ("", "median", "90 % of pixels in", "unit")
 
@@ -146,11 +147,12 @@ def photometric_stereo(
         pixels ask for are named; g is not corrected for them, but the standard deviations allow
         for the change that they would make. On simulated balls under 6 to 96 lights, at most 60
         degrees from the viewer, cones of 95 % held the normal in 94 to 98 % of the pixels of a matt
-        ball, in 94 to 99 % of a glossy one and in 90 to 97 % of a rough one. With fewer than 16
+        ball, in 94 to 99 % of a glossy one and in 90 to 97 % of a rough one. With fewer than 32
         lights, some of which graze, a rough surface rotates normals by more than its residuals
-        show: cones held 54 to 67 %, and the sentence says that too. Light that one part of a
-        surface throws onto another changes the readings as another normal would, leaves hardly any
-        residual, and is not allowed for: in a hollow the standard deviations are lower bounds.
+        show: cones of 8, 16 and 24 lights held 66, 78 and 88 %, and the sentence says that too.
+        Light that one part of a surface throws onto another changes the readings as another normal
+        would, leaves hardly any residual, and is not allowed for: in a hollow the standard
+        deviations are lower bounds.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.
@@ -323,8 +325,8 @@ def _of_misfit(
 ) -> str:
     few = (
         f" With as few lights as {np.median(used):.0f} they are lower bounds: a rough surface may "
-        f"rotate normals twice as far; {FEW_LIGHTS} would show it."
-        if np.median(used) < FEW_LIGHTS
+        f"rotate normals twice as far; {SHOWN_BY} lights would show it."
+        if np.median(used) < SHOWN_BY
         else ""
     )
     return (
