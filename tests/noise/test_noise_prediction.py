@@ -287,6 +287,32 @@ def test_bad_input_is_named(tmp_path):
     assert "no such rig file" in stderr
 
 
+@pytest.mark.parametrize("left_out", ["read_noise", "shot_noise"])
+def test_a_camera_without_a_noise_predicts_means_alone(left_out):
+    made = measured(np.random.default_rng(3))
+    found = predict(replace(PLAIN, **{left_out: None}), made)
+    assert list(found.judged.agreement) == ["means"]
+    assert found.judged.missed == []
+    dark = np.sqrt(np.mean(made.dark.variance))
+    assert any(
+        f"states no {left_out}" in told and f"{dark:.3g} DN rms in the dark" in told
+        for told in findings(found)
+    )
+    # What means tell is still found: 2 % more light than stated, by no more than its error.
+    lit = replace(made, bright=replace(made.bright, light=made.bright.light / 1.02))
+    (more,) = predict(replace(PLAIN, **{left_out: None}), lit).missing
+    assert more.key == "light"
+    assert "2.00" in more.clause or "1.99" in more.clause or "2.01" in more.clause
+
+
+def test_a_gain_that_saturates_every_level_is_refused_and_a_missing_one_is_said():
+    made = measured(np.random.default_rng(3))
+    with pytest.raises(InputError, match="predicts every level of light at an end of its scale"):
+        predict(replace(PLAIN, gain=100.0), made)
+    found = predict(replace(PLAIN, gain=None, bits=None), made)
+    assert "states no gain: 1 DN/e⁻ was taken" in " ".join(findings(found))
+
+
 @pytest.mark.slow
 def test_one_camera_file_predicts_the_taps_of_a_folder(tmp_path):
     """Even and odd columns; a camera of one amplifier names gain and black of the other."""

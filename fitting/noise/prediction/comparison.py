@@ -39,6 +39,8 @@ REFINEMENTS = 3  # of the rate of the light; the signal is nearly linear in it
 CLOSE = (0.9, 1.1)  # of chi-square over its degrees of freedom, where no effect is looked for
 CHANCE = 1e-3  # of a chi-square further from its degrees of freedom without a missing effect
 NEIGHBOURS = "covariances of neighbours"
+IN_ONE = 1e-4  # codes from an end of the scale, and of variance, within which all is in one code
+UNKNOWN = 1e9  # times the noise of the frames, the variance of what a camera does not predict
 PARTS = {"means": (0,), "variances": (1,), NEIGHBOURS: (2, 3)}
 
 
@@ -82,7 +84,8 @@ class Comparison:
         noise: (quantities, levels) variance by the frames' own noise.
         camera: (quantities levels, quantities levels) covariance by the draws of the camera; 0 of
             what the camera was fitted to.
-        agreement: by the names of `PARTS`.
+        agreement: by the names of `PARTS`; of means alone where the camera does not tell noise.
+        ended: levels that were left out, as the camera predicts them at an end of its scale.
     """
 
     lit: Lit
@@ -91,6 +94,7 @@ class Comparison:
     noise: Float[np.ndarray, "quantities levels"]
     camera: Float[np.ndarray, "values values"]
     agreement: dict[str, Agreement]
+    ended: int = 0
 
     @property
     def seen(self) -> Float[np.ndarray, "quantities levels"]:
@@ -122,10 +126,12 @@ def compare(
     *,
     shown: Bool[np.ndarray, " levels"] | None = None,
     fitted: bool = False,
+    noise_known: bool = True,
     light_error: float = 0.0,
     variance_error: float = 0.0,
 ) -> Comparison:
-    """The prediction of a measurement by a camera, compared with the measurement."""
+    """The prediction of a measurement by a camera, compared with the measurement. Without
+    `noise_known` means are compared alone, with the errors that the frames' own variances give."""
     errors = {"light_error": light_error, "variance_error": variance_error}
     lit, levels = levels_of(measurement, usable, **errors)
     shown = np.ones(lit.lit.size, bool) if shown is None else shown
@@ -135,6 +141,12 @@ def compare(
     if unscaled:
         lit = _scaled(best, every, measurement, lit, seen, shown)
     found, drawn = _expected(best, every, measurement, lit, len(seen) == len(QUANTITIES))
+    ended = np.zeros(shown.size, bool)
+    if not fitted:
+        ended = shown & _at_an_end(best, found.values, measurement)
+        shown = shown & ~ended
+    if not noise_known:
+        found = replace(found, values=np.concatenate([found.values[:1], seen[1:]]))
     own = noise(levels, found)
     spread = drawn - drawn.mean(axis=0)
     if unscaled:  # each draw has its own rate of the light, by the means
@@ -146,9 +158,12 @@ def compare(
     seen, lit = levels.seen, jax.tree.map(lambda x: x[shown], lit)
     flat = spread.reshape(len(spread), -1)
     camera = flat.T @ flat / len(flat)
+    if not noise_known:
+        unknown = UNKNOWN * np.concatenate([0 * own[:1], own[1:]]).ravel()
+        camera = np.where(np.outer(unknown, unknown) > 0, 0.0, camera) + np.diag(unknown)
     agreement = {}
     for name, rows in PARTS.items():
-        if rows[-1] < len(seen):
+        if rows[-1] < (len(seen) if noise_known else 1):
             free = int(unscaled and name == "means")
             place = np.ravel([np.arange(seen.shape[1]) + row * seen.shape[1] for row in rows])
             missed = (seen - found.values).ravel()[place]
@@ -158,7 +173,17 @@ def compare(
             )
             if taken:
                 camera[place] = camera[:, place] = 0.0
-    return Comparison(lit, levels, found, own, camera, agreement)
+    return Comparison(lit, levels, found, own, camera, agreement, int(ended.sum()))
+
+
+def _at_an_end(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) -> np.ndarray:
+    """Which levels are all in the first or last code of the sensor, without any noise."""
+    if sensor.bits is None:
+        return np.zeros(values.shape[1], bool)
+    step, origin = measurement.converter.step or 1.0, measurement.converter.origin
+    codes = (values[0] - origin) / step
+    end = (codes < IN_ONE) | (codes > 2.0 ** float(sensor.bits) - 1 - IN_ONE)
+    return end & (values[1] < IN_ONE * step**2)
 
 
 def _agreement(

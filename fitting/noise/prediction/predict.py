@@ -4,8 +4,10 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool
 
@@ -28,6 +30,7 @@ from .missing import Missing, missing_effects
 
 DRAWS = 200  # of a camera file, by which its own uncertainty is judged
 LEAST = 3  # levels of light beyond the terms of a curve that half of the levels must have
+NOISES = ("read_noise", "shot_noise")  # without which no variance is predicted
 EVERY = 2  # levels of which one is kept out
 FEWEST_DARKS = 8  # from which on darks are kept out, too
 
@@ -46,6 +49,7 @@ class Prediction(ShownInNotebooks):
         light_error: relative, by which the light of a level is off.
         variance_error: relative, by which variances scatter for reasons that are not known.
         missing: effects that the camera lacks, of those that are known.
+        remarks: what the camera does not tell and what was done about it, in sentences.
     """
 
     camera: str
@@ -55,6 +59,7 @@ class Prediction(ShownInNotebooks):
     light_error: float
     variance_error: float
     missing: tuple[Missing, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def judged(self) -> Comparison:
@@ -121,7 +126,24 @@ def predict(
         draws = eqx.tree_at(_conversion, draws, None, is_leaf=lambda leaf: leaf is None)
     measurement = as_dtype(measurement, np.float64)
     usable = linear_levels(measurement)
-    found = compare(camera, draws, measurement, usable, light_error=light_error)
+    untold = [field for field in NOISES if getattr(camera, field) is None]
+    dithered = camera
+    if camera.read_noise is None:  # what rounding does to means depends on it
+        step = (measurement.converter.step or 1.0) * (1.0 if camera.gain is None else camera.gain)
+        read = np.sqrt(np.asarray(measurement.dark.variance).mean()) / step
+        dithered = replace(camera, read_noise=read)
+        if draws is not None:
+            draws = replace(draws, read_noise=np.full(len(jax.tree.leaves(draws)[0]), read))
+    found = compare(
+        dithered, draws, measurement, usable, noise_known=not untold, light_error=light_error
+    )
+    lit = np.asarray(found.lit.lit) > 0
+    if not lit.any():
+        raise InputError(
+            f"{name}: predicts every level of light at an end of its scale, but the frames have "
+            f"{float(measurement.bright.mean[usable].min()):.4g} to "
+            f"{float(measurement.bright.mean[usable].max()):.4g} DN; check its gain and offset."
+        )
     unscaled = camera.quantum_efficiency is None or not measurement.photons_known
     return Prediction(
         camera=name,
@@ -131,7 +153,30 @@ def predict(
         light_error=light_error,
         variance_error=0.0,
         missing=missing_effects(found),
+        remarks=tuple(_untold(name, camera, untold, found)),
     )
+
+
+def _untold(name: str, camera: Sensor, noises: list[str], found: Comparison) -> list[str]:
+    """Sentences on numbers that the camera lacks, and on levels that were therefore left out."""
+    told = [
+        f"{name} states no {field}: {taken} was taken."
+        for field, taken in (("gain", "1 DN/e⁻"), ("offset", "a black level of 0 DN"))
+        if getattr(camera, field) is None
+    ]
+    if noises:
+        seen, lit = np.asarray(found.seen[1]), np.asarray(found.lit.lit) > 0
+        told.append(
+            f"{name} states no {' and no '.join(noises)}, without which it predicts no variance: "
+            "means were compared alone, with the noise that the frames have, "
+            f"{float(np.sqrt(seen[~lit].mean())):.3g} DN rms in the dark."
+        )
+    if found.ended:
+        told.append(
+            f"{found.ended} level{'s' * (found.ended > 1)} that the camera predicts at an end of "
+            "its scale were left out."
+        )
+    return told
 
 
 def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:
@@ -170,7 +215,7 @@ def predict_own_frames(calibration: NoiseCalibration) -> Prediction:
     )
 
 
-def scatters(calibration: NoiseCalibration) -> dict[str, float]:
+def scatters(calibration: NoiseCalibration) -> dict[str, Any]:
     """Scatter that no camera file contains: relative scatter of the light and of variances between
     levels."""
     values = calibration.chosen.values

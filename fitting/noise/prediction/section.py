@@ -73,7 +73,7 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
             f"These allow for what no camera file holds: from level to level {' and '.join(errors)}"
             " rms."
         )
-    return (*told, *explanations(prediction))
+    return (*told, *prediction.remarks, *explanations(prediction))
 
 
 def explanations(prediction: Prediction) -> list[str]:
