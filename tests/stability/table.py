@@ -50,12 +50,12 @@ place: the distance between neighbouring floating-point numbers at the true valu
 - **†**: the errors are divided by the condition number 1 + Σ |x ∂f/∂x| / |f|. There the result is a
   difference or an exponential of rounded numbers, and no formula is more accurate.
 - **slope**: the largest relative error of a derivative over the hard cases, float32 / float64. It
-  is relative to the largest slope with respect to the same argument; where the note says so, or to
-  a hundredth of f / x.
+  is relative to the largest slope with respect to the same argument, or to a hundredth of f / x
+  where the note says so.
 - **jit, one**: the largest difference in ULP, in float32, between compiled and eager code at 32
   points, and between `vmap` and a loop at 3 points.
-- **bound**: the tests fail if an error exceeds this. {outside} Infinite or NaN results where the
-  true one is finite: {non_finite} of {points:,} points; slopes: {endless}.
+- **bound**: the tests fail if an error exceeds this. {outside} Number of infinite or NaN
+  results where the true one is finite: {non_finite} of {points:,} points; slopes: {endless}.
 - **points**: the domain of each argument in turn, as a range. Points are uniform in the logarithm,
   or uniform if the range begins at 0. ± means either sign, and "3 of" means three components of a
   vector. Outside of the domain only hard cases were measured.
@@ -106,7 +106,7 @@ LAST = """
 ## Errors above four units
 
 Errors above 4 ULP remain where a formula multiplies rounding errors by a small whole number. If
-they matter, compute in float64 and convert the result to float32: the error is then half a unit
+they matter, compute in float64 and convert the result to float32, with an error of half an ULP
 (`JAX_ENABLE_X64=1`, records by `as_dtype`). This takes 2.5 times as long for the dielectric, 2.1
 times for the conductor and 1.5 times for GGX (a million points, two cores,
 `tests/benchmarks/bench_precision.py`). Compensated float32 arithmetic, as in `spectra.blackbody`,
