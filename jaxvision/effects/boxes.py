@@ -125,6 +125,9 @@ def _checked(name: str, own: jax.Array, values: tuple[Any, Any]) -> list[np.ndar
 
 def keeps(draft: Draft, name: str, scene: Scene, camera: Camera) -> bool:
     """Whether a draft still has the field of that name, with its original shape and meaning."""
+    place = re.match(r"surfaces\[(\d+)\]", name)
+    if place is not None and draft.unmet and int(place[1]) >= min(draft.unmet):
+        return False  # another surface would have its number
     if name in _OF_A_LENS and type(draft.camera.view) is not type(camera.view):
         return False
     of_scene = value_at(scene, name)

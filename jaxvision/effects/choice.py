@@ -244,7 +244,7 @@ def bands_of(draft: Draft) -> int:
     """Return the number of bands of the picture from the remaining records. Neutral mirrors alone
     do not determine it."""
     counts = [1]
-    for surface in draft.surfaces:
+    for surface in draft.left:
         material = surface.material
         counts += [getattr(material, name).shape[-1] for name in material.spectra]
         counts += [
@@ -265,11 +265,15 @@ def finished(scene: Scene, draft: Draft) -> Scene:
         changed = [draft.lights[k] is not scene.lights[k] for k in left]
         rules = tuple(None if new else rules[k] for k, new in zip(left, changed, strict=True))
     dark = draft.depth is None and draft.shadowless.issuperset(left)
+    occluders = scene.occluders
+    if occluders is not None:
+        met = [i for i in range(len(scene.surfaces)) if i not in draft.unmet]
+        occluders = tuple(met.index(i) for i in occluders if i in met)
     return replace(
         scene,
-        surfaces=draft.surfaces,
+        surfaces=draft.left,
         lights=tuple(draft.lights[k] for k in left),
         ambient=draft.ambient,
-        occluders=() if dark else scene.occluders,
+        occluders=() if dark else occluders,
         rules=rules,
     )

@@ -14,6 +14,7 @@ from .probes import probed_rows
 from .radiance import scene_stage
 from .spectra import band_rows
 from .stages import Arriving, Ends, Row
+from .unmet import unmet_rows, with_owners
 
 Motion = Callable[[Scene, View, Any], tuple[Scene, View]]
 
@@ -42,6 +43,9 @@ def scene_rows(
     rows, arriving, sums = scene_stage(scene, view, depth=depth, caustics=caustics)
     if motion is None or sensor.exposure_time is None:
         further = bounce_rows(sums, depth)
+        if depth is None:
+            bodies = tuple(unmet_rows(scene, sums))
+            rows = (*with_owners(rows, bodies), *bodies)
         rows += band_rows(sums, direct=depth is None)
         if whole_paths:
             return rows + tuple(_uncut(row) for row in further[:1]), arriving

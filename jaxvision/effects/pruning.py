@@ -240,7 +240,8 @@ def prune(
         whole_paths, caustics: as in `inspect`.
 
     Returns:
-        What remains, with a certificate of what does not.
+        What remains, with a certificate of what does not. Lights and surfaces after a dropped one
+        have lower numbers.
 
     Raises:
         ValueError: for records with traced numbers.
@@ -313,11 +314,12 @@ def _new_kinds(scene: Scene, draft: Draft) -> tuple[str, ...]:
     program."""
     before, after = (
         [jax.tree.structure(surface.material) for surface in surfaces]
-        for surfaces in (scene.surfaces, draft.surfaces)
+        for surfaces in (scene.surfaces, draft.left)
     )
     if len(set(after)) <= len(set(before)):
         return ()
-    new = [k for k, kind in enumerate(after) if kind not in before]
+    numbers = [k for k in range(len(before)) if k not in draft.unmet]
+    new = [k for k, kind in zip(numbers, after, strict=True) if kind not in before]
     parted = [k for k in new if before[k] in after]
     return tuple(f"surfaces[{k}].material" for k in parted or new)
 

@@ -39,7 +39,7 @@ class Draft:
     """The scene and camera during pruning: lights and surfaces at their original indices, with None
     for dropped ones."""
 
-    surfaces: tuple[Surface, ...]  # all of them
+    surfaces: tuple[Surface, ...]  # all of them, those in `unmet` too
     lights: tuple[Light | None, ...]  # each, or None where it was dropped
     shadowless: frozenset[int]  # numbers of the lights whose shadows were dropped
     ambient: AmbientLight | None
@@ -49,6 +49,12 @@ class Draft:
     moments: int | None = None  # of a motion, or None
     depth: int | None = None  # pieces of a path, or None: direct light
     bands: tuple[np.ndarray, np.ndarray] | None = None  # (kept bands, expand) or None
+    unmet: frozenset[int] = frozenset()  # numbers of the surfaces that were dropped
+
+    @property
+    def left(self) -> tuple[Surface, ...]:
+        """The surfaces that were not dropped."""
+        return tuple(own for i, own in enumerate(self.surfaces) if i not in self.unmet)
 
 
 Drop = Callable[[Draft], Draft]

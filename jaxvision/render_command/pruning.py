@@ -138,10 +138,14 @@ def left_of(
     if pruned is None:
         return source, settings
     gone = {effect.name for effect in pruned.certificate.dropped}
-    names = tuple(n for k, n in enumerate(source.lights) if f"lights[{k}]" not in gone)
+    lights, surfaces = (
+        tuple(own for k, own in enumerate(names) if f"{kind}[{k}]" not in gone)
+        for kind, names in (("lights", source.lights), ("surfaces", source.surfaces))
+    )
     view = pruned.camera.view if isinstance(pruned.camera, Camera) else pruned.camera
     bands = source.bands if pruned.expand is None else pruned.expand.shape[1]
-    left = replace(source, scene=pruned.scene, view=view, lights=names, bands=bands)
+    left = replace(source, scene=pruned.scene, view=view, bands=bands)
+    left = replace(left, lights=lights, surfaces=surfaces)
     if pruned.depth is None or settings.integrator not in CUT:
         return left, settings
     return left, settings.model_copy(update={"depth": min(pruned.depth, settings.depth)})
