@@ -59,8 +59,8 @@ def each(name: str, values: Sequence[float] | ArrayLike) -> list[float]:
         n numbers.
 
     Raises:
-        InputError: for what is no list of numbers, and for arrays with a unit, an index or
-            coordinates, whose order or scale may be another.
+        InputError: for a value that is no list of numbers, and for arrays with a unit, an index or
+            coordinates, whose order or scale may differ.
 
     Example:
         >>> from fitting.observation import each

@@ -135,19 +135,19 @@ class _Known(Entry):
     An `_sd` is the standard deviation of a stated number, which otherwise counts as exact.
 
     Attributes:
-        bits: ADC bits of the digital numbers in the files (12-bit data may lie in 16-bit files), 1
-            to 16.
+        bits: ADC bits of the digital numbers in the files, 1 to 16; 12-bit data may lie in 16-bit
+            files.
         gamma: encoding exponent of the files; 1 is linear.
         pixel_pitch: m.
-        wavelength: m, of the monochromatic light of the flats.
-        black_sd: DN, of the black level.
-        gamma_sd: of the encoding exponent.
-        gain_sd: DN per electron.
-        read_noise_sd: electrons rms.
-        prnu_sd: of the pixels' gains, relative to their mean, after flat-field correction; 0 if
-            pixels are equal.
-        date: when the images were taken; studies of many cameras look for drift with it.
-        temperature: K, of the sensor; likewise.
+        wavelength: of the monochromatic light of the flats, m.
+        black_sd: standard deviation of the black level, DN.
+        gamma_sd: standard deviation of the encoding exponent.
+        gain_sd: standard deviation of the gain, DN per electron.
+        read_noise_sd: standard deviation of the read noise, electrons rms.
+        prnu_sd: standard deviation of the pixels' gains relative to their mean, after flat-field
+            correction; 0 if pixels are equal.
+        date: when the images were taken; studies of many cameras test for drift with it.
+        temperature: of the sensor, K; studies of many cameras test for drift with it.
     """
 
     bits: Annotated[Count, Field(le=16)]
@@ -216,14 +216,14 @@ class Camera(_Known):
         gain: DN per electron.
         read_noise: electrons rms.
         pattern: phase of a Bayer mosaic.
-        taps: rows and columns after which the amplifiers repeat; [1, 2] where even and odd columns
-            have one each. Or the parts of the frame that have one each: "left and right", "top and
-            bottom" or "quadrants".
-        region: top, left, height and width, in pixels, of the part of each frame that is used; one
-            half of a chip with an amplifier on either side.
-        sensor: file of a calibrated sensor, `sensor.toml` as `jaxvision-fit noise` writes it.
-            Where black_level, gain, read_noise or prnu_sd are missing here, they are those of this
-            file, with the standard deviations of its draws. Its codes are those of the images.
+        taps: rows and columns after which the readout amplifiers repeat; [1, 2] where even and odd
+            columns have one each. Or the parts of the frame with one amplifier each: "left and
+            right", "top and bottom" or "quadrants".
+        region: top, left, height and width, in pixels, of the used part of each frame, for example
+            one half of a chip with two amplifiers.
+        sensor: file of a calibrated sensor, `sensor.toml` of `jaxvision-fit noise`. It supplies
+            black_level, gain, read_noise and prnu_sd where they are missing here, with standard
+            deviations from its draws. Its codes are those of the images.
     """
 
     black_level: NonNegativeBySite | None = None
@@ -339,14 +339,14 @@ class Camera(_Known):
         """The known values of one site.
 
         Args:
-            channel: a name among `sites`; of RGB images also `red`, `green` or `blue`, before the
+            channel: a name in `sites`; for RGB images also `red`, `green` or `blue`, before the
                 name of a tap where there are several.
 
         Returns:
-            The camera there, with one number each.
+            The camera of that channel, with one number for each property.
 
         Raises:
-            ValueError: for a name that is none.
+            ValueError: for an unknown name.
         """
         known: dict[str, Any] = self.model_dump(include=set(_Known.model_fields))
         known |= {name: self._number(name, channel) for name in BY_SITE}
@@ -359,7 +359,7 @@ class Camera(_Known):
             colour: whether frames are RGB images.
 
         Returns:
-            `sites`; of RGB images three for each: `red`, or `red tap 0,1` and the like.
+            `sites`; for RGB images three for each: `red`, or `red tap 0,1` and the like.
         """
         if not colour:
             return self.sites
@@ -435,9 +435,9 @@ class Level(Entry):
 
     Attributes:
         files: names.
-        exposure: s, or as "1/8"; 0 of a bias frame, or where the light comes from a flash.
-        iso: the ISO speed that the gain was set to.
-        gain_db: the gain that was set, in dB, in place of an ISO speed.
+        exposure: s, or as "1/8"; 0 for a bias frame, or where the light comes from a flash.
+        iso: ISO speed at which the frames were taken.
+        gain_db: gain at which the frames were taken, dB, instead of an ISO speed.
         temperature: K, of the sensor (default: that of the camera).
     """
 
@@ -479,8 +479,8 @@ class Exposure(Entry):
     Attributes:
         file: name.
         exposure: s, or as "1/8".
-        group: separates stacks (an illumination band).
-        exposure_sd: standard deviation of the exposure, relative to it.
+        group: name that separates stacks (an illumination band).
+        exposure_sd: relative standard deviation of the exposure.
     """
 
     file: str
@@ -499,12 +499,11 @@ class Light(Entry):
         position: m, from the centre of the sphere (then `[geometry]` needs a sphere in metres).
         intensity: irradiance on a surface facing the light (W m^-2 or relative), or the radiant
             intensity of a point light; one number, or a list of one for each channel.
-        held_out: keep this image for testing the prediction.
-        intensity_sd: standard deviation of the intensity, relative to it.
-        direction_sd: of the direction toward the light, rad along each of two axes across it.
-        exposure_sd: of the image's exposure, relative to it.
-        stray_sd: rms of the light that reaches every pixel by other ways, relative to the
-            irradiance of this light.
+        held_out: whether to keep this image for the test of the prediction.
+        intensity_sd: relative standard deviation of the intensity.
+        direction_sd: standard deviation of the direction, rad along each of two axes across it.
+        exposure_sd: relative standard deviation of the image's exposure.
+        stray_sd: rms of stray light on every pixel, relative to the irradiance of this light.
     """
 
     file: str
@@ -563,7 +562,7 @@ class Geometry(Entry):
     """`[geometry]`: either a sphere or a file of normals.
 
     Attributes:
-        sphere: seen orthographically.
+        sphere: in orthographic projection.
         normals: an (h, w, 3) `.npy` or EXR file; x right, y up, z toward the camera.
         mask: an image that is non-zero where the object is.
     """
@@ -583,14 +582,14 @@ class Rig(Entry):
     """A whole rig file.
 
     Attributes:
-        folder: where its paths start.
+        folder: base of its paths.
         camera: that took the images.
         root: folder of the images, relative to `folder`; `${NAME}` is an environment variable.
-        flat: of the noise calibration.
-        dark: of the noise calibration, and the black level of a response.
-        exposure: of the response calibration.
-        light: of the reflectance calibration.
-        geometry: of the reflectance calibration.
+        flat: frames for the noise calibration.
+        dark: frames for the noise calibration, and for the black level of a response.
+        exposure: images for the response calibration.
+        light: images for the reflectance calibration.
+        geometry: for the reflectance calibration.
     """
 
     folder: Path

@@ -67,10 +67,10 @@ class FoundRig:
     """A rig as text, and a list of the unknown values.
 
     Attributes:
-        text: TOML; what is missing stands in it as comments.
-        missing: a sentence each.
-        left_out: images that are in no entry, a sentence each.
-        kind: which calibration the images look like: noise, response or brdf; "" for none.
+        text: TOML; missing entries are comments in it.
+        missing: one sentence for each missing entry.
+        left_out: one sentence for each image that is in no entry.
+        kind: calibration for which the images are suited: noise, response or brdf; "" for none.
     """
 
     text: str = ""
@@ -84,10 +84,10 @@ class _Image:
     """A file.
 
     Attributes:
-        name: below the folder.
-        settings: of its head.
-        exposure: s, from there or from the name.
-        doubt: a sentence, where the name says it in two ways.
+        name: path relative to the folder.
+        settings: from its metadata.
+        exposure: s, from the metadata or the name.
+        doubt: a sentence, where the name contradicts itself.
     """
 
     name: str

@@ -46,7 +46,7 @@ class SensorNoise(eqx.Module):
     (fixed pattern) or a full well.
 
     Attributes:
-        sensor: record, or the path of one among the problem's records.
+        sensor: record, or the path of one in the problem's records.
 
     Example:
         >>> import jaxvision as jv
@@ -97,8 +97,8 @@ class SensorNoise(eqx.Module):
             prediction: (..., bands) light.
 
         Returns:
-            (..., bands) DN^2 of the photons, and the dark current's electrons with them, of the
-            read-out and of rounding.
+            (..., bands) DN^2 for each source: photons (with the electrons of the dark current),
+            read-out and rounding.
         """
         sensor, prediction = _record(self.sensor), jnp.asarray(prediction)
         whole = signal_variance(sensor, prediction)
@@ -176,18 +176,18 @@ class SensorCounts(eqx.Module):
     grows with the read noise in electrons.
 
     Attributes:
-        sensor: record, or the path of one among the problem's records.
-        reach: electrons to either side that are summed: at least eight times the read noise in
+        sensor: record, or the path of one in the problem's records.
+        reach: range of the sum on either side, electrons: at least eight times the read noise in
             electrons, and half a DN.
-        codes: (codes,) or of the data's shape, DN: the data are then tables, (..., codes) numbers
-            of pixels and frames that read each code, and the prediction (..., codes) is the light
-            of each table in all of its places. Numbers outside of a table are not known of: its
+        codes: (codes,) or of the data's shape, DN. With it the data are tables, (..., codes)
+            numbers of pixels and frames with each code, and the prediction (..., codes) is the
+            light of each table, repeated along its codes. Counts outside a table are unknown: its
             probabilities add up to 1. None where each datum is a code.
-        totals: () or (..., 1) how many numbers each table holds, for `draw`; None without.
+        totals: () or (..., 1) total count of each table, for `draw`; None without.
 
     Raises:
-        InputError: for a sensor that does not count or whose pixels share charge, for a reach that
-            is too short, and for codes that are no whole numbers.
+        InputError: for a sensor that does not count single electrons or whose pixels share charge,
+            for a reach that is too short, and for codes that are not whole numbers.
 
     Example:
         The probabilities of all codes sum to 1; of a table, each number counts its code.

@@ -26,7 +26,7 @@ class AreaChanges:
 
     Attributes:
         values: (lags, lags) a_ij per electron, at offsets of 0, 1, ... rows and columns.
-        errors: standard errors; that of a_00 is the likelihood's.
+        errors: standard errors; that of a_00 is from the likelihood.
     """
 
     values: Lags

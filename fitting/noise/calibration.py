@@ -58,10 +58,11 @@ class Likelihood:
 
     Attributes:
         linear: the fit of a linear camera.
-        chosen: of the model that the camera calls for; `linear` where that does.
+        chosen: the fit of the model that describes the camera; `linear` where the linear model
+            does.
         posterior: of the chosen model.
-        standard_of_chosen: K, DN/e-, that the standard's regression gives for the chosen model's
-            own curves.
+        standard_of_chosen: K, DN/e-, from the standard's regression on curves simulated with the
+            chosen model.
     """
 
     linear: LikelihoodFit
@@ -75,20 +76,21 @@ class NoiseCalibration(ShownInNotebooks):
     """A calibrated camera, which findings, figures and report read.
 
     Attributes:
-        measurement: what was calibrated.
-        within: which levels enter what, by the standard.
+        measurement: the calibrated levels.
+        within: levels that enter each regression, by the standard.
         usable: indices of the bright levels below saturation.
         standard: the sheet by the standard's regressions.
-        likelihood: what maximum likelihood tells; None where it has no maximum.
-        no_likelihood: why it tells nothing, in a sentence; empty where it does.
+        likelihood: the fit by maximum likelihood; None where the likelihood has no maximum.
+        no_likelihood: why there is no such fit, in a sentence; empty where there is one.
         sheet: figures of the chosen model.
         patterns: DSNU and PRNU by the standard and by the fit to all levels; None where only
             temporal sums are known.
-        left_out: what the likelihood does without, as no fit can tell.
-        flicker: noise of rows and columns that the flats have beyond the darks, which was taken out
-            of the measurement.
-        periodic: rows, columns, cells and halves that differ without having been stated.
-        counted: the fit to tables of codes at levels of few electrons; None without such tables.
+        left_out: effects that the likelihood omits because no fit can determine them.
+        flicker: noise of rows and columns in the flats beyond that of the darks; the measurement is
+            without it.
+        periodic: rows, columns, cells and halves that differ, although the rig does not state it.
+        counted: fit to histograms of codes at levels of few electrons; None without such
+            histograms.
     """
 
     measurement: PhotonTransfer
@@ -172,7 +174,7 @@ def calibrate(
         seed: of every draw.
 
     Returns:
-        The calibration; without a likelihood where that has no maximum.
+        The calibration; without a likelihood where it has no maximum.
     """
     require_kind("noise.calibrate: measurement", measurement, PhotonTransfer, source="from_frames")
     measurement = as_dtype(measurement, np.float64)  # of a caller in float32

@@ -40,9 +40,9 @@ class CodeFit:
         levels: (m,) indices of the bright levels.
         logs: (2 + m,) logarithms of gain (DN/e-), read noise (e-) and electrons of each level.
         covariance: (2 + m, 2 + m).
-        numbers: pixels and frames that were counted.
-        failures: why it is not used, in sentences; empty where it is.
-        misfit: of the numbers in the tables; None where no search began.
+        numbers: how many values the tables count, over pixels and frames.
+        failures: why the fit is not used, in sentences; empty where it is used.
+        misfit: of the counts in the tables; None where no search began.
     """
 
     levels: Int[np.ndarray, " m"]

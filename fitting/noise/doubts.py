@@ -40,9 +40,9 @@ class _Step(NamedTuple):
     """A level at which a quantity changes from one constant to another.
 
     Attributes:
-        place: of the first level of the second.
-        low: mean logarithm before it.
-        high: from it on.
+        place: index of the first level after the step.
+        low: mean logarithm before the step.
+        high: mean logarithm after it.
     """
 
     place: int

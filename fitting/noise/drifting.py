@@ -21,7 +21,7 @@ class Drifting(NamedTuple):
     Attributes:
         share: relative change from one frame of a level to the next.
         error: its standard error.
-        frames: how many flats were taken.
+        frames: number of flats.
     """
 
     share: float

@@ -49,11 +49,12 @@ class Ranges(eqx.Module):
     """The bright levels that enter each regression.
 
     Attributes:
-        sensitivity: (levels,) those of responsivity and gain.
-        linearity: (levels,) those of the linearity errors.
+        sensitivity: (levels,) indices of the levels for responsivity and gain.
+        linearity: (levels,) indices of the levels for the linearity errors.
         saturation: light at the saturation point; None without saturation.
-        saturation_width: distance of its two neighbours, between which the true maximum lies.
-        dark_exposures: how many different exposures the darks have.
+        saturation_width: distance between the two neighbours of the saturation point; the true
+            maximum lies between them.
+        dark_exposures: number of different exposures of the darks.
     """
 
     sensitivity: Bool[Array, " levels"]
@@ -85,12 +86,11 @@ class Misfit(eqx.Module):
     """Scatter about the four regressions, chi-square per degree of freedom against pixel noise.
 
     Attributes:
-        dark_mean: about the line of dark means over exposure.
-        dark_variance: about the line of dark variances.
+        dark_mean: about the line of the dark means over exposure.
+        dark_variance: about the line of the dark variances over exposure.
         responsivity: about R.
         gain: about K.
-        factors: (4,) by which the variances were multiplied for it, 1 where the scatter is not a
-            surprise.
+        factors: (4,) on the variances because of the misfit; 1 where chance explains the scatter.
     """
 
     dark_mean: Float[Array, ""]
@@ -272,9 +272,9 @@ def evaluate(
 
     Args:
         measurement: bright and dark levels.
-        within: the standard's ranges.
+        within: levels that enter each regression, by the standard.
         shared: noise of rows, columns or frames; None without.
-        figures: the sheet of a release.
+        figures: of a release's data sheet.
 
     Returns:
         Values, errors and misfit.

@@ -53,12 +53,13 @@ class LikelihoodFit:
 
     Attributes:
         space: the P parameters.
-        data: levels it was fitted to.
+        data: levels that were fitted.
         solution: vector, information and convergence.
         residuals: standardised.
         chi_square: of all residuals.
         degrees: of freedom.
-        among: the larger model whose compiled program found it; empty where its own did.
+        among: name of a larger model whose compiled program made this fit; empty for its own
+            program.
     """
 
     space: ParameterSpace

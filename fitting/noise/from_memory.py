@@ -28,20 +28,20 @@ def from_frames(
     """A photon transfer measurement from frames in memory, for `noise.calibrate`.
 
     Args:
-        flats: of each level of light two or more frames, (h, w) DN.
-        darks: of each exposure two or more frames, (h, w) DN.
+        flats: for each level of light two or more frames, (h, w) DN.
+        darks: for each exposure two or more frames, (h, w) DN.
         exposures: of the levels of light, s.
-        photons: mean photons per pixel and exposure of the levels; None where unknown, so that
-            there is no quantum efficiency.
-        camera: its bits, and what else is known of it.
+        photons: mean photons per pixel and exposure of each level. None where unknown; then there
+            is no quantum efficiency.
+        camera: its bits, and other known properties.
         dark_exposures: of the darks, s; None where each level has darks of its own exposure.
-        channel: site of a Bayer mosaic; empty for the first green.
+        channel: site of a Bayer mosaic; empty for the first green site.
 
     Returns:
-        The measurement, checked as one of a folder is.
+        The measurement, after the same checks as one from a folder.
 
     Raises:
-        InputError: for lists of unequal length, and for what cannot be used.
+        InputError: for lists of unequal length, and for frames that cannot be used.
 
     Example:
         >>> from fitting.noise import Camera, from_frames
@@ -74,19 +74,19 @@ def stacks_from_frames(
     """Average frames and spatial variances from frames in memory, for `release_4_sheet`.
 
     Args:
-        flats: of each level of light two or more frames, (h, w) DN.
-        darks: of each exposure two or more frames, (h, w) DN.
+        flats: for each level of light two or more frames, (h, w) DN.
+        darks: for each exposure two or more frames, (h, w) DN.
         exposures: of the levels of light, s.
-        camera: its bits, and what else is known of it.
-        photons: mean photons per pixel and exposure of the levels; None where unknown.
+        camera: its bits, and other known properties.
+        photons: mean photons per pixel and exposure of each level; None where unknown.
         dark_exposures: of the darks, s; None where each level has darks of its own exposure.
-        channel: site of a Bayer mosaic; empty for the first green.
+        channel: site of a Bayer mosaic; empty for the first green site.
 
     Returns:
         Statistics in DN, of all pixels.
 
     Raises:
-        InputError: for lists of unequal length, and for what cannot be used.
+        InputError: for lists of unequal length, and for frames that cannot be used.
     """
     rig, load = _rig_of(flats, darks, exposures, photons, camera, dark_exposures)
     return reduce_stacks(rig, channel=channel, load=load)
@@ -148,13 +148,13 @@ def darks_from_frames(
     """Darks from frames in memory, of a gain and temperature at which there are no flats.
 
     Args:
-        darks: of each exposure two or more frames, (h, w) DN.
+        darks: for each exposure two or more frames, (h, w) DN.
         exposures: of the darks, s.
-        camera: its bits, and what else is known of it.
-        channel: site of a Bayer mosaic; empty for the first green.
+        camera: its bits, and other known properties.
+        channel: site of a Bayer mosaic; empty for the first green site.
 
     Returns:
-        Their statistics, for `FramesOfSetting`.
+        The statistics of the darks, for `FramesOfSetting`.
 
     Raises:
         InputError: for lists of unequal length, and for frames that do not belong together.

@@ -22,9 +22,9 @@ class Hits(NamedTuple):
     """Outlying pixels between two frames, and their replacement values.
 
     Attributes:
-        up: (h, w) true where the second frame is the brighter one.
-        down: (h, w) true where the first is.
-        change: (h, w) from the first frame to the second, without the jumps, DN.
+        up: (h, w) true where a pixel is much brighter in the second frame.
+        down: (h, w) true where it is much brighter in the first frame.
+        change: (h, w) second frame less the first, with these pixels set aside, DN.
     """
 
     up: Bool[np.ndarray, "h w"]

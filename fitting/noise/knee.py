@@ -27,8 +27,8 @@ class Knee(NamedTuple):
     """Where a response bends.
 
     Attributes:
-        level: index of the first level behind it.
-        slope: r, of the second slope to the first.
+        level: index of the first level above the knee.
+        slope: r, the slope above the knee over the slope below it.
         signal: s_k, DN above black.
     """
 

@@ -21,7 +21,7 @@ class Unlit(NamedTuple):
 
     Attributes:
         mean: DN.
-        variance: temporal, DN^2.
+        variance: temporal variance, DN^2.
     """
 
     mean: float
@@ -53,10 +53,10 @@ class LevelSums:
     S1^2 are small and their difference keeps its precision.
 
     Args:
-        first: (h, w) frame, DN.
+        first: the first frame, (h, w) DN.
         top: DN from which a pixel is saturated.
-        live: the pixels that count.
-        unlit: of flats, the level of their darks; None for darks.
+        live: mask of the pixels that are used.
+        unlit: for flats, mean and variance of their darks; None for darks.
         corner: row and column of a frame's first pixel in its file.
     """
 

@@ -37,30 +37,31 @@ class Levels(eqx.Module):
         light: (levels,) photons per pixel and exposure, 0 in the dark.
         exposure: (levels,) s.
         mean: (levels,) DN.
-        variance: (levels,) temporal, DN^2.
-        frames: (levels,) L.
-        pixels: how many.
-        spatial_variance: (levels,) measured over the pixels' means, DN^2; None where only sums over
+        variance: (levels,) temporal variance, DN^2.
+        frames: (levels,) L, the number of frames.
+        pixels: number of pixels.
+        spatial_variance: (levels,) variance of the pixels' means, DN^2; None where only sums over
             the pixels are known.
-        shared: by rows, columns and whole frames; None where only sums over the pixels are known.
-        flicker: (2, levels) noise of rows and of columns that was taken out of `variance`, DN^2;
+        shared: noise that is shared by rows, columns and whole frames; None where only sums over
+            the pixels are known.
+        flicker: (2, levels) noise of rows and of columns that was subtracted from `variance`, DN^2;
             None where none was.
-        converter: the grid on which the numbers lie.
+        converter: grid of the values.
         covariances: (levels, lags, lags) of neighbouring pixels, at offsets of 0 to `REACH` rows
-            and columns, the variance at (0, 0), DN^2; None where pixels are not known, or not next
-            to each other.
-        residues: (levels, 2, 5, residues) means of the frames' average and of their variance, by
-            row, by column and by place in a cell (`periodic`); None where pixels are not known.
-        quarters: (levels, 2, 8) the same of the quarters of a frame, and of its pixels near the
-            centre and the others.
-        local_pattern: (levels,) what stays from frame to frame, by differences of neighbours, DN^2;
-            None where pixels are not known.
+            and columns, with the variance at (0, 0), DN^2; None without frames or where the pixels
+            are not adjacent.
+        residues: (levels, 2, 5, residues) means of the average frame and of its variance, by row,
+            by column and by position in a cell (`periodic`); None without frames.
+        quarters: (levels, 2, 8) the same for the quarters of a frame, and for its centre and
+            border.
+        local_pattern: (levels,) variance that is the same in all frames, from differences of
+            neighbours, DN^2; None without frames.
         blocks: (levels, 2, 8) covariance of a pixel and the one below (beside) it, by row (column)
-            modulo 8, DN^2; None where pixels are not known, or not next to each other.
-        combs: (levels, steps, 8, 8) of `raw_frames`, of a frame each; None where pixels are not
-            known, or not next to each other.
-        left_out: frames that do not belong, and why, in sentences.
-        trend: (levels,) slope of the frames' means over their order, DN a frame; None where only
+            modulo 8, DN^2; None without frames or where the pixels are not adjacent.
+        combs: (levels, steps, 8, 8) of `raw_frames`, per frame; None without frames or where the
+            pixels are not adjacent.
+        left_out: frames that do not match the others, and why, in sentences.
+        trend: (levels,) slope of the frames' means over their order, DN per frame; None where only
             sums over the frames are known.
     """
 
@@ -95,8 +96,8 @@ class Doubt(NamedTuple):
     """A contradiction in the frames, and the figures that are therefore not given.
 
     Attributes:
-        of: names of the figures.
-        reason: a clause that stands in place of them.
+        of: names of the doubtful figures.
+        reason: a clause that replaces their values.
         sentence: for the findings.
     """
 
@@ -115,11 +116,13 @@ class CodeTables(eqx.Module):
     Attributes:
         level: (tables,) index of the bright level.
         dark: (tables,) index of the dark that gives the pixels' black.
-        place: (tables,) mean of what the pixels' black is above a whole code, codes.
-        known: (tables,) variance of the differences between a pixel's black and what was taken for
-            it, codes^2: noise of the dark frames, places within a table and drift.
-        first: (tables,) the first code of each table, less the whole code of the pixel's black.
-        counts: (tables, codes) pixels and frames that read each code; NaN beyond a table's end.
+        place: (tables,) mean of the pixels' black level less a whole code, codes.
+        known: (tables,) variance of the error of a pixel's assumed black level, codes^2: noise of
+            the dark frames, positions within a table, and drift.
+        first: (tables,) the first code of each table, relative to the whole code of the pixel's
+            black level.
+        counts: (tables, codes) number of pixels and frames with each code; NaN beyond a table's
+            end.
     """
 
     level: Int[Array, " tables"]
@@ -134,19 +137,19 @@ class PhotonTransfer(eqx.Module):
     """A photon transfer measurement.
 
     Attributes:
-        bright: levels in the order of their light.
+        bright: levels with light, in the order of their light.
         dark: levels without light.
         dark_of: (levels,) index of the dark that belongs to each bright level.
-        light_step: what the photon counts were rounded to, photons.
+        light_step: rounding step of the photon counts, photons.
         photons_known: false where `bright.light` is the exposure in s.
         full_scale: largest DN, None where unknown.
-        remarks: what the reader of the measurement did with it, in sentences.
+        remarks: sentences on what the reader of the files did.
         lossy: names of frames whose files are JPEG.
-        doubts: figures that the frames do not tell, and why.
-        site: name of the tap or site of a mosaic whose pixels these are; None of all pixels.
+        doubts: figures that the frames do not determine, and why.
+        site: name of the amplifier tap or mosaic site of these pixels; None for all pixels.
         pattern: phase of that mosaic; None without one.
-        tables: of codes at levels of few electrons; None where moments tell as much, and where only
-            sums are known.
+        tables: histograms of codes at levels of few electrons; None where moments hold as much
+            information, and where only sums are known.
     """
 
     bright: Levels

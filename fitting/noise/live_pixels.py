@@ -26,7 +26,7 @@ class LivePixels:
     """The mask of valid pixels of a frame, and means over them.
 
     Args:
-        mask: (h, w) true where a pixel counts.
+        mask: (h, w) true where a pixel is used.
     """
 
     def __init__(self, mask: Bool[np.ndarray, "h w"]) -> None:
@@ -95,8 +95,8 @@ class DeadPixels:
 
     Attributes:
         still: (h, w) true where light changes nothing.
-        hot: (h, w) true where a pixel is far from the others in the dark, but follows the light.
-        stuck: bits of the converter that never change.
+        hot: (h, w) true where a pixel is far from the others in the dark, but responds to light.
+        stuck: bits of the ADC that never change.
     """
 
     still: Bool[np.ndarray, "h w"]

@@ -53,11 +53,11 @@ class OffsetData(eqx.Module):
     """The differences between the pixels of the dark levels.
 
     Attributes:
-        spatial: (levels,) variance of the pixels' means that temporal noise does not explain, DN^2;
-            0 of bright levels.
-        noise: (levels,) its variance by temporal noise, DN^4; 0 of bright levels.
-        darks: how many levels show the same die.
-        pixels: as how many independent ones those of the die count.
+        spatial: (levels,) variance of the pixels' means beyond temporal noise, DN^2; 0 at bright
+            levels.
+        noise: (levels,) sampling variance of that by temporal noise, DN^4; 0 at bright levels.
+        darks: number of levels that show the same pixels.
+        pixels: effective number of independent pixels.
     """
 
     spatial: Float[Array, " levels"]
@@ -89,21 +89,22 @@ class NoiseData(eqx.Module):
         lit: (levels,) 1 for bright, 0 for dark.
         exposure: (levels,) s.
         mean: (levels,) DN.
-        variance: (levels,) temporal, DN^2.
+        variance: (levels,) temporal variance, DN^2.
         frames: (levels,).
-        pixels: how many.
+        pixels: number of pixels.
         top_signal: X, DN.
-        light_step: what the light was rounded to; None where it was not.
-        window: of the levels that need exact moments; None where none does.
+        light_step: rounding step of the light; None where it was not rounded.
+        window: data for the exact moments of levels that need them; None where none does.
         photons_known: whether light is counted in photons.
         shared: noise of rows, columns or frames; None without.
-        neighbours: what is known of the pixels around one.
-        offsets: how the pixels of the darks differ; None where rounding makes nothing of it.
-        unsteady: (levels,) variance of a frame's mean by light that flickers, DN^2; None without.
-        converter: the grid on which the numbers lie.
-        kept: (levels,) 1 of a level that the likelihood uses, 0 of one that is kept out of it; None
-            uses all.
-        counted: the levels whose tables of codes count in place of their moments; None for none.
+        neighbours: covariances of neighbouring pixels.
+        offsets: how the offsets of the pixels differ in the darks; None where rounding leaves it
+            without effect.
+        unsteady: (levels,) variance of a frame's mean because the light fluctuates, DN^2; None
+            without.
+        converter: grid of the values.
+        kept: (levels,) 1 for a level that the likelihood uses, else 0; None uses all.
+        counted: levels whose histograms of codes replace their moments; None for none.
     """
 
     light: Float[Array, " levels"]
@@ -134,7 +135,7 @@ class Moments(eqx.Module):
         variance: DN^2.
         third: DN^3.
         fourth: DN^4.
-        spatial: variance of the pixels' means, DN^2; None where rounding makes nothing of it.
+        spatial: variance of the pixels' means, DN^2; None where rounding leaves it without effect.
         uneven: variance of the pixels' variances, DN^4; likewise.
         die: (3, 3) as `QuantisedMoments` has it, DN; likewise.
     """
@@ -152,10 +153,10 @@ class Residuals(eqx.Module):
     """Standardised residuals, each standard normal under the model.
 
     Attributes:
-        mean: (levels,) of the means.
+        mean: (levels,) residuals of the means.
         variance: (levels,) of the temporal variances.
-        neighbours: (levels,) of T, 0 of the darks; None where it is not known.
-        spatial: (levels,) of the pixels' offsets, 0 of bright levels; None without `OffsetData`.
+        neighbours: (levels,) of T; 0 for the darks; None where T is not known.
+        spatial: (levels,) of the pixels' offsets; 0 at bright levels; None without `OffsetData`.
     """
 
     mean: Float[Array, " levels"]

@@ -36,9 +36,10 @@ class NeighbourData(eqx.Module):
 
     Attributes:
         variance_terms: C_00 / mu in powers of a_00 mu, the highest first.
-        total: (levels,) sum of all covariances with other pixels above that of the darks, DN^2, 0
-            of the darks; None where unknown.
-        spread: (levels,) its variance by chance, over the square of the variance and `total`.
+        total: (levels,) sum of all covariances with other pixels less that of the darks, DN^2; 0
+            for the darks; None where unknown.
+        spread: (levels,) sampling variance of `total`, over the square of the sum of variance and
+            `total`.
     """
 
     variance_terms: Float[Array, " terms"]
@@ -192,10 +193,10 @@ def shape_of(signal: np.ndarray, found: np.ndarray, variances: np.ndarray) -> La
     Args:
         signal: (levels,) x, DN.
         found: (levels, lags, lags) covariances above dark, DN^2.
-        variances: by chance, DN^4.
+        variances: their sampling variances, DN^4.
 
     Returns:
-        (lags, lags), 1 at offset (0, 0), which with all others sums to 0.
+        (lags, lags), 1 at offset (0, 0); the sum over all offsets is 0.
     """
     slopes, errors = _powers_of(signal, found, variances)[1]
     square = np.maximum(slopes**2, np.finfo(float).tiny)

@@ -36,12 +36,12 @@ class Spread:
     """Variance of a property of the pixels over their population.
 
     Attributes:
-        variance: DN^2 of offsets; of gains relative, no unit.
-        noise: its standard error without that of the die.
-        parts: of pixels, and of rows and columns where their means are known; 0 where rows or
-            columns are not believed to differ.
-        temporal: the part of `noise` that temporal noise makes, which more frames lower; None where
-            it makes all.
+        variance: DN^2 for offsets; relative for gains.
+        noise: its standard error for this sensor alone, not for the population of its sensors.
+        parts: of pixels, and of rows and columns where their means are known; 0 where no difference
+            of rows or columns is significant.
+        temporal: the part of `noise` from temporal noise, which more frames lower; None where that
+            is all of it.
     """
 
     variance: float
@@ -81,7 +81,8 @@ class PatternVariance:
         dark: s_dark^2, DN^2.
         response: PRNU^2, no unit.
         chi_square_per_dof: of the fit to all levels; None for the standard's two.
-        p_value: how often chance gives as large a chi-square; None for the standard's two.
+        p_value: probability of a chi-square at least as large by chance; None for the standard's
+            two.
         level: the bright level used; None where all were.
     """
 
@@ -96,10 +97,10 @@ def pattern_variance(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     """Spatial variance that temporal noise does not explain.
 
     Args:
-        levels: with `spatial_variance`.
+        levels: that have a `spatial_variance`.
 
     Returns:
-        s^2 (DN^2) of each level, and its variance by temporal noise (DN^4).
+        s^2 (DN^2) of each level, and its sampling variance by temporal noise (DN^4).
     """
     measured, temporal, frames = (
         np.asarray(x) for x in (levels.spatial_variance, levels.variance, levels.frames)

@@ -135,10 +135,10 @@ class Periodic:
     Attributes:
         where: "rows", "columns", "mosaic", "left and right", "top and bottom", "quadrants" or
             "centre and border".
-        period: of rows or columns, or 2 of a mosaic; 0 of parts of the frame.
-        gains: DN/e-, of each class; empty where they do not differ.
-        offsets: DN, of each class in the dark; likewise.
-        signals: relative to their mean, of each class; likewise.
+        period: in rows or columns; 2 for a mosaic; 0 for parts of the frame.
+        gains: DN/e-, of each class; empty where the classes do not differ.
+        offsets: DN, of each class in the dark; empty where they do not differ.
+        signals: of each class relative to their mean; empty where they do not differ.
     """
 
     where: str

@@ -56,13 +56,14 @@ class Window(eqx.Module):
     """Weights of some levels for their exact moments.
 
     Attributes:
-        centre: (levels,) an integer code near each mean, from which phases and moments count.
+        centre: (levels,) an integer code near each mean; phases and moments are relative to it.
         cosine: (levels, orders, frequencies) real part of w_p(k), for p = 1 .. 4 and k = 0, 1 ...;
             conjugate frequencies are folded in.
         sine: the imaginary part.
         levels: their indices; one may occur more than once.
-        known_spread: (levels,) of the pixels' offsets, beside that which is fitted: codes^2.
-        nodes: (levels, J) places d / s of the offsets; None where all pixels are alike.
+        known_spread: (levels,) variance of the pixels' offsets in addition to the fitted one,
+            codes^2.
+        nodes: (levels, J) values d / s of the offsets; None where all pixels are alike.
         size: M.
         widest: largest s.
     """
@@ -82,13 +83,13 @@ class QuantisedMoments(NamedTuple):
 
     Attributes:
         mean: codes.
-        variance: of a pixel from frame to frame.
+        variance: of a pixel over the frames.
         third: cumulant.
         fourth: cumulant.
         spatial: variance of the pixels' means; None where all pixels are alike.
-        uneven: variance of the pixels' variances; likewise.
+        uneven: variance of the pixels' variances; None where all pixels are alike.
         die: (3, 3) covariance over the pixels of mean, variance and squared deviation of the mean,
-            beyond what is linear or quadratic in the offset; likewise.
+            beyond what is linear or quadratic in the offset; None where all pixels are alike.
     """
 
     mean: Array

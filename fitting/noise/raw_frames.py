@@ -241,7 +241,7 @@ def tone_curve(measurement: PhotonTransfer) -> float | None:
         measurement: bright and dark levels.
 
     Returns:
-        With which the signal grows; None where it is straight, or noise grows with it.
+        The curve of the signal over light; None where it is straight, or where noise grows with it.
     """
     bright, dark = measurement.bright, measurement.dark
     light, variance = np.asarray(bright.light), np.asarray(bright.variance)

@@ -49,13 +49,13 @@ def read_photon_transfer(
         path: a rig, its folder or file, or a table of sums with the suffix `.csv`.
         bits: ADC bits of a table's camera; None for those of the rig, or to infer them where the
             table saturates.
-        channel: site of a rig's Bayer mosaic; empty for the first green.
+        channel: site of a rig's Bayer mosaic; empty for the first green site.
 
     Returns:
         The measurement.
 
     Raises:
-        InputError: for what cannot be used.
+        InputError: for files that cannot be used.
     """
     file = Path(path.folder if isinstance(path, Rig) else path)
     if file.suffix.lower() == ".csv":
@@ -76,10 +76,10 @@ class Reduced:
     """A rig's photon transfer, and the means to read its frames again.
 
     Attributes:
-        measurement: unchecked.
-        flats: names of the frames that count, by bright level.
-        darks: likewise.
-        plane: (h, w) DN of a frame by its name.
+        measurement: before its checks.
+        flats: names of the used frames, by bright level.
+        darks: names of the used frames, by dark level.
+        plane: function from a frame's name to its (h, w) DN.
     """
 
     measurement: PhotonTransfer
@@ -193,11 +193,11 @@ class _Source:
     """Where the frames of a measurement come from.
 
     Attributes:
-        rig: that names them.
-        channel: site of a mosaic, or tap.
-        load: how an image is had by its path.
-        live: (h, w) true where a pixel counts; None for all.
-        codes: takes the numbers that occur.
+        rig: that lists the files.
+        channel: mosaic site or amplifier tap.
+        load: function that reads an image from its path.
+        live: (h, w) true where a pixel is used; None for all.
+        codes: collects the values that occur.
     """
 
     rig: Rig

@@ -53,9 +53,9 @@ class Numbers(eqx.Module):
     """The parameters of a calibrated camera: the best estimate, then draws.
 
     Attributes:
-        about: what all draws share.
-        natural: (draws, parameters) of the likelihood.
-        beside: (draws,) of each effect that the likelihood does not have, by its field.
+        about: the part that all draws share.
+        natural: (draws, parameters) values of the likelihood's parameters.
+        beside: (draws,) of each effect outside the likelihood, by its field.
     """
 
     about: "About"

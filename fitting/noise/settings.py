@@ -17,10 +17,10 @@ class Setting:
     """Gain and temperature of an operating point.
 
     Attributes:
-        gain: what it was set to; None where that is not told.
-        gain_unit: "ISO" for an ISO speed or any other number that the gain is proportional to,
-            "dB" for 20 log10 of such a number.
-        temperature: K, of the sensor, at least 100; None where it is not told.
+        gain: as set on the camera; None where it is not stated.
+        gain_unit: "ISO" for an ISO speed or another number that is proportional to the gain, "dB"
+            for 20 log10 of such a number.
+        temperature: of the sensor, K, at least 100; None where it is not stated.
 
     Example:
         >>> from fitting.noise import Setting

@@ -31,10 +31,10 @@ class SharedVariance(eqx.Module):
     scatter about 0.
 
     Attributes:
-        rows: (levels,) temporal variance, DN^2.
-        columns: (levels,) the same.
-        fixed_rows: (levels,) variance of the rows' means that stays, DN^2.
-        fixed_columns: (levels,) the same.
+        rows: (levels,) temporal variance that the pixels of a row share, DN^2.
+        columns: (levels,) the same of columns.
+        fixed_rows: (levels,) variance of the rows' means that is the same in all frames, DN^2.
+        fixed_columns: (levels,) the same of columns.
         frames: (levels,) variance of the frames' means beyond what pixels, rows and columns
             explain, DN^2.
         shape: (2,) rows and columns of a frame.
@@ -63,8 +63,8 @@ class SharedNoise(eqx.Module):
     of its temporal variance, which frame noise does not affect.
 
     Attributes:
-        of_mean: DN^2.
-        of_variance: DN^4.
+        of_mean: variance of a level's mean by shared noise, DN^2.
+        of_variance: variance of a level's variance by it, DN^4.
     """
 
     of_mean: Float[Array, ""]
@@ -78,7 +78,7 @@ class Found:
     Attributes:
         variance: DN^2.
         error: its standard error.
-        significance: how rare it is where there is none, as a normal deviate.
+        significance: of the variance above 0, as a normal deviate.
     """
 
     variance: float

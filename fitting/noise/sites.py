@@ -58,8 +58,8 @@ class SensorOfSites:
 
     Attributes:
         best: the best fit.
-        draws: the same with a leading axis at every number.
-        findings: sentences on what its taps should have in common and do not.
+        draws: the same sensor with a leading axis of draws at every number.
+        findings: sentences on quantities that should be equal for all sites and are not.
     """
 
     best: Sensor
@@ -72,11 +72,11 @@ def sensor_of_sites(calibrations: Mapping[str, NoiseCalibration], camera: Camera
     """The one sensor of a camera whose sites were calibrated separately.
 
     Args:
-        calibrations: by the name of the site.
-        camera: whose `taps` and `pattern` make the sites.
+        calibrations: by the name of the site or tap.
+        camera: its `taps` and `pattern` define the sites.
 
     Returns:
-        The sensor; `Sensor.taps` has the numbers of each.
+        The sensor; `Sensor.taps` has the numbers of each site.
 
     Raises:
         InputError: where a site has no calibration, or no likelihood.

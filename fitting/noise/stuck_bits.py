@@ -20,10 +20,10 @@ class StuckBit(NamedTuple):
     """Where a bit never changes.
 
     Attributes:
-        where: in words.
-        bit: which, 0 the lowest.
-        value: that it always has.
-        mask: (h, w) true there.
+        where: in which pixels, in words.
+        bit: index of the bit, 0 the lowest.
+        value: the value that the bit always has.
+        mask: (h, w) true in these pixels.
     """
 
     where: str

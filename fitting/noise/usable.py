@@ -22,11 +22,11 @@ def check(file: Path, measurement: PhotonTransfer) -> None:
     """Refuse a measurement that contains no photon transfer.
 
     Args:
-        file: where it comes from, for messages.
+        file: source of the measurement, for messages.
         measurement: bright and dark levels.
 
     Raises:
-        InputError: for what is missing or wrong.
+        InputError: for data that are missing or wrong.
     """
     try:
         _check(file, measurement)

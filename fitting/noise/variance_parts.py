@@ -13,10 +13,10 @@ class TemporalVariance:
     """The parts of a pixel's temporal variance. Without an effect its estimates scatter about 0.
 
     Attributes:
-        pixels: of each pixel by itself, DN^2.
-        rows: that the pixels of a row share, DN^2.
-        columns: likewise.
-        frames: that all pixels share: light or black level that drifts, DN^2.
+        pixels: independent noise of each pixel, DN^2.
+        rows: noise that the pixels of a row share, DN^2.
+        columns: noise that the pixels of a column share, DN^2.
+        frames: noise that all pixels share, as light or black level drifts, DN^2.
     """
 
     pixels: float
@@ -65,13 +65,13 @@ class Moments:
         """The variances of pixels, rows, columns and whole frames between frames.
 
         Args:
-            total: (h, w) sum of the frames as added, DN.
+            total: (h, w) sum of the frames, DN.
             variance: T, averaged over the pixels, DN^2.
-            wandering: W, DN^2.
-            count: of frames, the first among them.
+            wandering: W, variance of the frames' means, DN^2.
+            count: number of frames, the first included.
 
         Returns:
-            The parts, DN^2; lines are pixels where a frame is a single row or column.
+            The parts, DN^2; where a frame is a single row or column, its lines are pixels.
         """
         of_rows, of_columns = (
             float(np.nanmean(count * squares - self._live.line_means(total, axis) ** 2))
@@ -88,9 +88,9 @@ class Moments:
         """The fixed variances of rows and columns.
 
         Args:
-            average: (h, w) of all frames, DN.
-            temporal: of these frames, which an average keeps a share of.
-            count: of frames.
+            average: (h, w) average of all frames, DN.
+            temporal: variance parts of these frames; the average retains a share of them.
+            count: number of frames.
 
         Returns:
             Variances of rows and of columns, DN^2; 0 where a frame is a single row or column.

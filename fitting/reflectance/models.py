@@ -44,10 +44,10 @@ class Reflectance:
 
     Attributes:
         label: its name in reports.
-        axis: what the lobe is centred on.
+        axis: direction about which the lobe is centred.
         shape: its parameter; None for Lambert.
-        material: the record of a shape and an index of refraction, with unit amplitude and no other
-            part; None for Lambert.
+        material: function from a shape and an index of refraction to the record, with unit
+            amplitude and no other part; None for Lambert.
         unit: of k_s in a BRDF.
     """
 

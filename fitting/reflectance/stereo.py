@@ -49,17 +49,19 @@ class Stereo:
     """The estimates for each pixel. Print it, or show it in a notebook.
 
     Attributes:
-        normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights count.
+        normals: (h, w, 3) unit, in the axes of the lights; NaN where fewer than three lights are
+            used.
         albedo: (h, w) readings over irradiance.
-        normal_sd: (h, w) rad, the standard deviation of the normal's direction, root mean square
-            over the two ways it may tilt: a cone of 2.448 of it has a probability of 95 %. NaN
-            where only three lights count: no residual is left.
-        albedo_sd: (h, w) likewise, in the albedo's unit.
-        used: (h, w) how many lights count.
-        misfit: (h, w) how far the readings depart from Lambert's law by an amount that neighbouring
-            lights share, standard deviation relative to the albedo; 0 where none is seen. The
-            standard deviations of normal and albedo allow for it.
-        findings: sentences on images that do not belong and on a surface that is not Lambert's.
+        normal_sd: (h, w) standard deviation of the normal's direction, rad, root mean square over
+            two axes. A cone of 2.448 times this half-angle contains the normal with 95 %
+            probability. NaN where only three lights are used and no residual is left.
+        albedo_sd: (h, w) standard deviation of the albedo, in its unit; NaN as `normal_sd`.
+        used: (h, w) number of lights that are used.
+        misfit: (h, w) standard deviation of departures from Lambert's law that neighbouring lights
+            share, relative to the albedo; 0 where none is found. The standard deviations of normal
+            and albedo include it.
+        findings: sentences on images that do not match the others and on a surface that is not
+            Lambertian.
     """
 
     normals: Float[np.ndarray, "h w 3"]
@@ -120,39 +122,40 @@ def photometric_stereo(
     """Normals, albedo and their errors from photographs of one still view under distant lights.
 
     Args:
-        images: (lights, h, w) linear readings without black level, in any unit; NaN stands for a
-            reading that is missing, and the others are used.
+        images: (lights, h, w) linear readings without black level, in any unit; NaN marks a missing
+            reading, and the others are used.
         lights: (lights, 3) unit vectors toward the lights, in any axes.
         intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
             None for 1.
-        lowest: readings at or below count as shadow and are left out, in the unit of the images; so
-            are those that the others predict less than three standard deviations above.
-        highest: readings at or above count as clipped and are left out, likewise. Without it, the
-            largest reading does, and a sentence says so, where readings pile up at it.
-        robust: also leave out what the other readings contradict, as highlights and cast shadows:
-            those beyond 2.5 standard deviations of the fit of least absolute residuals that the
-            others' least squares and their scatter would predict so far off once in a hundred
-            pixels. It takes six lights that count: of five, whose one residual tells little,
-            hardly any is left out, and the errors are as large as the contradiction. With two
-            broken readings among six, as at the rim of a body, a broken one may be kept and the
-            normal be off by .25 rad. An image that the others contradict in most pixels is left out
-            as a whole, and named, as is one of at least five that is brighter or darker than the
-            others predict by one factor in all pixels.
+        lowest: readings at or below it are left out as shadow, in the unit of the images; so are
+            readings that the others predict less than three standard deviations above it.
+        highest: readings at or above it are left out as clipped; so are readings that the others
+            predict less than three standard deviations below it. Without it, the largest reading
+            takes its place where many readings equal it, and a sentence says so.
+        robust: whether to leave out readings that the others contradict, as in highlights and cast
+            shadows. A reading is left out if it lies beyond 2.5 standard deviations of the fit of
+            least absolute residuals, and if the least-squares fit of the others would be off by as
+            much in fewer than one of a hundred pixels. This needs at least six usable lights. Five
+            leave one residual, so that hardly any reading is left out and the errors are as large
+            as the contradiction. With two wrong readings among six, as at the rim of a body, a
+            wrong one may remain and the normal be off by 0.25 rad. An image that the others
+            contradict in most pixels is left out as a whole and named. So is one of at least five
+            images that is brighter or darker than predicted by one factor in all pixels.
 
     Returns:
-        Normals, albedo, and standard deviations from the residuals of each pixel, with those of
-        the other pixels as prior. Where residuals show that the surface is not Lambert's, or the
-        readings not linear, the standard deviations allow for what neighbouring lights then share,
-        and a sentence says so. Factors of the intensities or an offset of all readings that all
-        pixels ask for are named; g is not corrected for them, but the standard deviations allow
-        for the change that they would make. On simulated balls under 6 to 96 lights, at most 60
-        degrees from the viewer, cones of 95 % held the normal in 94 to 98 % of the pixels of a matt
-        ball, in 94 to 99 % of a glossy one and in 90 to 97 % of a rough one. With fewer than 32
-        lights, some of which graze, a rough surface rotates normals by more than its residuals
-        show: cones of 8, 16 and 24 lights held 66, 78 and 88 %, and the sentence says that too.
-        Light that one part of a surface throws onto another changes the readings as another normal
-        would, leaves hardly any residual, and is not allowed for: in a hollow the standard
-        deviations are lower bounds.
+        Normals, albedo and their standard deviations. These follow from the residuals of each
+        pixel, with the residuals of the other pixels as prior. Where residuals show that the
+        surface is not Lambertian, or the readings not linear, the standard deviations include the
+        departures that neighbouring lights share, and a sentence says so. A factor of one light's
+        intensity or an offset of all readings that explains residuals in all pixels is named. g is
+        not corrected for it, but the standard deviations include the change that a correction would
+        make. On simulated balls under 6 to 96 lights, at most 60 degrees from the viewer, cones of
+        95 % contained the true normal in 94 to 98 % of the pixels of a matt ball, in 94 to 99 % of
+        a glossy one and in 90 to 97 % of a rough one. With fewer than 32 lights, some of them
+        grazing, a rough surface biases normals by more than its residuals show: cones of 8, 16 and
+        24 lights contained 66, 78 and 88 %, and the sentence says that too. Interreflection between
+        parts of a surface changes the readings as another normal would, leaves hardly any residual,
+        and is not included: in a hollow the standard deviations are lower bounds.
 
     Raises:
         InputError: for fewer than three lights, lights in one plane, and shapes that do not agree.

@@ -32,11 +32,11 @@ class Common:
     """Common errors of the readings of all pixels, relative to m = E rho n.l.
 
     Attributes:
-        factors: (lights,) irradiance over that stated.
-        factor_sds: (lights,) their standard errors; 0 where they are not fitted.
-        offset: added to all readings, in their unit.
-        offset_sd: likewise.
-        explained: share of the residuals' squares.
+        factors: (lights,) true over stated irradiance.
+        factor_sds: (lights,) their standard errors; 0 where factors are not fitted.
+        offset: of all readings, in their unit.
+        offset_sd: its standard error, in the same unit.
+        explained: share of the residuals' sum of squares.
     """
 
     factors: Float[np.ndarray, " lights"]

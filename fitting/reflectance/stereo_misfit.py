@@ -71,12 +71,12 @@ class Departures:
     pixel.
 
     Attributes:
-        weights: (lights, pixels) of the readings in least squares; 0 for those that do not count.
-        inverse: (pixels, 3, 3) of the normal matrices; NaN where g is unknown.
+        weights: (lights, pixels) of the readings in least squares; 0 for unused readings.
+        inverse: (pixels, 3, 3) inverse of the normal matrices; NaN where g is unknown.
         covariance: (pixels, 3, 3) of g.
         noise: (pixels,) variance of a reading of weight 1; NaN where no residual is left.
-        size: (pixels,) tau, readings over irradiance.
-        seen: whether there are departures; if not, all residuals count as noise.
+        size: (pixels,) tau, standard deviation of the departures, readings over irradiance.
+        seen: whether departures are significant; if not, all residuals count as noise.
     """
 
     weights: Float[np.ndarray, "lights pixels"]
@@ -93,11 +93,11 @@ class _Reduced:
 
     Attributes:
         eigenvalues: (pixels, features) of the residuals' covariance, per tau^2.
-        squares: (pixels, features) of the residuals along them.
-        rest: (pixels,) the squares of what is left.
+        squares: (pixels, features) squared residuals along their eigenvectors.
+        rest: (pixels,) squares of the remaining residuals.
         freedom: (pixels,) degrees of freedom.
         turning: (pixels, 3, features) change of g by each feature.
-        volume: (pixels,) of the weights and of g, in the logarithm of the restricted likelihood.
+        volume: (pixels,) log determinants of the weights and of g in the restricted likelihood.
     """
 
     eigenvalues: Float[np.ndarray, "pixels features"]
@@ -172,9 +172,9 @@ class _Fit:
     Attributes:
         rows: (lights, 3) E l.
         features: (lights, features) of the departures, times E.
-        residuals: (lights, pixels); 0 where a reading does not count.
+        residuals: (lights, pixels); 0 for unused readings.
         weights: (lights, pixels).
-        inverse: (pixels, 3, 3) of the normal matrices.
+        inverse: (pixels, 3, 3) inverse of the normal matrices.
     """
 
     rows: Float[np.ndarray, "lights 3"]
@@ -224,8 +224,8 @@ class _Prior:
     Attributes:
         levels: (levels,) scales of inverse gamma distributions of sigma^2.
         freedom: their degrees of freedom.
-        ratios: (ratios,) of tau^2 / sigma^2; 0 alone where no departures are seen.
-        shares: (levels, ratios), whose sum is 1.
+        ratios: (ratios,) of tau^2 / sigma^2; only 0 where no departures are significant.
+        shares: (levels, ratios) probabilities, whose sum is 1.
         unshared: variance that neighbouring pixels do not share; infinite where they share none.
         likelihood: its logarithm.
     """

@@ -103,9 +103,9 @@ class _Drawn:
 
     Attributes:
         title, caption: of it.
-        strips: (element, width) side by side, or below each other where the page is narrow; px
-            at which letters are as large as they were drawn.
-        aspect: width of all over height.
+        strips: (element, width) side by side, or one below the other on a narrow page; px at which
+            letters have the size in which they were drawn.
+        aspect: total width over height.
     """
 
     title: str

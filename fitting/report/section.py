@@ -25,7 +25,7 @@ class Table:
 
     Attributes:
         title: above it.
-        columns: heads.
+        columns: column headings.
         rows: cells; floats are shown to four digits, None as a dash.
         caption: below it.
     """
@@ -42,11 +42,11 @@ class Picture:
 
     Attributes:
         name: a word.
-        title: above it.
+        title: heading above it.
         caption: what it shows and how to read it.
         draw: the function that draws it.
-        is_whole: whether its columns are read together; else a narrow page may place them below
-            each other.
+        is_whole: whether its columns must be read together; else a narrow page may place them one
+            below the other.
     """
 
     name: str
@@ -69,11 +69,11 @@ class Input:
 
     Attributes:
         files: names.
-        kind: what they are: flat, dark, exposure or light.
+        kind: of the files: flat, dark, exposure or light.
         settings: of the rig, in words.
-        bytes: of all files; None if one was removed since.
-        picture: makes a small PNG of the first one, base64-encoded, or None if that was removed
-            since; None where it is not shown.
+        bytes: of all files; None if one has been removed since.
+        picture: function that returns a small PNG of the first one, base64-encoded, or None if it
+            has been removed since; None where it is not shown.
     """
 
     files: tuple[str, ...]
@@ -91,20 +91,20 @@ class Section:
         kind: a word; chains are stored under it.
         title: heading.
         estimates: rows of the table of results.
-        findings: full sentences: misfit, identifiability, what was masked or refused.
-        pictures: the most telling one first.
-        tables: beside the estimates.
+        findings: full sentences on misfit, identifiability, and data that were masked or refused.
+        pictures: the most important one first.
+        tables: next to the estimates.
         posteriors: by group.
-        arrays: shapes of parameters whose numbers stand one by one in the posteriors, by name.
-        settings: everything needed to repeat the fit.
-        about: one line under the heading: what was measured.
-        headings: names of estimates under the headings of their table, in its order.
-        truth: values that a simulation started from, by (name, group).
-        inputs: files that it was made from.
-        data: what is too long for a table, whole: columns by the name of their file.
-        records: what was fitted, for use in a simulation: by the name of its file the function that
-            writes it to a path, ending in .toml.
-        failure: why there are no results, as a sentence; empty where there are.
+        arrays: by name, shapes of array parameters whose numbers the posteriors list one by one.
+        settings: everything that is needed to repeat the fit.
+        about: one line under the heading on what was measured.
+        headings: names of estimates under each heading of their table, in its order.
+        truth: true values of a simulation, by (name, group).
+        inputs: source files.
+        data: full data that are too long for a table: columns by the name of their file.
+        records: fitted records for use in a simulation: by the name of the file (ending in .toml),
+            the function that writes it to a path.
+        failure: why there are no results, as a sentence; empty where there are results.
     """
 
     kind: str

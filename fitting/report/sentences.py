@@ -20,10 +20,11 @@ class Finding(NamedTuple):
     """A sentence of a report.
 
     Attributes:
-        key: names it.
-        condition: from a calibration to whether the sentence is said, or to its numbers by name;
-            several of these say it several times, None or none not at all.
-        sentence: to be formatted with the numbers.
+        key: name of the finding.
+        condition: function of a calibration that returns whether the sentence is stated, or its
+            numbers by name. A list of these states it several times; None or an empty list not at
+            all.
+        sentence: a format string for the numbers.
     """
 
     key: str

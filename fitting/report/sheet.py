@@ -21,7 +21,7 @@ class Cell:
     Attributes:
         value: with its standard error; a dash where there is none.
         interval: of 95 %; empty where there is none.
-        note: number of the note that says why there is no value; 0 for none.
+        note: number of the note with the reason why there is no value; 0 for none.
     """
 
     value: str = ""
@@ -38,7 +38,7 @@ class Row:
         letter: of its symbol.
         subscript: of its symbol.
         unit: as it is printed.
-        cells: one a column.
+        cells: one for each column.
         apart: difference of two methods over the larger of their standard errors.
     """
 
@@ -55,11 +55,12 @@ class Sheet:
     """All estimates of a section.
 
     Attributes:
-        columns: heads of the cells.
-        blocks: rows under the headings of the section; the heading is empty where it has none.
-        notes: reasons for what is not determined, from number 1.
+        columns: headings of the cells.
+        blocks: rows under the headings of the section; the heading is empty where the section has
+            none.
+        notes: reasons for undetermined values, numbered from 1.
         methods: sentence that names the methods, where the columns are channels.
-        compares: whether rows say how far two methods are apart.
+        compares: whether rows state the difference of two methods.
     """
 
     columns: tuple[str, ...]

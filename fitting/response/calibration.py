@@ -33,14 +33,14 @@ class ChannelResponse:
     """The results for one plane.
 
     Attributes:
-        plane: its codes and exposures.
+        plane: with its codes and exposures.
         curve: log exposure of every code.
-        gamma: the best pure gamma.
+        gamma: of the best pure gamma curve.
         radiance: the merged map.
-        clear: whether pixels near clipped ones were left out of the curve; where too few would
-            remain, they are not.
-        hidden_peaks: whether peaks that clipped hide.
-        clear_of_hidden: whether pixels near those were left out too.
+        clear: whether the curve omits pixels near clipped ones; it does unless too few would
+            remain.
+        hidden_peaks: whether there are clipped peaks whose codes do not show it.
+        clear_of_hidden: whether the curve omits pixels near those too.
     """
 
     plane: Plane
@@ -57,10 +57,10 @@ class ResponseCalibration(ShownInNotebooks):
     """A calibrated stack.
 
     Attributes:
-        stack: what was calibrated.
-        channels: the planes that could be.
-        skipped: (plane, reason) of those that could not.
-        sampling: how gamma was drawn; None for exact integrals.
+        stack: the calibrated exposures.
+        channels: the planes that could be calibrated.
+        skipped: (plane, reason) of the other planes.
+        sampling: settings of the sampler of gamma; None for exact integrals.
         seed: of every draw.
     """
 
@@ -81,7 +81,7 @@ def calibrate(
 
     Args:
         stack: exposures of still scenes.
-        sampling: how to draw gamma by emcee; None for exact integrals.
+        sampling: settings for draws of gamma by emcee; None for exact integrals.
         seed: of every draw.
 
     Returns:

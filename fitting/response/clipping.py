@@ -37,12 +37,12 @@ def clear_of_clipping(
     Args:
         codes: (exposures, h, w) DN, by exposure time.
         clip: DN from which a code is saturated.
-        mask: (h, w), true where the scene may be used; None for everywhere.
-        hidden: whether peaks that clipped and hide are looked for.
+        mask: (h, w), true where the scene may be used; None for all pixels.
+        hidden: whether to look for clipped peaks whose codes do not show it.
 
     Returns:
-        Of the same shape: `clip`, rounded up, within `MIXED` pixels of a code that has it, or of a
-        peak that had.
+        Codes of the same shape. Within `MIXED` pixels of a clipped code or of a hidden peak they
+        are set to `clip`, rounded up.
 
     Example:
         >>> from fitting.response import clear_of_clipping

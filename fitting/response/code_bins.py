@@ -14,10 +14,10 @@ class CodeBins:
 
     Attributes:
         edges: DN, ascending, halfway between codes.
-        lookup: (codes,) bin of every code; -1 where it is at or below black or clipped.
+        lookup: (codes,) bin of every code; -1 at or below black and where clipped.
         black: DN without light.
         anchor: DN where g = 0; None for mid-scale.
-        black_sd: DN, with which black is known; 0 for exactly.
+        black_sd: standard deviation of the black level, DN; 0 where exact.
     """
 
     edges: Float[np.ndarray, " edges"]

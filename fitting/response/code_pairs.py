@@ -41,9 +41,9 @@ class PairStatistics:
     Attributes:
         matrix: A.
         score: b.
-        pixels: that went in.
-        observations: (exposures,) that went in.
-        chi_square: the energy at the curve they were weighted by.
+        pixels: number of pixels.
+        observations: (exposures,) number of observations.
+        chi_square: at the curve that set the weights.
     """
 
     matrix: Float[np.ndarray, "unknowns unknowns"]

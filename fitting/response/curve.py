@@ -71,26 +71,28 @@ class ResponseCurve:
     """g with its errors.
 
     Attributes:
-        bins: intervals of codes.
+        bins: of the codes.
         log_exposure: (bins,) g at the centres, 0 at mid-scale.
         covariance: (bins, bins) of g.
         freedom: (bins,) degrees of freedom of its variances; a million where the noise of pixels
-            sets them.
-        seen: (bins,), which hold usable observations; the prior extrapolates to the others.
+            determines them.
+        seen: (bins,) true for bins with usable observations; the prior extrapolates to the others.
         bin_means: (bins,) mean of g over each bin.
-        exposures: those in use, s.
-        shutter_offsets: (exposures,) delta_j, beyond what any curve absorbs.
+        exposures: used exposures, s.
+        shutter_offsets: (exposures,) delta_j, without the part that a change of the curve could
+            absorb.
         shutter_offset_errors: (exposures,) their standard errors.
-        shutter_error: tau; None where the data show none.
-        shutter_bound: tau that it lies below by 95 %.
+        shutter_error: tau; None where the data show no shutter errors.
+        shutter_bound: upper limit of tau, 95 %.
         smoothness: precision of the prior.
-        design_effect: phi, how many pixels count as one.
-        clustering: the same of neighbours that err together, were there no limit to what counts.
-        noise: of the pixels, in the flattest places.
-        statistics: of the pairs of codes, all that the pixels say.
-        held_out: how well each exposure is predicted without it; None with fewer than three.
-        busy_places: (bins,) what `bin_means` of all places, busy ones too, depart by; 0 where that
-            may be chance.
+        design_effect: phi, the number of pixels that count as one independent pixel.
+        clustering: the same for neighbours with shared errors, if the number of effective pixels
+            had no limit.
+        noise: of the pixels, from the flattest places.
+        statistics: sufficient statistics of the pairs of codes.
+        held_out: prediction errors of each exposure from the others; None with fewer than three.
+        busy_places: (bins,) difference of `bin_means` when places with much detail are included; 0
+            where chance explains it.
     """
 
     bins: CodeBins
@@ -189,24 +191,26 @@ def fit_response_curve(
         bits: of the codes.
         black: DN without light.
         clip: DN from which a code is saturated; None for full scale.
-        layout: where the pixels lie; None for pixels that have no neighbours, which then count as
+        layout: positions of the pixels; None for pixels without neighbours, which count as
             independent.
-        least_error: lowest error of ln t that is believed of the shutter.
-        most_bins: at most so many intervals of codes.
-        rounds: how often the curve is solved for at most, smoothness and shutter errors between.
+        least_error: smallest assumed error of ln t by the shutter.
+        most_bins: largest number of bins of codes.
+        rounds: largest number of solutions for the curve, each followed by an update of smoothness
+            and shutter error.
         step: DN between neighbouring codes.
-        origin: DN of a code, less than a step.
-        black_sd: DN, with which black is known: a wrong one bends a pure gamma. 0 for exactly.
-        dim: whether a stack will do in which too few pixels pass mid-scale: g = 0 then lies in the
-            middle of the codes that are seen.
+        origin: DN of one code, less than a step.
+        black_sd: standard deviation of the black level, DN; 0 where exact. A wrong black level
+            bends a pure gamma.
+        dim: whether to accept a stack in which too few pixels pass mid-scale; g = 0 then lies in
+            the middle of the observed codes.
 
     Returns:
         The curve.
 
     Raises:
         InputError: when fewer than 100 pixels are neither black nor clipped in two exposures, when
-            two exposures are equal, when the exposures fall into sets that share no such pixel, or
-            agree on no rising curve.
+            two exposures are equal, and when the exposures fall into sets that share no such pixel
+            or admit no rising curve.
     """
     copies = Copies()
     for i, seen in enumerate(codes):

@@ -25,16 +25,16 @@ def from_stack(
     Args:
         images: (h, w) or (h, w, 3) integer DN each, in any order.
         exposures: of the images, s.
-        camera: its bits, and what else is known of it.
-        mask: (h, w), true where the scene may be used; None for everywhere.
-        exposure_sd: relative standard deviation of each exposure's error; None where nothing is
-            known of it, so that the images tell it.
+        camera: its bits, and other known properties.
+        mask: (h, w), true where the scene may be used; None for all pixels.
+        exposure_sd: relative standard deviation of each exposure's error; None where it is unknown
+            and estimated from the images.
 
     Returns:
-        The stack, checked as one of a folder is.
+        The stack, after the same checks as one from a folder.
 
     Raises:
-        InputError: for lists of unequal length, and for what cannot be used.
+        InputError: for lists of unequal length, and for images that cannot be used.
 
     Example:
         >>> from fitting.response import Camera, from_stack

@@ -74,10 +74,11 @@ class GammaSums(eqx.Module):
         score_d: (free,) of d.
         spread: sum of squares of the log exposure times about their mean.
         known: stated tau, added in quadrature to the fitted one; None for 0.
-        added: variance of gamma from other sources: black, systematic errors, weightings.
+        added: variance of gamma from other sources: black level, systematic errors, choice of
+            weights.
         most: upper limit of the fitted tau.
-        median: of the prior on the fitted tau.
-        log_sd: of its logarithm.
+        median: of the prior of the fitted tau.
+        log_sd: standard deviation of its logarithm in that prior.
     """
 
     cc: Float[Array, ""]
@@ -116,13 +117,14 @@ class GammaFit:
     Attributes:
         gamma: with its intervals.
         shutter_error: tau, rms of the error of ln t.
-        posterior: over (gamma, tau), of a stated tau what comes on top.
-        departure: (bins,) ln X of the measured curve less that of the best gamma; NaN where no
-            pixel was seen.
+        posterior: of (gamma, tau); where tau is stated, its second number is the error in addition
+            to the stated one.
+        departure: (bins,) ln X of the measured curve less that of the best gamma; NaN for codes
+            without observations.
         srgb_departure: (bins,) less that of the sRGB curve.
         dispersion: misfit of the best gamma over that of the free curve.
-        findings: what the data cannot tell apart.
-        left_out: errors that the rig states and that are too small to matter.
+        findings: sentences on what the data cannot distinguish.
+        left_out: errors that the rig states and that are negligible.
     """
 
     gamma: Estimate

@@ -25,12 +25,13 @@ def without_effect(
     Args:
         curve: with the sufficient statistics of its pixels.
         of_black: (bins,) change of ln X where black lies `black_sd` higher.
-        overstated: how many pixels count as one.
-        black_sd: DN, standard deviation of the black level; 0 for exactly known.
-        exposure_sd: relative error of the exposures, each its own; likewise.
+        overstated: number of pixels that count as one independent pixel.
+        black_sd: standard deviation of the black level, DN; 0 where exact.
+        exposure_sd: relative standard deviation of the independent errors of the exposures; 0 where
+            exact.
 
     Returns:
-        The errors, with their bounds.
+        The negligible errors, with their bounds.
     """
     found, size = [], len(of_black)
     matrix = curve.statistics.matrix / overstated

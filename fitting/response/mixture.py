@@ -19,9 +19,9 @@ class Mixture:
 
     Attributes:
         log_tau: (grid,) ln tau, evenly spaced.
-        weights: (grid,) of each, summing to 1.
-        mean: (grid,) of the number, given tau.
-        variance: (grid,) likewise.
+        weights: (grid,) of each tau; their sum is 1.
+        mean: (grid,) of the quantity, given tau.
+        variance: (grid,) of the quantity, given tau.
     """
 
     log_tau: Float[np.ndarray, " grid"]

@@ -36,10 +36,10 @@ class Pilot:
     """Results from the pilot's pixels.
 
     Attributes:
-        means: (bins,) of the curve, rising, over coarse bins.
-        noises: of the classes; None where the images agree on nothing.
-        rule: of the weights that they give.
-        solution: the last.
+        means: (bins,) of the rising curve, over coarse bins.
+        noises: of the classes; None where no noise model fits the images.
+        rule: of the weights from these noises.
+        solution: of the last round.
     """
 
     means: Float[np.ndarray, " bins"]

@@ -26,10 +26,10 @@ class Layout:
 
     Attributes:
         steepness: (pixels,) squared slope of ln(code - black), per pixel squared.
-        activity: (pixels,) variance of ln(code - black) over the 24 pixels around, noise aside;
-            below 0 where that is more.
-        rows: (pixels,).
-        columns: (pixels,).
+        activity: (pixels,) variance of ln(code - black) over the 24 surrounding pixels, less that
+            of noise; it may be negative.
+        rows: (pixels,) row of each pixel.
+        columns: (pixels,) column of each pixel.
     """
 
     steepness: Float[np.ndarray, " pixels"]

@@ -35,9 +35,10 @@ class RadianceMap:
     """A merged map.
 
     Attributes:
-        radiance: relative, per second; noise may carry that of a dark pixel below 0.
-        relative_error: its standard deviation over its size, where the scene is flat.
-        coverage: how many exposures were used (0: a bound, or codes that are mostly noise).
+        radiance: relative, per second; noise can make it negative in dark pixels.
+        relative_error: its relative standard deviation, where the scene is flat.
+        coverage: number of exposures that were used; 0 where the radiance is only a bound, or the
+            codes are mostly noise.
     """
 
     radiance: Float[np.ndarray, "*pixels"]

@@ -45,11 +45,13 @@ class Plane:
         mask: (h, w), true where the scene may be used.
         black: DN without light.
         clip: DN from which a pixel is saturated.
-        black_sd: DN, with which black is known; 0 for exactly.
-        exposure_sd: rms of what is known of the exposures' relative errors; 0 where nothing is.
-        start: row and column of its first pixel among those of its colour.
-        step: rows and columns between its pixels there; more than 1 of several taps.
-        black_measured: whether black is stated or that of darks, not read off the images.
+        black_sd: standard deviation of the black level, DN; 0 where exact.
+        exposure_sd: rms of the stated relative errors of the exposures; 0 where none is stated.
+        start: row and column of its first pixel in the plane of its colour.
+        step: distance of its pixels there, in rows and columns; more than 1 with several amplifier
+            taps.
+        black_measured: whether the black level is stated or measured on darks, not estimated from
+            the images.
     """
 
     group: str
@@ -76,11 +78,11 @@ class ExposureStack:
     """All planes of a rig.
 
     Attributes:
-        planes: group by group.
+        planes: in the order of the groups.
         bits: of the camera.
-        step: DN between neighbouring codes: 16 of 12 bits at the upper end of 16.
-        origin: DN of a code, less than a step.
-        remarks: what was found of the images, in sentences.
+        step: DN between neighbouring codes; 16 for 12 bits that are stored in the upper bits of 16.
+        origin: DN of one code, less than a step.
+        remarks: sentences on the images.
     """
 
     planes: tuple[Plane, ...]

@@ -36,7 +36,7 @@ class HeldOut:
     """The error of predicting exposures that the curve and the radiance did not use.
 
     Attributes:
-        rms: DN, of each exposure; NaN where too few pixels can be predicted.
+        rms: DN, for each exposure; NaN where too few pixels can be predicted.
         exposures: (exposures,) s.
     """
 
@@ -63,7 +63,7 @@ class Repeats:
 
     Attributes:
         departures: (fits, bins).
-        pixels: (bins,) variance that the pixels' own noise explains.
+        pixels: (bins,) variance that the pixel noise explains.
     """
 
     departures: Float[np.ndarray, "fits bins"]

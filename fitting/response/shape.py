@@ -35,11 +35,11 @@ class Shape:
     """The deviation of a response from the best pure gamma, over the codes used for the verdict.
 
     Attributes:
-        size: largest departure, in ln exposure; NaN where no code is judged.
-        code: DN, where it is.
-        shown: largest departure among codes where it is beyond chance; 0 where none is.
-        shown_code: DN, where that is.
-        shown_error: standard error of the departure there, in ln exposure.
+        size: largest departure, in ln exposure; NaN where no code can be judged.
+        code: DN of that departure.
+        shown: largest significant departure; 0 where none is significant.
+        shown_code: DN of that departure.
+        shown_error: its standard error, in ln exposure.
     """
 
     size: float

@@ -42,10 +42,10 @@ class Shutter:
     """The common exponent of the times.
 
     Attributes:
-        per_square: (bins,) variance of g for each unit of tau^2.
-        likeliest: tau.
+        per_square: (bins,) variance of g per unit of tau^2.
+        likeliest: tau of maximum posterior probability.
         tau: (grid,).
-        weights: (grid,) of each, summing to 1.
+        weights: (grid,) probability of each tau; their sum is 1.
     """
 
     per_square: Float[np.ndarray, " bins"]
@@ -97,9 +97,9 @@ def mixed(
     """Student's t for the combined errors of a variance and the shutter.
 
     Args:
-        variance: (bins,) from elsewhere.
+        variance: (bins,) from other sources.
         freedom: (bins,) degrees of freedom of that variance.
-        shutter: its tau mixed.
+        shutter: over whose tau the variances are mixed.
 
     Returns:
         (bins,) squared scale and (bins,) degrees of freedom.

@@ -75,12 +75,12 @@ class Solution:
         free: (free,) shutter errors d.
         covariance: (unknowns, unknowns) of both, C.
         basis: (exposures, free), delta = basis d.
-        used: hyperparameters that gave it.
+        used: hyperparameters of this solution.
         suggested: hyperparameters for the next round.
-        equations: of each tile.
-        prior: (unknowns, unknowns), its precision.
-        clustering: phi by the tiles alone.
-        log_evidence: of the hyperparameters used, up to what all of one set of statistics share.
+        equations: of each image tile.
+        prior: (unknowns, unknowns), precision of the prior.
+        clustering: phi estimated from the tiles alone.
+        log_evidence: of the hyperparameters used, up to a constant for one set of statistics.
     """
 
     means: Float[np.ndarray, " bins"]

@@ -34,13 +34,13 @@ class WeightRule:
     each class of pixels.
 
     Attributes:
-        by_bin: (classes, bins) weight to start from, by observed code.
+        by_bin: (classes, bins) initial weight by observed code.
         start: log exposure of the first cell.
-        step: between cells.
+        step: log exposure between cells.
         precision: (classes, cells) 1 / variance; None where `by_bin` is the only weight.
-        weight: (classes, cells) of it what is used.
-        share: (classes, cells) share of the variance that is independent of the light: noise, and
-            rounding as far as noise dithers it.
+        weight: (classes, cells) fraction of the precision that is used as weight.
+        share: (classes, cells) share of the variance that is independent between exposures: noise,
+            and rounding where noise dithers it.
         bias: (classes, cells) mean of weight times residual.
     """
 
@@ -58,12 +58,12 @@ class Observations:
     """Linked pixels: those with at least two weights.
 
     Attributes:
-        binned: (exposures, pixels) bins.
+        binned: (exposures, pixels) indices of bins.
         classes: (pixels,).
         weights: (exposures, pixels).
         cells: (exposures, pixels) of the rule's tables, flattened.
         residuals: (exposures, pixels) in ln X.
-        total: (pixels,) sums of weights.
+        total: (pixels,) sum of weights.
         log_irradiance: (pixels,).
     """
 

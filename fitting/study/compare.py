@@ -32,10 +32,10 @@ class Compared:
         channel: "" for none.
         unit: of values.
         median: over the cameras.
-        scatter: standard deviation among the cameras beyond their errors, without the outliers, or
-            NaN.
-        differ: whether errors alone explain that scatter in fewer than one of 1000 such studies.
-        outliers: names of cameras that are unlike the others, the furthest first.
+        scatter: standard deviation between the cameras beyond their errors, without the outliers;
+            or NaN.
+        differ: whether chance alone would give that scatter in fewer than one of 1000 such studies.
+        outliers: names of the cameras that differ from the others, the furthest first.
         values: of the outliers, in the unit.
     """
 

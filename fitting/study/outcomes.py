@@ -45,11 +45,11 @@ class Outcome:
 
     Attributes:
         camera: name of the folder in the study.
-        estimates: of its calibration; none where it failed.
+        estimates: of its calibration; empty where it failed.
         findings: sentences of its report.
         failed: why there is no calibration; "" where there is one.
-        date: ISO 8601, of the rig; "" where it has none.
-        temperature: K, of the rig, or None.
+        date: ISO 8601, from the rig; "" where it has none.
+        temperature: K, from the rig, or None.
     """
 
     camera: str
@@ -69,8 +69,8 @@ class Folder:
         path: of the rig.
         out: folder of its report.
         digest: of the rig and its images, as the study found them.
-        changed: when the last of these files was, ns.
-        memory: that its calibration takes, bytes.
+        changed: time of the latest change of these files, ns.
+        memory: that its calibration needs, bytes.
     """
 
     camera: str
@@ -88,7 +88,7 @@ class Settings:
     Attributes:
         kind: of calibration.
         seed: of every draw.
-        reports: whether each folder's report is drawn, which takes most of the time.
+        reports: whether to draw each folder's report, which takes most of the time.
     """
 
     kind: Kind

@@ -35,10 +35,10 @@ def page(
     Args:
         title: of the page.
         outcomes: of the folders, which link to their reports.
-        found: from `table`.
-        quantities: from `compared`, in their units.
-        drifting: from `drifts`.
-        shown: the file of a folder's results.
+        found: as `table` returns it.
+        quantities: as `compared` returns them, in their units.
+        drifting: as `drifts` returns them.
+        shown: name of the file with a folder's results.
 
     Returns:
         HTML with the figures inside, as SVG.

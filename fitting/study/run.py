@@ -35,10 +35,10 @@ class Study:
     """Many folders, calibrated with the same settings.
 
     Attributes:
-        outcomes: one a folder, in the order in which they were given.
-        found: the table of all, as `study.nc`.
-        quantities: each beside those of the other cameras, in its unit.
-        drifts: of quantities with date or temperature.
+        outcomes: one for each folder, in the given order.
+        found: table of all, as in `study.nc`.
+        quantities: each compared between the cameras, in its unit.
+        drifts: of quantities over date or temperature.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -58,18 +58,18 @@ def study(
     earlier run of the same version on the same data are reused.
 
     Args:
-        paths: of rigs; workers find them under the same paths.
-        out: folder of the reports, one a rig, and of `study.nc` and `study.html`.
-        settings: of all.
-        progress: called with (done, folders).
+        paths: of rigs; workers use the same paths.
+        out: folder for the reports, one for each rig, and for `study.nc` and `study.html`.
+        settings: of all calibrations.
+        progress: called with (folders done, all folders).
 
     Returns:
-        The study; a folder that cannot be calibrated, or that holds the images of another one,
-        says why, and the others go on.
+        The study. A folder that cannot be calibrated, or that repeats the images of another one, is
+        listed with the reason, and the others continue.
 
     Raises:
-        InputError: for no folders, two of one name, and for a worker that is not like this process
-            or sees other data.
+        InputError: for an empty list, for two folders of one name, and for a worker whose software
+            or data differ from this process.
     """
     asked = _named(paths, out)
     outcomes = {folder.camera: remembered(settings, folder) for folder in asked}

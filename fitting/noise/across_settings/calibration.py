@@ -27,12 +27,12 @@ class CameraCalibration(ShownInNotebooks):
 
     Attributes:
         frames: of each setting.
-        calibrations: of each by itself; None where there are darks alone.
+        calibrations: of each setting alone; None where it has darks alone.
         fit: of all settings.
-        full_well: e-, where a well was filled before the converter's range ended.
-        dsnu: squared, e-^2, where pixels are known.
-        prnu: squared, relative, where pixels are known.
-        left_out: settings that the fit is without, and why, in sentences.
+        full_well: e-, where the pixel fills before the ADC's range ends.
+        dsnu: variance, e-^2, where frames of pixels are known.
+        prnu: relative variance, where frames of pixels are known.
+        left_out: settings that the fit omits, and why, in sentences.
     """
 
     frames: tuple[FramesOfSetting, ...]
@@ -85,16 +85,16 @@ def calibrate_settings(
     fails. A setting that cannot be fitted by itself is left out and named.
 
     Args:
-        frames: of two settings or more, as `read_by_setting` gives them.
-        calibrations: of each setting by itself, as `calibrate_one` gives them; None to make them.
+        frames: of at least two settings, as `read_by_setting` returns them.
+        calibrations: of each setting alone, as `calibrate_one` returns them; None makes them.
         seed: of every draw.
 
     Returns:
         The calibration.
 
     Raises:
-        InputError: for two settings of one gain and temperature, for fewer than two, for fewer than
-            two that can be fitted, and where they leave a parameter open.
+        InputError: for two settings of equal gain and temperature, for fewer than two settings that
+            can be fitted, and where they leave a parameter undetermined.
     """
     settings = [one.setting for one in frames]
     if len({*settings}) < max(len(settings), 2):

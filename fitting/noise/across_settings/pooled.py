@@ -26,12 +26,12 @@ class Pooled:
     """An average over settings.
 
     Attributes:
-        settings: indices of those that enter.
-        value: of full well, e-; of a pattern its variance, e-^2 or relative squared.
-        error: its standard error; of a pattern by temporal noise alone.
-        chi_square: of the settings about it.
-        parts: of a pattern's variance, in which the die stands for its population.
-        spread: deviation of the settings from the value, rms, in its unit.
+        settings: indices of the pooled settings.
+        value: of the full well, e-; of a pattern its variance, e-^2 or relative.
+        error: its standard error; for a pattern from temporal noise alone.
+        chi_square: of the settings about the value.
+        parts: of a pattern's variance, as this sensor is one sample of its population.
+        spread: rms deviation of the settings from the value, in its unit.
     """
 
     settings: tuple[int, ...]

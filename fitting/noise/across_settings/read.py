@@ -28,10 +28,10 @@ def read_by_setting(
         channel: site of a Bayer mosaic; empty for the first green.
 
     Returns:
-        One for each gain and temperature, in their order.
+        The frames of each gain and temperature, in their order.
 
     Raises:
-        InputError: for what cannot be used.
+        InputError: for files that cannot be used.
     """
     return reduce_by_setting(load_rig(path), channel=channel)
 

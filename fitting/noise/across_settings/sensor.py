@@ -43,15 +43,15 @@ def sensor_at(
 
     Args:
         calibration: of the camera.
-        gain: as the settings state it (an ISO speed, or dB); None where there is one alone.
-        temperature: K; None where there is one alone.
+        gain: in the unit of the settings (an ISO speed, or dB); None where there is only one.
+        temperature: K; None where there is only one.
 
     Returns:
-        The best fit; and the same with a leading axis of draws at every number.
+        The best fit; and the same sensor with a leading axis of draws at every number.
 
     Raises:
-        InputError: for a gain or a temperature out of the range that was measured, and for more
-            electrons than photons.
+        InputError: for a gain or a temperature outside the measured range, and for more electrons
+            than photons.
     """
     if calibration.is_impossible:
         raise InputError("More electrons are counted than photons arrive; correct the photons.")

@@ -147,12 +147,12 @@ class Claim:
     """An assumption of the model, with its test.
 
     Attributes:
-        quantity: that is claimed to follow its law, or to be shared,
+        quantity: the claim is that it follows its law, or that settings share it,
         axis: over these settings.
-        chi_square: that giving it up would save.
-        degrees: of freedom.
-        own: deviation of each gain or temperature, where the frames know one.
-        rivals: claims that failed with it, of a claim that was given up.
+        chi_square: its decrease if the claim were dropped.
+        degrees: of freedom that dropping it would cost.
+        own: deviation of each gain or temperature, where the frames determine one.
+        rivals: for a dropped claim, the other claims that failed with it.
     """
 
     quantity: Quantity
@@ -188,14 +188,14 @@ class SharedFit:
 
     Attributes:
         settings: in the order of gain and temperature.
-        told: by each of them.
-        freed: claims that were given up.
-        labels: the gains, temperatures or settings that have a value of their own, by parameter.
-        fit: of the P parameters.
-        posterior: of the same, each named by its gain, temperature or setting.
-        figures: the best fit's at each setting.
-        claims: that could be judged; first those that failed, as they did.
-        reference: T_ref, K; None where no temperature is told.
+        told: estimates of each setting.
+        freed: claims that were dropped.
+        labels: by parameter, the gains, temperatures or settings that have a value of their own.
+        fit: values of the P parameters.
+        posterior: of the same parameters, each named by its gain, temperature or setting.
+        figures: of the best fit at each setting.
+        claims: that could be tested; the failed ones first, in the order of failure.
+        reference: T_ref, K; None where no temperature is stated.
     """
 
     settings: tuple[Setting, ...]

@@ -79,13 +79,13 @@ class Comparison:
 
     Attributes:
         lit: light and exposure of the levels.
-        levels: what their frames show.
-        found: what the best estimate of the camera predicts, DN.
-        noise: (quantities, levels) variance by the frames' own noise.
-        camera: (quantities levels, quantities levels) covariance by the draws of the camera; 0 of
-            what the camera was fitted to.
-        agreement: by the names of `PARTS`; of means alone where the camera does not tell noise.
-        ended: levels that were left out, as the camera predicts them at an end of its scale.
+        levels: statistics of their frames.
+        found: prediction of the best estimate of the camera, DN and DN^2.
+        noise: (quantities, levels) sampling variance by the frames' own noise.
+        camera: (quantities levels, quantities levels) covariance from the draws of the camera; 0
+            for the data to which the camera was fitted.
+        agreement: by the names of `PARTS`; for means alone where the camera states no noise.
+        ended: levels that were left out because the camera predicts them at an end of its scale.
     """
 
     lit: Lit

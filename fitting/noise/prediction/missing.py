@@ -54,12 +54,12 @@ class Traces(NamedTuple):
         lit: 1 with light, 0 without.
         exposure: s.
         signal: mean above black.
-        shot: variance by the counting of electrons.
+        shot: variance by shot noise.
         total: variance.
-        light: mean by light alone.
-        light_shot: variance by light alone.
-        amount: photons, or electrons where light has no scale; 1 in the dark.
-        step: DN of one electron.
+        light: mean from light alone.
+        light_shot: variance from light alone.
+        amount: photons, or electrons where the scale of the light is unknown; 1 in the dark.
+        step: DN per electron.
     """
 
     lit: np.ndarray
@@ -83,10 +83,10 @@ class Candidate(NamedTuple):
 
     Attributes:
         key: a word.
-        shape: what a size of 1 adds to mean, variance, covariance along rows and along columns;
-            None of what stays. Of a scatter, its standard deviation.
-        sentence: what the camera lacks, as a clause with the size.
-        positive: whether its size cannot be below 0.
+        shape: change of mean, variance and covariance along rows and along columns for a size of 1;
+            None where there is no change. For a scatter, its standard deviation.
+        sentence: names the missing effect, as a clause with the size.
+        positive: whether its size must be positive.
     """
 
     key: str
@@ -256,9 +256,9 @@ class Missing:
 
     Attributes:
         key: of the candidate.
-        clause: what is lacking, with its size.
-        strength: by how many standard errors it is not there by chance.
-        after: how well each quantity is predicted with it, and with those named before it.
+        clause: names the missing effect, with its size.
+        strength: its significance, in standard errors.
+        after: agreement of each quantity when this effect and those before it are included.
     """
 
     key: str

@@ -26,7 +26,8 @@ class Lit(eqx.Module):
     """Levels with and without light.
 
     Attributes:
-        light: (levels,) photons per pixel and exposure; electrons of a sensor without efficiency.
+        light: (levels,) photons per pixel and exposure; electrons for a sensor without quantum
+            efficiency.
         exposure: (levels,) s.
         lit: (levels,) 1 with light, 0 without.
     """
@@ -42,12 +43,12 @@ class Expected:
 
     Attributes:
         values: (quantities, levels) the `QUANTITIES`, DN and DN^2.
-        by_light: (quantities, levels) their slopes over the logarithm of the light.
+        by_light: (quantities, levels) their derivatives by the logarithm of the light.
         electrons: (levels,) mean charge of a pixel.
-        step: (levels,) DN of one more electron.
+        step: (levels,) DN per electron at that charge.
         rows: DN^2, noise that the pixels of a row share, new in every frame.
-        columns: likewise.
-        frames: likewise of all pixels.
+        columns: DN^2, the same of columns.
+        frames: DN^2, the same of all pixels.
     """
 
     values: Float[np.ndarray, "quantities levels"]
@@ -79,17 +80,17 @@ class Frames:
     """Statistics of the frames of levels, as `Levels` has them.
 
     Attributes:
-        light: (levels,) as of the measurement.
+        light: (levels,) in the unit of the measurement.
         mean: (levels,) DN.
         variance: (levels,) temporal, DN^2.
         neighbours: (2, levels) covariances along rows and along columns, DN^2; None where they are
             not known.
-        frames: (levels,) how many.
-        pixels: how many.
+        frames: (levels,) number of frames.
+        pixels: number of pixels.
         shape: rows and columns; None where they are not known.
-        unsteady: (levels,) variance of a frame's mean by noise that was taken out, DN^2.
-        light_error: (levels,) relative, by which the light of each level is off.
-        variance_error: relative, by which variances scatter for reasons that are not known.
+        unsteady: (levels,) variance of a frame's mean by noise that was subtracted, DN^2.
+        light_error: (levels,) relative error of the light of each level.
+        variance_error: relative scatter of the variances for unknown reasons.
     """
 
     light: Float[np.ndarray, " levels"]
@@ -256,11 +257,11 @@ def noise(levels: Frames, found: Expected) -> Float[np.ndarray, "quantities leve
     """Sampling variance of the observed quantities about their expectation.
 
     Args:
-        levels: how many frames and pixels there are, and errors from level to level.
-        found: what is expected.
+        levels: with their numbers of frames and pixels, and errors from level to level.
+        found: expected statistics.
 
     Returns:
-        DN^2, then DN^4.
+        Variances of the mean, DN^2, then of the variances, DN^4.
     """
     frames, pixels, degrees = levels.frames, levels.pixels, levels.frames - 1
     total = found.values[1]

@@ -43,13 +43,13 @@ class Prediction(ShownInNotebooks):
 
     Attributes:
         camera: its name in sentences.
-        comparisons: of the camera with levels; the first one is judged.
-        labels: what the levels of each comparison are.
-        unscaled: whether the means gave the rate of the light.
-        light_error: relative, by which the light of a level is off.
-        variance_error: relative, by which variances scatter for reasons that are not known.
-        missing: effects that the camera lacks, of those that are known.
-        remarks: what the camera does not tell and what was done about it, in sentences.
+        comparisons: of the camera with levels; the verdict is on the first one.
+        labels: names of the levels of each comparison.
+        unscaled: whether the rate of the light was fitted to the means.
+        light_error: relative error of the light of a level.
+        variance_error: relative scatter of the variances for unknown reasons.
+        missing: known effects that the camera lacks.
+        remarks: sentences on what the camera does not state, and how that was handled.
     """
 
     camera: str
@@ -77,19 +77,19 @@ def predict(
     """Compare frames with the prediction of a camera alone.
 
     Args:
-        camera: a calibration, a sensor, a file of one (`sensor.toml` that a noise calibration
-            wrote, with its draws beside it) or of a camera, or the name of a shipped camera.
-        measurement: flats and darks, as `read_photon_transfer` or `from_frames` gives them.
-        draws: of a sensor that is no file, with a leading axis at every number; None where its
-            numbers are exact.
-        light_error: relative standard deviation of the light of a level about what is stated.
+        camera: a calibration, a sensor, a file of either a sensor (`sensor.toml` of a noise
+            calibration, with its draws beside it) or a camera, or the name of a shipped camera.
+        measurement: flats and darks, as `read_photon_transfer` or `from_frames` returns them.
+        draws: for a sensor that is no file, the same sensor with a leading axis of draws at every
+            number; None where its numbers are exact.
+        light_error: relative standard deviation of the true light of a level about the stated one.
 
     Returns:
         Mean, variance and covariance of neighbours of each level beside the prediction, with
         chi-squares, and the effects that the camera lacks.
 
     Raises:
-        InputError: for what is no camera of one channel, and for frames of other bits.
+        InputError: for an argument that is no camera of one channel, and for frames of other bits.
 
     Example:
         >>> from fitting.noise import Camera, from_frames, predict

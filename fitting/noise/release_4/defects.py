@@ -27,8 +27,8 @@ class Histogram(NamedTuple):
         centres: (classes,) of the classes, less the mean, in the unit of the image.
         counts: (classes,) pixels.
         gaussian: (classes,) pixels of a Gaussian of the same standard deviation.
-        deviations: (257,) least deviations.
-        share: (257,) per cent of pixels that deviate by at least these.
+        deviations: (257,) absolute deviations from the mean.
+        share: (257,) per cent of pixels that deviate at least that far.
     """
 
     centres: Float[np.ndarray, " classes"]
@@ -42,10 +42,10 @@ class Outliers(NamedTuple):
     """Pixels beyond a number of standard deviations.
 
     Attributes:
-        beyond: standard deviations.
-        pixels: how many.
+        beyond: threshold, in standard deviations.
+        pixels: number of pixels beyond it.
         interval: (low, high) of their share in the population, 95 % (Clopper and Pearson 1934).
-        expected: share of a Gaussian.
+        expected: share beyond it in a Gaussian.
     """
 
     beyond: float
@@ -58,8 +58,8 @@ def histogram(image: Float[np.ndarray, "h w"], steps: float) -> Histogram:
     """The standard's histograms of an average frame.
 
     Args:
-        image: filtered, or as it is.
-        steps: of the average to one unit of the image: L where that is DN.
+        image: with or without the high-pass filter.
+        steps: number of grid steps of the average per unit of the image: L where that is DN.
 
     Returns:
         Both histograms.

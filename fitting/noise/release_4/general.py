@@ -37,7 +37,7 @@ class General:
     """Signal to noise of a measured response.
 
     Attributes:
-        light: (levels,) of those below saturation, photons per pixel, or s where these are unknown.
+        light: (levels,) below saturation, photons per pixel, or s where photons are unknown.
         slope: (levels,) R, DN per unit of light.
         output: (levels,) SNR_y.
         input: (levels,) SNR_p.

@@ -20,8 +20,8 @@ class Spectrogram(NamedTuple):
     Attributes:
         cycles: (frequencies,) per pixel, 0 to 1/2.
         power: (frequencies,) DN^2.
-        white: median power, DN^2: that of what is independent from pixel to pixel.
-        band: (low, high) of the power of such pixels, 95 % at each frequency.
+        white: median power, DN^2; the level of noise that is independent between pixels.
+        band: (low, high) of the power of such noise, 95 % at each frequency.
     """
 
     cycles: Float[np.ndarray, " frequencies"]

@@ -46,10 +46,10 @@ class Loss(NamedTuple):
     """The share of variances that the filter passes.
 
     Attributes:
-        lines: share of the variance of independent rows or columns.
-        pixels: of independent pixels.
-        line_degrees: share of the degrees of freedom of rows or columns.
-        pixel_degrees: of pixels.
+        lines: share of the variance that the filter leaves of independent rows or columns.
+        pixels: the same of independent pixels.
+        line_degrees: share of the degrees of freedom that it leaves of rows or columns.
+        pixel_degrees: the same of pixels.
     """
 
     lines: float = 1.0

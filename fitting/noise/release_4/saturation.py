@@ -34,7 +34,7 @@ class Numbers:
     """The numbers of each bright level.
 
     Attributes:
-        at_top: (levels,) share at the end of the scale; 0 where that is unknown.
+        at_top: (levels,) share of the values at the end of the scale; 0 where that end is unknown.
         spread: (levels,) standard deviation over pixels and frames, DN.
     """
 

@@ -47,15 +47,15 @@ class Release4(ShownInNotebooks):
     """The sheet of release 4.0.
 
     Attributes:
-        stacks: that it was made from.
-        within: the ranges of the levels.
-        clipped: whether the saturation point is that of release 4, by numbers at the end of the
+        stacks: the data of the sheet.
+        within: levels that enter each figure.
+        clipped: whether the saturation point follows release 4, from values at the end of the
             scale.
         linear: figures of *Linear* with their standard errors.
-        nonuniformity: by how the frames were filtered: `FILTERED` and `PLAIN`; none without images,
-            `PLAIN` alone of frames too small for the filter.
+        nonuniformity: by the filter of the frames, `FILTERED` and `PLAIN`; empty without images,
+            `PLAIN` alone for frames smaller than the filter.
         general: signal to noise without a linear model.
-        seed: of the draws.
+        seed: of the draws behind the intervals.
     """
 
     stacks: Stacks
@@ -81,7 +81,7 @@ def release_4_sheet(stacks: Stacks, *, seed: int = 0) -> Release4:
 
     Args:
         stacks: of `read_stacks` or `stacks_from_frames`.
-        seed: of the draws that intervals come from.
+        seed: of the draws behind the intervals.
 
     Returns:
         The sheet; a notebook and `print` show it, and its `section` has estimates by name.

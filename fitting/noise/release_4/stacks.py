@@ -40,8 +40,8 @@ class Stack:
         image: (h, w) average, DN.
         noise: sigma^2, DN^2.
         drift: variance of the frames' means, DN^2.
-        frames: L.
-        at_top: share of the numbers at the end of the scale; 0 where that is unknown.
+        frames: L, the number of frames.
+        at_top: share of the values at the end of the scale; 0 where that end is unknown.
     """
 
     image: Float[np.ndarray, "h w"]
@@ -77,11 +77,12 @@ class Stacks:
 
     Attributes:
         measurement: means and temporal variances of all pixels, as the standard has them.
-        numbers: of the bright levels; None without images.
-        bright: spatial variances of each bright level, high-passed where it is large enough for
-            that, else as it is.
-        dark: of each dark.
-        averages: of which the nonuniformities are; None without images.
+        numbers: shares at the end of the scale and scatter of each bright level; None without
+            images.
+        bright: spatial variances of each bright level, high-passed where the frame is large enough
+            for the filter.
+        dark: the same of each dark.
+        averages: average frames behind the nonuniformities; None without images.
     """
 
     measurement: PhotonTransfer
@@ -101,13 +102,15 @@ def read_stacks(
     Args:
         path: a rig folder or file, or a table of sums with the suffix `.csv`, which has no images.
         bits: ADC bits of a table's camera; None for those of the rig.
-        channel: site of a rig's Bayer mosaic, or tap; empty for the first green, or the first tap.
+        channel: site of a rig's Bayer mosaic, or amplifier tap; empty for the first green site, or
+            the first tap.
 
     Returns:
-        Statistics in DN, of all pixels: dead ones count, as the standard's histograms show them.
+        Statistics in DN over all pixels, dead ones included, because the standard's histograms show
+        them.
 
     Raises:
-        InputError: for what cannot be used.
+        InputError: for files that cannot be used.
     """
     file = Path(path)
     if file.suffix.lower() == ".csv":

@@ -59,19 +59,19 @@ class BRDFCalibration(ShownInNotebooks):
     """Every model fitted to one material, one of them reported in full.
 
     Attributes:
-        measured: what was calibrated.
-        objective: of the fits.
-        index: of refraction, of clear facets.
-        model: the one reported.
+        measured: the calibrated samples.
+        objective: that the fits minimise.
+        index: of refraction of dielectric facets.
+        model: name of the reported model.
         fits: of every model.
-        fitted: errors of every model on the samples of its fit.
-        held_out: errors of the predictions of incidences that were left out.
+        fitted: errors of every model on the samples that it was fitted to.
+        held_out: errors of the predictions for held-out incidences.
         space: the P parameters of `model`.
-        mean: (P,) natural, amplitudes averaged over bands.
-        covariance: (P, P) of their logarithms, by the jackknife, widened.
+        mean: (P,) natural values, amplitudes averaged over bands.
+        covariance: (P, P) of their logarithms, from the jackknife, widened.
         amplitudes: of every band.
-        open_parameters: what is not determined, and why.
-        posterior: None where anything is open.
+        open_parameters: those that the samples do not determine, and why.
+        posterior: None where a parameter is not determined.
     """
 
     measured: MeasuredBRDF
@@ -103,11 +103,11 @@ def calibrate(
 
     Args:
         measured: samples of one material.
-        model: the one reported; None for that of least held-out error. "torrance-sparrow" has GGX
-            facets, as `jaxvision.TorranceSparrow` by default.
+        model: the reported model; None for the one of least held-out error. "torrance-sparrow" has
+            GGX facets, as `jaxvision.TorranceSparrow` by default.
         objective: to minimise.
-        index: of refraction, of the clear facets of Torrance-Sparrow.
-        sampling: how to draw the posterior of the reported model by emcee; None for Laplace.
+        index: of refraction of the dielectric facets of Torrance-Sparrow.
+        sampling: settings for draws of the reported model's posterior by emcee; None for Laplace.
         seed: of every draw.
 
     Returns:

@@ -28,11 +28,10 @@ class Errors:
 
     Attributes:
         rms: of f_r cos(theta_i), sr^-1.
-        relative: over the RMS of what was measured.
+        relative: `rms` over the RMS of the measured values.
         cube_root: RMS difference of the cube roots, sr^-1/3.
-        by_incidence: (incidences,) `relative`, the RMS of both being that of each incidence's own
-            samples.
-        parts: (incidences, 2) what each adds to the squares of `rms` and `cube_root`.
+        by_incidence: (incidences,) `relative` of the samples of each incidence alone.
+        parts: (incidences, 2) contribution of each to the squares of `rms` and `cube_root`.
     """
 
     rms: float
@@ -91,9 +90,9 @@ class Ratio:
     """The ratio of the errors of two models.
 
     Attributes:
-        value: of the whole errors.
+        value: ratio of the errors of all incidences.
         without: (incidences,) the same with each incidence left out.
-        alone: (incidences,) the same of each by itself.
+        alone: (incidences,) the same of each incidence alone.
     """
 
     value: float
@@ -198,10 +197,10 @@ def best_about_axis(scores: Mapping[Model, Errors], axis: Axis, objective: Objec
     Args:
         scores: errors by model.
         axis: of the lobe.
-        objective: whose metric counts.
+        objective: whose metric decides.
 
     Returns:
-        Its name.
+        The name of the best model.
     """
     own: dict[Model, Errors] = {m: e for m, e in scores.items() if REFLECTANCES[m].axis == axis}
     return best(own, objective)

@@ -89,11 +89,11 @@ def in_plane_angles(measured: MeasuredBRDF) -> tuple[np.ndarray, np.ndarray]:
     """Angles of the viewer in the plane of incidence, and out of it.
 
     Args:
-        measured: samples, n.
+        measured: n samples.
 
     Returns:
-        (n,) from the normal within the plane, positive away from the light, and (n,) out of the
-        plane, rad.
+        (n,) angle from the normal within the plane, positive away from the light, and (n,) angle
+        out of the plane, rad.
     """
     sine = np.sin(measured.elevation)
     along = np.arctan2(-sine * np.cos(measured.azimuth), np.cos(measured.elevation))
@@ -109,7 +109,7 @@ def predicted(
         fit: of one model.
         theta_i: of the light from the normal, rad.
         theta_o: (n,) of the viewers, positive away from the light, rad.
-        index: of refraction, of clear facets.
+        index: of refraction of dielectric facets.
 
     Returns:
         (n,) sr^-1.

@@ -53,9 +53,9 @@ class LobeFit:
         model: its name.
         diffuse: (bands,) k_d, sr^-1.
         specular: (bands,) k_s, in the record's unit.
-        shape: natural; None for Lambert.
+        shape: in natural units; None for Lambert.
         predicted: (n, bands) f_r of ALL samples, sr^-1.
-        cost: what the objective is at.
+        cost: value of the objective.
         settled: whether the search ended at a minimum.
     """
 
@@ -75,8 +75,8 @@ class ModelFit:
     Attributes:
         model: its name.
         objective: of the fits.
-        whole: to all samples.
-        without: one fit an incidence.
+        whole: fit to all samples.
+        without: one fit for each incidence that is held out.
     """
 
     model: Model

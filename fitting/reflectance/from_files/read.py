@@ -58,14 +58,14 @@ class MeasuredBRDF:
         wi: (n,) components, unit, local, toward the light.
         wo: (n,) components, unit, local, toward the viewer.
         values: (n, bands) f_r, sr^-1.
-        weights: (n,) what a sample counts, their mean being 1.
+        weights: (n,) of the samples; their mean is 1.
         incidence: (n,) index into `incidences`.
         incidences: elevations of the light, rad.
         elevation: (n,) of the viewer, rad.
         azimuth: (n,) of the viewer from the light's, rad in [0, pi].
         bands: names.
         wavelengths: (bands,) nm; None for RGB.
-        findings: what a reader must know of these data.
+        findings: sentences on these data for the report.
     """
 
     name: str
@@ -96,7 +96,7 @@ def read_measured_brdf(path: str | os.PathLike[str]) -> MeasuredBRDF:
         The samples.
 
     Raises:
-        InputError: for what cannot be fitted.
+        InputError: for a file that cannot be fitted.
     """
     path = Path(path)
     measured = read_measured(path)

@@ -44,15 +44,16 @@ class ReflectanceCalibration(ShownInNotebooks):
     """Fits of several models to the lights of a rig, one of them reported in full.
 
     Attributes:
-        observation: what was calibrated.
-        model: the one reported.
+        observation: the calibrated photographs.
+        model: name of the reported model.
         fits: of every model, by channel.
         scores: of every model in every channel.
-        open_parameters: by channel, what `model` does not determine, with the reason.
-        posteriors: of the channels where nothing is open.
-        fitted: samples that the fits saw.
-        held_out: samples that they are tested on.
-        minimum_cosine: n.l below which samples were left out.
+        open_parameters: by channel, the parameters of `model` that the data do not determine, with
+            the reason.
+        posteriors: of the channels where all parameters are determined.
+        fitted: samples of the fits.
+        held_out: samples that test the predictions.
+        minimum_cosine: samples with a smaller n.l were left out.
     """
 
     observation: Photographs
@@ -97,15 +98,17 @@ def calibrate(
 
     Args:
         observation: of a known shape under known lights.
-        model: the one reported in full; "torrance-sparrow" has GGX facets, as
+        model: the model reported in full; "torrance-sparrow" has GGX facets, as
             `jaxvision.TorranceSparrow` by default.
-        compare_all: fit every model instead of the usual rivals, `USUAL`, in about twice the time.
-        index: of refraction, of the clear facets of Torrance-Sparrow.
-        sampling: how to draw the posterior of `model` by emcee; None for Laplace.
+        compare_all: whether to fit every model instead of the usual rivals, `USUAL`; this takes
+            about twice the time.
+        index: of refraction of the dielectric facets of Torrance-Sparrow.
+        sampling: settings for draws of the posterior of `model` by emcee; None for Laplace.
         seed: of every draw.
-        ambient: add a constant per channel to the light, read off the attached shadows too.
-        fit_gamma: free the encoding exponent (a known `camera.gamma` is then ignored).
-        minimum_cosine: leave out samples at a smaller n.l, for shapes whose grazing light is
+        ambient: whether to add a constant per channel to the light; it is estimated from the
+            attached shadows too.
+        fit_gamma: whether to fit the encoding exponent; a known `camera.gamma` is then ignored.
+        minimum_cosine: samples with a smaller n.l are left out, for shapes whose grazing light is
             uncertain.
         progress: called with (fits done, all fits).
 

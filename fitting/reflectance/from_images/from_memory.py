@@ -52,30 +52,30 @@ def from_photographs(
     is one number for all images or one for each; None for exact.
 
     Args:
-        images: one a light, (h, w) or (h, w, 3) DN each.
+        images: one for each light, (h, w) or (h, w, 3) DN.
         lights: (lights, 3) unit vectors from the object toward distant lights.
-        camera: its bits, and what else is known of it and how well (`black_sd`, `gamma_sd`,
+        camera: its bits, other known properties, and their errors (`black_sd`, `gamma_sd`,
             `gain_sd`, `read_noise_sd`, `prnu_sd`).
-        normals: (h, w, 3) unit, 0 beside the object; either these or a sphere.
-        sphere: seen orthographically.
-        mask: (h, w), true where the object is; None for wherever the shape is.
-        intensities: (lights,) or (lights, channels) irradiance on a surface that faces the light,
-            W m^-2 or relative, or radiant intensity of point lights; None for 1.
-        intensity_sd: of the intensities, relative.
-        direction_sd: of the directions, rad along each of two axes across them.
-        exposure_sd: of the images' exposures, relative.
-        stray_sd: rms of light that reaches all pixels by other ways, relative to the irradiance.
-        held_out: indices of the lights kept for testing; none for every fourth.
-        point_lights: take `lights` as positions from the centre of the sphere, m.
-        flats: of each level of light two or more frames, (h, w) or (h, w, 3) DN; a joint
-            calibration reads gain and read noise from them.
-        darks: two or more frames each, the same without light.
+        normals: (h, w, 3) unit, 0 beside the object. Pass either these or a sphere.
+        sphere: in orthographic projection.
+        mask: (h, w), true where the object is; None for all pixels of the shape.
+        intensities: (lights,) or (lights, channels) irradiance on a surface that faces the light, W
+            m^-2 or relative; for point lights, radiant intensity. None for 1.
+        intensity_sd: relative standard deviation of the intensities.
+        direction_sd: standard deviation of the directions, rad along each of two axes across them.
+        exposure_sd: relative standard deviation of the images' exposures.
+        stray_sd: rms of stray light on all pixels, relative to the irradiance.
+        held_out: indices of the lights that are kept for the test; none keeps every fourth.
+        point_lights: whether `lights` are positions from the centre of the sphere, m.
+        flats: for each level of light two or more frames, (h, w) or (h, w, 3) DN; a joint
+            calibration estimates gain and read noise from them.
+        darks: two or more frames each, without light.
 
     Returns:
-        The photographs, checked as those of a folder are.
+        The photographs, after the same checks as those of a folder.
 
     Raises:
-        InputError: for lists of unequal length, and for what cannot be used.
+        InputError: for lists of unequal length, and for images that cannot be used.
 
     Example:
         >>> from fitting.reflectance import Camera, SphereGeometry, from_photographs

@@ -73,31 +73,32 @@ class Photographs:
 
     Attributes:
         channels: names.
-        files: names, one a light.
+        files: names, one for each light.
         dn: (channels, lights, pixels) stored digital numbers.
-        intensity: (channels, lights) as the rig gives it.
-        falloff: (lights, pixels) what distance leaves of it: 1 for distant lights, m^-2 for point
-            lights.
+        intensity: (channels, lights) as stated in the rig.
+        falloff: (lights, pixels) factor on the intensity by distance: 1 for distant lights, m^-2
+            for point lights.
         wi: (lights, pixels, 3) unit, toward the light.
         cosine: (lights, pixels) n.l, negative in attached shadows.
         mirror_angle: (lights, pixels) between view and mirror direction, rad.
         normals: (pixels, 3) unit.
-        held_out: (lights,), which are kept for testing.
-        rows: (pixels,) in images of `shape`.
-        columns: (pixels,) in images of `shape`.
+        held_out: (lights,), true for those kept for the test.
+        rows: (pixels,) row of each pixel in images of `shape`.
+        columns: (pixels,) column of each pixel in images of `shape`.
         shape: (h, w).
-        camera: of the rig, its sites levelled to one black.
+        camera: of the rig, after its mosaic sites were shifted to one black level.
         black: DN without light.
         white: DN of full scale above black.
         clip: DN from which a pixel is saturated.
         gamma: encoding exponent; None where linear or unknown.
         gain: DN per electron; None where unknown.
         read_noise: e- rms; None where unknown.
-        findings: what was assumed, in sentences.
-        uncertain: (lights,) standard deviations by their key in the rig, 0 where exact.
-        black_sd: DN, of the black level; 0 where exact.
-        gamma_sd: of the encoding exponent; 0 where exact.
-        levels: uniform frames of each channel; None without any, or where none are asked for.
+        findings: sentences on assumptions.
+        uncertain: (lights,) standard deviations by their key in the rig; 0 where exact.
+        black_sd: DN, standard deviation of the black level; 0 where exact.
+        gamma_sd: standard deviation of the encoding exponent; 0 where exact.
+        levels: of the uniform frames of each channel; None without any, or where none are
+            requested.
     """
 
     channels: tuple[str, ...]
@@ -141,14 +142,14 @@ def read_reflectance_observation(
 
     Args:
         rig: with `[[light]]` and `[geometry]`, or its folder or file.
-        load: how an image is had by its path.
+        load: function that reads an image from its path.
 
     Returns:
         The observation.
 
     Raises:
         InputError: for images that are missing, of unequal size, dark or clipped throughout, for
-            shapes that do not fit and for too few pixels.
+            shapes that do not match and for too few pixels.
     """
     rig = as_rig(rig)
     require(rig, PURPOSE)

@@ -24,15 +24,15 @@ def read_joint_measurement(
     """Read and check the images of a rig, its flats and its darks.
 
     Args:
-        rig: with `[[light]]` and `[geometry]`, and with `[[flat]]` and `[[dark]]` where there are
-            any; or its folder or file.
-        load: how an image is had by its path.
+        rig: with `[[light]]` and `[geometry]`, and optional `[[flat]]` and `[[dark]]`; or its
+            folder or file.
+        load: function that reads an image from its path.
 
     Returns:
         The photographs, with the levels of flats and darks.
 
     Raises:
-        InputError: as the reflectance calibration does, and for flats and darks that do not fit.
+        InputError: as for the reflectance calibration, and for flats and darks that do not match.
     """
     rig = as_rig(rig)
     observation = read_reflectance_observation(rig, load=load)
