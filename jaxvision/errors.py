@@ -15,10 +15,10 @@ def install(extra: str) -> str:
     """Return the command that installs the dependencies of an optional feature.
 
     Args:
-        extra: of the distribution.
+        extra: optional dependency of the distribution.
 
     Returns:
-        The command.
+        The installation command.
 
     Example:
         >>> print(jv.errors.install("mesh"))
@@ -54,7 +54,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
     Args:
         word: the unknown word.
-        known: the known ones.
+        known: the valid words.
 
     Returns:
         Part of a sentence.
@@ -81,10 +81,10 @@ def check_utf8(path: str | Path) -> None:
     """Check a path, because libraries for images, reports and rigs need text.
 
     Args:
-        path: of a file, there or not.
+        path: of a file, which need not exist.
 
     Raises:
-        InputError: for bytes that are no UTF-8.
+        InputError: for bytes that are not UTF-8.
     """
     try:
         str(path).encode()
@@ -96,10 +96,10 @@ def unwritable(error: OSError) -> str:
     """Return the system's reason why a file cannot be written, and a remedy.
 
     Args:
-        error: the system's.
+        error: from the operating system.
 
     Returns:
-        End of a sentence, without its stop.
+        End of a sentence, without its full stop.
 
     Example:
         >>> jv.errors.unwritable(OSError(28, "No space left on device"))
@@ -115,10 +115,10 @@ def plain_text(file: Path) -> str:
     """The content of a UTF-8 text file, with or without a byte order mark.
 
     Args:
-        file: there.
+        file: that exists.
 
     Returns:
-        The text, its lines divided by newlines.
+        The text, with lines separated by newlines.
 
     Raises:
         InputError: for UTF-16 and UTF-32, and for a byte that is not UTF-8, as in Latin-1.

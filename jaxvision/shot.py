@@ -42,10 +42,10 @@ class Capture(Shown):
     Attributes:
         radiance: (h, w, bands) W m^-2 sr^-1 seen by each pixel.
         irradiance: (h, w, bands) W m^-2 on the sensor.
-        raw: (h, w, bands) DN, (h, w, 1) under a colour filter.
+        raw: (h, w, bands) DN; (h, w, 1) under a colour filter.
         picture: (h, w, colours) developed, relative to white; None for a camera without
             development.
-        certificate: what was left out, where a tolerance was given; static.
+        certificate: of the removed effects, where a tolerance was given; static.
 
     Example:
         >>> lamp = jv.Surface(jv.Plane([0, 0, 9], [0, 0, -1]), jv.Lambert([0.0]), [4 / np.pi])
@@ -89,36 +89,38 @@ def capture(
     shadows and outlines, as in `render`.
 
     Args:
-        key: random key of what changes from frame to frame; None where the sensor draws nothing
-            from it.
-        scene: what is in front of the camera.
+        key: random key for everything that changes from frame to frame; None if the sensor does not
+            need it.
+        scene: in front of the camera.
         camera: view, sensor and development.
-        die_key: random key of what stays with this camera, likewise.
-        rule: how extended lights without a rule of their own are sampled, as in `render`.
-        samples: the mean over many rays of each pixel, as in `render`; a thin lens needs it to
+        die_key: random key for everything that stays with this camera; None if the sensor does not
+            need it.
+        rule: sampling rule of extended lights without their own, as in `render`.
+        samples: rays of each pixel, whose mean is taken, as in `render`; a thin lens needs it for
             defocus.
-        motion: from a time in s after the first row's exposure began to the scene and the view
-            then, given what they are at rest; None: all stands still. The sensor must have an
-            exposure time.
-        moments: static, how many times during the exposure are rendered for a motion;
+        motion: function of a time in s after the start of the first row's exposure, and of the
+            scene and view at rest; it returns the scene and view at that time. None for no motion.
+            The sensor must have an exposure time.
+        moments: static, number of times during the exposure at which a motion is rendered;
             `sensor.exposure_slots` places them.
-        tolerance: how far the raw numbers may move by what is left out, as in `effects.prune`, such
-            as "0.5DN" or "0.1sigma"; outside of `jit` only. Radiance and irradiance then hold the
-            bands that were kept. None leaves nothing out.
-        integrator: static; how radiance is found. None: direct light, by `render`. `Paths`: light
-            that bounces as well, its paths drawn by `key`, the same for every moment of a motion;
-            or any function of scene and view, as of `ray_traced` or `radiosity_image`.
+        tolerance: largest change of the raw values by removed effects, as in `effects.prune`, such
+            as "0.5DN" or "0.1sigma"; outside of `jit` only. Radiance and irradiance then contain
+            the kept bands only. None removes nothing.
+        integrator: static; the method that computes radiance. None for direct light, by `render`.
+            `Paths` for reflected light as well; its paths are drawn by `key`, the same for every
+            moment of a motion. Or any function of scene and view, such as one that calls
+            `ray_traced` or `radiosity_image`.
 
     Returns:
-        Radiance, irradiance, raw numbers and the developed picture; with a tolerance also the
-        certificate of what was left out.
+        Radiance, irradiance, raw values and the developed picture; with a tolerance also the
+        certificate of the removed effects.
 
     Raises:
         ValueError: for a key that is missing, a motion without exposure time, and a thin lens
             without samples, unless its f_number is inf or traced; for traced records with a
-            tolerance; for samples beside an integrator, or a tolerance beside one that is a
-            function. Unequal bands of scene and sensor, and a missing key unless the integrator is
-            a function, are told before anything is rendered.
+            tolerance; for samples together with an integrator, or a tolerance with an integrator
+            that is a function. Bands of scene and sensor that differ, and a missing key (unless the
+            integrator is a function), are reported before rendering.
 
     Example:
         A grey room that shines everywhere: its walls show themselves, and one another.

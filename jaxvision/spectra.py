@@ -72,17 +72,17 @@ def interpolate_spectrum(
         values: (..., bands) in any unit.
         known: (bands,) m, ascending.
         wanted: (wanted,) m.
-        method: "linear", or "sprague", the quintic of CIE 167:2005 for smooth spectra, which takes
-            `known` as evenly spaced and needs at least six bands.
-        outside: beyond `known`, "clamp" continues the end values (CIE 15:2018, 7.2.3), "zero" ends
-            the spectrum (sensitivities).
+        method: "linear", or "sprague", the quintic of CIE 167:2005 for smooth spectra, which
+            assumes evenly spaced `known` and needs at least six bands.
+        outside: beyond `known`, "clamp" repeats the end values (CIE 15:2018, 7.2.3), and "zero"
+            returns 0 (for sensitivities).
 
     Returns:
         (..., wanted) in the unit of `values`.
 
     Raises:
-        ValueError: an unknown option, too few bands, values of another number of bands, known
-            wavelengths that do not ascend, or wavelengths in another unit than m.
+        ValueError: for an unknown option, too few bands, values with another number of bands, known
+            wavelengths that do not ascend, or wavelengths that are not in m.
     """
     bands = known.shape[0]
     least = {"linear": 2, "sprague": 6}
@@ -148,8 +148,8 @@ def band_widths(wavelengths: Wavelengths) -> Wavelengths:
         (bands,) m.
 
     Raises:
-        ValueError: fewer than two wavelengths, or known ones that do not ascend or were meant in
-            another unit.
+        ValueError: for fewer than two wavelengths, or for wavelengths that do not ascend or are not
+            in m.
     """
     if wavelengths.shape[0] < 2:
         raise ValueError(f"wavelengths must hold at least two values, got {wavelengths.shape[0]}.")
@@ -173,7 +173,7 @@ def integrate_spectrum(spectrum: Spectrum, wavelengths: Wavelengths) -> Float[Ar
         (...) in the unit of the spectrum times m.
 
     Raises:
-        ValueError: wavelengths that do not ascend, or were meant in another unit.
+        ValueError: for wavelengths that do not ascend, or are not in m.
     """
     if is_known(wavelengths):  # most of them: a grid of heat may end at a metre
         require_metres("integrate_spectrum: wavelengths", np.median(np.asarray(wavelengths)))
@@ -207,7 +207,7 @@ def spectrum_to_xyz(
     Args:
         spectrum: (..., bands) W m^-2 sr^-1 per m, for Y in cd m^-2; or W m^-2 per m, for lux.
         wavelengths: (bands,) m, ascending.
-        observer: (bands, 3), no unit, as `colour_data.observer` gives it.
+        observer: (bands, 3), no unit, from `colour_data.observer`.
 
     Returns:
         (..., 3) X, Y, Z in cd m^-2 or lux.
@@ -228,7 +228,7 @@ def reflectance_to_xyz(
     Args:
         reflectance: (..., bands) relative, 1 for perfect white.
         wavelengths: (bands,) m, ascending.
-        observer: (bands, 3), no unit, as `colour_data.observer` gives it.
+        observer: (bands, 3), no unit, from `colour_data.observer`.
         illuminant: (bands,) relative; its scale cancels.
 
     Returns:
@@ -255,8 +255,8 @@ def rgb_to_reflectance(
     1.1e-2 every 10 nm from 400 to 700 nm.
 
     Args:
-        rgb: (..., 3) linear sRGB, relative; or k_d in sr^-1, in which the result is then.
-        basis: (bands, 3), no unit, as `colour_data.rgb_basis` gives it.
+        rgb: (..., 3) linear sRGB, relative; or k_d in sr^-1.
+        basis: (bands, 3), no unit, from `colour_data.rgb_basis`.
 
     Returns:
         (..., bands) in the unit of `rgb`.
@@ -288,8 +288,8 @@ def blackbody(wavelengths: Wavelengths, temperature: Scalar) -> Wavelengths:
         (bands,) W m^-2 sr^-1 per m, with the constants of the SI of 2019.
 
     Raises:
-        ValueError: for wavelengths above 100 m, which were meant in another unit, and a temperature
-            below 0. From 1e-2 to 100 m a warning says that they are radio waves.
+        ValueError: for wavelengths above 100 m, which are probably in another unit, and a
+            temperature below 0. From 1e-2 to 100 m a warning says that they are radio waves.
 
     Example:
         >>> wavelengths = jnp.linspace(50e-9, 100e-6, 100_000)
@@ -392,9 +392,9 @@ def daylight(basis: Float[Array, "bands 3"], temperature: Scalar) -> Wavelengths
     M_1 and M_2 are not rounded.
 
     Args:
-        basis: (bands, 3) relative, as `colour_data.daylight_basis` gives it.
+        basis: (bands, 3) relative, from `colour_data.daylight_basis`.
         temperature: () correlated colour temperature in K, clamped to CIE's range of 4000 to 25000
-            K, with a warning where it is known; D65 is at 6504 K (6500 K on the scale of 1931).
+            K, with a warning unless it is traced; D65 is at 6504 K (6500 K on the scale of 1931).
 
     Returns:
         (bands,) relative.

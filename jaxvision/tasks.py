@@ -57,9 +57,9 @@ def cluster(client: "Client") -> Iterator[None]:
         A context manager.
 
     Raises:
-        InputError: for a client without workers, and for a worker with another version of
-            jaxvision, by number or by source, of jax, jaxlib or NumPy, or another kind of device,
-            before any work.
+        InputError: for a client without workers, and for a worker with another version of jaxvision
+            (by number or by source), of jax, jaxlib or NumPy, or another kind of device. It is
+            raised before any work.
 
     Example:
         >>> from distributed import Client
@@ -107,15 +107,15 @@ def workers(count: int, *, scheduler: str = "") -> Iterator[None]:
     with neither, in sequence in this process.
 
     Args:
-        count: processes, each of one thread; 0 for none.
+        count: number of processes, each of one thread; 0 for none.
         scheduler: address such as "tcp://10.0.0.1:8786", or "".
 
     Returns:
         A context manager.
 
     Raises:
-        InputError: where both are given, Dask is not installed, no scheduler answers, or the
-            processes are more than the machine has room for.
+        InputError: if both are given, Dask is not installed, no scheduler answers, or the machine
+            has too little memory for the processes.
     """
     if count and scheduler:
         raise InputError("--workers and --scheduler exclude each other; give one.")
@@ -152,19 +152,19 @@ def in_order(
     """Results of independent tasks in order, computed on the workers of `cluster` or here.
 
     Args:
-        function: of a module, from what all tasks share and one item to a result; what it raises
-            is raised here.
-        shared: what all tasks need; sent to a worker once.
+        function: of a module, from the shared data and one item to a result; its exceptions are
+            raised here.
+        shared: data for all tasks, which are sent to each worker once.
         items: one for each task.
-        memory: bytes that a worker needs for the largest task, about: `PROGRAMS` and the task's
-            own; 0 where that is not known.
+        memory: approximate memory of a worker for the largest task, `PROGRAMS` plus that of the
+            task, bytes; 0 where it is unknown.
 
     Returns:
-        The results, each as soon as it and all before it are there.
+        The results, in order, each as soon as it and all before it are ready.
 
     Raises:
         InputError: before any work, for a worker of another version or with too little memory;
-            later, for a task that too many workers were lost with.
+            later, for a task during which too many workers were lost.
 
     Example:
         >>> list(jv.tasks.in_order(pow, 2, range(4)))

@@ -84,10 +84,11 @@ def choose(
         seconds: s, the longest warm call.
 
     Returns:
-        The trial; `measured` says whether it was run or inferred from others.
+        The trial; `measured` states whether it was run or inferred from others.
 
     Raises:
-        InputError: unless one of the two is given, and where nothing meets it.
+        InputError: unless exactly one of tolerance and time is given, and where no setting meets
+            it.
 
     Example:
         >>> from jaxvision.accuracy import choose, error_against_time

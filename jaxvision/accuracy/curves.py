@@ -55,24 +55,24 @@ def curve(
     time. Calls timed while it still runs are marked.
 
     Args:
-        problem: what is computed.
-        knob: or its name, one of `KNOBS`.
-        settings: instead of those of the knob, cheapest first.
-        reference: the result to be reached, in the problem's unit, instead of one that is made.
-        seconds: s, the budget; settings that would exceed it are not run, and one that does is
-            given up.
-        seeds: with which a random setting is run, at most.
-        metrics: norms to keep, "rms", "p99", "max" and for pictures "delta_e"; choices are by the
-            first.
-        clock: seconds as a function; None: the machine's.
+        problem: the computation and its settings.
+        knob: the record, or its name, one of `KNOBS`.
+        settings: that replace those of the knob, cheapest first.
+        reference: exact result, in the problem's unit; None makes one.
+        seconds: s, time budget; settings that would exceed it are not run, and one that exceeds it
+            is stopped.
+        seeds: largest number of seeds for a setting with random numbers.
+        metrics: norms to record: "rms", "p99", "max" and for pictures "delta_e". The first one
+            decides which setting is chosen.
+        clock: function that returns seconds; None for the machine's clock.
 
     Returns:
         The curve.
 
     Raises:
         InputError: for an unknown knob or norm, no settings, fewer than two seeds, a budget that is
-            not above 0, a problem that refuses every setting, and results of another shape than the
-            reference.
+            not above 0, a problem that refuses every setting, and results whose shape differs from
+            that of the reference.
 
     Example:
         The midpoint rule on x^2 over [0, 1] errs by 1 / (12 n^2).
@@ -361,15 +361,15 @@ def error_against_time(
     The warm calls take turns, so that a drift of the machine's speed favours none.
 
     Args:
-        calls: a call without arguments for each name.
-        reference: the result to be reached, from a finer setting or in closed form, in any unit.
+        calls: functions without arguments, by name.
+        reference: exact result, from a finer setting or in closed form, in any unit.
         metric: error of a result against the reference.
-        repeats: warm calls of each, at least 1.
-        clock: seconds as a function; None: the machine's.
+        repeats: number of warm calls of each, at least 1.
+        clock: function that returns seconds; None for the machine's clock.
 
     Returns:
-        One trial for each call, in their order, its setting the name; the error is that of the
-        first call, without spread.
+        One trial for each call, in their order; its setting is the name. The error is that of the
+        first call and has no spread.
 
     Raises:
         InputError: for no calls or no repeats.

@@ -21,7 +21,7 @@ def relative_rms(result: Any, reference: Any) -> float:
         sqrt(mean (result - reference)^2 / mean reference^2), no unit.
 
     Raises:
-        InputError: for a reference of zeros, of which no error is a share.
+        InputError: for a reference of zeros, to which no error is relative.
 
     Example:
         >>> print(f"{jv.accuracy.relative_rms([1.0, 1.1], [1.0, 1.0]):.4f}")

@@ -31,10 +31,10 @@ def page(
     """The page.
 
     Args:
-        problem: whose knobs they are.
+        problem: that has the knobs.
         curves: of the knobs, error against time in s.
-        command: by which it can be repeated.
-        together: settings of all knobs, checked or not; None: without checks.
+        command: that repeats the measurement.
+        together: settings of all knobs at once, with or without a check run; None for curves alone.
 
     Returns:
         HTML with the plots inside, as SVG.
@@ -92,14 +92,15 @@ def write_page(
     """Writes the page and its numbers.
 
     Args:
-        folder: made if needed.
-        problem: whose knobs they are.
+        folder: for the files; it is made if needed.
+        problem: that has the knobs.
         curves: of the knobs, error against time in s.
-        command: by which it can be repeated.
-        together: settings of all knobs, checked or not; None: without checks.
+        command: that repeats the measurement.
+        together: settings of all knobs at once, with or without a check run; None for curves alone.
 
     Returns:
-        Paths of `accuracy.html` and `accuracy.json`, each written as soon as it is known.
+        Paths of `accuracy.html` and `accuracy.json`. Each file is written as soon as its contents
+        are known.
     """
     sheet = as_dict(problem, curves, together=together, machine=machine(), command=command)
     folder.mkdir(parents=True, exist_ok=True)

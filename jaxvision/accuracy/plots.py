@@ -29,9 +29,9 @@ def plot(
     line is the Pareto front.
 
     Args:
-        curve: from `curve`.
-        others: of other programs (name, s, relative error), as triangles.
-        axes: of matplotlib to draw on; None: new ones.
+        curve: as `curve` returns it.
+        others: results of other programs (name, s, relative error), drawn as triangles.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes; time in s, error in percent.
@@ -106,7 +106,7 @@ def front(curves: Sequence[Curve], *, axes: "Axes | None" = None) -> "Axes":
 
     Args:
         curves: of the knobs.
-        axes: of matplotlib to draw on; None: new ones.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes; time in s, error in percent.

@@ -17,19 +17,20 @@ class Knob:
     """One approximation of the library, and the values that trade its error for time.
 
     Attributes:
-        name: by which it is asked for.
+        name: by which it is selected.
         unit: of a setting.
-        about: what it approximates, in a few words.
+        about: what the setting approximates, in a few words.
         settings: cheapest first.
-        reference: settings finer than all of those, coarser ones first, of which the finest that
-            time allows makes the reference.
-        order: the exponent p of error ~ setting^p that theory gives, such as -2 of a midpoint rule;
-            None: no law is known.
-        law: whether the error is a power of the setting, or falls by a factor with each unit of it.
-        random: whether another seed gives another error; else the error is a bias, and results of
+        reference: finer settings, coarsest first; the finest one that the time allows makes the
+            reference.
+        order: theoretical exponent p of error ~ setting^p, such as -2 for a midpoint rule; None
+            where no law is known.
+        law: "power": the error is a power of the setting; "geometric": it changes by a constant
+            factor with each unit of it.
+        random: whether the error depends on the seed. If not, the error is a bias, and results of
             one seed are compared with each other.
-        whole: whether any whole number is a setting, not only those listed.
-        sets: the public parameters that it stands for, as patterns of `fnmatch` on the names below
+        whole: whether any whole number is a valid setting, not only those listed.
+        sets: public parameters that the knob stands for, as `fnmatch` patterns of the names below
             `jaxvision` or `fitting`.
     """
 
@@ -50,28 +51,29 @@ class Problem:
     """A computation as a function of settings and a seed.
 
     Attributes:
-        name: in tables and plots.
-        prepare: from the settings of all knobs by name to a function of a seed; what that returns
-            is an array of numbers. It is asked once for each setting, and may compile in its first
-            call.
-        settings: of the knobs that are not varied.
-        exact: the truth, where a closed form is known; None: a reference is made.
-        level: what errors are relative to, in the unit of the result; None: the root mean square of
-            the reference.
-        developed: from a result and the reference, by whose brightness it is exposed, to the Lab of
-            the developed picture, (pixels, 3), where there is one.
-        whole: seconds of the whole over seconds of a call, for a problem that is a part of another.
-        compiled: whether the settings of all knobs take no new program, so that their first call
-            takes no longer than others; None: every setting takes its own.
-        about: what errors and times are of, in sentences.
-        compiling: s that one more program is expected to take, before any was seen to.
-        once: s of the last call that the whole takes no longer for, such as what comes before the
-            first pixel of a picture.
-        error_axis: what errors are, with their unit, as the label of an axis.
-        compared: from a result, or the mean of several, to what is compared, such as radiance cut
-            at white; None: the result itself.
-        alone: by the name of a random knob `prepare` where the seed changes its chance alone, and
-            not that of other knobs, which would hide its error.
+        name: for tables and plots.
+        prepare: function of the settings of all knobs by name. It returns a function from a seed to
+            an array of numbers. It is called once for each setting, and that function may compile
+            in its first call.
+        settings: default settings of all knobs.
+        exact: the exact result, where a closed form is known; None makes a reference.
+        level: to which errors are relative, in the unit of the result; None for the root mean
+            square of the reference.
+        developed: function from a result and the reference (which sets the exposure) to the Lab
+            colours of the developed picture, (pixels, 3); None where there is no picture.
+        whole: time of the whole computation over the time of a call, for a problem that is only a
+            part of it.
+        compiled: whether one compiled program serves all settings, so that no first call takes
+            longer than others; otherwise every setting compiles its own program.
+        about: sentences on the meaning of errors and times.
+        compiling: s, expected time to compile one more program, before any measurement.
+        once: s, part of a call that the whole computation needs only once, such as what precedes
+            the first pixel of a picture.
+        error_axis: label for the axis of errors, with their unit.
+        compared: function from a result, or the mean of several, to the numbers that are compared,
+            such as radiance clipped at white; None for the result itself.
+        alone: for random knobs by name, a variant of `prepare` where the seed changes the random
+            numbers of that knob only. The noise of other knobs would hide its error.
     """
 
     name: str
@@ -96,18 +98,19 @@ class Trial:
 
     Attributes:
         setting: the setting.
-        error: relative, root mean square over seeds, in the first norm that was asked for.
-        error_low, error_high: relative; a run with another seed stays between the two in 95 of 100
-            cases, and below the upper one in 97.5, whatever the reference is itself off by.
-        seconds: median time of a warm call, in s.
-        seconds_low, seconds_high: s, its quartiles.
-        first_seconds: s, of the first call, with tracing and compilation.
-        seeds: with which it was run.
+        error: relative, root mean square over seeds, in the first requested norm.
+        error_low, error_high: relative interval: the error of a run with another seed lies in it in
+            95 of 100 cases, and below its upper end in 97.5. It includes the error of the
+            reference.
+        seconds: median time of a warm call, s.
+        seconds_low, seconds_high: quartiles of that time, s.
+        first_seconds: time of the first call with tracing and compilation, s.
+        seeds: number of seeds.
         norms: every norm by name: "rms", "p99" and "max" relative, "delta_e" in units of L*.
-        hollow: whether the error is below three times that of the reference: it says little then.
-        beside: whether a program that had been given up was still at work meanwhile, so that the
-            time is too long.
-        measured: False for a setting that was inferred from others by the knob's order.
+        hollow: whether the error is below three times that of the reference, and thus says little.
+        beside: whether an abandoned program was still running meanwhile, so that the time is too
+            long.
+        measured: False for a setting that was inferred from others by the order of the knob.
     """
 
     setting: Any
@@ -130,10 +133,11 @@ class Reference:
     """The reference for errors.
 
     Attributes:
-        setting: that made it; None: a closed form, or the caller's.
-        error: relative, its own, estimated; 0 for a closed form, inf where there is no estimate.
-        how: "closed form", "given", "other seeds", "twice as fine", "exact setting", "finest
-            setting" or "none".
+        setting: that made it; None for a closed form or the caller's reference.
+        error: relative error estimate of the reference; 0 for a closed form, inf where there is no
+            estimate.
+        how: source of the reference and its error: "closed form", "given", "other seeds", "twice as
+            fine", "exact setting", "finest setting" or "none".
     """
 
     setting: Any
@@ -146,11 +150,11 @@ class Order:
     """The law of an error, fitted by least squares to the points that are not hollow.
 
     Attributes:
-        exponent: p of error ~ setting^p; of a geometric law the logarithm of the factor by which
+        exponent: p of error ~ setting^p; for a geometric law, the logarithm of the factor by which
             the error changes with each unit of the setting.
         low, high: its 95 % interval, infinite for two points.
         law: "power" or "geometric".
-        points: how many entered.
+        points: number of fitted trials.
     """
 
     exponent: float
@@ -180,17 +184,18 @@ class Curve:
     """Error against time for one setting of one problem.
 
     Attributes:
-        problem: its name.
-        knob: whose settings were measured.
-        trials: of each setting that was run, cheapest first; none where time was too short.
-        reference: of the errors.
-        order: fitted, or None for fewer than two points.
-        pareto: indices of the trials that no other beats in both error and time.
-        not_run: settings for which time was too short.
+        problem: name of the problem.
+        knob: the knob whose settings were measured.
+        trials: one for each setting that was run, cheapest first; empty where the time was too
+            short.
+        reference: to which the errors refer.
+        order: fitted order; None for fewer than two points.
+        pareto: indices of the trials for which no other trial is better in both error and time.
+        not_run: settings that were not run because the time was too short.
         stopped: "" if all was measured; else the reason, such as "out of time", with the abandoned
             setting, or "interrupted".
-        taken: s, of the whole measurement.
-        error_axis: what its errors are, with their unit, as the label of an axis.
+        taken: time of the whole measurement, s.
+        error_axis: label for the axis of errors, with their unit.
     """
 
     problem: str

@@ -42,16 +42,16 @@ class Chosen:
     """Chosen settings of a scene file, and their predicted error and time.
 
     Attributes:
-        render: `[render]` to render with.
-        effects: the effects that the tolerance allows to drop, or None.
-        promised: relative root mean square error of the picture that no run is expected to exceed.
-        predicted_seconds: s, of the whole picture, with compilation.
+        render: settings of `[render]`.
+        effects: the reduced scene where the tolerance allows to omit effects, or None.
+        promised: upper limit of the picture's relative root mean square error, for any seed.
+        predicted_seconds: time of the whole picture with compilation, s.
         checked: whether runs with fresh seeds against a finer picture have confirmed it; False if
-            there was too little time.
+            the time was too short.
         settings: of the knobs that were changed.
-        unknown: knobs that keep their setting, because there was too little time to estimate their
-            errors; `promised` does not include these.
-        curves: of each knob; empty where the settings were remembered.
+        unknown: knobs that keep their setting because the time was too short to estimate their
+            errors; `promised` does not include these errors.
+        curves: of each knob; empty where the settings come from the cache.
     """
 
     render: RenderEntry
@@ -80,18 +80,18 @@ def measured(
     Args:
         source: the scene and its view.
         settings: `[render]`.
-        names: of the knobs; None: all that change its picture.
-        seconds: s, for all.
+        names: of the knobs; None for all that change the picture.
+        seconds: time budget, s.
         expand: as in `scene_problem`.
         metrics: as in `curve`.
-        clock: seconds as a function; None: the machine's.
-        problem: the scene file's, where there is one already.
+        clock: function that returns seconds; None for the machine's clock.
+        problem: of the scene file, where it exists already.
 
     Returns:
         The problem and the curves.
 
     Raises:
-        InputError: for a knob that the scene file has not.
+        InputError: for a knob that the scene file does not have.
     """
     known = knobs_of(source, settings)
     chosen = asked_knobs(str(source.path), names, known)
@@ -139,17 +139,18 @@ def settings(
     Args:
         scene_file: from `read_scene`.
         tolerance: relative root mean square error over the pixels, above 0.
-        render_seconds: s, that the whole render may take.
-        seconds: s, for measuring.
-        cache: whether to remember the settings for this scene, machine and version, and to take
-            them from there.
-        clock: seconds as a function; None: the machine's.
+        render_seconds: time limit of the whole render, s.
+        seconds: time budget of the measurement, s.
+        cache: whether to store the settings for this scene, machine and version, and to use stored
+            ones.
+        clock: function that returns seconds; None for the machine's clock.
 
     Returns:
         The settings.
 
     Raises:
-        InputError: unless one of tolerance and time is given, above 0, and where nothing meets it.
+        InputError: unless exactly one of tolerance and time is given, above 0, and where no setting
+            meets it.
     """
     goal = tolerance if render_seconds is None else render_seconds
     if goal is None or (tolerance is not None and render_seconds is not None) or not goal > 0:

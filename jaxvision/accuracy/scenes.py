@@ -49,7 +49,7 @@ def knobs_of(source: SceneFile, settings: RenderEntry) -> tuple[str, ...]:
         settings: its integrator and rule.
 
     Returns:
-        Names in `KNOBS`, those that matter most first; no unit.
+        Names in `KNOBS`, the most influential first.
     """
     extended = any(
         not isinstance(light, PointLight | DirectionalLight | SmallLight)
@@ -109,18 +109,19 @@ def scene_problem(
 
     Args:
         source: the scene and its view.
-        settings: `[render]`; None: those of the file.
+        settings: of `[render]`; None for those of the file.
         expand: (all bands, bands) for a scene with fewer bands than requested, as in
             `effects.Pruned`, or None.
         probe: pixels along each side of the grid.
-        seconds: s, for everything; a small part is for the scale of the times.
-        clock: seconds as a function; None: the machine's.
+        seconds: time budget, s; a small part of it calibrates the time scale.
+        clock: function that returns seconds; None for the machine's clock.
 
     Returns:
         The problem; radiance in W m^-2 sr^-1.
 
     Raises:
-        InputError: for a scene that cannot be rendered so, or not in that time.
+        InputError: for a scene that cannot be rendered with these settings, or not within that
+            time.
     """
     own = settings or source.render
     if probe < 2:

@@ -22,11 +22,11 @@ class Combination:
     """Settings of several knobs, and their expected error and time.
 
     Attributes:
-        settings: by the name of the knob.
-        error: relative; no run is expected to exceed it.
-        seconds: s, of a warm call.
-        unknown: knobs that keep their setting, because there was too little time to estimate their
-            errors; `error` does not include these.
+        settings: by name of the knob.
+        error: relative, upper limit for any seed.
+        seconds: time of a warm call, s.
+        unknown: knobs that keep their setting because the time was too short to estimate their
+            errors; `error` does not include these errors.
     """
 
     settings: Mapping[str, Any]
@@ -46,17 +46,17 @@ def combined(
     with unknown error keeps its value.
 
     Args:
-        curves: of one problem, one a knob; each was measured with the others at `base`.
-        base: the settings of the other knobs while one was measured.
-        tolerance: relative, of the error of any run.
-        seconds: s, of a warm call.
+        curves: of one problem, one for each knob; each was measured with the others at `base`.
+        base: settings of the other knobs during each measurement.
+        tolerance: relative, upper limit of the error for any seed.
+        seconds: time of a warm call, s.
 
     Returns:
         The combination.
 
     Raises:
-        InputError: unless one of the two is given, where no combination meets it, and where no
-            error is known at all or none of a random knob.
+        InputError: unless exactly one of the two is given, where no combination meets it, and where
+            no error is known at all or none of a random knob.
     """
     if (tolerance is None) == (seconds is None) or not curves:
         raise InputError("combined needs curves, and either a tolerance or a time.")

@@ -34,9 +34,9 @@ def rows(
     """Cells of the table, with the headings first.
 
     Args:
-        problem: whose knobs they are.
+        problem: that has the knobs.
         curves: of the knobs.
-        together: from `all_together`; None: without checks.
+        together: from `all_together`; None for curves alone.
 
     Returns:
         Rows of text: knob, order and, for each tolerance, setting and time in s.
@@ -102,7 +102,7 @@ def notes(curves: Sequence[Curve], *, together: Sequence[Together] = ()) -> list
         together: settings of all of them.
 
     Returns:
-        A sentence for each; errors relative.
+        The notes as sentences; errors are relative.
     """
     found = []
     for curve in curves:

@@ -77,16 +77,16 @@ def measured_together(
 
     Args:
         source: the scene and its view, with its `[render]`.
-        names: of the knobs; None: all that change its picture.
-        seconds: s, for all.
+        names: of the knobs; None for all that change the picture.
+        seconds: time budget, s.
         metrics: as in `curve`.
-        clock: seconds as a function; None: the machine's.
+        clock: function that returns seconds; None for the machine's clock.
 
     Returns:
         The problem, the curves, and the settings for each of `TOLERANCES`.
 
     Raises:
-        InputError: for a knob that the scene file has not.
+        InputError: for a knob that the scene file does not have.
     """
     now = clock or time.perf_counter
     until = now() + seconds

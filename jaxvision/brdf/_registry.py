@@ -55,7 +55,7 @@ def families() -> Mapping[type, Family]:
     """All registered families, including those of the library.
 
     Returns:
-        What each record has registered.
+        The registered functions of each record.
     """
     room = import_module(__package__ or "")
     for name in dir(room):
@@ -83,19 +83,20 @@ def register(
         record: the class of the material.
         evaluate: `evaluate(material, wi, wo)`, the BRDF, (bands,) sr^-1.
         sample: `sample(material, wo, u)`, a direction from three uniform numbers; without it
-            directions follow the cosine.
+            directions are cosine-distributed.
         pdf: `pdf(material, wi, wo)`, () sr^-1, the density of `sample`.
         albedo: `albedo(material, wo)`, (bands,) no unit; without it a product quadrature of
             32 x 64 directions, good for broad lobes.
         shading: `shading(material, wi, wo)`, (bands,) sr^-1; without it the BRDF times the cosine
             of incidence.
-        bound: `bound(ends) -> effects.Reflection`, the suprema of the shading, of the material at
-            both ends of what a fit may change; without it `effects` keeps all that depends on it.
+        bound: `bound(ends) -> effects.Reflection`, the suprema of the shading, for the material at
+            both ends of the range of a fit; without it `effects` keeps everything that depends on
+            the material.
         word: its `family` in scene files; by default the name of the record in snake case, and ""
-            for a material that no scene file holds.
-        from_file: what makes the record of a file's keys, where these are not its fields: their
-            names and defaults are those of its parameters, their meaning that of its docstring, and
-            `**fields` takes all other fields of the record.
+            for a material that scene files cannot hold.
+        from_file: function that makes the record from the keys of a file, where these are not its
+            fields. The names, defaults and docstring of its parameters define the keys; `**fields`
+            takes all other fields of the record.
 
     Raises:
         ValueError: for one of `sample` and `pdf` without the other.
@@ -137,11 +138,11 @@ def register_delta(
 
     Args:
         record: the class of the material.
-        specular: `specular(material, w)`, where a ray that came from the unit local direction `w`,
-            a `Vec`, goes on. It is asked from below the surface too, w.z < 0, where a mirror with
-            an opaque back reflects 0.
+        specular: `specular(material, w)`, the directions in which a ray continues that came from
+            the unit local direction `w`, a `Vec`. It is also called from below the surface, w.z <
+            0, where a mirror with an opaque back reflects 0.
         absorption: `absorption(material)`, (bands,) m^-1 of the body behind the surface, or None
-            where that is clear; not given for a material that bounds no body.
+            for a clear body; omit it for a material that encloses no body.
         bound, word, from_file: as in `register`.
     """
 
@@ -188,10 +189,10 @@ def suprema(material: Ends[Any]) -> Reflection:
     """The suprema of a material's shading.
 
     Args:
-        material: at both ends of what a fit may change.
+        material: at both ends of the range of a fit.
 
     Returns:
-        What its family gives, sr^-1; inf for a family that brings no bound.
+        The suprema, sr^-1; inf for a family without a registered bound.
     """
     own = _FAMILIES.get(type(material.low))
     bound = None if own is None else own.bound
@@ -208,7 +209,7 @@ def is_delta(material: Any) -> bool:
         material: any registered material.
 
     Returns:
-        The answer, a Python bool, no unit.
+        Whether it is a delta distribution, a Python bool, no unit.
 
     Example:
         >>> print(jv.brdf.is_delta(jv.Mirror([0.9])), jv.brdf.is_delta(jv.Lambert([0.1])))
@@ -225,7 +226,7 @@ def is_body(material: Any) -> bool:
         material: any registered material.
 
     Returns:
-        The answer, a Python bool, no unit.
+        Whether light passes through a body of it, a Python bool, no unit.
 
     Example:
         >>> print(jv.brdf.is_body(jv.Glass(1.5)), jv.brdf.is_body(jv.Mirror([0.9])))
@@ -241,7 +242,7 @@ def lambertian(material: Any) -> Material:
         material: with `diffuse` and `ambient`.
 
     Returns:
-        The material without what it is beside.
+        The material with its Lambertian and ambient parts only.
     """
     from .lambert import Lambert
 
@@ -255,7 +256,7 @@ def absorption(material: Any) -> Colour | None:
         material: any registered material.
 
     Returns:
-        (bands,) m^-1; None for a material that is clear or fills nothing.
+        (bands,) m^-1; None for a clear material or one that encloses no body.
     """
     of_body = family(material).absorption
     return None if of_body is None else of_body(material)
@@ -290,8 +291,9 @@ def seen_in_mirror(material: Any, wo: Direction) -> tuple[Vec, Colour] | None:
         wo: (3,) unit, local, toward the viewer.
 
     Returns:
-        The direction that is seen, unit, local, and the reflectance there, (bands,) no unit. None
-        for all other materials, glass among them, which shows more than what it mirrors.
+        The direction in which the viewer looks via the mirror, unit, local, and the reflectance
+        there, (bands,) no unit. None for all other materials, including glass, which also
+        transmits.
 
     Example:
         >>> from jaxvision.brdf import seen_in_mirror

@@ -30,13 +30,13 @@ class Specular(Shown):
     """The directions in which a ray continues from a smooth surface, and their shares of the flux.
 
     Attributes:
-        mirrored: unit, local, on the side from which the ray came.
-        reflectance: (bands,) or neutral (1,), share of the flux that is mirrored, no unit.
-        refracted: unit, local, on the other side; None where no light goes through.
-        transmittance: (bands,) or (1,), share of the flux that goes through, no unit; None
-            together with `refracted`.
-        eta: () refractive index behind the surface over that before it, no unit; None where the
-            two are equal.
+        mirrored: unit, local, on the side of the incoming ray.
+        reflectance: (bands,) or neutral (1,), reflected share of the flux, no unit.
+        refracted: unit, local, on the other side; None for an opaque surface.
+        transmittance: (bands,) or (1,), transmitted share of the flux, no unit; None where
+            `refracted` is None.
+        eta: () refractive index behind the surface over that in front of it, no unit; None where
+            they are equal.
     """
 
     mirrored: Vec
@@ -54,7 +54,7 @@ def transmitted(ways: Specular, carries: Carries) -> Colour:
     """The share of the flux that a clear surface transmits.
 
     Args:
-        ways: of a surface that light goes through.
+        ways: the two directions of a transparent surface.
         carries: "light" for the share of the flux; "radiance" for that of the radiance behind the
             surface, transmittance / eta^2.
 

@@ -41,8 +41,7 @@ class Dichromatic(Material):
         interface_spectrum: (bands,) or neutral (1,), c_i, no unit.
 
     Raises:
-        ValueError: if a geometry factor is a mirror or glass, to whose samples `pdf` would be
-            blind.
+        ValueError: if a geometry factor is a mirror or glass, because `pdf` is 0 for their samples.
 
     Example:
         >>> body, gloss = jv.Lambert([0.3]), jv.PhongBRDF([0.0], [0.1], 20.0)

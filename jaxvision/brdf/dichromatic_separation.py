@@ -44,7 +44,8 @@ class Separation(Shown):
     """The two terms of a picture, with measures of their reliability.
 
     Attributes:
-        body: (...) >= 0, the geometry factor m_b of a colour of unit length, in the picture's unit.
+        body: (...) >= 0, the geometry factor m_b for a body colour of unit length, in the picture's
+            unit.
         interface: (...) >= 0, the geometry factor m_i, likewise.
         residual: (...) distance of each pixel from the fit, in the picture's unit.
         body_colour: (bands,) of length 1, no unit.
@@ -98,13 +99,13 @@ def separate(
         illuminant: (bands,) relative colour of the light, as the camera sees a white surface.
         body: (bands,) relative colour of the material, or None: `body_colour` finds it.
         valid: (...) pixels that `body_colour` uses; all by default.
-        quantile: that of `body_colour`, in (0, 1), no unit.
+        quantile: as for `body_colour`, in (0, 1), no unit.
 
     Returns:
         The factors, the colours and their reliability.
 
     Raises:
-        ValueError: an illuminant or a body without one number a band.
+        ValueError: for an illuminant or a body whose number of bands differs from the image's.
 
     Example:
         >>> white, red = jnp.ones(3), jnp.array([1.0, 0.0, 0.0])

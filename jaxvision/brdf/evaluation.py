@@ -53,7 +53,7 @@ def at_angles(
         f_r, (bands,) in sr^-1; 0 where an angle to the normal is pi / 2 or more.
 
     Raises:
-        ValueError: for angles that were meant in degrees.
+        ValueError: for angles so large that they are probably in degrees.
 
     Example:
         The mirror direction is at the same angle, on the other side.
@@ -79,7 +79,7 @@ def sample(material: Material, wo: Direction, u: Float[Array, "3"]) -> Vector:
         u: (3,) uniform in [0, 1), no unit.
 
     Returns:
-        A unit direction of the density that `pdf` has; an array or a `Vec`, as `wo` is.
+        A unit direction, distributed with the density `pdf`; an array or a `Vec`, as `wo` is.
 
     Example:
         >>> wi = jv.brdf.sample(jv.Lambert([0.1]), jnp.array([0.0, 0.0, 1.0]), [0.25, 0.5, 0.5])

@@ -25,8 +25,8 @@ class Dielectric(Shown):
     """A clear material.
 
     Attributes:
-        eta: (bands,) or (1,), real relative index n_t / n_i > 0, no unit; below 1 it reflects
-            totally beyond the critical angle.
+        eta: (bands,) or (1,), real relative index n_t / n_i > 0, no unit; below 1 there is total
+            internal reflection beyond the critical angle.
 
     Example:
         >>> glass = jv.Dielectric([1.5])

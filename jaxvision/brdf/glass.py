@@ -41,8 +41,8 @@ class Glass(Material):
     Attributes:
         index: () index of refraction of the inside over that of the outside, > 0, no unit; the same
             for all bands, so that there is no dispersion.
-        absorption: (bands,) m^-1 by Lambert and Beer, exp(-absorption x distance) inside; None is
-            perfectly clear.
+        absorption: (bands,) Lambert-Beer coefficient inside, m^-1: transmittance exp(-absorption x
+            distance); None for no absorption.
 
     Example:
         >>> up = jnp.array([0.0, 0.0, 1.0])

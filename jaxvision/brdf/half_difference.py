@@ -91,9 +91,9 @@ class HalfDifferenceTable(Material):
     Attributes:
         values: (n_h, n_d, n_p, bands) sr^-1; 90 x 90 x 180 in MERL files.
         wavelengths: (bands,) m, or None for RGB.
-        sampler: what `sample` draws from; None: the cosine.
-        interpolation: "linear" between the middles of bins, or "nearest", the bin itself, as the
-            reference reader has it; static.
+        sampler: distribution from which `sample` draws; None for the cosine.
+        interpolation: "linear" between the centres of bins, or "nearest", which takes the bin
+            itself, as the reference reader does; static.
 
     Example:
         >>> up, aside = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.6, 0.0, 0.8])

@@ -75,11 +75,12 @@ class IsotropicTable(Material):
         phi: (c,) rad, increasing.
         values: (a, b, c, bands) f_r in sr^-1.
         wavelengths: (bands,) m, or None.
-        sampler: what `sample` draws from, see `tabulate_sampler`; None: the cosine.
-        azimuths: "mirrored": nodes of `phi` within [0, pi], of a surface that looks the same in a
-            mirror that contains the normal; "full": within one turn. Static.
-        outside: what angles beyond the nodes give, "clamp", "extrapolate" or "zero"; static.
-        reciprocal: whether the mean of both orders of the directions is taken; static.
+        sampler: distribution from which `sample` draws, see `tabulate_sampler`; None for the
+            cosine.
+        azimuths: "mirrored": nodes of `phi` lie within [0, pi], for a BRDF that is symmetric under
+            phi -> -phi; "full": within one turn. Static.
+        outside: value at angles beyond the nodes: "clamp", "extrapolate" or "zero"; static.
+        reciprocal: whether to average over both orders of the directions; static.
 
     Example:
         Between a value of 0 along the normal and of 1 at 90 degrees lies that at 45 degrees.
@@ -119,9 +120,10 @@ class AnisotropicTable(Material):
         phi_o: (d,) rad, increasing, within one turn.
         values: (a, b, c, d, bands) f_r in sr^-1.
         wavelengths: (bands,) m, or None.
-        sampler: what `sample` draws from, see `tabulate_sampler`; None: the cosine.
-        outside: what angles beyond the nodes give, "clamp", "extrapolate" or "zero"; static.
-        reciprocal: whether the mean of both orders of the directions is taken; static.
+        sampler: distribution from which `sample` draws, see `tabulate_sampler`; None for the
+            cosine.
+        outside: value at angles beyond the nodes: "clamp", "extrapolate" or "zero"; static.
+        reciprocal: whether to average over both orders of the directions; static.
 
     Example:
         >>> values, ends, turn = np.zeros((2, 2, 2, 2, 1)), [0, np.pi / 2], [0, np.pi]

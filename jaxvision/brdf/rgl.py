@@ -49,16 +49,17 @@ class RGL(Material):
     """A material of the RGL database, isotropic if `phi` has one or two nodes.
 
     Attributes:
-        theta: (t,) rad, increasing, nodes of `wo`.
-        phi: (p,) rad, increasing, nodes of `wo`.
-        values: (p, t, n, n, bands).
+        theta: (t,) rad, increasing, grid of polar angles of `wo`.
+        phi: (p,) rad, increasing, grid of azimuths of `wo`.
+        values: (p, t, n, n, bands) f_r cos(theta_i), or a factor of it (see `scaled`), over the
+            unit square.
         ndf: (rows, columns) over the square of half vectors, no unit.
         sigma: (rows, columns) over the square of directions, no unit.
         vndf: warp of the unit square for each (phi, theta).
         luminance: warp of the unit square for each (phi, theta).
         wavelengths: (bands,) m, or None for RGB.
-        scaled: whether ndf / (4 sigma) multiplies the values (the file's `jacobian`); static.
-        symmetry: how many equal sectors a turn of `wo` has; the nodes span one; static.
+        scaled: whether ndf / (4 sigma) is a factor on the values (the file's `jacobian`); static.
+        symmetry: number of equal azimuth sectors of `wo`; the grid covers one of them; static.
 
     Example:
         >>> from jaxvision.brdf.rgl import rgl_material

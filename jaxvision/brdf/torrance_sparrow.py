@@ -91,18 +91,18 @@ class TorranceSparrow(Material):
 
     Attributes:
         diffuse: (bands,) k_d in sr^-1.
-        specular: (bands,) or neutral (1,), k_s, no unit: 1 for a surface that is all facets.
-        roughness: () alpha, or (2,) along the tangent and across it, no unit; below 1e-6 it counts
-            as 1e-6.
-        interface: what the facets are made of, `Dielectric`, `Conductor` or `Schlick`; None
-            reflects all.
+        specular: (bands,) or neutral (1,), k_s, no unit: 1 for a surface that consists of facets
+            only.
+        roughness: () alpha, or (2,) along the tangent and across it, no unit; at least 1e-6.
+        interface: Fresnel model of the facets, `Dielectric`, `Conductor` or `Schlick`; None for
+            reflectance 1.
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
         distribution: "ggx" or "beckmann"; static.
         shadowing: "smith" or "v-cavity"; static.
 
     Raises:
         ValueError: if the interface has neither one band nor as many as the others; for a roughness
-            above 3, which no surface has: degrees or per cent were meant.
+            above 3, which is probably in degrees or per cent.
 
     Example:
         >>> gloss, up = jv.TorranceSparrow([0.0], [1.0], 0.5), jnp.array([0.0, 0.0, 1.0])

@@ -26,7 +26,7 @@ class Ends(Generic[T]):
 
     Attributes:
         low: the record with each number at its low end.
-        high: likewise at its high end.
+        high: the record with each number at its high end.
     """
 
     low: T
@@ -86,12 +86,12 @@ class Angles(NamedTuple):
     otherwise.
 
     Attributes:
-        off_mirror: rad, the least angle between the mirrored light and the viewer.
+        off_mirror: rad, the smallest angle between the mirrored light direction and the viewer.
         cos_half: the largest cosine between the normal and the half vector.
-        cos_between: the least cosine between the viewer and the half vector, d.
+        cos_between: the smallest cosine between the viewer and the half vector, d.
         cos_i: the largest cosine of incidence.
-        cos_o: (c, 1), the least cosine of the viewer, and
-        cos_o_most: (c, 1), the largest.
+        cos_o: (c, 1), the smallest cosine of the viewing angle.
+        cos_o_most: (c, 1), the largest cosine of the viewing angle.
     """
 
     off_mirror: np.ndarray
@@ -107,12 +107,12 @@ class Lobe(NamedTuple):
 
     Attributes:
         spectrum: (bands,) or (1,), k_s.
-        most: from angles to the largest f_r cos / k_s, (c, s) in sr^-1.
-        size: sr / sr, the largest integral of f_r cos / k_s over all light.
-        slope: sr^-1 rad^-1, the largest change of f_r cos / k_s with the direction of light above
+        most: function from angles to the largest f_r cos / k_s, (c, s) in sr^-1.
+        size: the largest integral of f_r cos / k_s over all light directions, no unit.
+        slope: sr^-1 rad^-1, the largest derivative of f_r cos / k_s by the light direction above
             the horizon; None where none is known.
         neutral: whether its shape is the same for all bands.
-        step: whether it ends at the horizon at once, not as a cosine does.
+        step: whether it jumps to 0 at the horizon instead of falling like the cosine.
     """
 
     spectrum: np.ndarray
@@ -141,20 +141,19 @@ class Reflection(NamedTuple):
 
     Attributes:
         body: (bands,) sr^-1, sup of the diffuse part's f_r.
-        lobe: or None.
-        plain: (bands,) sr^-1: the most by which the body, but for its share `grazing`, differs from
-            a Lambertian of the same k_d; 0 for one.
+        lobe: bound of the specular lobe, or None.
+        plain: (bands,) sr^-1, the largest difference between the body (without its share `grazing`)
+            and a Lambertian BRDF of the same k_d; 0 for a Lambertian one.
         mirror: (bands,) or (1,), reflectance of a mirror, or None.
-        why: "" or why there is no bound; then `body` is inf.
-        grazing: share of `body` that bounds f_r cos(theta_i), not f_r: it does not fall toward the
-            horizon.
-        rough: the field without which the body is a Lambertian's, and what leaving it out is
-            called; or None.
-        facets: of a lobe with an interface the least reflectance of any band at any angle, and the
-            lobe of facets that reflect all; or None.
-        indices: the least and the largest refractive index of a body that light goes through, or
-            None.
-        angular: whether the angles of the body differ between bands.
+        why: "", or the reason why there is no bound; then `body` is inf.
+        grazing: share of `body` that bounds f_r cos(theta_i), not f_r: it does not vanish toward
+            the horizon.
+        rough: field whose removal makes the body Lambertian, and the name of that simplification;
+            or None.
+        facets: for a lobe with an interface, the smallest reflectance over bands and angles, and
+            the lobe of facets with reflectance 1; or None.
+        indices: the smallest and the largest refractive index of a transparent body, or None.
+        angular: whether the angular dependence of the body differs between bands.
     """
 
     body: np.ndarray
@@ -186,19 +185,19 @@ class Source(NamedTuple):
     """The properties of one light that bounds need.
 
     Attributes:
-        spectrum: (bands,) intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1, the
-            largest.
-        places: (s, 3) m, or unit directions of a light that is infinitely far away.
-        size: (s,) m, the radius of each; rad for directions.
+        spectrum: (bands,) largest intensity W sr^-1, irradiance W m^-2 or radiance W m^-2 sr^-1.
+        places: (s, 3) m, or unit directions for a light at infinity.
+        size: (s,) radius of each place, m; rad for directions.
         weight: (s,) m^2 of area, 1 for a light of intensity or irradiance.
-        normal: (3,) unit, of a light that shines to one side; None: to all.
-        body: points, (p, 3) m, and radii, (p,) m, that hold the light; None: infinitely far away.
+        normal: (3,) unit, for a light that shines to one side; None for all directions.
+        body: points, (p, 3) m, and radii, (p,) m, of spheres that contain the light; None for a
+            light at infinity.
         kind: "place", "area", "direction" or "sky".
-        even: whether it sends the same radiance to all sides.
-        small: of a flat lamp both edges, (3,) m each, and the light without a size that may take
-            its place, of the same flux at its middle.
-        share: of 2 pi times `spectrum`, what a sky sends at most, no unit.
-        why: "" or why there is no bound.
+        even: whether its radiance is the same in all directions.
+        small: for a flat lamp both edges, (3,) m each, and a light without size at its centre that
+            has the same flux.
+        share: largest flux of a sky, over 2 pi times `spectrum`, no unit.
+        why: "", or the reason why there is no bound.
     """
 
     spectrum: np.ndarray

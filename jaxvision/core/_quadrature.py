@@ -13,7 +13,7 @@ def gauss_legendre(order: int) -> tuple[Float[np.ndarray, " order"], Float[np.nd
     """Gauss-Legendre quadrature on [0, 1], exact for polynomials to degree 2 order - 1.
 
     Args:
-        order: how many nodes, at least 1.
+        order: number of nodes, at least 1.
 
     Returns:
         Nodes in (0, 1) and weights of sum 1, each (order,); no unit.

@@ -206,7 +206,7 @@ def as_dtype(record: Record, dtype: Any) -> Record:
         dtype: a floating dtype, or its name.
 
     Returns:
-        The same tree; whole numbers, flags and random keys are kept.
+        The same tree in that dtype; integers, flags and random keys keep theirs.
 
     Example:
         >>> sphere = jv.as_dtype(jv.Sphere(centre=(0.0, 0.0, 0.0), radius=1.0), "float32")

@@ -27,16 +27,16 @@ class _Ending:
     """The handling of an interrupt in this process.
 
     Attributes:
-        sentence: what to say.
-        unfinished: files to remove.
-        seen: set by the signal.
-        said: set when the sentence is on its way to standard error.
-        raised: set where the exception is wanted.
-        thrown: set when it was raised; the context that wanted it may be over before the thread
-            looks.
-        handled: set by who has caught it and ends by itself.
-        behind: set where threads still work for whom nobody waits any more.
-        leaving: held by the thread that ends the process, and never released.
+        sentence: message for standard error.
+        unfinished: files that are removed.
+        seen: set by the signal handler.
+        said: set when the message has been passed to standard error.
+        raised: set by a context that expects the exception.
+        thrown: set when the exception was raised; that context may have ended before the thread
+            checks it.
+        handled: set by the code that catches the exception and ends the process itself.
+        behind: set where abandoned threads are still running.
+        leaving: lock of the thread that ends the process; it is never released.
     """
 
     def __init__(self) -> None:

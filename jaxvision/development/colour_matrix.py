@@ -48,9 +48,9 @@ def fit_colour_matrix(
         camera: (patches, 3) relative, at least three patches, or two with `white`; they must span
             three dimensions (two).
         wanted: (patches, 3) relative.
-        white: a camera colour (3,) and the colour (3,) that it must become exactly; None demands
-            nothing.
-        weights: (patches,) no unit, at least 0; None weighs all alike.
+        white: a camera colour (3,) and the colour (3,) to which it must map exactly; None for no
+            such constraint.
+        weights: (patches,) no unit, at least 0; None for equal weights.
 
     Returns:
         (3, 3) no unit.
@@ -117,7 +117,7 @@ def camera_colour(
         white: (3,) relative XYZ of the white of `space`, Y = 1; colours under the light are adapted
             to it (Bradford).
         space: a name of `colour_data.rgb_to_xyz_matrix`.
-        keep_white: whether perfect white becomes exactly white.
+        keep_white: whether perfect white maps exactly to white.
 
     Returns:
         The gains (3,) and the matrix (3, 3), no unit.

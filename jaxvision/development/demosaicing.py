@@ -42,21 +42,22 @@ def demosaic(
     """The picture of a mosaic.
 
     Args:
-        raw: (..., h, w), or (..., h, w, 1) as a sensor gives it, DN or relative.
-        pattern: rows of band numbers, as `colour_filters.bayer` gives them, or the phase of a
+        raw: (..., h, w), or (..., h, w, 1) as a sensor returns it, DN or relative.
+        pattern: rows of band numbers, as `colour_filters.bayer` returns them, or the phase of a
             Bayer mosaic, such as "RGGB".
-        method: "bilinear", means of the nearest pixels; "malvar", these corrected by the gradient
-            of the measured band; "menon", along the better of two directions, the sharpest and
-            slowest; or "normalised", weighted means, the one for patterns other than Bayer's.
-        border: "in_phase" or a key of `padding.BORDERS`; "menon" and "normalised" have a border of
-            their own and take "in_phase" only.
+        method: "bilinear": means of the nearest pixels; "malvar": these means, corrected by the
+            gradient of the measured band; "menon": interpolation along the better of two
+            directions, the sharpest and slowest; "normalised": weighted means, the only one for
+            patterns other than Bayer's.
+        border: "in_phase" or a key of `padding.BORDERS`; "menon" and "normalised" have their own
+            border and accept "in_phase" only.
 
     Returns:
         (..., h, w, bands) in the mosaic's unit.
 
     Raises:
-        ValueError: for an unknown method, a border that it does not take, a pattern that it is not
-            for, or a picture of three bands.
+        ValueError: for an unknown method, a border or a pattern that the method does not accept, or
+            a picture of three bands.
 
     Example:
         >>> raw = jnp.full((4, 4), 5.0)

@@ -71,8 +71,8 @@ def quantisation_tables(
     """The divisors of the coefficients, for luma and chroma.
 
     Args:
-        quality: () no unit, cut to [1, 100], with a warning where it is known.
-        rounding: "straight_through" gives whole numbers, "cubic" the scaled tables themselves.
+        quality: () no unit, clipped to [1, 100], with a warning unless it is traced.
+        rounding: "straight_through" rounds to whole numbers, "cubic" keeps the scaled tables.
 
     Returns:
         Two tables (8, 8) from 1 to 255, no unit.
@@ -115,9 +115,9 @@ def jpeg(
     Args:
         picture: (..., h, w, 1) or (..., h, w, 3) encoded, relative; half precision passes through
             float32.
-        quality: () no unit, cut to [1, 100], with a warning where it is known.
-        subsampling: "4:4:4" keeps the chroma; "4:2:0" halves it both ways (it is upsampled by
-            libjpeg's triangle filter).
+        quality: () no unit, clipped to [1, 100], with a warning unless it is traced.
+        subsampling: "4:4:4" keeps the resolution of chroma; "4:2:0" halves it along both axes (and
+            upsamples with libjpeg's triangle filter).
         rounding: "straight_through" or "cubic".
 
     Returns:

@@ -31,8 +31,8 @@ def develop(raw: Scalars, development: Development) -> Scalars:
     makes it 0.
 
     Args:
-        raw: DN. A mosaic (..., h, w) or (..., h, w, 1) if it is to be demosaiced, else (..., h, w,
-            bands), or any shape if only levels and curves are asked for.
+        raw: DN. A mosaic (..., h, w) or (..., h, w, 1) with demosaicing, else (..., h, w, bands);
+            any shape for levels and curves alone.
         development: the stages; a stage that is None is left out.
 
     Returns:
@@ -40,7 +40,7 @@ def develop(raw: Scalars, development: Development) -> Scalars:
         without a white level.
 
     Raises:
-        ValueError: from the stages.
+        ValueError: as the stages raise it.
 
     Example:
         >>> how = jv.Development(black_level=64.0, white_level=1088.0)

@@ -28,8 +28,8 @@ def tone_curve(x: Scalars, inputs: Points, outputs: Points) -> Scalars:
         (...) relative.
 
     Raises:
-        ValueError: for fewer than two points or unequal shapes, for known inputs that do not
-            ascend, and for codes beyond the inputs.
+        ValueError: for fewer than two points or unequal shapes, for inputs that do not ascend
+            (unless traced), and for codes beyond the inputs.
 
     Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for the slopes.
 

@@ -32,7 +32,7 @@ def white_balance(
         image: (h, w) or (..., h, w, bands) linear, DN or relative.
         gains: (bands,), or (..., bands) with one set for each image of a batch; () or (1,) for
             (h, w); no unit.
-        saturation: () in the image's unit, the largest value of the sensor; None cuts nothing.
+        saturation: () in the image's unit, the largest value of the sensor; None clips nothing.
 
     Returns:
         The image's shape and unit.
@@ -73,8 +73,8 @@ def neutral_gains(patch: Spectrum) -> Float[Array, " bands"]:
             out.
 
     Returns:
-        (bands,) no unit. A band without light keeps the gain 1; a band of nothing but NaN makes all
-        gains NaN.
+        (bands,) no unit. A band without light has the gain 1; a band of NaN only makes all gains
+        NaN.
 
     Raises:
         ValueError: for an empty patch.
@@ -99,8 +99,8 @@ def grey_world_gains(
 
     Args:
         image: (..., h, w, bands) linear, DN or relative. Values below 0 count as 0.
-        norm: () no unit, at least 1: the p of the mean (mean x^p)^(1/p). 1 is the grey world, 6
-            shades of grey; towards infinity the brightest value becomes white.
+        norm: () no unit, at least 1: the p of the mean (mean x^p)^(1/p). 1 is grey world, 6 is
+            shades of grey; in the limit of infinity the brightest value becomes white.
         saturation: () in the image's unit; pixels that reach it in any band are left out.
 
     Returns:

@@ -40,12 +40,12 @@ class Tolerance:
     """The largest allowed change of a picture by dropped effects.
 
     Attributes:
-        value: of the distance named at the top of `effects.certificate`, >= 0, in `unit`.
-        unit: "relative": of radiance, to the level of the certificate; "DN"; "sigma": of the
-            sensor's own noise in the dark, where it is smallest.
-        place: pixels by which anything may move; None: 0.1, of a value of 0 none.
-        rare: expected number of pixels that may differ by any amount, such as dead ones; None:
-            0.01, of a value of 0 none.
+        value: largest distance, as defined in `effects.certificate`, >= 0, in `unit`.
+        unit: "relative": radiance relative to the level of the certificate; "DN"; "sigma": the
+            smallest noise of the sensor, which it has in the dark.
+        place: largest displacement in the image, pixels; None for 0.1, or 0 if the value is 0.
+        rare: largest expected number of pixels that differ by any amount, such as dead ones; None
+            for 0.01, or 0 if the value is 0.
 
     Raises:
         InputError: for a number below 0 or NaN, an infinite value, or an unknown unit.
@@ -76,9 +76,9 @@ def parse(text: str, *, place: float | None = None, rare: float | None = None) -
 
     Args:
         text: a number and its unit: "1%" or "0.01" of the level of radiance, "0.5DN", "0.1sigma".
-        place: pixels by which anything may move; None: 0.1, of a tolerance of 0 none.
-        rare: expected number of pixels that may differ by any amount; None: 0.01, of a tolerance of
-            0 none.
+        place: largest displacement in the image, pixels; None for 0.1, or 0 for a tolerance of 0.
+        rare: largest expected number of pixels that differ by any amount; None for 0.01, or 0 for a
+            tolerance of 0.
 
     Returns:
         The tolerance.
@@ -109,21 +109,23 @@ class Effect:
     """One effect of a scene or a camera on a picture, with a bound on it.
 
     Attributes:
-        name: that of the field, by its place in the scene as it was given: "lights[2]",
-            "shadows[2]", "surfaces[0].material.specular", "sensor.read_noise".
-        present: whether the records hold it.
-        why: what the bound rests on, or why there is none, in a few words.
-        bound: what leaving it out changes at most, in `unit`; inf: not bounded.
-        place: pixels by which leaving it out moves anything at most.
-        unit: that of `bound`: of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or of the certificate.
-        rank: "exact": proved not to matter; "bound": proved; "estimate": sampled, never counted
-            among what is proved.
-        saves: share of a picture's work that goes with it, by a declared table of what benchmarks
-            measured; 0 where it goes with another effect.
-        free: whether a fit may change it, so that it is never dropped.
+        name: path of the field in the original scene: "lights[2]", "shadows[2]",
+            "surfaces[0].material.specular", "sensor.read_noise".
+        present: whether the records contain it.
+        why: reason for the bound, or for its absence, in a few words.
+        bound: largest change of the result without the effect, in `unit`; inf where there is no
+            bound.
+        place: largest displacement in the image without the effect, pixels.
+        unit: of `bound`: that of the stage ("W m^-2 sr^-1", "W m^-2", "DN"), or that of the
+            certificate.
+        rank: "exact": proved to change nothing; "bound": proved; "estimate": sampled, and not part
+            of the proof.
+        saves: share of a picture's computation that the effect takes, from a table of benchmarks; 0
+            where it is removed together with another effect.
+        free: whether a fit may change it; then it is never removed.
         rare: expected number of pixels that it changes by any amount.
-        seconds: s of a picture that go with it, as `inspect(..., time=True)` measured them on this
-            machine; None: not measured.
+        seconds: time that the effect takes of a picture, s, as `inspect(..., time=True)` measured
+            it on this machine; None if not measured.
     """
 
     name: str
@@ -145,14 +147,14 @@ class Certificate:
 
     Attributes:
         kept: the effects that remain, bounds in `unit`.
-        dropped: the effects left out, likewise, in the order in which they went.
-        total: what is proved of the sum of all that was dropped, in `unit`.
-        estimated: the same of what was dropped by estimates only, in `unit`.
-        place: pixels by which anything moves at most.
-        tolerance: what was allowed, in `unit`.
+        dropped: the removed effects in the order of removal, bounds in `unit`.
+        total: proved bound of all removed effects together, in `unit`.
+        estimated: estimate for the effects that were removed without proof, in `unit`.
+        place: largest displacement in the image, pixels.
+        tolerance: the allowed distance, in `unit`.
         unit: "relative", "DN" or "sigma".
-        level: W m^-2 sr^-1 to which "relative" is relative; None for other units.
-        assumptions: what the bounds rest on, a sentence each.
+        level: radiance that "relative" refers to, W m^-2 sr^-1; None for other units.
+        assumptions: of the bounds, one sentence each.
         rare: expected number of pixels that differ by any amount.
     """
 
@@ -185,14 +187,14 @@ class Pruned:
     """A scene and a camera without negligible effects, ready for `render` and `capture`.
 
     Attributes:
-        scene: what is left of the scene.
-        camera: what is left of the camera, or of the bare view if only that was given.
-        samples: `PixelSamples` to call `render` with, or None.
-        moments: how many moments of a motion to render.
+        scene: the reduced scene.
+        camera: the reduced camera; a view where only a view was given.
+        samples: `PixelSamples` for `render`, or None.
+        moments: number of moments of a motion to render.
         expand: (bands, r) no unit; the radiance of all bands is that of the r bands of `scene`
-            times its transpose. None: the bands are as they were.
-        certificate: what was kept and dropped.
-        depth: pieces of a path to follow, or None: direct light.
+            times its transpose. None where the bands are unchanged.
+        certificate: of the kept and removed effects.
+        depth: number of segments of a path, or None for direct light.
     """
 
     scene: Scene
@@ -242,11 +244,11 @@ def explain(certificate: Certificate) -> str:
     """A certificate in words: a line for each effect, the assumptions of the bounds, and the total.
 
     Args:
-        certificate: from `prune`.
+        certificate: as `prune` returns it.
 
     Returns:
-        Several lines of text; bounds in the certificate's unit (relative, DN or sigma), places in
-        pixels.
+        Text of several lines; bounds in the certificate's unit (relative, DN or sigma),
+        displacements in pixels.
     """
     table = [(word, *cells) for word, cells in _rows(certificate)]
     table = [("", *_headings(certificate)), *table]

@@ -173,11 +173,11 @@ def lipschitz(development: Development | None) -> Factor:
     data.
 
     Args:
-        development: the steps; None is no step.
+        development: the steps; None for no step.
 
     Returns:
-        The product of the factors of its steps, picture per DN, or inf with the steps that have
-        none.
+        The product of the Lipschitz constants of its steps, picture per DN; or inf with the names
+        of the steps that have none.
 
     Raises:
         ValueError: for a development with traced numbers.

@@ -129,33 +129,32 @@ def inspect(
 
     Args:
         scene: surfaces and lights.
-        camera: what the whole camera does; a bare view: only what reaches the lens.
-        free: names of fields that a fit may change, each with its least and its largest value, in
-            the field's unit; all bounds hold over the whole box.
-        samples: as in `capture`; a thin lens defocuses with them.
+        camera: a whole camera, or a view, which covers only what reaches the lens.
+        free: names of fields that a fit may change, each with its smallest and its largest value,
+            in the field's unit; all bounds hold over this whole range.
+        samples: as in `capture`; a thin lens needs them for defocus.
         motion: as in `capture`, or None; it needs a camera whose sensor has an exposure time.
         moments: of a motion, as in `capture`.
-        depth: pieces of the longest path that is followed, as `transport.Paths` counts them; None:
-            direct light, as `render` shows it.
-        estimates: whether what long paths add is also estimated, by a small picture.
-        whole_paths: whether what renders follows paths to their end, as radiosity does, so that
-            none can be cut.
-        caustics: whether paths start at the lights, as those of `light_traced` do: mirrors and
-            glass then gather the light of lamps without size, of which there is no bound.
-        time: whether the seconds of a picture that go with each effect are measured, too: with it
-            and without, in turns, at no more than 256 pixels along each side. Each that leaves
-            another program compiles it.
-        advance: with `time`, called as programs are compiled, with how many have run and how many
-            there are.
+        depth: number of segments of the longest path, as in `transport.Paths`; None for direct
+            light, as in `render`.
+        estimates: whether the contribution of long paths is also estimated, from a small picture.
+        whole_paths: whether the integrator follows paths to their end, as radiosity does, so that
+            none can be shortened.
+        caustics: whether paths start at the lights, as in `light_traced`: mirrors and glass then
+            focus the light of lamps without size, for which there is no bound.
+        time: whether to measure the time of each effect too: with and without it, alternately, at
+            most 256 pixels along each side. Each effect that changes the program needs a
+            compilation.
+        advance: with `time`, called with (programs compiled, all programs).
 
     Returns:
-        One `Effect` each, its bound in the unit of its stage: W m^-2 sr^-1 of a scene, W m^-2 of a
-        lens, DN of a sensor; places in pixels.
+        One `Effect` for each, its bound in the unit of its stage: W m^-2 sr^-1 for a scene, W m^-2
+        for a lens, DN for a sensor; displacements in pixels.
 
     Raises:
         ValueError: for records with traced numbers.
         InputError: for an unknown name in `free`, a motion without an exposure time, and numbers of
-            pieces or moments below 1.
+            segments or moments below 1.
 
     Example:
         >>> from jaxvision import effects
@@ -229,14 +228,14 @@ def prune(
     """A scene and a camera without the effects within a tolerance.
 
     Args:
-        scene, camera, free, samples, motion, moments, depth: as in `inspect`. What is free is never
-            left out.
-        tolerance: or its text, as `parse` reads it. "relative" is of `level`, and leaves the sensor
-            as it is; "DN" and "sigma" need a whole camera.
-        level: W m^-2 sr^-1 that "relative" refers to; None: the brightest pixel of a small picture,
-            which is rendered for it.
-        estimates: whether effects may go by an estimate of what they do, which is no proof; long
-            paths then also by what a small picture shows of them.
+        scene, camera, free, samples, motion, moments, depth: as in `inspect`. Free fields are never
+            removed.
+        tolerance: the record, or its text for `parse`. "relative" refers to `level` and keeps the
+            whole sensor; "DN" and "sigma" need a whole camera.
+        level: W m^-2 sr^-1 that "relative" refers to; None for the brightest pixel of a small
+            picture, which is rendered for it.
+        estimates: whether to remove effects by estimates too, which prove nothing; for long paths
+            these come from a small picture.
         whole_paths, caustics: as in `inspect`.
 
     Returns:
@@ -245,8 +244,8 @@ def prune(
 
     Raises:
         ValueError: for records with traced numbers.
-        InputError: as `inspect`, for a unit that a bare view has not, and a picture
-            without light as level.
+        InputError: as for `inspect`, for a unit that needs a camera where only a view is given, and
+            for a picture without light as level.
 
     Example:
         >>> from jaxvision import effects

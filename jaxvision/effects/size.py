@@ -14,10 +14,11 @@ def equations(scene: Scene, view: View) -> int:
 
     Args:
         scene: surfaces and lights.
-        view: any view, of one ray a pixel; the numbers of a lens are traced, so that it may blur.
+        view: any view, with one ray for each pixel; the numbers of a lens are traced, so that
+            defocus is included.
 
     Returns:
-        The number, no unit.
+        The number of equations, no unit.
     """
     return _count(jax.make_jaxpr(render)(scene, view).jaxpr)
 

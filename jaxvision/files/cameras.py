@@ -61,10 +61,10 @@ def read_camera(
 
     Args:
         source: path of the file, or one of `shipped_cameras`.
-        wavelengths: (bands,) m, instead of those of the file, for a camera with measured spectral
+        wavelengths: (bands,) m, that replace those of the file, for a camera with measured spectral
             sensitivities.
-        draws: how many of the draws of a fitted camera, which lie beside its file; None for the
-            best fit.
+        draws: number of draws of a fitted camera, which lie in a file beside it; None for the best
+            fit.
 
     Returns:
         The camera; with draws, every number of it has a leading axis, for `jax.vmap`.
@@ -109,11 +109,11 @@ def write_camera(
     """Writes a camera that `read_camera` reads back, bit-equal.
 
     Args:
-        camera: the best fit, say.
-        file: ending in .toml; missing folders are made.
-        draws: the same camera with a leading axis at every number, one draw each; they are written
-            beside the file, ending in .npz.
-        about: a word on where it comes from.
+        camera: for example the best fit.
+        file: ending in .toml; missing folders are created.
+        draws: the same camera with a leading axis of draws at every number; they are written to a
+            file beside it, ending in .npz.
+        about: comment on its origin.
 
     Raises:
         InputError: for draws of another camera, and a file of another ending.
@@ -136,8 +136,8 @@ def read_sensor(source: str | os.PathLike[str], *, draws: int | None = None) -> 
 
     Args:
         source: path of the file.
-        draws: how many of the draws of a fitted sensor, which lie beside its file; None for the
-            best fit.
+        draws: number of draws of a fitted sensor, which lie in a file beside it; None for the best
+            fit.
 
     Returns:
         The sensor; with draws, every number of it has a leading axis, for `jax.vmap`.
@@ -172,11 +172,11 @@ def write_sensor(
     """Writes a sensor that `read_sensor` reads back, bit-equal.
 
     Args:
-        sensor: the best fit, say.
-        file: ending in .toml; missing folders are made.
-        draws: the same sensor with a leading axis at every number, one draw each; they are written
-            beside the file, ending in .npz.
-        about: a word on where it comes from.
+        sensor: for example the best fit.
+        file: ending in .toml; missing folders are created.
+        draws: the same sensor with a leading axis of draws at every number; they are written to a
+            file beside it, ending in .npz.
+        about: comment on its origin.
 
     Raises:
         InputError: for draws of another sensor, and a file of another ending.

@@ -49,18 +49,18 @@ class ImageSettings:
 
     Attributes:
         exposure: s.
-        iso: sensitivity.
+        iso: ISO speed.
         f_number: of the lens.
-        taken: date and time, by the camera's clock.
+        taken: date and time of the camera's clock.
         temperature: K, of the sensor.
-        camera: maker and model.
+        camera: make and model.
         black_level: DN; of a mosaic whose sites differ, one for each in the order of `pattern`.
         saturation: DN.
         pattern: phase of a Bayer mosaic, such as "RGGB", counted from the first pixel of the file.
-        bits: of the codes that `jaxvision.read_image` gives, by the file's own depth: a 12-bit
-            TIFF has 12. The camera's converter may have fewer, not more.
+        bits: of the codes that `jaxvision.read_image` returns, from the file's depth: a 12-bit TIFF
+            has 12. The camera's ADC may have fewer, not more.
         kind: IMAGETYP of FITS, such as "Flat Field".
-        gain: GAIN of FITS, the setting of the amplifier in the camera's own unit.
+        gain: GAIN of FITS, setting of the amplifier in the camera's own unit.
     """
 
     exposure: float | None = None
@@ -84,10 +84,11 @@ def read_settings(path: str | os.PathLike[str]) -> ImageSettings:
         path: a file that `jaxvision.read_image` reads.
 
     Returns:
-        The settings; empty for a file that says nothing.
+        The settings; empty for a file without metadata.
 
     Raises:
-        InputError: for a raw or FITS file that cannot be read, or without its extra.
+        InputError: for a raw or FITS file that cannot be read, or if its optional dependency is
+            missing.
     """
     file = Path(path)
     check_utf8(file)

@@ -136,8 +136,8 @@ def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -
     Args:
         path: a PNG, TIFF, JPEG, EXR, HDR, PGM, PPM, PFM, TGA or `.npy` file; DNG and other raw
             files with the `raw` extra, FITS with the `fits` extra.
-        part: of a file of several pictures, the one to read: its number, from 0, or the name of an
-            EXR part, an EXR layer or a FITS extension. None: the first picture.
+        part: of a file with several pictures, the one to read: its number, from 0, or the name of
+            an EXR part, an EXR layer or a FITS extension. None for the first picture.
 
     Returns:
         (h, w) for one channel, else (h, w, channels): uint8 or uint16 codes for PNG, TIFF, JPEG,
@@ -146,7 +146,7 @@ def read_image(path: str | os.PathLike[str], *, part: int | str | None = None) -
 
     Raises:
         InputError: for a missing, unreadable or truncated file, for samples of another type, for
-            colours that are no light (CMYK, Lab), and for a part that the file does not have.
+            colours that are not light (CMYK, Lab), and for a part that the file does not have.
 
     Example:
         >>> from tempfile import mkdtemp
@@ -169,8 +169,8 @@ def read_channels(
         part: as for `read_image`.
 
     Returns:
-        The pixels, and the channels by name: grey, red, green, blue, alpha, or the file's own word;
-        none for a file that does not name them.
+        The pixels, and the names of the channels: grey, red, green, blue, alpha, or those in the
+        file; empty for a file that names none.
 
     Raises:
         InputError: as `read_image` does.
@@ -587,8 +587,8 @@ def read_environment(path: str | os.PathLike[str]) -> np.ndarray:
     """A latitude-longitude picture of radiance from an EXR or HDR file, for `environment_map`.
 
     Args:
-        path: the file; an alpha channel is left out. An EXR that its writer cropped is black
-            outside what it holds.
+        path: the file; an alpha channel is ignored. The part of an EXR outside its data window is
+            black.
 
     Returns:
         (h, 2 h, bands) float32, W m^-2 sr^-1 or relative.
@@ -626,15 +626,15 @@ def write_image(path: str | os.PathLike[str], pixels: np.ndarray, *, quality: in
     depth.
 
     Args:
-        path: the file. uint8 and uint16 go to PNG or TIFF at their own depth, uint8 of one or three
-            channels to JPEG, floating arrays to EXR or HDR (HDR: three channels of light from 0 to
-            1.7e38, shared exponent, steps of about 1 %).
+        path: the file. uint8 and uint16 are written as PNG or TIFF of the same depth, uint8 with
+            one or three channels also as JPEG, floating arrays as EXR or HDR (HDR: three channels
+            of light from 0 to 1.7e38 with a shared exponent, steps of about 1 %).
         pixels: (h, w) or (h, w, channels), codes or any unit.
-        quality: of a JPEG, 1 to 100 on libjpeg's scale. Colour is stored at half the resolution
-            below 90, at full resolution from 90 on.
+        quality: of a JPEG, 1 to 100 on libjpeg's scale. Colour has half the resolution below 90,
+            and full resolution from 90 on.
 
     Raises:
-        InputError: for pixels that do not fit the format, and for a file that cannot be written.
+        InputError: for pixels that the format cannot hold, and for a file that cannot be written.
 
     Example:
         >>> from tempfile import mkdtemp
@@ -746,14 +746,14 @@ def write_exr(
 
     Args:
         path: the file.
-        blocks: (rows, w, channels) each, from the top, any unit.
+        blocks: (rows, w, channels) each, from the top down, in any unit.
         shape: (h, w, channels) of the picture.
-        channels: their names; a reader gives them back in alphabetical order (except R, G, B, A).
+        channels: their names; a reader returns them in alphabetical order (except R, G, B, A).
         attributes: of the file's header; a number of more than 32 bits becomes text.
 
     Raises:
         InputError: if the file cannot be written, and for numbers that `as_float32` refuses.
-        ValueError: unless the blocks make up the shape.
+        ValueError: unless the blocks have the shape in total.
     """
     file = Path(path)
     check_utf8(file)
@@ -828,10 +828,10 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
         path: the file.
 
     Returns:
-        Arrays by name, in the order of the file; each is as it was written, or the file is refused.
+        Arrays by name, in the order of the file, exactly as they were written.
 
     Raises:
-        InputError: for a file that is damaged, or no archive of NumPy arrays.
+        InputError: for a file that is damaged, or is no archive of NumPy arrays.
     """
     file = Path(path)
     try:

@@ -22,16 +22,15 @@ def read_material(file: str | os.PathLike[str], *, draws: int | None = None) -> 
     """Reads a material from its file.
 
     Args:
-        file: as `write_material` writes it.
-        draws: how many of the draws of a fitted material, which lie beside its file; None for the
+        file: of `write_material`.
+        draws: number of draws of a fitted material, which lie in a file beside it; None for the
             best fit.
 
     Returns:
         The material; with draws, every number of it has a leading axis, for `jax.vmap`.
 
     Raises:
-        InputError: there is no such file, or it holds an unknown key or a value out of range.
-            Materials in memory may hold NaN, which shows in pictures; files may not.
+        InputError: for a missing file, an unknown key or a value out of range, NaN included.
 
     Example:
         >>> from tempfile import mkdtemp
@@ -62,10 +61,10 @@ def write_material(
     """Writes a material that `read_material` reads back, bit-equal.
 
     Args:
-        material: the best fit, say.
-        file: ending in .toml; missing folders are made.
-        draws: the same material with a leading axis at every number, one draw each; they are
-            written beside the file, ending in .npz.
+        material: for example the best fit.
+        file: ending in .toml; missing folders are created.
+        draws: the same material with a leading axis of draws at every number; they are written to a
+            file beside it, ending in .npz.
 
     Raises:
         InputError: for draws of another material, and a file of another ending.

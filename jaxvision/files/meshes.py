@@ -54,25 +54,26 @@ def read_mesh(
 
     Args:
         path: the file.
-        scale: m per unit of the file, 1 if it is in m; a warning names another unit that the file
-            itself gives.
+        scale: m per unit of the file, 1 if it is in m; a warning says so if the file itself names
+            another unit.
         rotation: (3, 3) no unit, rows are the file's axes in the world; None: the world's axes.
         position: (3,) m.
-        matrix: (3, 4) rows of an affine map of the file's points, as columns, to m in the world,
-            instead of scale, rotation and position; one that mirrors keeps the outside outside.
-        smooth: take the file's normals at the vertices or, if it has none, the means of the
-            adjacent triangles weighted by their angles; otherwise triangles are flat.
-        flip: reverse every triangle and every normal.
-        primitive: of a glTF file the numbers, from 0, of a mesh and of a primitive in it, taken as
-            it lies in the file; None: all meshes, each placed as in the file's scene.
+        matrix: (3, 4) rows of an affine map of the file's points, as columns, to m in the world;
+            replaces scale, rotation and position. A map that mirrors keeps the outside outside.
+        smooth: whether to use the file's normals at the vertices or, if it has none, the means of
+            the adjacent triangles weighted by their angles; otherwise triangles are flat.
+        flip: whether to reverse every triangle and every normal.
+        primitive: for a glTF file the numbers, from 0, of a mesh and of a primitive in it, without
+            the transform of the file's scene; None for all meshes, each transformed as in the
+            file's scene.
         dtype: floating dtype; None is JAX's default.
 
     Returns:
         The mesh.
 
     Raises:
-        InputError: there is no such file, it is not a mesh, a face names a vertex that does not
-            exist (vertex 0 of an OBJ), or the matrix flattens it.
+        InputError: for a missing file, a file that is no mesh, a face with a vertex that does not
+            exist (vertex 0 of an OBJ), or a singular matrix.
     """
     file = Path(path)
     if not file.is_file():

@@ -25,14 +25,14 @@ def read_raw(file: Path) -> np.ndarray:
     and these are linear in the light.
 
     Args:
-        file: of a sensor with one colour a pixel, or none.
+        file: of a sensor with one colour per pixel, or none.
 
     Returns:
-        (h, w) uint16 DN, the margins that the camera masks left out.
+        (h, w) uint16 DN, without the masked margins.
 
     Raises:
-        InputError: for a file that rawpy cannot read, for several colours a pixel, and without the
-            `raw` extra.
+        InputError: for a file that rawpy cannot read, for several colours per pixel, and without
+            the `raw` extra.
     """
     if any(
         picture.first(SAMPLE_FORMAT, 1) == 3 and not picture.is_copy
@@ -75,11 +75,11 @@ def read_fits(file: Path, *, part: int | str | None = None) -> np.ndarray:
 
     Args:
         file: the file. BZERO and BSCALE are applied; pixels of the value BLANK are NaN.
-        part: number or name of the unit; None: the first with an image.
+        part: number or name of the HDU; None for the first with an image.
 
     Returns:
-        (h, w), or (h, w, channels) of a file with a third axis, in the type of the file, or
-        floating where BLANK or BSCALE ask for it.
+        (h, w), or (h, w, channels) for a file with a third axis, in the type of the file; floating
+        where BLANK or BSCALE require it.
 
     Raises:
         InputError: for a file that astropy cannot read or without an image, for a part that it does

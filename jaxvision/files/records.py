@@ -38,11 +38,11 @@ def write_record(
     """Write a record as TOML and its draws in a second file. An error leaves no partial file.
 
     Args:
-        file: ending in .toml; missing folders are made.
-        what: the record is, for messages: `camera`, say.
-        tables: of `table_of`.
-        record: one, whose shapes count.
-        draws: the same with a leading axis at every number; None writes none.
+        file: ending in .toml; missing folders are created.
+        what: name of the kind of record for messages, such as `camera`.
+        tables: from `table_of`.
+        record: whose shapes the draws must match.
+        draws: the same record with a leading axis of draws at every number; None writes none.
 
     Raises:
         InputError: for a file of another ending, draws of another record, or draws without a
@@ -151,11 +151,11 @@ class Reading(NamedTuple):
     """How the tables of one file are read.
 
     Attributes:
-        place: the file, for messages.
-        kind: what it is ("camera"), likewise.
-        finite: whether a number must be finite; else its record decides.
-        typed: reads values of further types: `typed(hint, where, value)`, NotImplemented for a type
-            that it does not know.
+        place: name of the file, for messages.
+        kind: name of the kind of record ("camera"), for messages.
+        finite: whether every number must be finite; otherwise its record decides.
+        typed: reads values of further types: `typed(hint, where, value)` returns NotImplemented for
+            an unknown type.
     """
 
     place: str

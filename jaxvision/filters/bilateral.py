@@ -51,11 +51,12 @@ def bilateral_filter(
         picture: (h, w) or (..., h, w, bands), relative or DN.
         sigma_space: () in pixels.
         sigma_range: () in the picture's unit.
-        radius: reach of the neighbours in pixels, at least 0; beyond 3 sigma_space little is left.
+        radius: of the neighbourhood in pixels, at least 0; beyond 3 sigma_space the weights are
+            negligible.
         window: "square" of 2 radius + 1 pixels, or "disc" (as in OpenCV).
         difference: of two colours, "euclidean" or the "sum" of absolute values (as in OpenCV).
         border: a key of `padding.BORDERS` but "constant"; with "normalised_zero" pixels outside
-            take no part.
+            have no weight.
 
     Returns:
         The picture's shape and unit.
@@ -97,10 +98,11 @@ def joint_bilateral_filter(
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.
-        guide: the picture with the edges, of the same h, w and batch, with any number of bands.
+        guide: the picture whose edges are kept, of the same h, w and batch, with any number of
+            bands.
         sigma_space: () in pixels.
         sigma_range: () in the guide's unit.
-        radius: reach of the neighbours in pixels, at least 0.
+        radius: of the neighbourhood in pixels, at least 0.
         window: "square" or "disc".
         difference: of two colours, "euclidean" or the "sum" of absolute values.
         border: a key of `padding.BORDERS` but "constant".

@@ -84,7 +84,8 @@ def correlate(
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
         kernel: (kh, kw), or (kh, kw, bands) with one kernel a band, or (k,) for a signal; no unit,
             or any.
-        anchor: (row, column), or (entry,), of the entry on the pixel; None takes the middle.
+        anchor: (row, column), or (entry,), of the kernel entry that lies on the pixel; None for the
+            middle.
         border: a key of `padding.BORDERS`. The default, "mirror", is OpenCV's BORDER_REFLECT;
             OpenCV's own default, BORDER_REFLECT_101, is "reflect_101".
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
@@ -131,8 +132,8 @@ def convolve(
         picture: (h, w) or (..., h, w, bands), or a signal (n,), any unit.
         kernel: (kh, kw), or (kh, kw, bands) with one kernel a band, or (k,) for a signal; no unit,
             or any.
-        anchor: (row, column), or (entry,), of the entry that lands on the pixel itself; None takes
-            the middle.
+        anchor: (row, column), or (entry,), of the kernel entry that lies on the pixel; None for the
+            middle.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: as for `correlate`.
@@ -179,7 +180,7 @@ def correlate_separable(
         picture: (h, w) or (..., h, w, bands), any unit.
         column: (kh,), or (kh, bands) with one column a band; no unit, or any.
         row: (kw,), or (kw, bands).
-        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        anchor: (row, column) of the kernel entry that lies on the pixel; None for the middle.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: "auto" and "separable" take two passes; "conv", "direct" and "fft" apply the product

@@ -57,7 +57,7 @@ def gaussian(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         sigma: () or (2,), down and across, in pixels, at least 0.
-        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        size: taps of the kernel along both axes; None for `gaussian_size` of the largest sigma.
         truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
         order: order of the derivative down and across; (0, 0) is the Gaussian itself.
         sampling: "sampled" or "integrated".
@@ -112,7 +112,7 @@ def laplacian_of_gaussian(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         sigma: () or (2,), down and across, in pixels.
-        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        size: taps of the kernel along both axes; None for `gaussian_size` of the largest sigma.
         truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
         sampling: "sampled" or "integrated".
         border: a key of `padding.BORDERS` but "normalised_zero".
@@ -142,7 +142,7 @@ def gaussian_kernel(
     correlation kernel.
 
     Args:
-        sigma: () in pixels; below 0.01 it counts as 0.01.
+        sigma: () in pixels; at least 0.01.
         size: number of taps, at least 1.
         order: order of the derivative, at least 0.
         sampling: "sampled" or "integrated".

@@ -43,8 +43,8 @@ def integral_image(image: Picture) -> IntegralImage:
     """The integral image.
 
     Args:
-        image: (h, w) or (..., h, w, bands), any unit. Integers are summed as floating numbers,
-            exactly while a sum fits the digits of the pair (2^48 in float32).
+        image: (h, w) or (..., h, w, bands), any unit. Integers are summed in floating point,
+            exactly up to the precision of the pair (2^48 in float32).
 
     Returns:
         Sums over all boxes from the first pixel, in the image's unit.
@@ -82,8 +82,8 @@ def box_sum(
         integral: the integral image.
         top: () first row, whole number of pixels.
         left: () first column.
-        bottom: () one past the last row.
-        right: () one past the last column.
+        bottom: () first row after the box.
+        right: () first column after the box.
 
     Returns:
         () or (..., bands), in the image's unit.

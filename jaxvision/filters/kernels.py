@@ -143,7 +143,7 @@ def blur_sigmas(low: float, high: float, *, members: int) -> tuple[float, ...]:
     Args:
         low: the smallest sigma, in pixels, at least 0.
         high: the largest sigma, in pixels, above `low`.
-        members: how many, at least 2.
+        members: number of kernels, at least 2.
 
     Returns:
         The sigmas in pixels, ascending.

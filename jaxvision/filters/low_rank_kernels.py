@@ -26,8 +26,8 @@ class LowRank(Shown):
     Attributes:
         columns: (rank, kh) factors down the columns, in the square root of the kernel's unit.
         rows: (rank, kw) factors along the rows, in the square root of the kernel's unit.
-        error: () root of the sum of squares of the missing part, in the kernel's unit. No pixel of
-            a picture within [-1, 1] is off by more than sqrt(kh kw) error.
+        error: () Frobenius norm of the missing part, in the kernel's unit. For a picture within
+            [-1, 1] the error of a pixel is at most sqrt(kh kw) times it.
     """
 
     columns: Float[Array, "rank kh"] = eqx.field(converter=as_float)
@@ -84,8 +84,8 @@ def correlate_low_rank(
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
-        kernel: the factors, as `low_rank` gives them.
-        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        kernel: factors from `low_rank`.
+        anchor: (row, column) of the kernel entry that lies on the pixel; None for the middle.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
 

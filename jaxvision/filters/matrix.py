@@ -32,7 +32,7 @@ class MatrixForm(Shown):
 
     Attributes:
         matrix: (h w, h w) sparse, no unit.
-        offset: (h w,) in the picture's unit, or None where the border adds nothing from outside.
+        offset: (h w,) in the picture's unit; None where the border adds no constant.
     """
 
     matrix: BCOO
@@ -55,7 +55,8 @@ def filter_matrix(
     Args:
         kernel: (kh, kw), or (k,) for signals, no unit.
         shape: (h, w) of the planes, or n or (n,) of the signals.
-        anchor: (row, column), or (entry,), of the entry on the pixel; None takes the middle.
+        anchor: (row, column), or (entry,), of the kernel entry that lies on the pixel; None for the
+            middle.
         border: a key of `padding.BORDERS`.
         fill: () in the picture's unit: the value outside with border "constant".
 
@@ -63,8 +64,8 @@ def filter_matrix(
         The matrix (h w, h w) and, with border "constant", the offset (h w,) in the unit of `fill`.
 
     Raises:
-        ValueError: for an unknown border, an anchor outside the kernel, and a shape that has not
-            the axes of the kernel.
+        ValueError: for an unknown border, an anchor outside the kernel, and a shape whose number of
+            axes differs from the kernel's.
 
     Example:
         >>> form = jv.filters.filter_matrix(jnp.array([1.0, 2.0, 1.0]), shape=(4,), border="zero")
@@ -120,7 +121,7 @@ def per_pixel_matrix(
 
     Args:
         kernels: (kh, kw, h, w), one kernel a pixel, no unit.
-        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        anchor: (row, column) of the kernel entry that lies on the pixel; None for the middle.
         border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:

@@ -41,13 +41,13 @@ def median_filter(
     to 7 x 7, some seconds for 15 x 15.
 
     Args:
-        picture: (h, w) or (..., h, w, bands), uint8, uint16 or floating, any unit; each band by
-            itself.
+        picture: (h, w) or (..., h, w, bands), uint8, uint16 or floating, any unit; each band is
+            filtered separately.
         size: (rows, columns) in pixels, or one number for both.
-        footprint: (rows, columns), true where a neighbour counts; replaces `size`. Its middle,
-            element n // 2 of a side of n, lies on the pixel.
-        border: a key of `padding.BORDERS` but "normalised_zero", which is for weighted means, and
-            "constant"; "extend" stays within the codes of an integer image.
+        footprint: (rows, columns), true for the pixels of the neighbourhood; replaces `size`. Its
+            middle, element n // 2 of a side of n, lies on the pixel.
+        border: a key of `padding.BORDERS` but "normalised_zero" (for weighted means only) and
+            "constant"; "extend" is clipped to the codes of an integer image.
 
     Returns:
         The picture's shape, unit and dtype.

@@ -46,17 +46,17 @@ def nonlocal_means_filter(
 
     Args:
         picture: (h, w) or (..., h, w, bands), relative or DN.
-        strength: () in the picture's unit, how different patches may be and still count; of the
-            order of the noise.
-        noise: () in the picture's unit, standard deviation of the noise, whose share of D is
-            subtracted.
+        strength: () in the picture's unit, scale of the patch difference at which weights fall off;
+            about the standard deviation of the noise.
+        noise: () in the picture's unit, standard deviation of the noise; its expected contribution
+            to D is subtracted.
         patch: side of the patches in pixels, odd.
-        radius: rows and columns to search on each side, at least 0.
+        radius: of the search window in pixels, at least 0.
         profile: weights of D over a patch, "uniform", or "gaussian" with a standard deviation of
             (patch - 1) / 4 pixels.
-        cutoff: () no unit; neighbours with a larger exponent are left out. None keeps all.
+        cutoff: () no unit; neighbours with a larger exponent have weight 0. None for no cutoff.
         border: a key of `padding.BORDERS` but "constant"; with "normalised_zero" pixels outside
-            take no part (they are 0 in patches that reach out).
+            have no weight (and are 0 inside patches).
 
     Returns:
         The picture's shape and unit.

@@ -45,7 +45,7 @@ def adjoint(picture: Filtered, *, operator: Callable[[Filtered], Filtered]) -> F
     """The transpose of a linear filter, applied: <operator(f), g> = <f, adjoint(g)>.
 
     Args:
-        picture: g, of the shape that the filter keeps, any unit.
+        picture: g, of the shape that the filter returns, any unit.
         operator: the linear filter.
 
     Returns:
@@ -53,7 +53,7 @@ def adjoint(picture: Filtered, *, operator: Callable[[Filtered], Filtered]) -> F
 
     Raises:
         ValueError: for a filter with an offset, such as border "constant" with a fill. The check
-            applies it to a picture of 0, and is skipped where `picture` is traced.
+            applies the filter to a picture of 0, and is skipped where `picture` is traced.
     """
     if is_known(picture):
         _check_no_offset(operator, picture.shape, picture.dtype)

@@ -148,8 +148,8 @@ def pad(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         widths: ((top, bottom), (left, right)) in pixels, each at least 0.
-        border: a key of `BORDERS`. "normalised_zero" pads with 0, since it is the filter that
-            divides.
+        border: a key of `BORDERS`. "normalised_zero" pads with 0; the division is part of the
+            filter.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
 
     Returns:
@@ -191,8 +191,8 @@ def pad_axis(
     Args:
         image: (images, h, w, bands), any unit.
         axis: 1 for rows, 2 for columns.
-        before: pixels to add ahead of the first.
-        after: pixels to add behind the last.
+        before: number of pixels to add before the first.
+        after: number of pixels to add after the last.
         border: a key of `BORDERS`; "normalised_zero" pads with 0.
         outside: () or (bands,) in the image's unit: the value outside with "constant" (0 for
             "zero").

@@ -39,11 +39,12 @@ def resize(
         size: rows and columns of the result, each at least 1; static.
         method: "nearest", "linear" (a triangle), "cubic" (Keys, a = -1/2), "lanczos3" or
             "lanczos5". The last three overshoot at edges.
-        antialias: widen the kernel where the picture shrinks, so that every pixel counts.
+        antialias: whether to widen the kernel where the picture shrinks, so that every pixel
+            contributes.
 
     Returns:
-        size, or with batch and bands, in the picture's unit. Constants stay constant. NaN and
-        infinity stay where the kernel reaches them, and get no slope.
+        A picture of `size`, or with batch and bands, in the picture's unit. Constants stay
+        constant. NaN and infinity spread as far as the kernel reaches, and have gradient 0.
 
     Raises:
         ValueError: for an array that is no picture, an unknown method, and a size below 1.
@@ -145,13 +146,14 @@ def warp(
 
     Args:
         picture: (h', w') or (..., h', w', bands), relative or DN.
-        rows: (h, w) where each pixel of the result lies in the picture, pixels.
-        columns: (h, w) pixels.
-        samples: places a side within each pixel of the result, whose mean it is: about the factor
-            by which the map shrinks the picture. 1 takes the middle alone. The map is followed
-            linearly within a pixel, so that it needs two rows and columns.
-        border: what lies outside: "clamp", "constant", "mirror" or "reflect_101".
-        fill: () value outside of "constant", in the picture's unit.
+        rows: (h, w) row in the picture of each pixel of the result, pixels.
+        columns: (h, w) column in the picture of each pixel of the result, pixels.
+        samples: samples along each side of a pixel of the result, whose mean is taken; about the
+            factor by which the map shrinks the picture. 1 takes the centre only. The map is linear
+            within a pixel, so that it needs at least two rows and columns.
+        border: how values outside the picture are set: "clamp", "constant", "mirror" or
+            "reflect_101".
+        fill: () value outside with border "constant", in the picture's unit.
 
     Returns:
         (h, w), or with batch and bands, in the picture's unit.

@@ -25,13 +25,13 @@ def scipy_matrix(matrix: MatrixForm | BCOO) -> "scipy.sparse.csr_array":
     """A sparse matrix in scipy's form; entries at one place are summed.
 
     Args:
-        matrix: (rows, columns), any unit: what `filter_matrix` gives, or a sparse matrix of JAX.
+        matrix: (rows, columns), any unit: from `filter_matrix`, or a sparse matrix of JAX.
 
     Returns:
         (rows, columns) in the same unit.
 
     Raises:
-        ValueError: for a filter with an offset, which a matrix does not hold.
+        ValueError: for a filter with an offset, which a matrix cannot represent.
 
     Example:
         >>> form = jv.filters.filter_matrix([1.0, 2.0, 1.0], shape=4, border="zero")

@@ -56,8 +56,7 @@ def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
 
     Args:
         radius: () in pixels.
-        sigma: (h, w) in pixels. A sigma below 0.01, also 0 or less, counts as 0.01: the pixel
-            itself.
+        sigma: (h, w) in pixels. Values below 0.01 act as 0.01, which leaves the pixel unchanged.
 
     Returns:
         (h, w) weights, no unit, not normalised.
@@ -96,7 +95,7 @@ def correlate_per_pixel(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         kernels: (kh, kw, h, w), each tap a map of weights; no unit, or any.
-        anchor: (row, column) of the entry on the pixel; None takes the middle.
+        anchor: (row, column) of the kernel entry that lies on the pixel; None for the middle.
         border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
@@ -130,7 +129,7 @@ def convolve_per_pixel(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         kernels: (kh, kw, h, w), each tap a map of weights; no unit, or any.
-        anchor: (row, column) of the entry that lands on the pixel itself; None takes the middle.
+        anchor: (row, column) of the kernel entry that lies on the pixel; None for the middle.
         border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
@@ -175,8 +174,8 @@ def correlate_bank(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         bank: (members, kh, kw), no unit, or any.
-        position: (h, w) place in the bank, no unit, in [0, members - 1]; linear in between,
-            constant beyond.
+        position: (h, w) real-valued index into the bank, no unit, in [0, members - 1]; linear
+            interpolation in between, constant beyond.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: as for `correlate`.
@@ -214,7 +213,8 @@ def radial_blur(
         picture: (h, w) or (..., h, w, bands), any unit.
         scale: (h, w) in pixels, the second argument of the profile.
         profile: weight as a function of the distance () in pixels and the scale (h, w).
-        radius: in pixels, at least 0: the knob; the kernel counts as 0 beyond it.
+        radius: of the kernel in pixels, at least 0; it is 0 beyond. A larger one is more accurate
+            and slower.
         border: "zero", "clamp", "wrap", "mirror", "reflect_101" or "extend".
 
     Returns:
@@ -247,7 +247,7 @@ def gaussian_varying(
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
-        sigma: (h, w) in pixels; outside the bank it counts as the nearest member.
+        sigma: (h, w) in pixels, clipped to the range of the bank.
         sigmas: the bank, at least two increasing sigmas in pixels, each at least 0.
         truncate: sigmas at which a kernel is cut off, no unit.
         border: a key of `padding.BORDERS`.

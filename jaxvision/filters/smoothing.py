@@ -32,8 +32,8 @@ def box(
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
-        size: pixels both ways, or (down, across); an even size reaches one pixel further up and
-            left.
+        size: pixels along both axes, or (down, across); an even size reaches one pixel further up
+            and left.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: as for `correlate_separable`.
@@ -67,7 +67,7 @@ def binomial(
 
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
-        size: taps both ways, at least 1.
+        size: taps along both axes, at least 1.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
         method: as for `correlate_separable`.
@@ -106,7 +106,7 @@ def unsharp_mask(
         picture: (h, w) or (..., h, w, bands), any unit.
         sigma: () or (2,) in pixels, of the Gaussian.
         amount: () no unit; 0 changes nothing.
-        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        size: taps of the kernel along both axes; None for `gaussian_size` of the largest sigma.
         truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
         border: a key of `padding.BORDERS`.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
@@ -145,7 +145,7 @@ def blur_straight(
         blur: the blur, from a picture to one of the same shape.
 
     Returns:
-        (..., h, w, channels): straight light and coverage; the light is 0 where the coverage is.
+        (..., h, w, channels): straight light and coverage; the light is 0 where the coverage is 0.
 
     Source: Porter and Duff, SIGGRAPH 1984.
     """

@@ -71,7 +71,7 @@ def directional_derivative(
         picture: (h, w) or (..., h, w, bands), any unit.
         sigma: () or (2,), down and across, in pixels.
         angle: () or (h, w) in rad, 0 to the right and pi/2 up.
-        size: taps of the kernel both ways; None takes `gaussian_size` of the largest sigma.
+        size: taps of the kernel along both axes; None for `gaussian_size` of the largest sigma.
         truncate: sigmas at which the kernel is cut off, if `size` is None; no unit.
         border: a key of `padding.BORDERS` but "normalised_zero".
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
@@ -110,8 +110,8 @@ def quadrature_basis(
     Args:
         picture: (h, w) or (..., h, w, bands), any unit.
         width: () in pixels.
-        size: taps of the kernels both ways, odd; 7 widths hold them to 1e-4.
-        border: a key of `padding.BORDERS` but "normalised_zero", as most weights have sum 0.
+        size: taps of the kernels along both axes, odd; 7 widths are accurate to 1e-4.
+        border: a key of `padding.BORDERS` but "normalised_zero", because most weights have sum 0.
         fill: () or (bands,) in the picture's unit: the value outside with border "constant".
 
     Returns:

@@ -69,7 +69,7 @@ def offset_length(size: Scalar) -> Scalar:
     again.
 
     Args:
-        size: () m, the largest length that the point was computed from.
+        size: () m, the largest length in the computation of the point.
 
     Returns:
         () m: 4e-6 of `size` in float32, 7e-15 in float64.

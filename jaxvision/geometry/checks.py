@@ -23,7 +23,7 @@ def problems(shape: Shape) -> list[str]:
         shape: any shape, lengths in m.
 
     Returns:
-        One sentence for each problem; none if all is well.
+        One sentence for each problem; empty if there is none.
 
     Example:
         >>> print(jv.geometry.problems(jv.Sphere([0, 0, np.nan], 1.0)))

@@ -166,7 +166,7 @@ def intersect_quad(ray: Ray, quad: Quad | FlatQuad) -> Hit:
 
     Args:
         ray: its origin in m.
-        quad: the parallelogram, which is never met if it has no area, lengths in m.
+        quad: the parallelogram, lengths in m; one without area is never hit.
 
     Returns:
         The hit; a miss has distance inf.

@@ -49,9 +49,9 @@ def local_frame(normal: Directions, *, tangent: Vec3 | None = None) -> Frame:
 
     Args:
         normal: (..., 3) unit length.
-        tangent: (..., 3) of any length; the frame's tangent is its part at right angles to the
+        tangent: (..., 3) of any length; the frame's tangent is its component perpendicular to the
             normal. Where it is None, zero or (nearly) parallel to the normal, the frame is that of
-            Duff et al.: free of branches, right to rounding for every normal, and not continuous
+            Duff et al.: without branches, accurate to rounding for every normal, and discontinuous
             across normal.z = 0.
 
     Returns:

@@ -51,9 +51,9 @@ class Sorted(Shown):
     """Shapes sorted by kind, with everything precomputed that does not depend on the ray.
 
     Attributes:
-        groups: all but meshes, stacked by kind.
+        groups: all shapes but meshes, stacked by kind.
         meshes: the meshes.
-        size: () m, the largest coordinate of all; None without any shape.
+        size: () m, the largest coordinate of all shapes; None without any.
         members: the numbers of the shapes in each group; static.
         mesh_numbers: the numbers of the meshes; static.
     """
@@ -72,7 +72,7 @@ def sorted_shapes(shapes: Shapes) -> Sorted:
     """Shapes prepared for many rays; call it once, outside a loop over rays.
 
     Args:
-        shapes: any shapes, lengths in m, or what this function returned.
+        shapes: any shapes, lengths in m, or a result of this function.
 
     Returns:
         The shapes, sorted by kind.
@@ -104,9 +104,9 @@ def intersect(ray: Ray, shape: Shape) -> Hit:
         The nearest hit in front of the origin; a miss has distance inf.
 
     Raises:
-        ValueError: for what is no ray, and no shape.
+        ValueError: for arguments that are no ray or no shape.
 
-    Warns of a shape so far from the origin that the numbers of its dtype deform it.
+    Warns of a shape so far from the origin that rounding in its dtype deforms it.
 
     Example:
         >>> ray, ball = jv.Ray([0.6, 0, 5], [0, 0, -1]), jv.Sphere([0, 0, 0], 1)
@@ -194,7 +194,7 @@ def hit_shape(ray: Ray, shapes: Shapes, encounter: Encounter) -> Hit:
     Args:
         ray: its origin in m.
         shapes: the same shapes, m.
-        encounter: what `nearest_shape` found.
+        encounter: as `nearest_shape` returns it.
 
     Returns:
         The hit; a miss where nothing was found.
@@ -266,12 +266,12 @@ def occluded(
 
     Args:
         point: (3,) m.
-        normal: (3,) unit, of the surface at the point, or 0 for a point in free space.
+        normal: (3,) unit normal of the surface at the point; 0 for a point in free space.
         direction: (3,) unit, toward the target.
-        distance: () m to the target, inf for one that is infinitely far away; both ends are open by
-            as much as rounding can shift them, see `offset_origin`.
+        distance: () m to the target, inf for a target at infinity. Both ends are shortened by the
+            largest rounding error, see `offset_origin`.
         shapes: any shapes, m.
-        size: () m, as `Hit.size`; without it the largest coordinate of all shapes.
+        size: () m, as `Hit.size`; None for the largest coordinate of all shapes.
 
     Returns:
         A flag, (). No gradient.

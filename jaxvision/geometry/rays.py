@@ -24,7 +24,7 @@ class Ray(Shown):
 
     Attributes:
         origin: (3,) m.
-        direction: (3,) unit vector, the way the ray travels.
+        direction: (3,) unit vector in which the ray travels.
 
     Example:
         >>> ray = jv.Ray([0, 0, 1], [0.6, 0, 0.8])
@@ -44,8 +44,8 @@ class Encounter(Shown):
     """The first intersection of a ray, as integers.
 
     Attributes:
-        shape: () index, -1 for nothing.
-        primitive: () the triangle where that shape is a mesh; None where no shape is one.
+        shape: () index, -1 if nothing is hit.
+        primitive: () index of the triangle if that shape is a mesh; None where no shape is a mesh.
 
     Example:
         >>> floors = [jv.Disc([0, 0, z], [0, 0, 1], 1) for z in (0, 1)]
@@ -63,12 +63,12 @@ class Hit(Shown):
     Attributes:
         distance: () m along the ray, inf for a miss.
         normal: unit, on the front: outward for closed shapes; 0 for a miss.
-        point: m, on the surface itself; the ray's origin for a miss.
-        size: () m, the largest length that the point was computed from, to which its rounding is
-            relative.
-        shading_normal: unit, as `normal` or interpolated, or None where no shape has normals of its
-            own.
-        uv: () and (), no unit, 0 for a shape without, or None where no shape has any.
+        point: m, on the surface; the ray's origin for a miss.
+        size: () m, the largest length in the computation of the point; its rounding error is
+            relative to it.
+        shading_normal: unit, interpolated or as `normal`; None where no shape has vertex normals.
+        uv: () and (), no unit, 0 for a shape without texture coordinates; None where no shape has
+            any.
 
     Example:
         >>> hit = jv.intersect(jv.Ray([3, 0, 0], [-1, 0, 0]), jv.Sphere([0, 0, 0], 1))
@@ -120,12 +120,11 @@ def offset_origin(
         point: (3,) m.
         normal: (3,) unit.
         direction: (3,) unit; the ray may leave on either side.
-        size: () m, as `Hit.size`; without it the largest component of the point, which is too
-            little where the surface itself reaches much farther from the world's origin than the
-            point.
+        size: () m, as `Hit.size`; None for the largest component of the point, which is too small
+            if the surface reaches much farther from the world's origin than the point.
 
     Returns:
-        The origin, m; a constant to gradients but for the point.
+        The origin, m; it has gradients with respect to the point only.
 
     Source: after Waechter & Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray
     Tracing Gems (2019), ch. 6, with the size of the shape in the bound.

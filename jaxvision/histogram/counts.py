@@ -63,9 +63,9 @@ def exact_histogram(
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
-        bins: number of bins, at least 1. None takes one bin a code (edges 0, 1 ... 256 or 65536),
+        bins: number of bins, at least 1. None for one bin per code (edges 0, 1 ... 256 or 65536),
             or 256 bins for floating images.
-        value_range: (low, high) in the image's unit. None takes all codes, or [0, 1].
+        value_range: (low, high) in the image's unit. None for all codes, or [0, 1].
 
     Returns:
         Counts (bins,) or (..., bands, bins), no unit, and edges (bins + 1,) in the image's unit.
@@ -131,7 +131,7 @@ def cumulative_distribution(histogram: Histogram) -> Float[Array, "*planes edges
         histogram: exact or soft.
 
     Returns:
-        (..., bins + 1) from 0 to 1, no unit; 0 throughout where nothing was counted.
+        (..., bins + 1) from 0 to 1, no unit; 0 throughout for an empty histogram.
 
     Example:
         >>> counts = jv.histogram.exact_histogram(np.array([[0.1, 0.3], [0.3, 0.9]]), bins=4)
@@ -155,7 +155,7 @@ def quantile(histogram: Histogram, q: Scalar) -> Float[Array, "*planes"]:
 
     Returns:
         () or (..., bands) in the image's unit. q = 0 gives the lower edge of the first occupied
-        bin, q = 1 the upper edge of the last; without counts it is NaN.
+        bin, q = 1 the upper edge of the last; NaN for an empty histogram.
 
     Raises:
         ValueError: for a q outside [0, 1].
@@ -191,7 +191,7 @@ def otsu_threshold(histogram: Histogram) -> Float[Array, "*planes"]:
         histogram: exact or soft, of at least 2 bins.
 
     Returns:
-        () or (..., bands) in the image's unit; NaN without counts.
+        () or (..., bands) in the image's unit; NaN for an empty histogram.
 
     Raises:
         ValueError: for fewer than 2 bins.

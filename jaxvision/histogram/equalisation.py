@@ -57,11 +57,12 @@ def equalise(
 
     Args:
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
-        amount: () no unit, blends the curve with the identity: 0 leaves the values, 1 equalises
-            fully.
+        amount: () no unit, blends the curve with the identity: 0 leaves the values unchanged, 1
+            equalises fully.
         bins: number of bins of a floating image; None takes 256.
         value_range: (low, high) of a floating image, relative; None takes [0, 1].
-        first_to_zero: static, of integer images, as above.
+        first_to_zero: whether the first occupied code of an integer image maps to 0, as above;
+            static.
 
     Returns:
         The image's shape, unit and dtype.

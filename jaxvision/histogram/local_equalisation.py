@@ -62,8 +62,8 @@ def equalise_locally(
         image: (h, w) or (..., h, w, bands), uint8, uint16 or floating; codes or relative.
         tiles: rows and columns of tiles, each at least 1.
         clip_limit: () no unit, largest count in a bin as a multiple of the mean count of a tile's
-            bins. The excess is redistributed evenly, so 1 leaves the contrast as it is. None is no
-            limit: each tile is fully equalised.
+            bins. The excess is redistributed evenly, so that 1 leaves the contrast unchanged. None
+            for no limit: each tile is fully equalised.
         bins: number of bins of a floating image; None takes 256.
         value_range: (low, high) of a floating image, relative; None takes [0, 1].
 

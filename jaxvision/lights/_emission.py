@@ -23,16 +23,16 @@ def emitted(light: Light, u: Float[Array, "4"], *, around: Ball | None) -> Emitt
 
     Args:
         light: any light.
-        u: (4,) uniform in [0, 1), no unit: u_0, u_1 for the place, u_2, u_3 for the direction.
-        around: a sphere around the scene, m, through which light from infinitely far away is sent;
-            None for a scene that is unbounded.
+        u: (4,) uniform in [0, 1), no unit: u_0, u_1 for the position, u_2, u_3 for the direction.
+        around: a sphere around the scene, m, through which light from infinity is emitted; None for
+            an unbounded scene.
 
     Returns:
         The ray and its flux, (bands,) W.
 
     Raises:
-        ValueError: for light from infinitely far away in a scene that is unbounded, and for an
-            extended light that has registered no `emitted`.
+        ValueError: for light from infinity in an unbounded scene, and for an extended light that
+            has registered no `emitted`.
     """
     kind = kind_of(light)
     if kind.emitted is not None:
@@ -90,7 +90,7 @@ def emitted_from_surface(
         shape: the surface, bounded.
         radiance: (bands,) W m^-2 sr^-1.
         u: (4,) uniform in [0, 1), no unit.
-        two_sided: () whether the back shines too.
+        two_sided: () whether the back emits too.
 
     Returns:
         The ray and its flux, (bands,) W.

@@ -45,7 +45,7 @@ def shifted_lattice(
 
     Args:
         key: of the random shift.
-        samples: how many, at least 1.
+        samples: number of points, at least 1.
         dtype: floating, of the result.
 
     Returns:

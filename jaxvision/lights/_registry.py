@@ -27,7 +27,7 @@ class Incident(Shown):
         direction: (3,) unit, from the point toward the light.
         irradiance: (bands,) W m^-2 on a surface that faces the light; the receiver applies its own
             cosine.
-        distance: () m to the light, or None where the light is infinitely far away.
+        distance: () m to the light, or None for a light at infinity.
 
     Example:
         >>> arriving = jv.incident(jv.PointLight([3, 0, 4], [25.0]), jnp.zeros(3))
@@ -46,10 +46,8 @@ class Seen(Shown):
     """The view of an extended light along a ray.
 
     Attributes:
-        distance: () m along the ray to the light; inf where the light is infinitely far away or
-            the ray misses it.
-        radiance: (bands,) W m^-2 sr^-1 against the ray, 0 where the ray misses the light; () where
-            there is no light.
+        distance: () m along the ray to the light; inf for a light at infinity or a miss.
+        radiance: (bands,) W m^-2 sr^-1 against the ray, 0 for a miss; () where there is no light.
     """
 
     distance: Scalar
@@ -61,8 +59,8 @@ class Emitted(Shown):
 
     Attributes:
         ray: the ray, away from the light; its origin in m.
-        flux: (bands,) W that the ray stands for.
-        normal: unit, of the surface that the ray leaves; the zero vector where it leaves none.
+        flux: (bands,) W of the ray.
+        normal: unit normal of the emitting surface; the zero vector where there is none.
     """
 
     ray: Ray
@@ -102,7 +100,7 @@ def kinds() -> Mapping[type, Discrete | Extended]:
     """All registered lights, including those of the library.
 
     Returns:
-        What each record has registered.
+        The registered functions of each record.
     """
     room = import_module(__package__ or "")
     for name in dir(room):
@@ -124,18 +122,17 @@ def register(
     Args:
         light: the class of the light.
         incident: `incident(light, point) -> Incident`; at the light itself the distance is 0.
-        emitted: `emitted(light, u) -> Emitted`, for light tracing: a ray that leaves the light, by
-            `u`, (4,) uniform in [0, 1); the mean over `u` of what rays carry is what the light
-            emits. Without it rays leave a light at a finite distance in all directions alike,
-            with the flux that `incident` implies, and a light that is infinitely far away sends
-            parallel rays through the whole scene.
-        bound: `bound(ends) -> effects.Source`, the most that the light sends, of the light at both
-            ends of what a fit may change; without it `effects` keeps all that depends on it.
+        emitted: `emitted(light, u) -> Emitted`, for light tracing: a ray from the light for `u`,
+            (4,) uniform in [0, 1); the mean over `u` must be the emission of the light. Without it
+            a light at a finite distance emits equally in all directions, with the flux that
+            `incident` implies, and a light at infinity emits parallel rays through the whole scene.
+        bound: `bound(ends) -> effects.Source`, the largest emission, for the light at both ends of
+            the range of a fit; without it `effects` keeps everything that depends on the light.
         word: its `kind` in scene files; by default the name of the class in snake case, without
-            "Light", and "" for a light that no scene file holds.
-        from_file: what makes the light of a file's keys, where these are not its fields: their
-            names and defaults are those of its parameters, their meaning that of its docstring, and
-            `**fields` takes all other fields of the light.
+            "Light", and "" for a light that scene files cannot hold.
+        from_file: function that makes the light from the keys of a file, where these are not its
+            fields. The names, defaults and docstring of its parameters define the keys; `**fields`
+            takes all other fields of the light.
     """
     _KINDS[light] = Discrete(incident, emitted, bound, table_for(light, word, from_file))
 
@@ -159,12 +156,13 @@ def register_extended(
         light: the class of the light.
         seen: `seen(light, ray) -> Seen`.
         sample: `sample(light, point, u) -> Incident`, a map of the unit square, `u` (2,), onto
-            directions toward the light; its irradiance is that per unit of the square's area,
-            radiance over density, so that its mean over the square is the light's.
+            directions toward the light. Its irradiance is radiance over density, so that the mean
+            over the square is the irradiance of the light.
         pdf: `pdf(light, point, wi)`, () in sr^-1, the density of the directions of `sample`.
-        node: as `sample`, smooth in `u`, for quadrature; without it `sample` serves.
-        nodes: the static nodes, (n, 2), and weights, (n,), of an order of quadrature.
-        emitted: as in `register`. Without it a light at a finite distance cannot be traced from.
+        node: as `sample`, but smooth in `u`, for quadrature; `sample` by default.
+        nodes: function from an order of quadrature to static nodes, (n, 2), and weights, (n,).
+        emitted: as in `register`. Without it a light at a finite distance cannot be used for light
+            tracing.
         bound, word, from_file: as in `register`.
     """
     smooth = sample if node is None else node
@@ -198,7 +196,7 @@ def can_be_seen(light: Light) -> bool:
         light: any registered light.
 
     Returns:
-        The answer, a Python bool, no unit.
+        Whether it can be seen, a Python bool, no unit.
 
     Example:
         >>> print(jv.lights.can_be_seen(jv.PointLight([0, 0, 2], [8.0])))

@@ -27,12 +27,12 @@ def light_nodes(
     """The positions in the unit square at which a rule samples a light.
 
     Args:
-        light: any registered light; one at a single place is sampled once.
-        rule: how to sample it.
+        light: any registered light; one without size has one sample.
+        rule: of the samples.
         dtype: floating, of the result.
 
     Returns:
-        (samples, 2) places and (samples,) weights of sum 1, no unit.
+        (samples, 2) positions in the unit square and (samples,) weights of sum 1, no unit.
 
     Raises:
         ValueError: if `rule` is not a rule.
@@ -67,8 +67,8 @@ def incident_sample(
         weight: () of the node, no unit.
 
     Returns:
-        Direction, distance, and irradiance, (bands,) W m^-2: the radiance times the solid angle
-        that the node stands for.
+        Direction, distance, and irradiance, (bands,) W m^-2: radiance times the solid angle of the
+        node.
 
     Example:
         >>> lamp = jv.PointLight([0, 0, 2], [8.0])  # W sr^-1
@@ -87,11 +87,11 @@ def rule_for(rule: AnyRule, number: Integer[Array, ""]) -> AnyRule:
     """The rule for one of many points, each with its own random samples.
 
     Args:
-        rule: of all points.
-        number: () whole number of the point, a pixel say, no unit.
+        rule: for all points.
+        number: () whole number of the point, for example a pixel, no unit.
 
     Returns:
-        The rule with a key of its own; a rule of fixed nodes as it is.
+        The rule with its own key; a rule of fixed nodes is returned unchanged.
     """
     if isinstance(rule, MonteCarlo | Balanced):
         return type(rule)(jax.random.fold_in(rule.key, number), rule.samples)
@@ -104,12 +104,12 @@ def rules_of(
     """The rule of each light of a scene: its own from `Scene.rules`, else `rule`.
 
     Args:
-        scene: its lights, and their rules or None.
-        rule: of all lights without a rule of their own.
-        numbers: () each, what tells a pixel and its sample, or another point, from all others:
-            random rules draw anew for each; empty: the rules as they are.
-        count: how many sources there are, the scene's lights first, of which the others (surfaces
-            that shine) take `rule`; None: the lights alone.
+        scene: with its lights and their rules or None.
+        rule: for all lights without a rule of their own.
+        numbers: () each, which identify a pixel and its sample, or another point: random rules draw
+            anew for each; empty for the rules unchanged.
+        count: number of sources, first the scene's lights, then surfaces that emit, which take
+            `rule`; None for the lights alone.
 
     Returns:
         One rule for each source.

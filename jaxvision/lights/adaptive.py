@@ -45,9 +45,9 @@ def adaptive_irradiance(
         light: the rectangle.
         points: (receivers, 3) m.
         normals: (receivers, 3) unit, or (3,) for all.
-        tolerance: relative, > 0; static. Rounding errors are added, see
-            `polygon.rectangle_irradiance`. If the light is near the horizon, the tolerance is
-            relative to the irradiance on a receiver that faces the light.
+        tolerance: relative, > 0; static. Rounding errors add to it, see
+            `polygon.rectangle_irradiance`. For a light near the horizon it is relative to the
+            irradiance on a receiver that faces the light.
 
     Returns:
         The irradiance, (receivers, bands) W m^-2.

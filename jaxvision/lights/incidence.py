@@ -22,7 +22,7 @@ def incident(light: Light, point: Vector) -> Incident:
     """Light that arrives at a point from a light at one place.
 
     Args:
-        light: a light at one place, such as `PointLight`, `SmallLight` or `DirectionalLight`.
+        light: a light without size, such as `PointLight`, `SmallLight` or `DirectionalLight`.
         point: (3,) m.
 
     Returns:
@@ -30,7 +30,7 @@ def incident(light: Light, point: Vector) -> Incident:
         faces it, and the distance, m, or None.
 
     Raises:
-        ValueError: for an extended light, which has `incident_samples`.
+        ValueError: for an extended light; use `incident_samples`.
 
     Example:
         >>> lamp = jv.PointLight([0.0, 0.0, 2.0], [8.0])
@@ -53,12 +53,12 @@ def incident_samples(light: Light, point: Vector, rule: Rule) -> Incident:
     Args:
         light: any light.
         point: (3,) m.
-        rule: where an extended light is sampled; a light at one place gives one sample under any
+        rule: of the samples of an extended light; a light without size gives one sample under any
             rule.
 
     Returns:
-        Samples along a new leading axis: unit directions, and the irradiance, (samples, bands)
-        W m^-2, that each puts on a surface that faces it.
+        Samples along a new leading axis: unit directions, and the irradiance, (samples, bands) W
+        m^-2, of each on a surface that faces it.
 
     Example:
         >>> sky = jv.environment_map(np.ones((4, 8, 1)))
@@ -82,8 +82,8 @@ def irradiance(light: Light, point: Vector, normal: Direction, *, rule: Rule) ->
     Args:
         light: any light.
         point: (3,) m, the receiver.
-        normal: (3,) unit, where the receiver faces.
-        rule: where an extended light is sampled.
+        normal: (3,) unit normal of the receiver.
+        rule: of the samples of an extended light.
 
     Returns:
         The irradiance, (bands,) W m^-2.
@@ -110,7 +110,7 @@ def seen(light: Light, ray: Ray) -> Seen:
         The distance, m, and the radiance, (bands,) W m^-2 sr^-1, against the ray.
 
     Raises:
-        ValueError: for a light that has no size.
+        ValueError: for a light without size.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
@@ -125,12 +125,12 @@ def nearest_seen(lights: Sequence[Light], ray: Ray) -> Seen:
     """The first of all extended lights that a ray hits.
 
     Args:
-        lights: any lights; those that have no size are left out.
+        lights: any lights; those without size are ignored.
         ray: its origin in m.
 
     Returns:
-        The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are infinitely far
-        away and add up. Where there is no extended light the radiance is () and 0.
+        The distance, m, and the radiance, (bands,) W m^-2 sr^-1. Environments are at infinity and
+        add up. Where there is no extended light the radiance is () and 0.
 
     Example:
         >>> sides = [0, 2, 0], [2, 0, 0]  # m
@@ -162,7 +162,7 @@ def radiance_from(light: Light, point: Vector, wi: Direction) -> Colour:
         The radiance, (bands,) W m^-2 sr^-1.
 
     Raises:
-        ValueError: for a light that has no size.
+        ValueError: for a light without size.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
@@ -185,7 +185,7 @@ def direction_sample(light: Light, point: Vector, u: Float[Array, "2"]) -> Incid
         A unit direction, radiance over density, (bands,) W m^-2, and the distance, m.
 
     Raises:
-        ValueError: for a light that has no size.
+        ValueError: for a light without size.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 3], [0, 2, 0], [2, 0, 0], [5.0])
@@ -209,7 +209,7 @@ def direction_pdf(light: Light, point: Vector, wi: Direction) -> Scalar:
         The density toward `wi`, () in sr^-1.
 
     Raises:
-        ValueError: for a light that has no size.
+        ValueError: for a light without size.
 
     Example:
         >>> sky = jv.environment_map(np.ones((4, 8, 1)))

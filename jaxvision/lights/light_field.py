@@ -32,8 +32,8 @@ class LightFieldLight(Light):
     It illuminates surfaces in front of it, and a camera that looks at it sees the scene behind.
 
     Attributes:
-        radiance: (s, t, u, v, bands) W m^-2 sr^-1, the first and last sample of each axis on the
-            rims of the windows.
+        radiance: (s, t, u, v, bands) W m^-2 sr^-1; the first and last sample of each axis lie on
+            the rims of the windows.
         aperture: the window (s, t), one-sided; lengths in m.
         focal: the window (u, v), parallel to the aperture to 1 mrad and not in its plane; lengths
             in m.
@@ -149,9 +149,9 @@ def refocus(
     Args:
         light_field: the light field.
         focus: (3,) m.
-        order: Gauss-Legendre nodes a side; static.
-        opening: the used fraction of the aperture about its middle, in (0, 1], no unit; towards 0
-            everything is sharp.
+        order: number of Gauss-Legendre nodes along each side; static.
+        opening: used fraction of the aperture about its middle, in (0, 1], no unit; the smaller,
+            the larger the depth of field.
 
     Returns:
         The radiance, (bands,) W m^-2 sr^-1.

@@ -33,7 +33,7 @@ def order_for(light: RectangleLight, points: Vec3, *, tolerance: float = 1e-4) -
         The order, one of `ORDERS`, no unit.
 
     Raises:
-        InputError: if not even the largest order is enough.
+        InputError: if even the largest order is not accurate enough.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 0], [0, 2, 0], [2, 0, 0], [1.0])

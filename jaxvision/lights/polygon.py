@@ -148,7 +148,7 @@ def rectangle_irradiance(light: RectangleLight, point: Vector, normal: Direction
     Args:
         light: the rectangle.
         point: (3,) m.
-        normal: (3,) unit, where the receiver faces.
+        normal: (3,) unit normal of the receiver.
 
     Returns:
         The irradiance, (bands,) W m^-2.

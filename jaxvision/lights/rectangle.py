@@ -30,8 +30,8 @@ class RectangleLight(Light):
     Attributes:
         corner: (3,) m.
         edge_u: (3,) m, from the corner along one side.
-        edge_v: (3,) m, along the other side, at a right angle to the first (any parallelogram gives
-            right results; a skew one is sampled less well).
+        edge_v: (3,) m, along the other side, perpendicular to the first (any parallelogram is
+            correct; a skew one is sampled less efficiently).
         radiance: (bands,) W m^-2 sr^-1.
 
     Example:

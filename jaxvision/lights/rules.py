@@ -34,7 +34,7 @@ class Quadrature(Shown):
         +4.6 % (alpha .1) and -57 % (.03) at order 8, and +4 % (.03) even at 32.
 
     Attributes:
-        order: nodes a side, whole, >= 1, no unit; static.
+        order: number of nodes along each side, whole, >= 1, no unit; static.
 
     Raises:
         ValueError: for another order.
@@ -62,7 +62,7 @@ class MonteCarlo(Shown):
 
     Attributes:
         key: random key.
-        samples: how many, >= 1; static.
+        samples: number of samples, >= 1; static.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1 / np.pi])
@@ -90,7 +90,7 @@ class Balanced(Shown):
 
     Attributes:
         key: random key.
-        samples: how many, >= 1; static.
+        samples: number of samples, >= 1; static.
 
     Example:
         >>> lamp = jv.RectangleLight([-1, -1, 1], [0, 2, 0], [2, 0, 0], [1.0])

@@ -31,8 +31,8 @@ class Matte(Shown):
 
     Attributes:
         alpha: (h, w, 1) in [0, 1], no unit.
-        converged: () whether the solver met its tolerance; if not, take more `max_steps`, or in
-            float32 a larger `epsilon`.
+        converged: () whether the solver met its tolerance; if not, raise `max_steps`, or in float32
+            `epsilon`.
     """
 
     alpha: Float[Array, "h w 1"]
@@ -57,8 +57,8 @@ def closed_form_matte(
     Args:
         image: (h, w, bands) linear relative light, at least 3 x 3 pixels.
         trimap: (h, w) no unit: up to 0.1 is background, from 0.9 on foreground, between is unknown.
-        epsilon: in light squared, relative, above 0: keeps windows of one colour solvable.
-        confidence: c, no unit, above 0; 100 in the paper. None takes the trimap as exact.
+        epsilon: regularisation of windows of one colour, in the square of relative light, above 0.
+        confidence: c, no unit, above 0; 100 in the paper. None for an exact trimap.
         tolerance: of the residual relative to the right-hand side, no unit. None takes 1e-7 in
             float64 and 1e-6 in float32.
         max_steps: largest number of steps of the solver.
@@ -67,11 +67,10 @@ def closed_form_matte(
         The alpha (h, w, 1), and whether the solver converged.
 
     Raises:
-        ValueError: for shapes that do not fit, for integer codes, and for a known `epsilon` or
-            `confidence` that is not above 0.
-        InputError: for known numbers that hold NaN, and for a known trimap without foreground or
-            without background. Under a trace NaN gives a NaN matte, and a trimap of one kind alone
-            a constant one.
+        ValueError: for shapes that do not match, for integer codes, and for an `epsilon` or
+            `confidence` that is not above 0 (unless traced).
+        InputError: for NaN, and for a trimap without foreground or without background (unless
+            traced). Under a trace NaN gives a NaN matte, and such a trimap a constant one.
 
     Example:
         >>> picture = np.repeat([[[0.1], [0.1], [0.5], [0.9], [0.9]]], 3, axis=0)  # a soft edge

@@ -49,16 +49,16 @@ def estimate_foreground(
         image: (h, w, bands) linear relative light.
         alpha: (h, w, 1) coverage in [0, 1], no unit.
         regularisation: no unit, above 0.
-        coarse_steps: steps a level, up to 32 pixels a side.
-        fine_steps: steps a level, beyond.
+        coarse_steps: steps per level, up to 32 pixels along each side.
+        fine_steps: steps per level of larger size.
 
     Returns:
         The foreground and the background, each (h, w, bands) relative light, at least 0.
 
     Raises:
-        ValueError: for shapes that do not fit and, where the numbers are known, for an alpha
-            outside [0, 1] or not finite and a `regularisation` that is not above 0. Under a trace a
-            single NaN makes both pictures NaN throughout.
+        ValueError: for shapes that do not match and, unless traced, for an alpha outside [0, 1] or
+            not finite and a `regularisation` that is not above 0. Under a trace a single NaN makes
+            both pictures NaN throughout.
 
     Example:
         >>> alpha = np.array([[[1.0], [0.5], [0.0], [0.0]]] * 4)

@@ -38,8 +38,7 @@ def difference_matte(
         (..., 1) alpha, no unit.
 
     Raises:
-        ValueError: unless `low` < `high`, where they are known. Under a trace the matte is then a
-            step at `low`.
+        ValueError: unless `low` < `high`. If they are traced the matte is then a step at `low`.
 
     Example:
         >>> wall, leaf = [0.2, 0.2, 0.2], [0.2, 0.5, 0.6]
@@ -72,9 +71,9 @@ def blue_screen_matte(
         image: (..., bands) linear relative light.
         backing: (..., bands) or (bands,) light of the screen, relative.
         channel: the band of the screen (2 is blue; 1 for a green screen).
-        foreground: "none" assumes that the object sends no light in that band, "grey" that it sends
-            the mean of the other bands. (Flesh fulfils "grey" in green and blue: pass these two
-            alone.)
+        foreground: assumption on the object: "none": it reflects no light in that band; "grey": it
+            reflects the mean of the other bands. (Skin fulfils "grey" in green and blue: pass these
+            two alone.)
 
     Returns:
         (..., 1) alpha, no unit.
@@ -157,7 +156,7 @@ def least_squares_matte(
     It is exact for two backgrounds without noise, for any colours of the object.
 
     Args:
-        images: (pictures, ..., bands) linear relative light of one object before at least two
+        images: (pictures, ..., bands) linear relative light of one object in front of at least two
             backgrounds.
         backgrounds: the same shape, relative.
 
@@ -200,10 +199,10 @@ def triangulation_matte(
     It is `least_squares_matte` of two pictures.
 
     Args:
-        image: (..., bands) linear relative light before the first background.
+        image: (..., bands) linear relative light in front of the first background.
         background: (..., bands) the first background, relative.
-        image_2: (..., bands) before the second.
-        background_2: (..., bands) the second.
+        image_2: (..., bands) in front of the second background.
+        background_2: (..., bands) the second background.
 
     Returns:
         (..., bands + 1), a layer.

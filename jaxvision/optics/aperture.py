@@ -110,10 +110,10 @@ def aperture_kernel(aperture: Aperture, radius: Scalar, *, size: int) -> Float[A
 
     Args:
         aperture: the shape.
-        radius: () pixels, of the image of the lens's edge. A negative radius inverts the kernel, as
-            for light from behind the plane in focus (`defocus_radius`); 0 gives the identity.
+        radius: () pixels, of the image of the lens's edge. A negative radius inverts the kernel,
+            for light from behind the plane in focus (`defocus_radius`); 0 is the identity.
         size: side of the kernel in pixels, odd, static. The part outside is cut off and the rest
-            rescaled.
+            renormalised.
 
     Returns:
         (size, size) weights of sum 1, no unit.

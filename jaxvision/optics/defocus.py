@@ -87,8 +87,8 @@ def gather_defocus(
         picture: (h, w, bands) in any unit linear in light.
         depth: (h, w) m along the axis; NaN counts as in focus.
         radius: radius of the largest kernel in pixels, static, at least 1.
-        members: kernels in the bank, static, at least 2; None takes one per pixel of radius,
-            upright and inverted. Unused for a round aperture.
+        members: number of kernels in the bank, static, at least 2; None for one per pixel of
+            radius, upright and inverted. Unused for a round aperture.
 
     Returns:
         (h, w, bands) in the unit of the picture.
@@ -121,7 +121,7 @@ def scatter_defocus(
         picture: (h, w, bands) in any unit linear in light.
         depth: (h, w) m along the axis; NaN counts as in focus.
         radius: radius of the largest kernel in pixels, static, at least 1.
-        members: kernels in the bank, as in `gather_defocus`.
+        members: number of kernels in the bank, as in `gather_defocus`.
 
     Returns:
         (h, w, bands) in the unit of the picture.

@@ -107,9 +107,9 @@ def airy_kernel(
         f_number: () working f-number, no unit.
         pixel_pitch: () m.
         size: side of the kernel in pixels, odd, static.
-        order: quadrature nodes per side of a pixel, and half of those along its edges, static: the
-            knob for accuracy; with 8 a share is good to 2e-5 of all light, to 1e-7 for pixels up to
-            2 lambda N.
+        order: number of quadrature nodes per side of a pixel, half as many along its edges, static.
+            With 8 a pixel's share is accurate to 2e-5 of all light, and to 1e-7 for pixels up to 2
+            lambda N.
 
     Returns:
         (size, size), or (size, size, bands) for wavelengths (bands,); no unit, of sum 1.
@@ -218,8 +218,8 @@ def diffraction_mtf(
         frequency: (...) m^-1.
         wavelength: (...) m.
         f_number: (...) working f-number, no unit.
-        obstruction: (...) in [0, 1), the diameter of a central round stop over that of the
-            aperture; None for no stop.
+        obstruction: (...) in [0, 1), diameter of a central round stop over that of the aperture;
+            None for no stop.
 
     Returns:
         (...) relative contrast, in [0, 1].

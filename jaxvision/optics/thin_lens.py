@@ -35,11 +35,11 @@ def image_distance(object_distance: Scalars, focal_length: Scalars) -> Scalars:
         focal_length: (...) m.
 
     Returns:
-        (...) m from the lens, negative for a virtual image; huge but finite at z_o = f.
+        (...) m from the lens, negative for a virtual image; very large but finite at z_o = f.
 
     Raises:
-        ValueError: for a focal length of 10 m or more with an object inside it, as by 50 for 50 mm;
-            so in all functions here that take a distance and a focal length.
+        ValueError: for a focal length of 10 m or more with an object inside it, as if 50 mm were
+            passed as 50; so do all functions here that take a distance and a focal length.
 
     Example:
         >>> z_i = jv.image_distance(jnp.array(1.0), jnp.array(0.05))
@@ -131,8 +131,8 @@ def working_f_number(f_number: Scalars, focus_distance: Scalars, focal_length: S
         (...) relative (no unit).
 
     Raises:
-        ValueError: for an f-number or a distance below 0, and for a focus inside the focal length,
-            whose image is virtual and meets no sensor.
+        ValueError: for an f-number or a distance below 0, and for a focus distance inside the focal
+            length, whose image is virtual.
 
     Example:
         >>> f = jnp.array(0.05)
@@ -219,8 +219,8 @@ def circle_of_confusion(
     sensor is.
 
     Args:
-        object_distance: (...) z_o in m from the lens; negative where light converges on its way to
-            the lens.
+        object_distance: (...) z_o in m from the lens; negative for light that converges toward a
+            point behind the lens.
         focus_distance: (...) z_f in m from the lens to the plane in focus.
         focal_length: (...) f in m.
         f_number: (...) N, no unit.
@@ -263,8 +263,8 @@ def depth_of_field(
         (near, far), each (...) m; `far` is inf, with gradient 0, from the hyperfocal distance on.
 
     Raises:
-        ValueError: for an argument below 0, a focus inside the focal length, or a focal length of
-            more than a million times the blur, one of them in mm.
+        ValueError: for an argument below 0, a focus distance inside the focal length, or a focal
+            length of more than a million times the blur, where one is probably in mm.
 
     Example:
         >>> z_f, f, N, c = (jnp.array(x) for x in (3.0, 0.05, 8.0, 30e-6))
@@ -297,7 +297,7 @@ def hyperfocal_distance(focal_length: Scalars, f_number: Scalars, allowed_blur: 
 
     Raises:
         ValueError: for an argument below 0, or a focal length of more than a million times the
-            blur, one of them in mm.
+            blur, where one is probably in mm.
 
     Example:
         >>> H = jv.hyperfocal_distance(jnp.array(0.05), jnp.array(8.0), jnp.array(30e-6))

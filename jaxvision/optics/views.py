@@ -43,12 +43,12 @@ def look_at(
         up: (3,) any vector not along the line of sight, no unit.
 
     Returns:
-        (3, 3), no unit: rows are the unit axes right, down and forward in the world. Where the
-        arguments are traced and no rotation follows from them, all are NaN.
+        (3, 3), no unit: rows are the unit axes right, down and forward in the world. NaN for traced
+        arguments that define no rotation.
 
     Raises:
-        ValueError: where the position is the target, or up lies along the line of sight: no
-            rotation follows.
+        ValueError: where the position is the target, or up lies along the line of sight, so that no
+            rotation is defined.
 
     Example:
         >>> eye, target, up = jnp.array([0.0, 0.0, 5.0]), jnp.zeros(3), jnp.array([0.0, 1.0, 0.0])
@@ -96,12 +96,12 @@ def opencv_view(
 
     Args:
         matrix: (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] pixels.
-        coefficients: k1, k2, p1, p2, k3 as OpenCV orders them, none, four or five of them; more may
-            follow if they are 0.
+        coefficients: k1, k2, p1, p2, k3 in the order of OpenCV, none, four or five of them; further
+            ones must be 0.
         resolution: (rows, columns) pixels.
-        rotation: (3, 3) from the world to the camera, or its Rodrigues vector, (3,) rad; None: the
-            camera's axes are the world's.
-        translation: (3,) m, of the world's origin in the camera; None: 0.
+        rotation: (3, 3) from the world to the camera, or its Rodrigues vector, (3,) rad; None for
+            the identity.
+        translation: (3,) m, position of the world's origin in the camera; None for 0.
         pixel_pitch: m between the pixels of a row, which fixes the focal length in m; pictures of
             radiance do not depend on it.
 
@@ -109,7 +109,7 @@ def opencv_view(
         The view.
 
     Raises:
-        ValueError: for a matrix with skew or of another form, and coefficients of the rational,
+        ValueError: for a matrix with skew or of another form, and for coefficients of the rational,
             thin-prism or tilted models.
 
     Example:
@@ -174,8 +174,8 @@ def chip_size(view: View) -> Float[Array, "2"]:
     """Height and width of the light-sensitive area: pixels times their pitch.
 
     Args:
-        view: a pinhole or a thin lens; of a parallel projection the pitch lies in the scene, and so
-            does the size.
+        view: a pinhole or a thin lens. For a parallel projection the pixel pitch, and thus the
+            size, is in the scene.
 
     Returns:
         (2,) m; its norm is the diagonal.
@@ -335,8 +335,7 @@ def project(view: View, point: Float[Array, "3"]) -> Projection:
         point: (3,) m, in the world.
 
     Returns:
-        Row and column in pixels, depth in m. Behind a pinhole or lens nothing is seen: row and
-        column are NaN there.
+        Row and column in pixels, depth in m. Behind a pinhole or lens row and column are NaN.
 
     Example:
         >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(480, 640))
@@ -369,7 +368,7 @@ def lens_ray(view: ThinLens, row: Scalar, column: Scalar, u: Float[Array, "2"]) 
         view: the lens.
         row: () pixels, may be fractional.
         column: () pixels, may be fractional.
-        u: (2,) in the unit square, chooses the point of the aperture.
+        u: (2,) in the unit square, selects the point of the aperture.
 
     Returns:
         The ray in the world: origin in m, direction of unit length.
@@ -401,7 +400,7 @@ def view_ray(view: View, row: Scalar, column: Scalar, *, u: Float[Array, "2"] | 
         view: the camera's projection.
         row: () pixels, may be fractional.
         column: () pixels, may be fractional.
-        u: (2,) in the unit square, chooses the point of the aperture; None takes its middle.
+        u: (2,) in the unit square, selects the point of the aperture; None for its middle.
 
     Returns:
         The ray in the world: origin in m, direction of unit length.

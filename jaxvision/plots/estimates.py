@@ -59,14 +59,14 @@ def curve(
 
     Args:
         x: (n,) any unit.
-        y: (n,) what was found, any unit.
-        band: its lower and upper end, (n,) each, or None.
-        truth: (n,) in the unit of y, or None.
+        y: (n,) estimates, any unit.
+        band: lower and upper end of their interval, (n,) each, or None.
+        truth: (n,) true values in the unit of y, or None.
         names: of x and y, with their units.
-        axes: of matplotlib to draw on; None: new ones.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
-        The axes: found blue, truth red and dashed.
+        The axes; estimates are blue, true values red and dashed.
 
     Raises:
         InputError: for arrays of different lengths.
@@ -109,20 +109,20 @@ def curves(
     """Plot several curves by name, in distinguishable colours.
 
     Args:
-        x: (n,) any unit, of all; or (n,) each by the names of y.
+        x: (n,) any unit, for all; or (n,) each, by the names of y.
         y: (n,) each, any unit, by name.
         names: of x and y, with their units.
         scales: of x and y, as matplotlib names them: "linear", "log", "symlog".
-        dots: names of those drawn as dots, such as what was measured.
-        dashed: names of those drawn dashed, such as a theory.
+        dots: names of the curves that are drawn as dots, such as measurements.
+        dashed: names of the curves that are dashed, such as theory.
         title: of the axes.
-        axes: of matplotlib to draw on; None: new ones.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes, with a legend of the names.
 
     Raises:
-        InputError: for a curve of another length than its x, and a name of no curve.
+        InputError: for a curve whose length differs from its x, and for an unknown name.
 
     Example:
         >>> n = np.arange(1, 9)
@@ -157,9 +157,9 @@ def error_against_time(trials: Sequence[Measured], *, axes: "Axes | None" = None
     reference.
 
     Args:
-        trials: as from `accuracy.error_against_time`; those without a finite error above 0 are
-            left out.
-        axes: of matplotlib to draw on; None: new ones.
+        trials: as from `accuracy.error_against_time`; those without a finite error above 0 are left
+            out.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes, both logarithmic; time in s, error relative.
@@ -215,16 +215,16 @@ def corner(
     """Draws of a posterior: each parameter, and each pair with its 68 and 95 % regions.
 
     Args:
-        draws: by the parameter's name (draws,), or (chains, draws, ...) as in `Fit.draws`, where
-            each of several numbers has a row.
-        truth: what is true, by the same names, red; None, or a name that is missing: not drawn.
+        draws: by name of the parameter, (draws,), or (chains, draws, ...) as in `Fit.draws`; each
+            number of an array has its own row.
+        truth: true values by the same names, red; a missing name is not drawn; None for none.
 
     Returns:
         The figure.
 
     Raises:
-        InputError: without draws, for draws of several lengths or not finite, for a parameter that
-            does not vary, and for a truth of something else.
+        InputError: without draws, for draws of different lengths or not finite, for a parameter
+            that does not vary, and for an unknown name in `truth`.
 
     Example:
         >>> draws = {"gain": np.random.default_rng(0).normal(2.0, 0.1, 500)}
@@ -285,11 +285,11 @@ def trace(draws: Mapping[str, np.ndarray]) -> "Figure":
     looks like stationary noise.
 
     Args:
-        draws: by the parameter's name (draws,), or (chains, draws, ...) as in `Fit.draws`, where
-            each of several numbers has a row.
+        draws: by name of the parameter, (draws,), or (chains, draws, ...) as in `Fit.draws`; each
+            number of an array has its own row.
 
     Returns:
-        The figure, of 8 chains at most, as more would blacken it.
+        The figure, with at most 8 chains.
 
     Raises:
         InputError: without draws.

@@ -22,11 +22,11 @@ def picture(image: np.ndarray, *, white: float | None = None, axes: "Axes | None
     """An image as a picture: codes and values up to white unchanged, radiance in sRGB.
 
     Args:
-        image: (h, w) or (h, w, bands), DN or relative; other than 1 to 4 bands show their mean.
-        white: value that is shown white, as for `summarise`; floating images that exceed it, such
-            as radiance, are scaled to their 99th percentile instead and encoded, which the title
-            says.
-        axes: of matplotlib to draw on; None: new ones.
+        image: (h, w) or (h, w, bands), DN or relative; for more than 4 bands their mean is shown.
+        white: value that is shown as white, as for `summarise`. Floating images that exceed it,
+            such as radiance, are scaled to their 99th percentile and encoded instead, as the title
+            states.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes; NaN is magenta.
@@ -60,16 +60,16 @@ def pictures(
     """Images side by side with titles, on one scale for comparison.
 
     Args:
-        images: (h, w), (h, w, 1), or (h, w, 3) encoded as they are to be seen, by title.
-        columns: of the figure; None: all in one row.
-        limits: values that are black and white; None: from 0 to each image's own largest value.
-        colours: of matplotlib, for images of one band.
-        unit: of the values; a scale is drawn where it is given, or where `limits` is None, beside
-            images of one band.
+        images: (h, w), (h, w, 1), or (h, w, 3) encoded for display, by title.
+        columns: of the figure; None for a single row.
+        limits: values of black and white; None for 0 and each image's own largest value.
+        colours: matplotlib colour map for images of one band.
+        unit: of the values; images of one band have a colour bar if it is given, or if `limits` is
+            None.
         inches: width of each.
 
     Returns:
-        The figure; what lies beyond the limits has the colour of the nearest.
+        The figure; values beyond the limits have the colour of the nearest limit.
 
     Raises:
         InputError: without images, for fewer columns than one, and for other than 1 or 3 bands.
@@ -118,16 +118,17 @@ def false_colour(
     Args:
         values: (h, w) or (h, w, 1), any unit.
         unit: of the values.
-        label: what they are, "irradiance".
-        logarithmic: decades of equal width; values <= 0 are then shown like the lowest.
-        limits: least and largest value of the scale; None takes all finite values.
-        axes: of matplotlib to draw on; None: new ones.
+        label: name of the quantity, such as "irradiance".
+        logarithmic: whether the colour scale is logarithmic; values <= 0 then have the colour of
+            the lowest.
+        limits: smallest and largest value of the scale; None for those of all finite values.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
-        The axes; NaN is magenta, and what lies beyond the limits has the colour of the nearest.
+        The axes; NaN is magenta, and values beyond the limits have the colour of the nearest limit.
 
     Raises:
-        InputError: for several bands, no finite value, and limits that have no scale.
+        InputError: for several bands, no finite value, and limits that define no scale.
 
     Example:
         >>> axes = jv.plots.false_colour(np.eye(3), unit="W m$^{-2}$", label="irradiance")
@@ -169,7 +170,7 @@ def histogram(
     Args:
         image: (h, w) or (h, w, bands), DN or relative.
         white: the largest value of an integer image, as for `summarise`.
-        axes: of matplotlib to draw on; None: new ones.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes.

@@ -28,14 +28,14 @@ def inspect(
     Args:
         image: (h, w) or (h, w, bands), DN or relative; 1 to 4 bands are grey, grey and alpha, RGB
             and RGBA.
-        row: the row of the scan line, counted from the top from 0; None takes that of `at`.
-        at: (row, column) of the pixel whose surroundings are printed; None takes the middle.
+        row: index of the row for the scan line, from 0 at the top; None for that of `at`.
+        at: (row, column) of the pixel whose neighbourhood is printed; None for the middle.
         white: the value from which a pixel counts as saturated, as for `summarise`.
         title: of the figure.
-        names: of the bands; empty: those of `band_names`.
+        names: of the bands; empty for those of `band_names`.
 
     Returns:
-        The figure, to be saved or shown.
+        The figure.
 
     Raises:
         InputError: for an array that is no image, and for a row or pixel outside it.

@@ -37,14 +37,14 @@ def spectrum(
         values: (bands,), or (bands, spectra), or spectra of (bands,) by name; three without names
             are red, green and blue.
         unit: of the values.
-        label: what they are.
-        axes: of matplotlib to draw on; None: new ones.
+        label: name of the quantity.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes; wavelength in nm.
 
     Raises:
-        InputError: for another number of values than wavelengths.
+        InputError: for a number of values that differs from that of the wavelengths.
 
     Example:
         >>> grid = np.linspace(400e-9, 700e-9, 31)
@@ -101,15 +101,16 @@ def lobe(
 
     Args:
         materials: one, or several by name.
-        incidence: rad from the normal, below pi / 2; the light comes from the left, dotted.
-        band: of the materials that is drawn.
-        shape_only: each lobe over its largest value.
-        components: also draw the diffuse and the specular term of each material that has both,
-            dashed.
-        axes: polar ones of matplotlib to draw on; None: new ones.
+        incidence: rad from the normal, below pi / 2; the light comes from the left and is dotted.
+        band: index of the band that is drawn.
+        shape_only: whether each lobe is divided by its largest value.
+        components: whether to draw also the diffuse and the specular term of each material that has
+            both, dashed.
+        axes: polar axes of matplotlib to draw on; None makes new ones.
 
     Returns:
-        The axes: radius in sr^-1, or relative; angle from the normal, the mirror's side right.
+        The axes: radius in sr^-1, or relative; angle from the normal, with the mirror direction on
+        the right.
 
     Raises:
         InputError: for an angle of incidence outside of [0, pi / 2), and for mirrors and glass,

@@ -22,7 +22,7 @@ def pipeline(camera: Camera, *, axes: "Axes | None" = None) -> "Axes":
 
     Args:
         camera: the camera.
-        axes: of matplotlib to draw on; None: new ones.
+        axes: matplotlib axes to draw on; None makes new ones.
 
     Returns:
         The axes, one box for each stage; no unit.

@@ -16,11 +16,11 @@ class BandSummary:
 
     Attributes:
         name: of the channel.
-        minimum: DN or relative, as all values here.
-        maximum: likewise.
-        mean: likewise.
-        standard_deviation: likewise.
-        median: likewise.
+        minimum: DN or relative, as all values in this record.
+        maximum: in the same unit.
+        mean: in the same unit.
+        standard_deviation: in the same unit.
+        median: in the same unit.
         black: number of values <= 0.
         saturated: number of values >= white.
         nan: number of NaN.
@@ -43,7 +43,7 @@ def band_names(bands: int) -> tuple[str, ...]:
     """The names of an image's channels.
 
     Args:
-        bands: their number.
+        bands: number of bands.
 
     Returns:
         grey; grey, alpha; red, green, blue; red, green, blue, alpha; for any other number band 0,
@@ -67,10 +67,10 @@ def summarise(
         image: (h, w) or (h, w, bands), DN or relative.
         white: the value from which a pixel counts as saturated, in the image's unit. None takes the
             largest code of the integer type, or 1 for floating images.
-        names: of the channels; empty: those of `band_names`.
+        names: of the channels; empty for those of `band_names`.
 
     Returns:
-        One summary a channel.
+        One summary for each channel.
 
     Raises:
         InputError: for an array that is no image, and for another number of names.

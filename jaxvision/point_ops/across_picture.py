@@ -30,10 +30,9 @@ def graded_filter(
     Args:
         image: (h, w) or (..., h, w, bands) relative, linear.
         density: () optical density of the dark side, no unit; 0.3 is one stop.
-        angle: () rad, the direction in which it darkens: 0 to the right, pi/2 up.
-        centre: () where half the density is reached, relative to the picture's height, from its
-            centre.
-        width: () over which it rises, relative to the picture's height; 0 is a step.
+        angle: () rad, the direction in which the filter darkens: 0 to the right, pi/2 up.
+        centre: () position of half the density, relative to the picture's height, from its centre.
+        width: () of the transition, relative to the picture's height; 0 is a step.
 
     Returns:
         The image's shape, relative.
@@ -57,7 +56,7 @@ def vignette(image: Picture, coefficients: Float[Array, " terms"]) -> Picture:
 
     Args:
         image: (h, w) or (..., h, w, bands) relative, linear.
-        coefficients: (terms,) k_1, k_2, ..., no unit. A falloff below 0 counts as 0.
+        coefficients: (terms,) k_1, k_2, ..., no unit. A negative falloff is set to 0.
 
     Returns:
         The image's shape, relative.

@@ -53,8 +53,9 @@ def gamma_decode(encoded: Scalars, gamma: Scalars | float, *, method: str = "pow
     Args:
         encoded: (...) relative.
         gamma: no unit, above 0.
-        method: "power" is right to the last place or two. "exp2", exp2(gamma log2 x), takes a third
-            of its time on a CPU and is off by up to 20 gamma units of the last place on [1e-5, 1].
+        method: "power" is accurate to the last digit or two. "exp2", exp2(gamma log2 x), takes a
+            third of its time on a CPU and has an error of up to 20 gamma units of the last place on
+            [1e-5, 1].
 
     Returns:
         (...) relative, linear.

@@ -16,7 +16,7 @@ def gain_bias(x: Scalars, gain: Scalars | float, bias: Scalars | float) -> Scala
     Args:
         x: (...) relative.
         gain: no unit; a map (h, w) or (h, w, 1) makes it vary over the picture.
-        bias: in the unit of the result; a map likewise.
+        bias: in the unit of the result; or a map (h, w) or (h, w, 1).
 
     Returns:
         (...) relative.
@@ -43,9 +43,9 @@ def contrast_brightness(
 
     Args:
         x: (...) relative.
-        contrast: no unit; 1 changes nothing; this and the others may be maps (h, w).
+        contrast: no unit; 1 changes nothing. Contrast, brightness and pivot may be maps (h, w).
         brightness: relative, added.
-        pivot: relative, the grey that a change of contrast keeps.
+        pivot: relative, the grey that a change of contrast leaves unchanged.
 
     Returns:
         (...) relative.
@@ -77,7 +77,7 @@ def blend(first: Scalars, second: Scalars, fraction: Scalars | float) -> Scalars
 
     Args:
         first: (...) relative.
-        second: (...) relative; axes of length 1 broadcast, as NumPy's do.
+        second: (...) relative; axes of length 1 broadcast as in NumPy.
         fraction: no unit, a number or a map (h, w) or (h, w, 1); outside [0, 1] it extrapolates.
 
     Returns:

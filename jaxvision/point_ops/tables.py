@@ -36,7 +36,7 @@ def lookup_codes(
     """table[codes]: the exact curve of integer codes.
 
     Args:
-        codes: (...) whole numbers; a code outside the table takes its nearest end.
+        codes: (...) whole numbers; a code outside the table takes the nearest entry.
         table: (entries,) relative, or any unit.
 
     Returns:

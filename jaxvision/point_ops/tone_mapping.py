@@ -24,8 +24,8 @@ def reinhard(x: Scalars, *, white: Scalars | float | None = None) -> Scalars:
     Below 0 it is x itself, with continuous value and slope.
 
     Args:
-        x: (...) relative scaled luminance, as `scaled_to_key` gives it.
-        white: relative, the smallest x that maps to 1; None for a curve that only tends to 1.
+        x: (...) relative scaled luminance, from `scaled_to_key`.
+        white: relative, the smallest x that maps to 1; None for a curve that approaches 1.
 
     Returns:
         (...) relative.
@@ -94,7 +94,7 @@ def filmic(x: Scalars) -> Scalars:
     Without clipping it would reach 1.033.
 
     Args:
-        x: (...) relative; below 0 counts as 0.
+        x: (...) relative; negative values are set to 0.
 
     Returns:
         (...) relative, in [0, 1].
@@ -121,8 +121,8 @@ def log_curve(x: Scalars, strength: Scalars | float) -> Scalars:
     """log(1 + strength x) / log(1 + strength): 0 at 0 and 1 at 1.
 
     Args:
-        x: (...) relative; below 0 counts as 0.
-        strength: no unit; the larger, the steeper at the dark end, and straight at 0.
+        x: (...) relative; negative values are set to 0.
+        strength: no unit; the larger, the steeper at the dark end; 0 is a straight line.
 
     Returns:
         (...) relative.
@@ -193,7 +193,7 @@ def with_luminance(
     Args:
         image: (..., channels) relative.
         luminance: (...) of the image, relative or in any unit; up to 1e-19 in float32 it is black,
-            which stays black.
+            and black stays black.
         wanted: (...) in the unit of `luminance`.
 
     Returns:

@@ -17,9 +17,9 @@ class Cost(NamedTuple):
     """The time of a render, and its standard error.
 
     Attributes:
-        error: rms standard error of the pixels over the rms radiance; None for one ray a pixel.
-        seconds: s, of all its pixels, without compiling.
-        compiling: s, of tracing and compiling in this process.
+        error: rms standard error of the pixels over the rms radiance; None for one ray per pixel.
+        seconds: time of all its pixels without compilation, s.
+        compiling: time of tracing and compilation in this process, s.
     """
 
     error: float | None
@@ -77,11 +77,11 @@ def in_words(cost: Cost, settings: RenderEntry) -> str:
     """One line for the end of a render: samples, error, time, and the time of a smaller error.
 
     Args:
-        cost: from `render_to_file`.
-        settings: with which it was called.
+        cost: as `render_to_file` returns it.
+        settings: of that call.
 
     Returns:
-        A sentence in the units s and %.
+        A sentence with the units s and %.
     """
     took = _seconds(cost.seconds)
     if cost.compiling >= 0.1:

@@ -150,7 +150,7 @@ def lacking(source: SceneFile, settings: RenderEntry) -> list[str]:
         settings: integrator, depth and the rest of `[render]`.
 
     Returns:
-        One sentence each, with the names of the file; empty where nothing is known to lack.
+        One sentence each, with the names of the file; empty where nothing is known to be missing.
     """
     return [
         *idle_lamps(source.scene, lights=source.lights),

@@ -70,18 +70,18 @@ def render_to_file(
         source: the scene and its view.
         out: the EXR file, radiance in W m^-2 sr^-1.
         settings: integrator, samples and the rest of `[render]`.
-        pruned: the scene without what does not matter, from `pruned_for`; the file's head holds its
-            certificate. None: the whole scene.
-        preview: an 8-bit picture as well, or None.
-        fresh: whether to begin again where an earlier call with the same scene and settings left
-            off; otherwise that part is kept and completed.
-        advance: called with the number of tiles done and that of all tiles.
+        pruned: the reduced scene from `pruned_for`, whose certificate is written to the file's
+            header; None for the whole scene.
+        preview: file of an additional 8-bit picture, or None.
+        fresh: whether to start again where an earlier call with the same scene and settings was
+            interrupted; otherwise its finished tiles are kept and the rest is rendered.
+        advance: called with (tiles done, all tiles).
 
     Returns:
         The rms standard error relative to the rms radiance, and the time, s.
 
     Raises:
-        KeyboardInterrupt: on an interrupt, with a sentence on how to go on.
+        KeyboardInterrupt: on an interrupt, with a sentence on how to continue.
         InputError: for any other failure.
     """
     if out.suffix.lower() != ".exr":
@@ -280,7 +280,7 @@ def with_resolution(view: View, resolution: tuple[int, int]) -> View:
         resolution: rows and columns.
 
     Returns:
-        The view, with a pixel pitch in m that keeps the width of the picture.
+        The view, with a pixel pitch in m that leaves the width of the picture unchanged.
     """
     pitch = view.pixel_pitch * (view.resolution[1] / resolution[1])
     return dataclasses.replace(view, resolution=resolution, pixel_pitch=pitch)
@@ -290,11 +290,12 @@ def band_names(bands: int, wavelengths: np.ndarray | None) -> tuple[str, ...]:
     """The channels of an EXR file.
 
     Args:
-        bands: how many there are.
-        wavelengths: (bands,) m, or None: RGB if there are three bands.
+        bands: number of bands.
+        wavelengths: (bands,) m, or None; then three bands are RGB.
 
     Returns:
-        One name for each band; with wavelengths in digits enough that they sort.
+        One name for each band; wavelengths have a fixed number of digits, so that the names sort in
+        order.
 
     Source:
         Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3) (2021).
@@ -363,7 +364,7 @@ def linear_srgb(bands: int, wavelengths: np.ndarray | None) -> Float[np.ndarray,
     unchanged for RGB, grey for any other bands.
 
     Args:
-        bands: how many there are.
+        bands: number of bands.
         wavelengths: (bands,) m, or None.
 
     Returns:

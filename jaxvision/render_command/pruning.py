@@ -72,17 +72,17 @@ def inspected(
     Args:
         source: the scene and its view.
         settings: integrator, samples and the rest of `[render]`.
-        camera: whose sensor stands behind the scene's view, or None.
+        camera: with the sensor for the scene's view, or None.
         free: as in `effects.inspect`, in the unit of each field.
-        estimates: whether long paths are probed, too.
-        time: whether the seconds that go with each are measured; of direct light and of paths.
+        estimates: whether to sample long paths too.
+        time: whether to measure the time of each effect; for direct light and paths only.
         advance: as in `effects.inspect`.
 
     Returns:
-        One `Effect` each.
+        One `Effect` for each.
 
     Raises:
-        InputError: `time` for another integrator than direct light and paths.
+        InputError: for `time` with another integrator than direct light and paths.
     """
     if time and settings.integrator not in ("direct", "path"):
         raise InputError(f"--time measures direct light and paths; this is {settings.integrator}.")
@@ -107,11 +107,12 @@ def pruned_for(
     Args:
         source, settings, camera, free: as in `inspected`.
         tolerance: relative, DN or sigma, as in `effects.prune`.
-        level: W m^-2 sr^-1 that "relative" refers to; None: the brightest of a small picture.
-        estimates: whether effects may also go by an estimate.
+        level: W m^-2 sr^-1 that "relative" refers to; None for the brightest pixel of a small
+            picture.
+        estimates: whether to remove effects by estimates too.
 
     Returns:
-        What is left, with its certificate.
+        The reduced scene, with its certificate.
     """
     seen = _seen_by(source, camera)
     asked = _asked(settings)
@@ -129,11 +130,11 @@ def left_of(
 
     Args:
         source: the whole scene.
-        settings: of the whole scene, or those to render the pruned one with.
-        pruned: the pruned scene; None: the whole scene.
+        settings: of the whole scene, or settings for the reduced one.
+        pruned: the reduced scene; None for the whole scene.
 
     Returns:
-        Both, with fewer bands if `pruned.expand` gives the others.
+        Scene and settings, with fewer bands if `pruned.expand` computes the others.
     """
     if pruned is None:
         return source, settings

@@ -41,7 +41,7 @@ def radiance_along(scene: Scene, ray: Ray, *, rule: Rule = DEFAULT_RULE) -> Colo
         scene: `Scene.occluders` selects the surfaces that block light, `Scene.rules` the sampling
             rules of single lights.
         ray: origin (3,) m, direction (3,) unit length.
-        rule: how extended lights without a rule of their own are sampled.
+        rule: of the samples of extended lights without a rule of their own.
 
     Returns:
         (bands,) W m^-2 sr^-1.
@@ -135,11 +135,11 @@ def direct_along(scene: Scene, rule: Rule) -> Along:
 
     Args:
         scene: as in `radiance_along`.
-        rule: how extended lights without a rule of their own are sampled; a random rule draws anew
-            for each pixel and sample.
+        rule: of the samples of extended lights without a rule of their own; a random rule draws
+            anew for each pixel and sample.
 
     Returns:
-        From a block of rays to (n, bands) W m^-2 sr^-1.
+        A function from a block of rays to (n, bands) W m^-2 sr^-1.
     """
     shapes = sorted_scene(scene)
 
@@ -177,15 +177,17 @@ def render(
         view: any view; a thin lens needs `samples` to defocus.
         rule: sampling rule for extended lights without their own. A random rule draws new samples
             for each pixel and sample. The default, `Quadrature(8)`, suits diffuse surfaces. For
-            gloss of roughness .03 it may lose half of a lamp's highlight, and `Balanced` is
+            gloss of roughness 0.03 it may lose half of a lamp's highlight, while `Balanced` is
             accurate (`lights.rules` has the figures).
-        samples: the mean over many rays of each pixel; None: one ray through each pixel's centre.
+        samples: rays of each pixel, whose mean is taken; None for one ray through each pixel's
+            centre.
 
     Returns:
         (h, w, bands) W m^-2 sr^-1.
 
-    Warns of a shape so far from the origin that the numbers of its dtype deform it; so do the other
-    integrators. Those in which light bounces warn of a surface that reflects more than it receives.
+    Warns of a shape so far from the origin that rounding in its dtype deforms it; so do the other
+    integrators. Those that follow reflected light warn of a surface that reflects more than it
+    receives.
 
     Raises:
         ValueError: for a thin lens without samples, unless its f_number is inf or traced.

@@ -30,7 +30,7 @@ class Estimate(Shown):
 
     Attributes:
         value: (bands,) W m^-2 sr^-1.
-        error: (bands,) W m^-2 sr^-1, of the kind that the function stated which made it.
+        error: (bands,) W m^-2 sr^-1; the function that returns it defines its kind.
 
     Example:
         >>> up, grey = jnp.array([0.0, 0.0, 1.0]), jv.Lambert([0.5 / np.pi])
@@ -58,7 +58,7 @@ def hemisphere_radiance(
     """The integral over the hemisphere by Gauss-Legendre in cos(theta) times the trapezium rule.
 
     Args:
-        material: what the surface is made of.
+        material: of the surface.
         incident_radiance: from a unit direction wi, (3,), to the radiance that arrives from it,
             (bands,) W m^-2 sr^-1.
         normal: (3,) unit length.
@@ -68,9 +68,9 @@ def hemisphere_radiance(
         azimuths: static, nodes in phi, >= 2.
 
     Returns:
-        The integral and, as its error, the difference to the rule of half as many nodes each way:
-        far above the true error for smooth light and surface, about it for light with edges, and
-        blind to a lobe or a light that falls between all nodes (a mirror among them).
+        The integral. Its error is the difference to the rule of half as many nodes along each axis.
+        That is far above the true error for smooth light and surfaces, and close to it for light
+        with edges. It misses a lobe or a light that falls between all nodes, such as a mirror.
 
     Raises:
         ValueError: for fewer than 2 nodes either way.
@@ -120,8 +120,9 @@ def sampled_radiance(
         samples: static, >= 2.
 
     Returns:
-        The mean, without bias, and its standard error, W m^-2 sr^-1: too low whenever a rare bright
-        light was not met; 0 for a mirror, which has a single direction.
+        The mean, which is unbiased, and its standard error, W m^-2 sr^-1. The standard error is too
+        low if no sample meets a small bright light, and 0 for a mirror, which has a single
+        direction.
 
     Raises:
         ValueError: for fewer than 2 samples.
@@ -183,7 +184,7 @@ def lit_radiance(
         The mean and its standard error. The error is 0 for a mirror, which needs only one ray.
 
     Raises:
-        ValueError: for fewer than 2 samples, or for a light at one place.
+        ValueError: for fewer than 2 samples, or for a light without size.
 
     Source:
         Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering",

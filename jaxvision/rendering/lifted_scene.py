@@ -34,7 +34,7 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
     better.
 
     Args:
-        scene: of three bands, red, green and blue of linear sRGB. Eager.
+        scene: of three bands, red, green and blue of linear sRGB; its numbers must not be traced.
         wavelengths: (bands,) m, as `camera.sensor.photon_conversion.wavelength`.
         lamp: name of the spectrum of white light, as for `colour_data.illuminant`.
 
@@ -42,9 +42,9 @@ def lift_scene(scene: Scene, wavelengths: Float[Array, " bands"], *, lamp: str =
         The same scene in those bands.
 
     Raises:
-        InputError: for a scene of other than three bands, and for what RGB does not determine: an
-            index of refraction, an absorption or a measured table that differs from band to band,
-            or that is traced.
+        InputError: for a scene of other than three bands, and for quantities that RGB does not
+            determine: an index of refraction, an absorption or a measured table that differs from
+            band to band, or that is traced.
 
     Example:
         >>> red = jv.Surface(jv.Sphere([0, 0, 1], 0.3), jv.Lambert([0.2, 0.02, 0.02]))

@@ -25,12 +25,13 @@ def render_light_field(
     """Record the light field that leaves a scene through a window.
 
     Args:
-        scene: what lies behind the aperture.
-        aperture, focal: two parallel windows, corners in m; each line passes one place of both.
-        resolution: samples (s, t, u, v), s and t on the aperture, the outermost on the windows'
-            rims; one sample of an axis lies at its start.
-        rule: how extended lights without a rule of their own are sampled; a random rule draws anew
-            for each line.
+        scene: behind the aperture.
+        aperture, focal: two parallel windows, corners in m; each ray passes through one point of
+            both.
+        resolution: samples (s, t, u, v), s and t on the aperture; the outermost lie on the windows'
+            rims, and the single sample of an axis of length 1 at its start.
+        rule: of the samples of extended lights without a rule of their own; a random rule draws
+            anew for each ray.
 
     Returns:
         The light field, radiance in W m^-2 sr^-1.

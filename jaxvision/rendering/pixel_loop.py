@@ -47,7 +47,7 @@ class PixelSamples(Shown):
 
     Attributes:
         key: random key.
-        count: samples a pixel, >= 1; static.
+        count: samples per pixel, >= 1; static.
 
     Raises:
         ValueError: for a count below 1.
@@ -73,8 +73,8 @@ class Traced(Shown):
 
     Attributes:
         radiance: (..., bands) W m^-2 sr^-1, the mean of the samples.
-        error: (..., bands) W m^-2 sr^-1, its standard error as if the samples were independent: too
-            low whenever a rare bright path was not met, inf for one sample.
+        error: (..., bands) W m^-2 sr^-1, standard error for independent samples. It is too low if
+            no sample meets a rare bright path, and inf for one sample.
 
     Example:
         No path of this room differs from another, so that their mean has no error.
@@ -123,16 +123,16 @@ def photograph(
     """The values of a view's pixels.
 
     Args:
-        along: radiance along a block of rays.
-        view: any view; a thin lens needs samples to defocus.
-        samples: rays a pixel, or None: one ray through each pixel's centre.
-        pixels: rows and columns, (n,) each; None: the whole picture.
-        first_sample: the number of the first sample: two calls with samples 0 to n - 1 and
-            n to 2 n - 1 draw what one call with 2 n samples draws.
-        keep: names of `jax.ad_checkpoint.checkpoint_name` that a gradient of one ray a pixel keeps;
-            all else it computes again, block by block.
-        several: whether a device that has room for several samples of each pixel takes them at
-            once, by `vmap` of `along`.
+        along: function from a block of rays to radiance.
+        view: any view; a thin lens needs samples for defocus.
+        samples: rays of each pixel, or None for one ray through its centre.
+        pixels: rows and columns, (n,) each; None for the whole picture.
+        first_sample: index of the first sample. Two calls with samples 0 to n - 1 and n to 2 n - 1
+            draw the same samples as one call with 2 n.
+        keep: names of `jax.ad_checkpoint.checkpoint_name` whose values a gradient of one ray per
+            pixel keeps; everything else is recomputed, block by block.
+        several: whether a device with enough memory computes several samples of each pixel at once,
+            by `vmap` of `along`.
 
     Returns:
         (n, bands), or (h, w, bands) for the whole picture, in W m^-2 sr^-1.
@@ -182,10 +182,10 @@ def each(along: Callable[[Ray, Stream], Any]) -> Along:
     """A function of a block of rays from the function of one ray.
 
     Args:
-        along: from one ray and its sample to radiance, W m^-2 sr^-1.
+        along: function from one ray and its sample to radiance, W m^-2 sr^-1.
 
     Returns:
-        The same for rays of components (n,) and the samples of n pixels.
+        The same function for rays of components (n,) and the samples of n pixels.
     """
 
     def block(rays: Ray, stream: Stream) -> Any:
@@ -204,7 +204,8 @@ def numbers_of(stream: Stream) -> tuple[Array, ...]:
         stream: the sample.
 
     Returns:
-        The number of its pixel and, of several samples, its number there; no unit.
+        The number of its pixel and, for several samples, the sample's number in that pixel; no
+        unit.
     """
     return (stream.pixel,) if stream.sample is None else (stream.pixel, stream.sample)
 

@@ -81,22 +81,23 @@ def outgoing_radiance(
         point: (3,) m.
         normal: (3,) unit length, the shading normal.
         wo: (3,) unit length, toward the viewer. Below the surface (n.wo <= 0) the result is 0.
-        ambient: light from everywhere; it counts only for a material with an ambient reflectance.
+        ambient: uniform light from all directions; it affects only a material with an ambient
+            reflectance.
         tangent: (3,) of any length, for an anisotropic material; None: any tangent.
-        rule: how extended lights are sampled, one rule for all or one for each light. The default,
+        rule: sampling rule of extended lights, one for all or one for each light. The default,
             `Quadrature(8)`, suits diffuse surfaces under area lights; a glossy surface, or a sky
             with a sun, needs `Balanced` (`lights.rules` has the figures).
-        occluders: the shapes that block light, the surface's own among them if it can block; None
-            or an empty sequence: nothing blocks, and no shadow ray is traced.
+        occluders: the shapes that block light, the surface's own included if it can; None or an
+            empty sequence for none, without shadow rays.
         leaving: offset of shadow rays from the surface, for an interpolated `normal` or a surface
-            of known size; None: along `normal`.
+            of known size; None for an offset along `normal`.
 
     Returns:
         (bands,) W m^-2 sr^-1.
 
     Raises:
-        ValueError: if spectra differ in their number of bands, or `rule` holds another number of
-            rules than there are lights.
+        ValueError: if spectra differ in their number of bands, or the number of rules in `rule` is
+            not that of the lights.
 
     Example:
         A Lambert surface of albedo 0.5 under 3 W m^-2 at normal incidence: 0.5 / pi * 3.

@@ -43,7 +43,7 @@ class Leaving(Shown):
 
     Attributes:
         normal: (3,) unit length, of the surface itself, not interpolated.
-        size: () m, as `geometry.Hit.size`; None: that of the largest shape.
+        size: () m, as `geometry.Hit.size`; None for that of the largest shape.
 
     Example:
         >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)
@@ -61,7 +61,7 @@ class Place(Shown):
 
     Attributes:
         point: (3,) m.
-        leaving: how shadow rays leave the surface.
+        leaving: offset of shadow rays from the surface.
         occluders: the shapes that block light, m.
     """
 
@@ -91,12 +91,12 @@ def visibility(
         lights: any number of sources.
         point: (3,) m.
         occluders: at least one shape; all of them block light.
-        leaving: how shadow rays leave the surface at the point.
-        rule: how extended lights are sampled, one rule for all or one for each light.
+        leaving: offset of shadow rays from the surface at the point.
+        rule: sampling rule of extended lights, one for all or one for each light.
 
     Returns:
-        (samples,) for each light, no unit: one for a light at one place; None for an extended light
-        under `Balanced`, the rays of which follow the material.
+        (samples,) for each light, no unit: one for a light without size; None for an extended light
+        under `Balanced`, whose rays depend on the material.
 
     Example:
         >>> up, roof = jnp.array([0.0, 0.0, 1.0]), jv.Disc([0, 0, 2], [0, 0, 1], 1)

@@ -13,8 +13,8 @@ class Camera(Shown):
 
     Attributes:
         view: the projection.
-        sensor: from light to raw data.
-        development: from raw data to a picture, or None: raw data only.
+        sensor: model from light to raw data.
+        development: steps from raw data to a picture; None for raw data only.
 
     Example:
         >>> view = jv.Pinhole([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)

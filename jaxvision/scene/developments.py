@@ -73,7 +73,7 @@ class GreyWorld(Shown):
     """White balance whose gains make the picture grey on average.
 
     Attributes:
-        norm: () exponent >= 1 of the mean, no unit: 1 is the grey world, 6 shades of grey.
+        norm: () exponent >= 1 of the mean, no unit: 1 is grey world, 6 shades of grey.
 
     Example:
         No band becomes darker.
@@ -180,7 +180,7 @@ class Reinhard(Shown):
     """Tone mapping by x / (1 + x).
 
     Attributes:
-        white: () relative, > 0: the least x that is mapped to 1; None maps only infinity to 1.
+        white: () relative, > 0: the smallest x that maps to 1; None maps only infinity to 1.
 
     Example:
         >>> from jaxvision.development import map_tone
@@ -268,7 +268,7 @@ class UnsharpMask(Shown):
     """Sharpening by an unsharp mask.
 
     Attributes:
-        sigma: () pixels, > 0: the scale of the sharpened detail.
+        sigma: () pixels, > 0: scale of the sharpened detail.
         amount: () no unit.
         size: side of the Gaussian in pixels, odd; static.
 
@@ -319,19 +319,19 @@ class Development(Shown):
     """The steps from raw data to a picture, in the order of the fields; `None` leaves a step out.
 
     Attributes:
-        black_level: () DN, subtracted.
+        black_level: () DN, which is subtracted.
         white_level: () DN that becomes 1, above the black level; None keeps DN.
-        demosaicing: from one band per pixel to all.
-        white_balance: gains, or how they are estimated.
-        saturation: () > 0, the level at which the bands clip, in the unit after scaling (1 with a
-            white level): clips highlights to neutral white after the gains, so it needs a
+        demosaicing: interpolation from one band per pixel to all.
+        white_balance: gains, or a method to estimate them.
+        saturation: () > 0, the value at which the bands clip, in the unit after scaling (1 with a
+            white level). It clips highlights to neutral white after the gains, so that it needs a
             `white_balance`.
-        denoising: a filter on linear light.
+        denoising: a filter of linear light.
         colour_matrix: (3, 3) no unit, from the camera's RGB to that of the picture.
-        tone_map: a curve on linear light.
+        tone_map: a curve for linear light.
         tone: the encoding, `Gamma(2.2)` or `SRGB()`.
         sharpening: of the encoded picture.
-        compression: the loss of its file.
+        compression: loss of the file format.
 
     Example:
         >>> how = jv.Development(black_level=64.0, white_level=1088.0, tone=jv.SRGB())

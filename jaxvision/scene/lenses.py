@@ -36,7 +36,7 @@ class PolygonalAperture(Shown):
 
     Attributes:
         blades: number of sides, >= 3; static.
-        angle: () rad, of one corner from the camera's right towards down; None is 0, to the right.
+        angle: () rad, of one corner from the camera's right towards down; None for 0.
 
     Example:
         >>> square = jv.PolygonalAperture(blades=4)  # its diagonal is the diameter
@@ -123,9 +123,9 @@ class Diffraction(Shown):
 
     Attributes:
         wavelength: () or (bands,) m, > 0.
-        size: side in pixels of the kernel, odd (in samples where a sensor's aperture is
-            oversampled); static. The light outside it is put back into it: `optics.airy_kernel`
-            says how much that is.
+        size: side of the kernel in pixels, odd (in samples where a sensor's aperture is
+            oversampled); static. Light beyond it is added to the kernel; `optics.airy_kernel`
+            states how much that is.
 
     Example:
         A star spreads over its neighbours, and no light is lost.
@@ -158,10 +158,10 @@ class Distortion(Shown):
 
     Attributes:
         radial: (terms,) k_1, k_2, ..., no unit; k_1 < 0 is a barrel, k_1 > 0 a pincushion.
-        tangential: (2,) p_1, p_2 of a decentred lens, no unit, or None.
-        shift: (2,) right and down, of the optical axis from the middle of the picture, in image
-            distances (no unit), or None.
-        stretch: () of the image downwards, > 0, no unit: fy / fx; None is 1.
+        tangential: (2,) p_1, p_2 for a decentred lens, no unit, or None.
+        shift: (2,) right and down, of the optical axis from the middle of the picture, relative to
+            the image distance, no unit, or None.
+        stretch: () of the image downwards, > 0, no unit: fy / fx; None for 1.
 
     Source:
         Brown, "Close-Range Camera Calibration", Photogrammetric Engineering 37 (1971), with the

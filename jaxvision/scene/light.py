@@ -13,8 +13,8 @@ class Light(Shown):
     `lights/`.
 
     Attributes:
-        spectra: names of the fields whose last axis is a spectrum, one number a band. A class sets
-            it, and a `Scene` then checks that all of them have the same number of bands.
+        spectra: names of the fields whose last axis is a spectrum, one number for each band. A
+            class sets it; a `Scene` then checks that all have the same number of bands.
 
     Example:
         >>> kinds = jv.PointLight, jv.RectangleLight, jv.EnvironmentMap, jv.Lambert

@@ -58,8 +58,8 @@ class ArrheniusDarkCurrent(Shown):
         rate: () e- s^-1 per pixel at the reference temperature, >= 0.
         temperature: () K, T > 0.
         reference_temperature: () K, T_ref > 0.
-        activation_energy: () eV, E >= 0: in silicon from half the band gap (0.56, generation in the
-            depletion region) to all of it (1.12, diffusion).
+        activation_energy: () eV, E >= 0: in silicon between half the band gap (0.56, generation in
+            the depletion region) and the whole gap (1.12, diffusion).
 
     Example:
         >>> law = dict(temperature=308.0, reference_temperature=300.0, activation_energy=0.56)
@@ -170,9 +170,9 @@ class HeavyTailedReadNoise(Shown):
     """Read noise with a longer tail than a Gaussian: a mixture of two Gaussians.
 
     Attributes:
-        rms: () e- of most read-outs, >= 0.
-        tail_rms: () e- of the others, >= 0.
-        tail_fraction: () share of the others, in [0, 1], no unit.
+        rms: () e- of most readings, >= 0.
+        tail_rms: () e- of the other readings, >= 0.
+        tail_fraction: () share of the other readings, in [0, 1], no unit.
 
     Example:
         >>> sensor = jv.Sensor(read_noise=jv.HeavyTailedReadNoise(2.0, 10.0, tail_fraction=0.1))

@@ -41,8 +41,8 @@ class Mixing(SensorEffect):
     is multiplied by sum kernel^2, and neighbours are correlated.
 
     Attributes:
-        kernel: (rows, columns) no unit, both odd: how the electrons of the pixel in the middle are
-            shared out. Its sum is 1.
+        kernel: (rows, columns) no unit, both odd: the shares in which the electrons of the middle
+            pixel are distributed. Its sum is 1.
 
     Example:
         >>> shares = [[0.0, 0.02, 0.0], [0.02, 0.92, 0.02], [0.0, 0.02, 0.0]]
@@ -84,9 +84,9 @@ class Compression(Nonlinearity):
     Below 0 and above `electrons` it continues as a straight line.
 
     Attributes:
-        first: () share of the signal lost at `electrons`, no unit.
-        second: () further share of the next order, no unit, or None.
-        electrons: () e- up to which the polynomial is known, > 0.
+        first: () relative loss of signal at `electrons`, no unit.
+        second: () additional relative loss of the next order, no unit, or None.
+        electrons: () e-, upper end of the polynomial's range, > 0.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.04, electrons=1e4))

@@ -81,10 +81,10 @@ class PixelAperture(Shown):
 
     Attributes:
         fill_factor: () share of the pixel's area, in (0, 1], no unit.
-        microlens: () share of the remaining light that a microlens brings in, in [0, 1], no unit;
-            None: no microlens.
+        microlens: () share of the remaining light that a microlens collects, in [0, 1], no unit;
+            None for no microlens.
         oversampling: samples of irradiance along each side of a pixel, >= 1; static. With 1 the
-            irradiance is taken as uniform over the pixel.
+            irradiance is uniform over the pixel.
 
     Example:
         >>> half = jv.PixelAperture(0.5, microlens=0.8)
@@ -105,8 +105,8 @@ class ColourFilter(Shown):
     """A filter over each pixel, whose measurement is then one number: a weighted sum of the bands.
 
     Attributes:
-        transmission: (colours, bands) >= 0, relative; with a quantum efficiency of None, electrons
-            per photon.
+        transmission: (colours, bands) >= 0, relative; electrons per photon if the quantum
+            efficiency is None.
         pattern: rows of colour indices, repeated from the first pixel on, or the phase of a Bayer
             mosaic, such as "RGGB"; ((0,),) with one colour is a monochrome sensor. Static.
 
@@ -143,9 +143,10 @@ class BrighterFatter(Shown):
     Attributes:
         kernel: (rows, columns) per electron, K at offsets of 0, 1, ... rows and columns, even in
             both; 0 beyond. About 1e-6 / 4 at offset 0 for a CCD of 100 um thickness.
-        steps: parts of the exposure, >= 2; static. Electrons of one part do not see each other, and
-            the kernel is larger by steps / (steps - 1) in return: exact to first order in K, off by
-            about 1 / (5 steps) of the second order, which is (2/3) (a_00 mu)^2 of the variance.
+        steps: number of parts of the exposure, >= 2; static. Electrons of one part do not repel
+            each other, and the kernel is scaled by steps / (steps - 1) instead. This is exact to
+            first order in K, with an error of about 1 / (5 steps) of the second order, which is
+            (2/3) (a_00 mu)^2 of the variance.
 
     Example:
         No electron is lost.
@@ -170,10 +171,11 @@ class ChargeTransfer(Shown):
     The read-out is next to the first row and column.
 
     Attributes:
-        inefficiency: () share of a packet per row transfer, in [0, 1/2], no unit.
-        serial_inefficiency: () the same along the columns of the register, or None.
-        trail: pixels over which a packet is followed, >= 1; static. The charge that falls further
-            behind is read in the last of them.
+        inefficiency: () share of a charge packet that is lost per row transfer, in [0, 1/2], no
+            unit.
+        serial_inefficiency: () the same along the columns of the serial register, or None.
+        trail: number of pixels over which the lost charge is followed, >= 1; static. Charge that
+            lags further is read in the last of them.
 
     Example:
         >>> sensor = jv.Sensor(charge_transfer=jv.ChargeTransfer(inefficiency=0.01))
@@ -216,8 +218,7 @@ class ShutterOffset(Shown):
     """An exposure that is longer than the stated time.
 
     Attributes:
-        time: () s, added to the exposure time of light, but not of dark current; below 0 where
-            less is gathered.
+        time: () s, added to the exposure time of light, but not of dark current; may be negative.
 
     Example:
         >>> late = jv.Sensor(exposure_time=1e-3, light_offset=jv.ShutterOffset(2e-5))
@@ -242,12 +243,12 @@ class Taps(Shown):
         gain: (taps,) factors on `Sensor.gain`, > 0, no unit, or None.
         read_noise: (taps,) factors on `Sensor.read_noise`, >= 0, no unit, or None.
         prnu: (taps,) factors on `Sensor.prnu`, >= 0, no unit, or None.
-        quantum_efficiency: (taps,) factors on `Sensor.quantum_efficiency`, >= 0, no unit, or None:
-            of the sites of a mosaic in the light that the camera was measured in.
-        stretched: whether the pattern is laid over the frame once instead of repeated: ((0, 1), (2,
+        quantum_efficiency: (taps,) factors on `Sensor.quantum_efficiency`, >= 0, no unit, or None.
+            For the sites of a mosaic, they hold in the light of the camera's calibration.
+        stretched: whether the pattern covers the frame once instead of being repeated: ((0, 1), (2,
             3)) are then its quadrants. Static.
-        names: what each tap is, such as ("red", "green 1", "green 2", "blue"), by which frames of
-            another phase of a mosaic are matched, or None. Static.
+        names: of the taps, such as ("red", "green 1", "green 2", "blue"), which match frames of
+            another mosaic phase; or None. Static.
 
     Example:
         >>> halves = jv.Taps(((0, 1),), offset=[0.0, 3.0], gain=[1.0, 2.0], stretched=True)
@@ -301,38 +302,38 @@ class Sensor(Shown):
     `shot_noise`), and out of it (from `charge_transfer`).
 
     Attributes:
-        photon_conversion: None takes the input as photons per pixel and second, or per pixel and
-            exposure without an `exposure_time`.
-        light_offset: () or (bands,) photons per pixel that reach the sensor with each exposure
-            beside those that are given, and may be below 0; or a further time of exposure. A frame
-            behind a closed shutter has none: leave it out there.
-        infrared_cut: (bands,) transmission of a filter before the sensor, in [0, 1], no unit.
+        photon_conversion: None for input in photons per pixel and second, or per pixel and exposure
+            without an `exposure_time`.
+        light_offset: () or (bands,) photons per pixel that reach the sensor with each exposure in
+            addition to the input; may be negative. It also describes a longer exposure than stated.
+            A frame behind a closed shutter has none: leave it out there.
+        infrared_cut: (bands,) transmission of a filter in front of the sensor, in [0, 1], no unit.
         quantum_efficiency: () or (bands,) electrons per photon, in [0, 1].
-        colour_filter: None measures every band at every pixel.
-        pixel_aperture: None gathers light over the whole pixel.
-        shutter: None exposes all rows at once (a global shutter).
-        exposure_time: () s, >= 0; None takes rates as counts per exposure.
+        colour_filter: None for every band at every pixel.
+        pixel_aperture: None for light from the whole pixel.
+        shutter: None for a global shutter.
+        exposure_time: () s, >= 0; None for input in counts per exposure.
         crosstalk: () share of a pixel's electrons that drift to each of its four neighbours, in [0,
             1/4], no unit.
-        smear: () time that a row spends under each other row while a CCD shifts its frame, over the
-            exposure time; >= 0, no unit.
+        smear: () dwell time under each other row while a CCD shifts its frame, over the exposure
+            time; >= 0, no unit.
         prnu: () relative rms of the pixels' sensitivities, in [0, 0.5], no unit (1 % is 0.01).
-        dead_pixels: () fraction of the pixels that see nothing, in [0, 1], no unit.
-        dark_current: () e- s^-1 per pixel, >= 0, or its law of temperature. Its electrons are
-            counted with those of the light, so they have shot noise if any have.
+        dead_pixels: () fraction of the pixels that do not respond to light, in [0, 1], no unit.
+        dark_current: () e- s^-1 per pixel, >= 0, or its temperature law. Its electrons are counted
+            with those of the light and have the same shot noise.
         hot_pixels: pixels with excess dark current.
-        shot_noise: how electrons are counted; None keeps the expectation.
-        brighter_fatter: how charge that a pixel holds turns away what comes later.
-        full_well: () e- that a pixel holds, >= 0; inf is allowed.
-        blooming: () share of an overfull well's excess that its anti-blooming gate does not drain
-            and that spills along the column, in [0, 1], no unit; needs a `full_well`.
-        charge_transfer: that of a CCD.
-        own: effects of one's own, in their order, which act on the charge that is there.
-        mixing: how neighbours share counted electrons.
-        nonlinearity: the curve from charge to signal.
+        shot_noise: distribution of the electron count; None for the expectation.
+        brighter_fatter: repulsion of later charge by the charge in a pixel.
+        full_well: () e-, capacity of a pixel, >= 0; inf is allowed.
+        blooming: () share of the excess over the full well that the anti-blooming gate does not
+            drain and that spills along the column, in [0, 1], no unit; needs a `full_well`.
+        charge_transfer: inefficiency of a CCD.
+        own: user-defined effects on the charge, in their order.
+        mixing: exchange of counted electrons between neighbours.
+        nonlinearity: curve from charge to signal.
         conversion_prnu: () relative rms of the pixels' conversion gains, in [0, 0.5], no unit: of
-            the amplifier (source follower) in each pixel of a CMOS sensor. Unlike `prnu` it acts on
-            counted electrons.
+            the amplifier (source follower) in each pixel of a CMOS sensor. Unlike `prnu` it scales
+            the counted electrons.
         dsnu: () e- rms of the offsets of pixels, >= 0.
         column_dsnu: () e- rms of the offsets of columns, >= 0.
         row_dsnu: () e- rms of the offsets of rows, >= 0.
@@ -341,17 +342,17 @@ class Sensor(Shown):
         telegraph_noise: pixels that switch between two levels.
         row_noise: () e- rms of an offset that each row draws anew in each frame, >= 0.
         column_noise: () e- rms of an offset that each column draws anew in each frame, >= 0.
-        frame_noise: () e- rms of an offset that each frame draws anew, >= 0: its black level
-            drifts.
+        frame_noise: () e- rms of an offset that each frame draws anew, >= 0, such as black level
+            drift.
         banding: an offset that oscillates over the rows.
         column_prnu: () relative rms of the gains of the column amplifiers, in [0, 0.5], no unit.
-        gain: () DN per e-, > 0. A camera's ISO setting is proportional to it (ISO 12232 by
+        gain: () DN per e-, > 0. It is proportional to a camera's ISO setting (ISO 12232 by
             saturation: 78 over the lx s that just fill the ADC's range).
         offset: () DN added before conversion (the black level).
-        taps: amplifiers or sites of a mosaic with numbers of their own.
-        bits: () of the ADC, a whole number from 1 to the largest that the dtype counts exactly (11,
-            24 and 53 for float16, float32 and float64): rounds to whole DN and clips to [0, 2^bits
-            - 1].
+        taps: readout amplifiers or mosaic sites with numbers of their own.
+        bits: () of the ADC, a whole number from 1 to the largest that the dtype represents exactly
+            (11, 24 and 53 for float16, float32 and float64). The output is rounded to whole DN and
+            clipped to [0, 2^bits - 1].
 
     Example:
         >>> camera = jv.Sensor(quantum_efficiency=0.6, read_noise=4.0, gain=0.5, bits=12)

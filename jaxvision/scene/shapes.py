@@ -44,7 +44,7 @@ class Plane(Shown):
     """An unbounded plane; its front is the side to which the normal points.
 
     Attributes:
-        point: (3,) m, any point of it.
+        point: (3,) m, any point on it.
         normal: (3,) unit vector (its length is ignored).
 
     Example:
@@ -152,8 +152,8 @@ class TriangleMesh(Shown):
     Attributes:
         vertices: (vertices, 3) m.
         faces: (faces, 3) integers, the vertices of each triangle.
-        normals: (vertices, 3) no unit, interpolated for shading; None: flat triangles. Lengths are
-            ignored. Where the interpolated normal vanishes the triangle is flat, and where it
+        normals: (vertices, 3) no unit, interpolated for shading; None for flat triangles. Lengths
+            are ignored. Where the interpolated normal vanishes the triangle is flat, and where it
             points to the back the triangle is black.
         uv: (vertices, 2) no unit, or None.
 

@@ -16,9 +16,9 @@ class Material(Shown):
     `brdf/`.
 
     Attributes:
-        spectra: names of the fields that are spectra, one number a band. A class sets it, and a
-            `Scene` then checks that all of them have the same number of bands.
-        neutral_spectra: the same for fields that may be neutral, of one band, in any scene.
+        spectra: names of the fields that are spectra, one number for each band. A class sets it; a
+            `Scene` then checks that all have the same number of bands.
+        neutral_spectra: names of spectra that may also be neutral, with one band, in any scene.
 
     Example:
         >>> jv.Lambert.spectra, jv.Mirror.neutral_spectra
@@ -33,11 +33,11 @@ class Surface(Shown):
     """A shape, its material and its emission.
 
     Attributes:
-        shape: where it is.
-        material: how it reflects.
-        emission: (bands,) W m^-2 sr^-1 emitted from its front, equally in all directions, or None.
-        two_sided: both sides are fronts, with the normal turned towards the viewer; otherwise a
-            surface seen from behind is black. Static.
+        shape: geometry of the surface.
+        material: its reflection.
+        emission: (bands,) radiance of its front, equal in all directions, W m^-2 sr^-1, or None.
+        two_sided: whether both sides are fronts, with the normal turned towards the viewer;
+            otherwise a surface is black from behind. Static.
 
     Example:
         A lamp shines to its front alone.
@@ -75,11 +75,11 @@ class Scene(Shown):
         surfaces: at least one; a single record is accepted too.
         lights: any number; a single record is accepted too.
         ambient: uniform light from all directions, or None.
-        occluders: numbers of the surfaces that may block direct light; None: all of them; (): none,
-            and no shadow is traced. `transport`, which follows light from surface to surface, lets
-            every surface block. Static.
-        rules: how each light is sampled, one `lights.Rule` or None (the rule of the call) for each
-            light; None: the rule of the call for all.
+        occluders: indices of the surfaces that may block direct light; None for all; () for none,
+            without shadow rays. In `transport`, which follows light from surface to surface, every
+            surface blocks. Static.
+        rules: sampling rule of each light, one `lights.Rule` or None (the rule of the call) for
+            each; None for the rule of the call for all.
 
     Example:
         >>> ball = jv.Surface(jv.Sphere([0, 0, 0], 1), jv.Lambert([0.5 / np.pi]))

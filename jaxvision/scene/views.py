@@ -30,7 +30,7 @@ class Orthographic(Shown):
             the world.
         pixel_pitch: () m between pixels, in the scene, > 0.
         resolution: (rows, columns) pixels; static.
-        f_number: () image-side, no unit, > 0; None passes radiance on unchanged.
+        f_number: () image-side, no unit, > 0; None returns radiance unchanged.
 
     Example:
         >>> view = jv.Orthographic([0, 0, 9], np.eye(3), 0.5, resolution=(3, 3))
@@ -60,8 +60,7 @@ class Pinhole(Shown):
             pitches.
         pixel_pitch: () m between pixels, on the sensor, > 0, at most 4 focal lengths.
         resolution: (rows, columns) pixels; static.
-        f_number: () focal length over hole diameter, no unit, > 0; None passes radiance on
-            unchanged.
+        f_number: () focal length over hole diameter, no unit, > 0; None returns radiance unchanged.
         distortion: of the image, or None.
 
     Example:
@@ -96,9 +95,9 @@ class ThinLens(Shown):
         resolution: (rows, columns) pixels; static.
         f_number: () focal length over the lens's diameter, no unit, > 0; inf closes the aperture.
         focus_distance: () m along the axis from the lens to the plane in focus, beyond the focal
-            length; None or inf is infinity.
+            length; None or inf for infinity.
         aperture: its shape.
-        rim: a second aperture that cuts off oblique light, or None.
+        rim: a second aperture that blocks oblique light, or None.
         distortion: of the image, or None.
         diffraction: at a round aperture, or None.
 

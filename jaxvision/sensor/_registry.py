@@ -45,13 +45,13 @@ def register(
     Args:
         effect: the class of the record.
         charge: `charge(key, effect, electrons)`, (..., h, w, bands) electrons; `key` is None where
-            the frame has none.
+            no random key is passed.
         moments: `moments(effect, moments) -> Moments`, mean and variance of the charge of a pixel
-            in even light; without it `expected_signal` and its kin refuse the sensor.
-        bound: `bound(ends, electrons) -> (moved, grows)`, of the effect at both ends of what a fit
-            may change: the root mean square of the electrons by which it moves any pixel, none of
-            which holds more than `electrons` rms, and by how much it multiplies charge, or a change
-            of it, at most, >= 1. Without it `effects` keeps all of the sensor before it.
+            in uniform light; without it `expected_signal` and related functions refuse the sensor.
+        bound: `bound(ends, electrons) -> (moved, grows)`, for the effect at both ends of the range
+            of a fit. `moved`: largest rms change of a pixel's electrons, where no pixel holds more
+            than `electrons` rms. `grows`: largest factor on charge, or on a change of it, >= 1.
+            Without it `effects` keeps everything of the sensor before it.
 
     Example:
         >>> class Loss(jv.SensorEffect):
@@ -78,9 +78,9 @@ def register_curve(
     Args:
         effect: the class of the record.
         curve: `curve(effect, electrons) -> electrons`, elementwise; 0 stays 0.
-        slopes: `slopes(ends) -> (least, most)` of the curve at any charge, with all numbers between
-            both ends of what a fit may change; without it `effects` keeps all of the sensor before
-            it.
+        slopes: `slopes(ends) -> (least, most)`, smallest and largest slope of the curve at any
+            charge, over the whole range of a fit; without it `effects` keeps everything of the
+            sensor before it.
         inverse: `inverse(effect, signal) -> electrons`; without it `correct` refuses the sensor.
 
     Example:
@@ -129,7 +129,7 @@ def stage_of(effect: SensorEffect) -> Stage:
         Its functions.
 
     Raises:
-        ValueError: for one that was not registered.
+        ValueError: for an effect that is not registered.
     """
     kind = type(effect)
     if kind not in _STAGES:

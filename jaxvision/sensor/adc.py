@@ -20,16 +20,16 @@ def digitise(sensor: Sensor, electrons: Spectrum, *, die_key: Key | None = None)
     at most 2 exp(-2 pi^2 s^2): 1.4 % at half a DN, 5e-9 at one. Without noise the true slope is 0.
 
     Args:
-        sensor: the sensor; `column_prnu`, `gain`, `offset`, `taps` and `bits` are used.
+        sensor: of which `column_prnu`, `gain`, `offset`, `taps` and `bits` are used.
         electrons: (..., bands) electrons.
-        die_key: random key of the die; draws the gains of the column amplifiers.
+        die_key: random key of the individual sensor; draws the gains of the column amplifiers.
 
     Returns:
         (..., bands) DN, whole numbers in floating point where `bits` is given.
 
     Raises:
-        ValueError: `sensor.column_prnu` is given and `die_key` is None, or `bits` exceeds what the
-            dtype counts exactly.
+        ValueError: if `sensor.column_prnu` is given and `die_key` is None, or `bits` exceeds the
+            precision of the dtype.
 
     Example:
         >>> sensor = jv.Sensor(gain=0.5, offset=10.0, bits=8)

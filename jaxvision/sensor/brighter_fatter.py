@@ -58,9 +58,9 @@ def gathered(
     Args:
         key: random key of the frame; may be None without `shot_noise`.
         electrons: (..., h, w, bands) expected without the effect, >= 0.
-        effect: the kernel, and the parts of the exposure.
-        shot_noise: how electrons are counted; None keeps the expectation.
-        full_well: () electrons above which a pixel's charge repels no more.
+        effect: kernel and number of parts of the exposure.
+        shot_noise: distribution of the electron count; None for the expectation.
+        full_well: () electrons above which the repulsion of a pixel's charge no longer grows.
 
     Returns:
         (..., h, w, bands) electrons.
@@ -147,7 +147,7 @@ def flat_covariances(area_change: Quadrant, electrons: Scalars) -> Float[Array, 
         (..., rows, columns) electrons^2: the variance at offset (0, 0), covariances at the others.
 
     Raises:
-        ValueError: `area_change` reaches further than 16 pixels.
+        ValueError: if `area_change` reaches further than 16 pixels.
 
     Example:
         >>> a = jv.sensor.area_changes(jnp.array([[1e-6]]))

@@ -65,7 +65,7 @@ class Master(Shown):
 
     Attributes:
         mean: (h, w, bands) DN.
-        frames: () how many were averaged, > 0.
+        frames: () number of averaged frames, > 0.
 
     Example:
         >>> jv.Master(jnp.full((2, 2, 1), 64.0), 100).frames.item()
@@ -83,9 +83,10 @@ class Masters(Shown):
     """Frames for correcting others, of the same exposure time.
 
     Attributes:
-        dark: without light: black level, dark current and the offset of each pixel; or None.
-        flat: in even light: the sensitivity of each pixel; or None.
-        defects: (h, w) whether a pixel is not to be used; or None.
+        dark: frame without light, with black level, dark current and the offset of each pixel; or
+            None.
+        flat: frame in uniform light, with the sensitivity of each pixel; or None.
+        defects: (h, w) true for pixels that must not be used; or None.
 
     Example:
         >>> jv.Masters(dark=jv.Master(jnp.full((2, 2, 1), 64.0), 100)).flat is None
@@ -101,12 +102,13 @@ class Part(Shown):
     """A part of the error of a corrected frame.
 
     Attributes:
-        name: what errs; parts of one name that last are the same draws in all frames. Static.
-        amplitude: (..., h, w, bands) standard deviation in the unit of the frame; its sign counts
-            where the draws last.
-        kernel: (rows, columns) no unit, which spreads the error, or None.
+        name: source of the error; persistent parts of one name have the same draws in all frames.
+            Static.
+        amplitude: (..., h, w, bands) standard deviation in the unit of the frame; its sign matters
+            where draws persist.
+        kernel: (rows, columns) no unit, with which the error is convolved, or None.
         along: which pixels share a draw: none ("pixels"), those of a row or a column, or all of one
-            "frame"; "all" lasts. Static.
+            "frame"; "all" means that it persists. Static.
         lasts: whether the draws are the same in all frames. Static.
 
     Example:
@@ -125,8 +127,8 @@ class Calibrated(Shown):
     """A corrected frame, and the parts of its error.
 
     Attributes:
-        image: (..., h, w, bands) electrons of light that a pixel of mean sensitivity frees, or
-            photons, or W m^-2; NaN in defects and where the raw number was saturated.
+        image: (..., h, w, bands) photoelectrons for a pixel of mean sensitivity, or photons, or W
+            m^-2; NaN in defects and where the raw value was saturated.
         parts: of its error.
 
     Example:
@@ -161,7 +163,7 @@ class Calibrated(Shown):
         """The mean of a patch and its variance, with the errors that its pixels share.
 
         Args:
-            where: (h, w) which pixels count, or None for all; NaN never count.
+            where: (h, w) true for the pixels to use, or None for all; NaN is never used.
 
         Returns:
             Mean and variance (..., bands), in the unit of the image and its square.
@@ -266,21 +268,23 @@ def correct(
 
     Args:
         raw: (..., h, w, bands) DN; (..., h, w, 1) of a mosaic. Leading axes are frames.
-        camera: the sensor, or the camera that has it.
+        camera: the sensor, or a camera with it.
         masters: dark and flat frames, and defects.
-        draws: the same with a leading axis at every number, from the posterior of its calibration:
-            `read_sensor(file, draws=200)`. Their covariance makes the parts that pixels share.
-        expected: (..., h, w, bands) electrons of light, whatever the unit, whose shot noise counts,
-            such as a smooth picture; None takes the image, whose own noise then moves the variance.
+        draws: the same record with a leading axis of draws at every number, from the posterior of
+            its calibration: `read_sensor(file, draws=200)`. Their covariance gives the error parts
+            that pixels share.
+        expected: (..., h, w, bands) photoelectrons, whatever the unit, for the shot noise variance,
+            such as a smoothed picture. None takes the image itself, whose noise then affects the
+            variance.
         unit: "electrons", "photons" per pixel and exposure, or "irradiance" in W m^-2.
 
     Returns:
-        The frame, and the parts of its error.
+        The corrected frame, and the parts of its error.
 
     Raises:
-        ValueError: for an unknown unit, one that several bands or a colour filter make ambiguous,
-            effects of one's own or a curve without an inverse, and masters of another shape than
-            the frames.
+        ValueError: for an unknown unit, a unit that several bands or a colour filter make
+            ambiguous, user-defined effects or a curve without an inverse, and masters whose shape
+            differs from the frames'.
 
     Example:
         >>> sensor = jv.Sensor(nonlinearity=jv.Compression(0.05, electrons=1e4), offset=64.0)

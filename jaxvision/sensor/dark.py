@@ -15,7 +15,7 @@ def dark_rate(dark_current: Scalar | DarkCurrent) -> Scalar:
     """Dark current at the temperature of its law.
 
     Args:
-        dark_current: () e- s^-1 per pixel, returned unchanged, or a law of temperature.
+        dark_current: () e- s^-1 per pixel, returned unchanged, or a temperature law.
 
     Returns:
         () e- s^-1 per pixel.

@@ -66,12 +66,13 @@ def expected_of_count(
 
     Args:
         key: random key.
-        mean: (...) expected electrons of each pixel, > 0; a mean of 0 has the slope 1 of `count`
-            with "pathwise", 0 with "score".
-        function: of counts (...), electrons, to values (...) in any unit, each of its own pixel
-            alone; with "pathwise" and "score" also of all pixels to one value ().
+        mean: (...) expected electrons of each pixel, > 0; at a mean of 0 the slope is that of
+            `count`, 1, with "pathwise", and 0 with "score".
+        function: from counts (...), electrons, to values (...) in any unit, each of its own pixel
+            only; with "pathwise" and "score" also from all pixels to one value ().
         estimator: "pathwise", "measure_valued" or "score".
-        draws: static; at least 2 for "score", whose baseline is made of the others.
+        draws: number of draws, static; at least 2 for "score", whose baseline is the mean of the
+            others.
 
     Returns:
         What `function` returns, averaged over the draws.
@@ -123,12 +124,13 @@ def expected_of_reading(
     Args:
         key: random key.
         mean: (...) expected reading of each pixel, in any unit.
-        rms: () standard deviation of the noise, in that unit, > 0; at 0 the slopes are 0 but with
-            "pathwise".
-        function: of readings (...) to values (...) in any unit, each of its own pixel alone; with
-            "pathwise" and "score" also of all pixels to one value ().
+        rms: () standard deviation of the noise, in that unit, > 0; at 0 only "pathwise" has a
+            slope.
+        function: from readings (...) to values (...) in any unit, each of its own pixel only; with
+            "pathwise" and "score" also from all pixels to one value ().
         estimator: "pathwise", "measure_valued" or "score".
-        draws: static; at least 2 for "score", whose baseline is made of the others.
+        draws: number of draws, static; at least 2 for "score", whose baseline is the mean of the
+            others.
 
     Returns:
         What `function` returns, averaged over the draws.
@@ -191,11 +193,13 @@ def expected_of_defect(
 
     Args:
         key: random key.
-        chance: (...) of each pixel, no unit, in [0, 1]; at 0 and 1 the slope is 0 with "score".
-        function: of 0 and 1 (...) to values (...) in any unit, each of its own pixel alone; with
-            "pathwise" and "score" also of all pixels to one value ().
+        chance: (...) probability of a defect in each pixel, no unit, in [0, 1]; at 0 and 1 the
+            slope is 0 with "score".
+        function: from 0 and 1 (...) to values (...) in any unit, each of its own pixel only; with
+            "pathwise" and "score" also from all pixels to one value ().
         estimator: "pathwise", "measure_valued" or "score".
-        draws: static; at least 2 for "score", whose baseline is made of the others.
+        draws: number of draws, static; at least 2 for "score", whose baseline is the mean of the
+            others.
 
     Returns:
         What `function` returns, averaged over the draws.

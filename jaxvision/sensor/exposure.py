@@ -73,7 +73,7 @@ def at_iso(sensor: Sensor, iso: Scalars, *, base_iso: Scalars | float = 100.0) -
     it grows in DN. The full well keeps its value in electrons.
 
     Args:
-        sensor: as it is at `base_iso`.
+        sensor: as at `base_iso`.
         iso: () ISO speed, > 0.
         base_iso: () ISO speed of the given sensor.
 
@@ -94,8 +94,8 @@ def mean_photoelectrons(sensor: Sensor, irradiance: Light) -> Counts:
     """Expected photoelectrons of a pixel of mean sensitivity: eta mu_p.
 
     Args:
-        sensor: the sensor; its fields from `photon_conversion` to `exposure_time` are used, the
-            light offset among them, and the efficiency of `taps`.
+        sensor: its fields from `photon_conversion` to `exposure_time` are used, the light offset
+            included, and the efficiency of `taps`.
         irradiance: (..., bands) W m^-2, or photons s^-1 per pixel without a `photon_conversion`;
             (..., h, w, bands) under a colour filter. Integers become floating numbers of the same
             value. Traced NaN stays NaN up to the raw data.
@@ -211,7 +211,7 @@ def drifted(electrons: Counts, crosstalk: Scalars) -> Counts:
 
     Args:
         electrons: (..., h, w, bands) electrons.
-        crosstalk: () share that moves to each neighbour, in [0, 1/4], no unit.
+        crosstalk: () share that drifts to each neighbour, in [0, 1/4], no unit.
 
     Returns:
         (..., h, w, bands) electrons.
@@ -240,7 +240,7 @@ def smeared(electrons: Counts, smear: Scalars) -> Counts:
 
     Args:
         electrons: (..., h, w, bands) electrons.
-        smear: () share of each other row of the column that a row gathers, no unit.
+        smear: () share of each other row of the column that a row collects, no unit.
 
     Returns:
         (..., h, w, bands) electrons.
@@ -263,7 +263,7 @@ def mean_dark(sensor: Sensor, like: Spectrum) -> Scalars:
     """Expected dark electrons of a pixel in one exposure: mu_d.
 
     Args:
-        sensor: the sensor; `dark_current` and `exposure_time` are used.
+        sensor: of which `dark_current` and `exposure_time` are used.
         like: an array of the dtype of the result.
 
     Returns:
@@ -279,7 +279,7 @@ def over_exposure(sensor: Sensor, rate: Scalars) -> Scalars:
     """Electrons that a rate yields in one exposure.
 
     Args:
-        sensor: the sensor; without an `exposure_time` a rate already is a count per exposure.
+        sensor: without an `exposure_time` the rate is already a count per exposure.
         rate: (...) e- s^-1.
 
     Returns:

@@ -36,8 +36,8 @@ def sensitivity(
     `expected_signal` and `pattern_variance` have the gradient of an average die.
 
     Args:
-        die_key: random key of the die.
-        sensor: the sensor; `prnu`, `dead_pixels` and `taps` are used.
+        die_key: random key of the individual sensor.
+        sensor: of which `prnu`, `dead_pixels` and `taps` are used.
         shape: shape of the electrons.
         dtype: floating dtype of the result.
 
@@ -74,8 +74,8 @@ def hot_rates(
     excess, which begins at 0. Gradients with respect to fraction and rate are therefore unbiased.
 
     Args:
-        die_key: random key of the die.
-        hot_pixels: fraction of hot pixels and mean excess of these.
+        die_key: random key of the individual sensor.
+        hot_pixels: fraction of hot pixels and their mean excess.
         shape: shape of the electrons.
         dtype: floating dtype of the result.
 
@@ -102,8 +102,8 @@ def offsets(
     """Offset of each pixel: the DSNU of pixels, columns and rows.
 
     Args:
-        die_key: random key of the die.
-        sensor: the sensor; `dsnu`, `column_dsnu` and `row_dsnu` are used.
+        die_key: random key of the individual sensor.
+        sensor: of which `dsnu`, `column_dsnu` and `row_dsnu` are used.
         shape: shape of the electrons.
         dtype: floating dtype of the result.
 
@@ -128,7 +128,7 @@ def conversion_gains(
     """Conversion gain of each pixel relative to the mean: 1 + rms times a standard Gaussian.
 
     Args:
-        die_key: random key of the die.
+        die_key: random key of the individual sensor.
         rms: () relative standard deviation, no unit.
         shape: shape of the electrons.
         dtype: floating dtype of the result.
@@ -144,7 +144,7 @@ def column_gains(die_key: Key | None, rms: Scalars, *, shape: Shape, dtype: DTyp
     """Gain of each column amplifier relative to the mean: 1 + rms times a standard Gaussian.
 
     Args:
-        die_key: random key of the die.
+        die_key: random key of the individual sensor.
         rms: () relative standard deviation, no unit.
         shape: shape (..., h, w, bands) of the electrons.
         dtype: floating dtype of the result.

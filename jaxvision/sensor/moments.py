@@ -188,8 +188,8 @@ def neighbour_covariances(
 
     Args:
         sensor: the sensor.
-        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel; each
-            pixel is taken as if the light were even around it.
+        irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel. The
+            neighbourhood of each pixel counts as uniform.
         reach: largest offset in pixels, at least 0; static.
 
     Returns:
@@ -197,7 +197,7 @@ def neighbour_covariances(
         (i, j) and (i, -j) averaged; at (0, 0) the variance.
 
     Raises:
-        ValueError: the sensor has effects of one's own, which may correlate pixels.
+        ValueError: if the sensor has user-defined effects, which may correlate pixels.
 
     Example:
         >>> mixing = jv.sensor.even_mixing(0.1)
@@ -253,8 +253,8 @@ def signal_to_noise(sensor: Sensor, irradiance: Light) -> Counts:
         irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
 
     Returns:
-        (..., bands) no unit; 20 log10 of it is in dB. Infinite where light has no noise, NaN where
-        there is neither light nor noise.
+        (..., bands) no unit; 20 log10 of it is in dB. Infinite for light without noise, NaN without
+        light and noise.
 
     Source:
         EMVA Standard 1288, Release 3.1, equation 21.
@@ -284,7 +284,7 @@ def clipped_moments(sensor: Sensor, irradiance: Light) -> Moments:
     a noisy sensor, and its gradients fall to 0 beyond saturation.
 
     Args:
-        sensor: the sensor; `full_well` and `bits` clip.
+        sensor: its `full_well` and `bits` clip.
         irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel.
 
     Returns:
@@ -328,11 +328,11 @@ def censored(moments: Moments, *, low: Scalar | None = None, high: Scalar | None
         high: () upper end in the unit of the mean; None or inf does not clip.
 
     Returns:
-        Mean and variance (...) after clipping, in the same units. Where the variance is 0, the
-        clipped mean and variance 0.
+        Mean and variance (...) after clipping, in the same units. Where the variance is 0, the mean
+        is clipped and the variance stays 0.
 
     Raises:
-        ValueError: for a known low end above a known high one.
+        ValueError: for a low end above the high one, unless traced.
 
     Example:
         >>> gaussian = jv.Moments(jnp.array(0.0), jnp.array(1.0))

@@ -36,7 +36,7 @@ def signal_of_charge(nonlinearity: Nonlinearity, electrons: Scalars) -> Scalars:
         (...) e-.
 
     Raises:
-        ValueError: for a kind that has registered no curve.
+        ValueError: for a record without a registered curve.
 
     Example:
         >>> curve = jv.Compression(0.04, electrons=1e4)
@@ -58,11 +58,11 @@ def charge_of_signal(nonlinearity: Nonlinearity, signal: Scalars) -> Scalars:
         signal: (...) e-.
 
     Returns:
-        (...) e-; its derivatives are those of the inverse, of the first order only for
+        (...) e-. Its derivatives are those of the inverse; only first derivatives for
         `ResponseSpline` and a `Compression` of two terms.
 
     Raises:
-        ValueError: for a kind that has registered no inverse.
+        ValueError: for a record without a registered inverse.
 
     Example:
         >>> curve = jv.Compression(0.04, electrons=1e4)

@@ -39,21 +39,21 @@ def collect(
     most 0.0007 for w = 100.
 
     Args:
-        key: random key of the frame, for all that changes from frame to frame; may be None if the
-            sensor draws nothing from it.
+        key: random key of the frame, for everything that changes from frame to frame; may be None
+            if the sensor does not need it.
         sensor: the sensor.
         irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel, >=
-            0. Traced values below 0 count as 0 where electrons are counted.
-        die_key: random key of the die, for all that stays with a camera; may be None if the sensor
-            draws nothing from it.
+            0. Negative traced values are set to 0 where electrons are counted.
+        die_key: random key of the individual sensor, for everything that stays the same; may be
+            None if the sensor does not need it.
 
     Returns:
         (..., bands) electrons, or (..., h, w, 1) under a colour filter.
 
     Raises:
-        ValueError: a key is None and needed, `irradiance` does not suit the sensor, or more
-            electrons are expected than `count` draws; in a full well without blooming these are
-            not drawn.
+        ValueError: if a needed key is None, `irradiance` does not match the sensor, or the expected
+            electrons exceed the limit of `count`. In a full well without blooming the excess is not
+            drawn.
 
     Example:
         >>> sensor = jv.Sensor(quantum_efficiency=0.5, full_well=100.0)
@@ -123,17 +123,17 @@ def raw_image(
     """Draws the raw data of one exposure: `digitise` of `collect`.
 
     Args:
-        key: random key of the frame; may be None if the sensor draws nothing from it.
+        key: random key of the frame; may be None if the sensor does not need it.
         sensor: the sensor.
         irradiance: as in `mean_photoelectrons`: (..., bands) W m^-2 or photons s^-1 per pixel, >=
             0.
-        die_key: random key of the die; may be None if the sensor draws nothing from it.
+        die_key: random key of the individual sensor; may be None if the sensor does not need it.
 
     Returns:
         (..., bands) DN, in floating point; (..., h, w, 1) under a colour filter.
 
     Raises:
-        ValueError: a key is None and needed, or `irradiance` does not suit the sensor.
+        ValueError: if a needed key is None, or `irradiance` does not match the sensor.
 
     Example:
         >>> sensor = jv.Sensor(shot_noise=jv.PoissonShotNoise(), gain=0.5, offset=64.0, bits=12)

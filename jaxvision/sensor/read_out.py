@@ -27,7 +27,7 @@ def reset_noise_rms(reset: ResetNoise) -> Scalar:
     """Reset (kTC) noise of a sense node: sqrt(k T C) / q.
 
     Args:
-        reset: capacitance and temperature of the node.
+        reset: capacitance and temperature of the sense node.
 
     Returns:
         () electrons rms.
@@ -58,17 +58,17 @@ def read_out_noise(
 
     Args:
         key: random key of the frame.
-        die_key: random key of the die; chooses the pixels with traps.
-        sensor: the sensor; its fields from `reset_noise` to `banding`, and `taps`, are used.
+        die_key: random key of the individual sensor; selects the pixels with traps.
+        sensor: of which the fields from `reset_noise` to `banding`, and `taps`, are used.
         shape: shape of the electrons; (..., h, w, bands) for noise of rows, columns and taps.
         dtype: floating dtype of the result.
 
     Returns:
-        Electrons, broadcasting against `shape`; None for a sensor that reads without noise.
+        Electrons, broadcasting against `shape`; None for a sensor without read-out noise.
 
     Raises:
-        ValueError: a key is None and needed, or noise of rows, columns or taps is asked for without
-            an image.
+        ValueError: if a needed key is None, or if noise of rows, columns or taps is requested for
+            data without image axes.
 
     Example:
         >>> frame = {"shape": (100, 100, 1), "dtype": float}
@@ -103,10 +103,10 @@ def read_out_variance(
     Args:
         sensor: the sensor.
         dtype: floating dtype of the result.
-        shape: (..., h, w, bands) of the electrons, for the factors of taps; None leaves them out.
+        shape: (..., h, w, bands) of the electrons, for the factors of taps; None ignores these.
 
     Returns:
-        () electrons^2; (h, w, 1) with taps that read with noise of their own, in an image.
+        () electrons^2; (h, w, 1) for an image whose taps have different read noise.
 
     Example:
         >>> sensor = jv.Sensor(read_noise=3.0, row_noise=4.0)  # electrons

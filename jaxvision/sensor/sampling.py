@@ -52,7 +52,7 @@ def pixel_means(
         (..., h, w, bands) W m^-2.
 
     Raises:
-        ValueError: `irradiance` is not an image of a whole number of pixels.
+        ValueError: if `irradiance` is not an image of a whole number of pixels.
 
     Example:
         >>> fine = np.array([[1.0, 3.0], [1.0, 3.0]])[..., None]  # W m^-2 in one pixel

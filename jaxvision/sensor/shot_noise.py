@@ -70,16 +70,16 @@ def count(key: Key, mean: Scalars, shot_noise: ShotNoise) -> Scalars:
 
     Args:
         key: random key of the frame.
-        mean: (...) expected electrons; a mean below 0 counts as 0, and NaN stays NaN. At most 2^31
-            for Poisson draws, where traced values above give NaN.
-        shot_noise: which distribution is drawn.
+        mean: (...) expected electrons; negative values are set to 0, and NaN stays NaN. At most
+            2^31 for Poisson draws; larger traced values give NaN.
+        shot_noise: distribution of the draws.
 
     Returns:
-        (...) electrons in the dtype of `mean`, floating where that is whole; whole numbers unless
-        Gaussian. Draws of a narrower dtype than float32 are those of float32, rounded to it.
+        (...) electrons in the dtype of `mean`, or in floating point if that is an integer; whole
+        numbers unless Gaussian. Draws of a narrower dtype than float32 are rounded from float32.
 
     Raises:
-        ValueError: a mean of Poisson draws is known and above 2^31.
+        ValueError: if the mean of Poisson draws is above 2^31, unless traced.
 
     Example:
         >>> electrons = jnp.full(10000, 100.0)
@@ -190,7 +190,7 @@ def poisson_deviance(n: Scalars, excess: Scalars, mean: Scalars) -> Scalars:
 
     Args:
         n: (...) counts, at least 1.
-        excess: (...) n - mean, which the caller knows to more digits.
+        excess: (...) n - mean, which the caller knows more accurately than the difference.
         mean: (...) electrons, > 0.
 
     Returns:

@@ -32,7 +32,7 @@ def row_starts(
     """Time at which the exposure of each row begins.
 
     Args:
-        shutter: the rolling shutter; None is a global shutter, which opens every row at 0.
+        shutter: the rolling shutter; None for a global shutter, which opens every row at 0.
         exposure_time: () s.
         rows: number of rows, static.
 
@@ -55,14 +55,14 @@ def exposure_slots(
     """Time slots of an exposure, and the weight of each slot in the average of each row.
 
     Args:
-        shutter: the rolling shutter; None is a global shutter.
+        shutter: the rolling shutter; None for a global shutter.
         exposure_time: () s.
         rows: number of rows, static.
         slots: number of slots, static, at least 1.
 
     Returns:
-        Middle of each slot (slots,) in s, and weights (rows, slots), not negative, which add up to
-        1 for each row. The weights are smooth in the times except where a row's exposure begins or
+        Middle of each slot (slots,) in s, and weights (rows, slots), >= 0, whose sum is 1 for each
+        row. The weights are smooth functions of the times, except where a row's exposure begins or
         ends with a slot, or has its middle there.
 
     Raises:
@@ -104,14 +104,14 @@ def exposed(
     """A picture averaged over the exposure of each row.
 
     Args:
-        shutter: the rolling shutter; None is a global shutter.
+        shutter: the rolling shutter; None for a global shutter.
         exposure_time: () s.
-        picture_at: the picture at a time () in s: (rows, w, bands) in any unit, or a record of
-            several such pictures. It is called once a slot, as it is: wrap it in `jax.jit` where it
-            is slow without.
+        picture_at: function from a time () in s to the picture (rows, w, bands) in any unit, or to
+            a record of several such pictures. It is called once for each slot without compilation:
+            wrap it in `jax.jit` where this is slow.
         rows: number of rows, static.
-        slots: how many times the picture is evaluated, static; the error of a smooth motion falls
-            with the square of it.
+        slots: number of times at which the picture is evaluated, static; for a smooth motion the
+            error falls with the square of it.
 
     Returns:
         What `picture_at` returns, averaged over time, in its unit.

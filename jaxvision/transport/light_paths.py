@@ -74,19 +74,19 @@ def light_traced(
 
     Args:
         key: random key.
-        scene: bounded, if light comes from infinitely far away.
+        scene: bounded, if light comes from infinity.
         view: any view.
-        paths: static, how many leave the emitters, >= 1; the error falls as 1 / sqrt(paths).
-        depth: static, the most straight pieces between emitter and eye, >= 1, as `Paths.depth`.
-        samples: static, rays a pixel by which what shines is seen itself, >= 1.
+        paths: static, number of paths from the emitters, >= 1; the error falls as 1 / sqrt(paths).
+        depth: static, largest number of segments between emitter and eye, >= 1, as `Paths.depth`.
+        samples: static, rays of each pixel for emitters that are directly visible, >= 1.
 
     Returns:
-        (h, w, bands) W m^-2 sr^-1, and the standard error, for which the vertices of a path are
-        taken as independent.
+        (h, w, bands) W m^-2 sr^-1, and the standard error, as if the vertices of a path were
+        independent.
 
     Raises:
-        ValueError: for a count below 1, for light from infinitely far away in a scene without end,
-            and for a surface without end that shines.
+        ValueError: for a count below 1, for light from infinity in an unbounded scene, and for an
+            unbounded surface that emits.
 
     Example:
         >>> floor = jv.Surface(jv.Disc([0, 0, 0], [0, 0, 1], 1), jv.Lambert([0.5 / np.pi]))

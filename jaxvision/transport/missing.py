@@ -89,22 +89,24 @@ def missing_light(
     listed.
 
     Args:
-        scene: surfaces and lights, with known numbers.
+        scene: surfaces and lights, not traced.
         integrator: "direct" (`render`), "rays" (`ray_traced`), "path" (`path_traced`), "light"
             (`light_traced`) or "radiosity".
-        depth: a count (no unit), the most pieces of a path, of "rays" the rays of a tree; with
-            `view` it is compared with the faces of glass and mirrors in a row. None: not looked at.
-        rule: how "direct", "rays" and "radiosity" sample lights without a rule of their own; None:
-            the integrator's default.
-        samples: of "path", a pixel: then a sentence about light that is rarely met says in how many
-            pixels, of whose errors alone it is a part. None: it gives the chance alone.
-        view: of the camera, or None: then it is taken to see every mirror and glass.
-        surfaces: name of each surface; None: their places in the scene.
-        lights: name of each light; None: their places in the scene.
+        depth: largest number of segments of a path (no unit); for "rays" number of rays of the
+            tree. With `view` it is compared with the number of glass faces and mirrors in a row.
+            None omits this check.
+        rule: of the samples of lights without a rule of their own, for "direct", "rays" and
+            "radiosity"; None for the integrator's default.
+        samples: of "path", for each pixel. With it a sentence about light that is rarely sampled
+            says in how many pixels that is; only their standard errors include this light. None:
+            the sentence states the probability alone.
+        view: of the camera; None assumes that it sees every mirror and glass.
+        surfaces: name of each surface; None for their indices in the scene.
+        lights: name of each light; None for their indices in the scene.
 
     Returns:
-        The sentences, each with the integrator that has the light if one has; empty where all light
-        is found.
+        The sentences, each with an integrator that includes the light if there is one; empty where
+        no light is missing.
 
     Example:
         >>> floor = jv.Surface(jv.Plane([0, 0, 0], [0, 0, 1]), jv.Lambert([0.2]))

@@ -69,21 +69,20 @@ class Paths(Shown):
     """The settings of path tracing; all static.
 
     Attributes:
-        samples: paths a pixel, >= 1; the error falls as 1 / sqrt(samples).
-        depth: the most straight pieces between eye and emitter, >= 1: 1 shows only what shines, 2
-            direct light. Longer paths are left out, which darkens by about the albedo to the power
-            of `depth`.
-        strategy: how light is found. "balance" or "power": on purpose and by chance, joined by that
-            heuristic. "lights": only on purpose; the fastest, and as good for diffuse surfaces
-            under lamps that are not large. "surfaces": only by chance, except for lights without
-            size.
-        roulette: from which vertex on (0 is the first) a path ends at random, with the probability
-            that its weight falls short of 1; None: never. With it the walk is a loop that stops
-            when the last path has ended: unbiased at any `depth`, but without reverse-mode
-            gradients.
+        samples: paths of each pixel, >= 1; the error falls as 1 / sqrt(samples).
+        depth: largest number of segments between eye and emitter, >= 1: 1 includes only emitters
+            themselves, 2 direct light. Longer paths are omitted, which darkens the picture by a
+            factor of about the albedo to the power of `depth`.
+        strategy: how paths are connected to lights. "balance" or "power": by light samples and by
+            surface samples, combined with that heuristic. "lights": by light samples only; the
+            fastest, and as good for diffuse surfaces under lamps that are not large. "surfaces": by
+            surface samples only, except for lights without size.
+        roulette: index of the vertex (0 is the first) from which a path ends at random, with a
+            probability of 1 less its weight; None for never. With it the path loop ends with the
+            last path: unbiased at any `depth`, but without reverse-mode gradients.
 
     Raises:
-        ValueError: for a count below its least value or an unknown strategy.
+        ValueError: for a count below its lower limit or an unknown strategy.
 
     Example:
         A closed room of albedo 0.5 that shines 0.5 shows 0.5 + 0.5 x 0.5 at depth 2, and 1 at last.
@@ -129,10 +128,10 @@ def path_sample(scene: Scene, ray: Ray, stream: Stream, *, method: Paths) -> Col
         scene: any scene; `Scene.ambient` is not added.
         ray: origin (3,) m, direction (3,) unit length.
         stream: the random numbers of this path.
-        method: how finely light is followed; `samples` plays no part.
+        method: settings of the paths; `samples` is ignored.
 
     Returns:
-        (bands,) W m^-2 sr^-1, the mean of which over streams is the radiance along the ray.
+        (bands,) W m^-2 sr^-1; its mean over streams is the radiance along the ray.
     """
     return _path_sample(scene, ray, stream, method)
 
@@ -294,7 +293,7 @@ def path_radiance(key: Key, scene: Scene, ray: Ray, *, method: Paths) -> Traced:
         key: random key.
         scene: any scene; `Scene.ambient` is not added.
         ray: origin (3,) m, direction (3,) unit length.
-        method: how finely light is followed.
+        method: settings of the paths.
 
     Returns:
         (bands,) W m^-2 sr^-1, and the standard error.
@@ -329,12 +328,12 @@ def path_along(scene: Scene, method: Paths, *, depth: Array | None = None) -> Al
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
-        method: how finely light is followed; `samples` plays no part.
-        depth: (), in place of the method's, a whole number of pieces >= 2 that may be traced, so
-            that one program serves any; without reverse-mode gradients.
+        method: settings of the paths; `samples` is ignored.
+        depth: (), replaces the method's: a whole number of segments >= 2 that may be traced, so
+            that one program serves any depth; without reverse-mode gradients.
 
     Returns:
-        From a block of rays to the radiance of their paths, W m^-2 sr^-1.
+        A function from a block of rays to the radiance of their paths, W m^-2 sr^-1.
     """
     world = world_of(scene)
     return lambda rays, stream: _walk(world, rays, stream, method, depth, jax.vmap)
@@ -356,11 +355,11 @@ def path_traced_pixels(
     Args:
         key: random key.
         scene: any scene; `Scene.ambient` is not added.
-        view: any view. Each sample goes through another place of its pixel, and of a lens.
+        view: any view. Each sample passes through another point of its pixel, and of a lens.
         rows, columns: (n,) whole numbers of pixels.
-        method: how finely light is followed.
-        first_sample: static, the number of the first sample. What a pixel gets depends on the key,
-            the pixel and the numbers of its samples, and on nothing else.
+        method: settings of the paths.
+        first_sample: static, index of the first sample. The result of a pixel depends only on the
+            key, the pixel and the indices of its samples.
 
     Returns:
         (n, bands) W m^-2 sr^-1, and the standard error.
@@ -400,7 +399,7 @@ def path_traced(key: Key, scene: Scene, view: View, *, method: Paths) -> Traced:
         key: random key.
         scene: any scene; `Scene.ambient` is not added.
         view: any view.
-        method: how finely light is followed.
+        method: settings of the paths.
 
     Returns:
         (h, w, bands) W m^-2 sr^-1, and the standard error.

@@ -67,9 +67,9 @@ def ray_tree_radiance(
     Args:
         scene: any scene; `Scene.ambient` is not added.
         ray: origin (3,) m, direction (3,) unit length.
-        rays: static, how many rays of the tree are followed, >= 1. A scene without glass has no
-            branches: there it is the number of mirrors in a row and one more.
-        rule: how what shines is sampled where it lights a surface; a light may have its own in
+        rays: static, number of rays of the tree, >= 1. In a scene without glass the tree has no
+            branches, and this is the number of mirrors in a row plus one.
+        rule: of the samples of emitters where they light a surface; a light may have its own in
             `Scene.rules`.
 
     Returns:
@@ -265,7 +265,7 @@ def ray_tree_along(scene: Scene, *, rays: int, rule: Quadrature = DEFAULT_RULE) 
         scene, rays, rule: as in `ray_tree_radiance`.
 
     Returns:
-        From a block of rays to (n, bands) W m^-2 sr^-1.
+        A function from a block of rays to (n, bands) W m^-2 sr^-1.
     """
     return lambda along, stream: ray_tree_radiances(scene, along, rays=rays, rule=rule)
 
@@ -286,10 +286,11 @@ def ray_traced(
 
     Args:
         scene: any scene; `Scene.ambient` is not added.
-        view: any view; a thin lens needs `samples` to defocus.
-        rays: static, >= 1, how many rays of each tree are followed.
-        rule: how what shines is sampled where it lights a surface.
-        samples: the mean over many rays of each pixel; None: one ray through each pixel's centre.
+        view: any view; a thin lens needs `samples` for defocus.
+        rays: static, >= 1, number of rays of each tree.
+        rule: of the samples of emitters where they light a surface.
+        samples: rays of each pixel, whose mean is taken; None for one ray through each pixel's
+            centre.
 
     Returns:
         (h, w, bands) W m^-2 sr^-1.

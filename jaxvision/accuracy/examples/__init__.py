@@ -26,13 +26,13 @@ def example(knob: str) -> Problem:
     """The problem on which a setting is measured when there is no scene file.
 
     Args:
-        knob: its name, one of `KNOBS`.
+        knob: name of the knob, one of `KNOBS`.
 
     Returns:
-        The problem; errors relative, times in s.
+        The problem; errors are relative, times in s.
 
     Raises:
-        InputError: for a knob without one.
+        InputError: for a knob without an example.
     """
     known = examples()
     if knob not in known:

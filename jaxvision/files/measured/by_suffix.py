@@ -22,7 +22,7 @@ def read_measured(path: str | os.PathLike[str]) -> HalfDifferenceTable | BRDFSam
         A table, scattered samples or an RGL material, with values in sr^-1.
 
     Raises:
-        InputError: an unknown suffix, or a file that is not of its format.
+        InputError: for an unknown suffix, or a file that does not have the format of its suffix.
 
     Example:
         >>> from tempfile import mkdtemp

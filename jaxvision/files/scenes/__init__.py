@@ -45,13 +45,12 @@ class SceneFile:
         path: the file.
         scene: surfaces and lights.
         view: projection of the camera.
-        render: settings with which the file asks to be rendered.
+        render: settings of `[render]`.
         bands: number of bands.
-        wavelengths: (bands,) m, or None: RGB if there are three bands.
+        wavelengths: (bands,) m, or None; then three bands are RGB.
         surfaces: name of each surface in messages.
         lights: name of each light in messages.
-        digest: a hash of all numbers of the scene and its view, independent of the files they came
-            from.
+        digest: a hash of all numbers of the scene and its view, independent of their files.
 
     Example:
         >>> file = jv.files.read_scene("glass_and_mirror")
@@ -103,10 +102,11 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
         path: the file, TOML, Mitsuba's XML or glTF, or one of `shipped_scenes`.
 
     Returns:
-        The scene and how to render it.
+        The scene and its render settings.
 
     Raises:
-        InputError: the first mistake in the file, or the first problem that `scene_checks` finds.
+        InputError: for the first mistake in the file, or the first problem that `scene_checks`
+            finds.
 
     Example:
         >>> file = jv.files.read_scene("cornell_box")

@@ -52,16 +52,17 @@ class Tabulated:
     Exactly one of `pairs`, `file`, `illuminant`, `patch` and `blackbody` is given.
 
     Attributes:
-        pairs: [wavelength in nm, value], wavelengths ascending, as many as there are.
-        file: a CSV with a line of heads. The column of the wavelengths is the one named so, or the
-            first; they are in nm unless its head says um, m, angstrom or, of a reflectance, cm^-1.
-        column: head of the values; by default the only column besides wavelengths, indices and
-            uncertainties, or the only one whose head names the quantity; a reflectance may be in %.
-        illuminant: relative power by colour-science's name ("D65", "A", "FL2"), in any case of
-            letters.
+        pairs: any number of [wavelength in nm, value], wavelengths ascending.
+        file: a CSV with a header line. The column of the wavelengths is named so, or is the first;
+            it is in nm unless its header says um, m, angstrom or, for a reflectance, cm^-1.
+        column: header of the values. Default: the only column besides wavelengths, indices and
+            uncertainties, or the only one whose header names the quantity. A reflectance may be in
+            %.
+        illuminant: relative power by colour-science's name ("D65", "A", "FL2"), in upper or lower
+            case.
         patch: reflectance of a patch of `chart`.
         chart: name of the chart.
-        blackbody: temperature in K, for W m^-2 sr^-1 per m.
+        blackbody: temperature in K, for radiance in W m^-2 sr^-1 per m.
         scale: factor on the spectrum, no unit.
     """
 
@@ -105,7 +106,7 @@ class Bands:
 
     Attributes:
         count: number of bands.
-        wavelengths: (bands,) m, or None: RGB if there are three bands.
+        wavelengths: (bands,) m, or None; then three bands are RGB.
     """
 
     count: int

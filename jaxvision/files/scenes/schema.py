@@ -43,17 +43,17 @@ class RenderEntry(Entry):
             mirrors and glass; "light" traces from the lights; "radiosity" solves for diffuse
             patches.
         samples: rays or paths per pixel; by default 64 for "path" and "light", else 1.
-        depth: the most segments of a path, by default 6; for "rays" the most rays of the tree, by
-            default 16.
+        depth: largest number of segments of a path, by default 6; for "rays" largest number of rays
+            of the tree, by default 16.
         rule: how "direct", "rays" and "radiosity" sample an extended light: by quadrature or,
             except for "rays", at random.
         order: quadrature nodes per side of a light, or random samples per light.
         shadows: whether "direct" traces shadows.
         patches: approximate number of patches for "radiosity".
-        gather: rays from each visible point by which "radiosity" gathers the light of other
-            surfaces, drawn anew for each sample; 0 interpolates between patches instead.
+        gather: number of rays from each visible point with which "radiosity" collects the light of
+            other surfaces, drawn anew for each sample; 0 interpolates between patches instead.
         seed: of all random numbers.
-        tile: pixels computed at once; unused by "light", which renders whole pictures.
+        tile: number of pixels computed at once; "light" ignores it and renders whole pictures.
         dtype: "float32" or "float64".
     """
 

@@ -18,7 +18,7 @@ class Face(NamedTuple):
 
     Attributes:
         surface: number of the surface in its scene.
-        part: which side of a box, or which triangle of a mesh; else 0.
+        part: side of a box, or triangle of a mesh; else 0.
         front: whether it is the front of the surface.
         rows, columns: size of the grid.
         graded: whether cells narrow toward the edges.
@@ -39,7 +39,7 @@ class Plan(Shown):
 
     Attributes:
         faces: all faces, surface by surface; static.
-        split: each patch, which sends light, is split^2 elements, which receive it; static, >= 1.
+        split: each patch, which emits, consists of split^2 elements, which receive; static, >= 1.
 
     Raises:
         ValueError: for a split below 1.

@@ -23,10 +23,10 @@ def trapping_surface(
     Args:
         table: (elements, patches) form factors, no unit.
         albedo: (surfaces, bands), no unit.
-        plan: how the surfaces are cut.
+        plan: of the patches.
 
     Returns:
-        The number of the surface, no unit; None if there is none.
+        The index of the surface, no unit; None if there is none.
     """
     own, surface = parents_of(plan), surfaces_of(plan)
     inside = table.sum(axis=1) > _BESIDE

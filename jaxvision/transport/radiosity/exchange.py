@@ -53,12 +53,13 @@ def form_factor_table(
     Args:
         scene: the scene of the plan.
         plan: from `plan_patches`.
-        rays: static, >= 1: how many shadow rays decide how much of a patch an element sees. They go
-            to places spread over the patch, differently for each pair, so that a patch split into
-            elements sees others by split^2 `rays` rays. The error of a half-hidden factor is of the
-            order of itself over sqrt(rays), and averages out over patches.
-        elements: (rows,) numbers of those whose factors are wanted, as where devices share them
-            out; None for all.
+        rays: static, >= 1: number of shadow rays that determine how much of a patch an element
+            sees. They end at points spread over the patch, differently for each pair, so that a
+            patch that is split into elements uses split^2 `rays` rays for each other patch. The
+            relative error of a half-blocked factor is about 1 / sqrt(rays), and averages out over
+            patches.
+        elements: (rows,) indices of the elements to compute, for example where devices share the
+            work; None for all.
 
     Returns:
         (rows, patches), no unit.
@@ -98,7 +99,7 @@ def exchanged(
 
     Args:
         scene, plan, rays, elements: as in `form_factor_table`.
-        sent: (patches, bands) W m^-2 that leaves each patch.
+        sent: (patches, bands) radiosity of each patch, W m^-2.
 
     Returns:
         (rows, bands) W m^-2.
@@ -273,8 +274,8 @@ def closure_error(table: Float[Array, "n patches"]) -> Float[Array, " n"]:
         table: (n, patches), no unit.
 
     Returns:
-        (n,), no unit: 0 in a closed scene, where all light arrives somewhere; in an open one, minus
-        the fraction that escapes.
+        (n,), no unit: 0 in a closed scene; in an open one, minus the fraction of light that
+        escapes.
 
     Example:
         >>> table = [[0.2, 0.8], [0.5, 0.25]]  # the second patch sees a window

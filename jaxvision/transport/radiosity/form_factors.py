@@ -102,8 +102,8 @@ def perpendicular_rectangles(edge: Scalar, width: Scalar, other: Scalar) -> Scal
 
     Args:
         edge: () m, the common edge; sides beyond 1e8 edges count as 1e8.
-        width: () m, the other side of the rectangle that sends.
-        other: () m, that of the one that receives.
+        width: () m, the other side of the emitting rectangle.
+        other: () m, that of the receiving rectangle.
 
     Returns:
         () in [0, 0.5], no unit; 0 for a width below 3e-10 edges in float32, 1e-77 in float64.
@@ -229,7 +229,7 @@ def parallel_exchange(
     of ten of at most 3e-6 and 1e-12. Strips of a thousandth of their length have larger errors.
 
     Args:
-        first, second: (2, 2) m, rows x and y, columns where the side starts and ends.
+        first, second: (2, 2) m, rows x and y, columns start and end of the side.
         gap: () m between the planes.
 
     Returns:
@@ -256,8 +256,8 @@ def perpendicular_exchange(first: Float[Array, "2 2"], second: Float[Array, "2 2
     `parallel_exchange`.
 
     Args:
-        first, second: (2, 2) m, rows along the line and away from it, columns where the side starts
-            and ends; what lies behind the other plane (away < 0) does not count.
+        first, second: (2, 2) m, rows along the common line and away from it, columns start and end
+            of the side; the part behind the other plane (away < 0) is ignored.
 
     Returns:
         () m^2.
@@ -370,7 +370,7 @@ class Exchange(Shown):
 
     Attributes:
         value: () form factor, no unit.
-        error: () by which it may be off, no unit.
+        error: () estimated error, no unit.
     """
 
     value: Scalar
@@ -387,7 +387,7 @@ def point_to_polygon(point: Vec, normal: Vec, corners: Polygon) -> Scalar:
 
     Args:
         point: (3,) m, the element.
-        normal: (3,) unit length; what lies below its horizon does not count.
+        normal: (3,) unit length; the part of the polygon below the horizon is ignored.
         corners: four `Vec`, m, counterclockwise seen from the front of the polygon; a triangle
             repeats one.
 
@@ -411,8 +411,8 @@ def polygon_to_polygon(first: Polygon, second: Polygon, *, order: int = 4) -> Ex
         order: static, >= 2.
 
     Returns:
-        The factor, no unit, and as its error the difference to one order less: far above the true
-        error for polygons apart, about it where they touch.
+        The factor, no unit. Its error is the difference to one order less: far above the true error
+        for polygons apart, close to it where they touch.
 
     Raises:
         ValueError: for an order below 2.

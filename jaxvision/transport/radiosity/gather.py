@@ -70,13 +70,14 @@ def radiosity_along(
     """Radiance that arrives along one ray, against its direction.
 
     Args:
-        scene, plan, solution: a solved scene; the plan and solution are those of this scene.
+        scene, plan, solution: a scene with its own plan and solution.
         ray: origin (3,) m, direction (3,) unit length.
-        rule: how extended lights without a rule of their own are sampled, see `direct_irradiance`.
-        gather: how many rays collect what surfaces send to the point; None: it is interpolated
-            between the elements around it. The gather shows contacts and creases as finely as the
-            picture, with noise of about .7 / sqrt(rays) of the light that is not direct. For
-            another point, `lights.rule_for` draws both `rule` and `gather` anew.
+        rule: of the samples of extended lights without a rule of their own, see
+            `direct_irradiance`.
+        gather: rule of the rays that collect indirect light at the point; None interpolates it
+            between the surrounding elements. With it contacts and creases are as sharp as the
+            pixels, with noise of about 0.7 / sqrt(rays) of the indirect light. For another point,
+            `lights.rule_for` draws both `rule` and `gather` anew.
 
     Returns:
         (bands,) W m^-2 sr^-1.
@@ -104,11 +105,11 @@ def radiosity_rays(
     """`radiosity_along` for the rays of `photograph`.
 
     Args:
-        scene, plan, solution, rule, gather: as in `radiosity_along`; what is random draws anew for
+        scene, plan, solution, rule, gather: as in `radiosity_along`; random rules draw anew for
             each pixel and sample.
 
     Returns:
-        From a block of rays to (n, bands) W m^-2 sr^-1.
+        A function from a block of rays to (n, bands) W m^-2 sr^-1.
     """
     enclosure = _enclosure_of(scene, plan, solution)
 
@@ -134,10 +135,11 @@ def radiosity_image(
     """The picture of a solved scene.
 
     Args:
-        scene, plan, solution, rule, gather: as in `radiosity_along`; what is random draws anew for
+        scene, plan, solution, rule, gather: as in `radiosity_along`; random rules draw anew for
             each pixel and sample.
-        view: any view; a thin lens needs `samples` to defocus.
-        samples: the mean over many rays of each pixel; None: one ray through each pixel's centre.
+        view: any view; a thin lens needs `samples` for defocus.
+        samples: rays of each pixel, whose mean is taken; None for one ray through each pixel's
+            centre.
 
     Returns:
         (h, w, bands) W m^-2 sr^-1.

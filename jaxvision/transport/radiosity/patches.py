@@ -35,9 +35,9 @@ class Patches(Shown):
         centre: (n,) m.
         normal: (n,) unit length.
         area: (n,) m^2.
-        bulge: (n,) m, how high the surface rises above the flat patch.
+        bulge: (n,) m, height of the surface above the flat patch.
         surface: (n,) number of the surface in the scene.
-        plane: (n,) a number that patches of one flat face share: they do not see each other.
+        plane: (n,) index that patches of one flat face share: they do not see each other.
     """
 
     corners: tuple[Vec, Vec, Vec, Vec]
@@ -60,16 +60,16 @@ def plan_patches(scene: Scene, *, size: float, split: int = 2, graded: bool = Fa
     Args:
         scene: bounded surfaces of `Lambert` material.
         size: longest side of a patch, m, > 0.
-        split: each patch is split^2 elements, >= 1.
-        graded: whether cells narrow toward the edges of quads and boxes, as the cosine does, where
-            light between adjoining surfaces changes fast.
+        split: number of elements along each side of a patch, >= 1.
+        graded: whether cells narrow toward the edges of quads and boxes, where light between
+            adjoining surfaces varies fast.
 
     Returns:
         The faces of all surfaces with their grids.
 
     Raises:
-        ValueError: for a surface that is not bounded or not `Lambert`, by its number, and for a
-            size that is not positive.
+        ValueError: for a surface that is not bounded or not `Lambert`, named by its index, and for
+            a size that is not positive.
 
     Example:
         >>> floor = jv.Surface(jv.Quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), jv.Lambert([0.1]))
@@ -119,7 +119,7 @@ def patches_of(scene: Scene, plan: Plan, *, split: int = 1) -> Patches:
     Args:
         scene: the scene of the plan.
         plan: from `plan_patches`.
-        split: static, each patch as split^2 cells.
+        split: static, number of cells along each side of a patch.
 
     Returns:
         All cells, lengths in m, areas in m^2.

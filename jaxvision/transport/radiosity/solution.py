@@ -38,10 +38,10 @@ class Solution(Shown):
 
     Attributes:
         radiosity: (patches, bands) W m^-2.
-        irradiance: (elements, bands) W m^-2 from all patches, but not straight from lights.
-        sent: (elements, bands) W m^-2, all that leaves except what a quad emits, which counts as a
-            light.
-        covered: (elements,) whether the element lies inside another body, where no light is.
+        irradiance: (elements, bands) W m^-2 from all patches, without direct light.
+        sent: (elements, bands) radiosity, W m^-2, without the emission of quads, which count as
+            lights.
+        covered: (elements,) whether the element lies inside another body, where there is no light.
     """
 
     radiosity: Float[Array, "patches bands"]
@@ -69,19 +69,21 @@ def radiosity(
         scene: bounded surfaces of `Lambert` material, and any lights.
         plan: from `plan_patches`.
         table: (elements, patches) from `form_factor_table`, for fixed geometry under changing
-            colours; or a function from what patches send, (patches, bands), to what elements
-            receive, (elements, bands) both W m^-2, as `exchanged` of this scene and plan is, for
-            more patches than a table has room for (method "iterative"); None: it is made here.
-        rule: how extended lights without a rule of their own are sampled, see `direct_irradiance`.
+            colours. Or, for more patches than the table has memory for (method "iterative"), a
+            function from the radiosity of patches, (patches, bands), to the irradiance of elements,
+            (elements, bands), both W m^-2, such as `exchanged` of this scene and plan. None
+            computes it.
+        rule: of the samples of extended lights without a rule of their own, see
+            `direct_irradiance`.
         method: static, see `solve_radiosity`.
-        rays: static, shadow rays a pair of the table that is made here.
+        rays: static, shadow rays for each pair, where the table is computed here.
 
     Returns:
         Radiosity and irradiance, W m^-2.
 
     Raises:
-        ValueError: for a scene without surfaces, an unknown method, or one that needs a table
-            where there is a function.
+        ValueError: for a scene without surfaces, an unknown method, or a method that needs a table
+            where a function is given.
     """
     # a function of the caller's may give something else at each call: no program is kept of it
     warn_of_scene(scene)
@@ -134,8 +136,8 @@ def direct_irradiance(
     Args:
         scene: surfaces and lights.
         elements: from `patches_of`.
-        rule: by how many rays half shadows are found. Unblocked rectangles are exact under any
-            rule.
+        rule: of the samples that determine partial shadows. Unblocked rectangles are exact under
+            any rule.
 
     Returns:
         (elements, bands) W m^-2.

@@ -55,15 +55,15 @@ def solve_radiosity(
 
     Args:
         table: (patches, patches) form factors F, no unit; or, for "iterative", a function that
-            multiplies it by (patches, bands), as `exchanged` does without holding it.
+            multiplies it by (patches, bands), as `exchanged` does without storing it.
         albedo: (patches, bands) rho in [0, 1], no unit.
         sent: (patches, bands) M + rho E, W m^-2.
         method: static. "direct": LU, exact to rounding, at a cost of patches^3. "iterative": GMRES,
             until the residual is `tolerance` of the largest `sent`, or as small as rounding allows.
             "progressive": `shoot`, until the error of every patch is below `tolerance` of the
-            brightest, or after `limit` shots. The remaining light is then lost.
+            brightest, or after `limit` shots; the remaining light is then lost.
         tolerance: static, relative to the brightest patch.
-        limit: static, most shots.
+        limit: static, largest number of shots.
 
     Returns:
         (patches, bands) B, W m^-2.
@@ -148,7 +148,7 @@ def bounce(table: Table, albedo: PatchSpectra, sent: PatchSpectra, *, count: int
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
-        count: static, how many reflections, >= 0.
+        count: static, number of reflections, >= 0.
 
     Returns:
         (patches, bands) W m^-2.
@@ -181,15 +181,15 @@ def shoot(
 
     Args:
         table, albedo, sent: as in `solve_radiosity`.
-        tolerance: static; it ends when unshot light can add at most this part of the brightest
-            patch so far to any patch.
-        limit: static, most shots. If they do not suffice, the rest may be large: in a closed room
-            of albedo rho up to the brightest unshot light times rho / (1 - rho), and n patches need
-            of the order of n / (1 - rho) shots.
+        tolerance: static; the method ends when unshot light can add at most this fraction of the
+            brightest patch so far to any patch.
+        limit: static, largest number of shots. If it is reached, the remaining light may be large:
+            in a closed room of albedo rho up to the brightest unshot light times rho / (1 - rho),
+            and n patches need about n / (1 - rho) shots.
 
     Returns:
-        B and the unshot part of it, (patches, bands) each, W m^-2; `ambient_estimate` adds what the
-        unshot light will do.
+        B and its unshot part, (patches, bands) each, W m^-2; `ambient_estimate` adds the effect of
+        the unshot light.
 
     Source:
         Cohen, Chen, Wallace and Greenberg, "A Progressive Refinement Approach to Fast Radiosity

@@ -53,10 +53,10 @@ class Node:
     Attributes:
         tag: "shape", "bsdf", ...
         kind: Mitsuba's `type`.
-        label: what messages call it.
-        values: by name.
-        parts: objects within, each with its own or its reference's name.
-        old: whether the file is of a version before 2, whose defaults differ.
+        label: its name in messages.
+        values: parameters by name.
+        parts: nested objects, each with its own name or that of its reference.
+        old: whether the file is of a version before 2, with other defaults.
     """
 
     tag: str
