@@ -239,8 +239,8 @@ def prune(
         whole_paths, caustics: as in `inspect`.
 
     Returns:
-        What remains, with a certificate of what does not. Lights and surfaces after a dropped one
-        have lower numbers.
+        What remains, with a certificate of what was removed. The indices of lights and surfaces
+        after a removed one decrease.
 
     Raises:
         ValueError: for records with traced numbers.
