@@ -17,14 +17,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import __version__
 from .core._local_workers import LOOK, local_workers, replace_lost
 from .errors import InputError, install
+from .programs import source_digest
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -350,19 +349,6 @@ class _Task:
         return results, time.perf_counter() - begun
 
 
-@cache
-def _source() -> str:
-    """Return a digest of the files of this package, which differs between builds of the same
-    version."""
-    here, found = Path(__file__).parent, hashlib.sha256()
-    for package in (here, here.parent / "fitting"):  # the other package of this distribution
-        for file in sorted(package.rglob("*")):
-            if file.is_file() and file.suffix != ".pyc":
-                found.update(f"{file.relative_to(here.parent).as_posix()}\n".encode())
-                found.update(file.read_bytes())
-    return found.hexdigest()[:8]
-
-
 def _environment() -> dict[str, Any]:
     """Everything besides the task that results depend on."""
     import jax
@@ -371,7 +357,7 @@ def _environment() -> dict[str, Any]:
     return {
         "jaxvision": __version__,
         **{name: version(name) for name in packages},
-        "source": _source(),
+        "source": source_digest(),
         "device": jax.devices()[0].device_kind,
         "machine": platform.machine(),
         "x64": bool(jax.config.read("jax_enable_x64")),

@@ -21,6 +21,7 @@ from ..errors import InputError
 from ..files.scenes import SceneFile
 from ..files.scenes.schema import RenderEntry
 from ..lights import Balanced, MonteCarlo, Quadrature, Rule
+from ..programs import for_rays, kept_whole
 from ..rendering import Along, PixelSamples, direct_along, photograph
 from ..rendering.scene_checks import idle_lamps
 from ..scene import Scene, ThinLens, View
@@ -182,27 +183,27 @@ def _structure(source: SceneFile) -> Hashable:
 def _kept_tile(settings: RenderEntry, structure: Hashable) -> Callable[..., tuple[Pixels, Pixels]]:
     """The program of the last picture. A similar scene uses it without compiling again. It holds no
     scene, and is released at the first scene of another structure."""
-    return _tile_of(_along(settings), settings)
+    return kept_whole(_tile_of(_along(settings), settings), f"tile {settings!r}")
 
 
 @lru_cache(maxsize=1)
 def _kept_pass(settings: RenderEntry, structure: Hashable) -> Callable[..., Image]:
     """The same for light tracing."""
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=for_rays(paths=False))
     def one(key: Key, scene: Scene, view: View) -> Image:
         traced = light_traced(
             key, scene, view, paths=math.prod(view.resolution), depth=settings.depth, samples=1
         )
         return traced.radiance
 
-    return one
+    return kept_whole(one, f"pass {settings!r}")
 
 
 def _tile_of(along: RaysOf, settings: RenderEntry) -> Callable[..., tuple[Pixels, Pixels]]:
     """The program from pixels to radiance and standard error."""
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=for_rays(paths=settings.integrator == "path"))
     def tile(
         scene: Scene,
         view: View,

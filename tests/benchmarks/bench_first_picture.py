@@ -1,6 +1,7 @@
 """What a user of the command waits for, in whole processes: the first picture of the Cornell box,
 256 x 256 pixels, 64 samples, up to 6 pieces, as EXR and PNG, beside Mitsuba 3 (`llvm_ad_rgb`), each
-with nothing kept and with the programs of an earlier run; help, and the answer to a wrong path.
+with nothing kept and with the programs of an earlier run; the import with a first small call; help,
+and the answer to a wrong path.
 
     pytest tests/benchmarks/bench_first_picture.py -m benchmark -s
 """
@@ -16,7 +17,7 @@ from mitsuba_scenes import mitsuba
 from turns import in_turns
 
 ROUNDS = 3
-COMMAND = "from {}.cli import main; main()"
+COMMAND = "from {}.__main__ import main; main()"
 RENDER = "render cornell_box --out a.exr --resolution 256,256 --samples 64 --depth 6 --fresh"
 MITSUBA = """
 import mitsuba as mi
@@ -26,6 +27,12 @@ box["integrator"] = {"type": "path", "max_depth": 6, "rr_depth": 1000}
 picture = mi.render(mi.load_dict(box), spp=64)
 mi.Bitmap(picture).write("a.exr")
 mi.util.write_bitmap("a.png", picture)
+"""
+CALL = """
+import numpy as np
+import jaxvision as jv
+up, wi = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8])
+print(jv.lambert_shading(up, wi, np.array([0.1])))
 """
 OURS = ("JAX", "XLA", "XDG")  # what says how to compile, and where programs are kept
 
@@ -58,6 +65,18 @@ def test_first_picture(tmp_path):
     _, seconds = in_turns(rivals, rounds=ROUNDS, settled=0)
     for name, taken in seconds.items():
         print(f"{name:16s} {taken:6.2f} s")
+
+
+@pytest.mark.benchmark
+def test_import_and_a_small_call(tmp_path):
+    rivals = {
+        "import": partial(process, "import jaxvision", home=tmp_path),
+        "first call": partial(process, CALL, home=tmp_path),
+        "import jax": partial(process, "import jax", home=tmp_path),
+    }
+    _, seconds = in_turns(rivals, rounds=7, settled=0)
+    for name, taken in seconds.items():
+        print(f"{name:14s} {taken:6.2f} s")
 
 
 @pytest.mark.benchmark

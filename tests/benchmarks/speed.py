@@ -53,6 +53,9 @@ def _rows() -> list[Row]:
         Row(f"{box}: new process, nothing kept", first, "ours, first", "Mitsuba, first"),
         Row(f"{box}: new process, second time", first, "ours, again", "Mitsuba, again"),
     ]
+    test = "bench_first_picture.py::test_import_and_a_small_call"
+    rows.append(Row("`import jaxvision`", test, "import", None))
+    rows.append(Row("import and `lambert_shading` of one point", test, "first call", None))
     for package, command in (("jaxvision", "jaxvision"), ("fitting", "jaxvision-fit")):
         test = f"bench_first_picture.py::test_help_and_a_wrong_path[{package}]"
         rows.append(Row(f"`{command} --help`", test, "help", None))

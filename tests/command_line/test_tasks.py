@@ -23,7 +23,7 @@ import jaxvision as jv
 from fitting.checks import noise
 from fitting.study.outcomes import Settings, memory_of
 from fitting.study.run import study
-from jaxvision import tasks
+from jaxvision import programs, tasks
 from jaxvision.cli import app
 from jaxvision.core import _local_workers
 from jaxvision.core._local_workers import replace_lost
@@ -184,12 +184,12 @@ def test_the_source_of_a_version_counts(tmp_path, monkeypatch):
     (tmp_path / "other" / "fitting" / "a.py").write_text("a = 2\n")
     found = []
     for copy in ("alike", "other"):
-        monkeypatch.setattr(tasks, "__file__", str(tmp_path / copy / "jaxvision" / "tasks.py"))
-        found.append(tasks._source.__wrapped__())
+        monkeypatch.setattr(programs, "__file__", str(tmp_path / copy / "jaxvision" / "a.py"))
+        found.append(programs.source_digest.__wrapped__())
     assert found[0] != found[1]
     (tmp_path / "alike" / "fitting" / "a.pyc").write_text("compiled")
-    monkeypatch.setattr(tasks, "__file__", str(tmp_path / "alike" / "jaxvision" / "tasks.py"))
-    assert tasks._source.__wrapped__() == found[0]
+    monkeypatch.setattr(programs, "__file__", str(tmp_path / "alike" / "jaxvision" / "a.py"))
+    assert programs.source_digest.__wrapped__() == found[0]
 
 
 def test_more_workers_than_memory_are_refused_before_they_start():

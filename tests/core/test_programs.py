@@ -3,12 +3,14 @@
 import os
 import subprocess
 import sys
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxvision as jv
 from fitting.inference import compiled
 from jaxvision import programs
 
@@ -92,6 +94,75 @@ def test_of_too_many_programs_the_older_half_goes(untouched, monkeypatch):
     del os.environ["JAX_COMPILATION_CACHE_DIR"]
     programs.keep_programs()
     assert sorted(path.name for path in other.iterdir()) == ["0", "1", "2", "3", "4"]
+
+
+class _Own(NamedTuple):
+    """A record that the package does not know."""
+
+    x: jax.Array
+
+
+@pytest.fixture
+def kept(untouched, monkeypatch):
+    """A folder with the whole program of 2 x + 1, and how to call it again: traced only where that
+    is said."""
+    monkeypatch.setattr(programs, "_keeps_whole", False)
+    programs.keep_programs()
+
+    def call(x, about="2 x + 1", *, traced=False):
+        traces = []
+
+        def function(x):
+            traces.append(x)
+            return 2 * jax.tree.leaves(x)[0] + 1, jnp.zeros(3)
+
+        value, _ = programs.kept_whole(jax.jit(function), about)(x)
+        assert bool(traces) == traced
+        return value
+
+    call(jnp.arange(3.0), traced=True)
+    (file,) = untouched.rglob("whole-*")
+    yield call, file
+    del os.environ["JAX_COMPILATION_CACHE_DIR"]
+
+
+def test_a_whole_program_is_read_without_tracing(kept):
+    call, _ = kept
+    np.testing.assert_array_equal(call(jnp.array([5.0, 6.0, 7.0])), [11, 13, 15])
+    scene = jv.Sphere([0, 0, 0], 1.0)
+    call(scene, traced=True)
+    assert call(jv.Sphere([2, 0, 0], 1.0))[0] == 5
+
+
+def test_another_program_is_traced(kept, monkeypatch):
+    call, _ = kept
+    np.testing.assert_array_equal(call(jnp.arange(4.0), traced=True), [1, 3, 5, 7])
+    call(jnp.arange(3), traced=True)
+    call(jnp.arange(3.0), "of another setting", traced=True)
+    call(_Own(jnp.arange(3.0)), traced=True)
+    call(_Own(jnp.arange(3.0)), traced=True)  # what is not known is never kept
+    monkeypatch.setattr(programs, "source_digest", lambda: "another source")
+    call(jnp.arange(3.0), traced=True)
+    monkeypatch.setattr(programs, "_keeps_whole", False)
+    call(jnp.arange(3.0), traced=True)
+
+
+@pytest.mark.parametrize("harm", ["cut", "changed", "writable", "of another user"])
+def test_a_whole_program_that_is_not_ours_is_compiled_anew(kept, harm, monkeypatch):
+    call, file = kept
+    if harm == "cut":
+        file.write_bytes(file.read_bytes()[:1000])
+    elif harm == "changed":
+        data = bytearray(file.read_bytes())
+        data[500] ^= 1
+        file.write_bytes(data)
+    elif harm == "writable":
+        file.chmod(0o666)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: file.stat().st_uid + 1)
+    np.testing.assert_array_equal(call(jnp.arange(3.0), traced=True), [1, 3, 5])
+    if harm != "of another user":
+        call(jnp.arange(3.0))  # it was written anew
 
 
 PROGRAM = """
