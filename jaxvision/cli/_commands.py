@@ -181,10 +181,13 @@ def render(
         str | None,
         typer.Option(
             help="Leave out effects that change no pixel by more than this share of the level of "
-            "radiance (default: leave out nothing).",
+            "radiance (default: only what is proved to change nothing).",
             metavar="SHARE%",
         ),
     ] = None,
+    keep_all: Annotated[
+        bool, typer.Option("--keep-all", help="Leave out nothing, not even what changes nothing.")
+    ] = False,
     accuracy: Annotated[
         str,
         typer.Option(
@@ -216,7 +219,15 @@ def render(
     from ..effects.certificate import summary
     from ..files.scenes import read_scene
     from ..files.scenes.schema import idle, overridden
-    from ..render_command import in_words, lacking, pruned_for, render_to_file, with_resolution
+    from ..render_command import (
+        changing_nothing,
+        in_words,
+        lacking,
+        nothing_lost,
+        pruned_for,
+        render_to_file,
+        with_resolution,
+    )
     from ..tasks import workers as workers_of
 
     source = read_scene(file)
@@ -242,6 +253,8 @@ def render(
     pruned = None if tolerance is None else pruned_for(source, settings, tolerance)
     if measure is not None and not accuracy and seconds is None:
         warnings.warn("--measure has no effect without --accuracy or --seconds.", stacklevel=2)
+    if keep_all and tolerance is not None:
+        raise InputError("--keep-all and --tolerance exclude each other; give one.")
     if no_preview and preview is not None:
         raise InputError("--preview and --no-preview exclude each other; give one.")
     if accuracy or seconds is not None:
@@ -267,8 +280,11 @@ def render(
         except TooLittleTime as error:
             print(f"{error} Rendered with the scene's own settings.", file=sys.stderr)
         else:
-            settings, pruned = chosen.render, chosen.effects
+            settings, pruned = chosen.render, None if keep_all else chosen.effects
             print(choice_in_words(chosen))
+    unchanged = None
+    if tolerance is None and pruned is None and not keep_all:
+        unchanged = pruned = nothing_lost(source, settings)
     for sentence in lacking(source, settings):
         print(sentence, file=sys.stderr)
     title = f"{source.path.stem}, {settings.integrator}"
@@ -276,7 +292,9 @@ def render(
         cost = render_to_file(
             source, out, settings, pruned=pruned, preview=shown, fresh=fresh, advance=advance
         )
-    if pruned is not None:
+    if unchanged is not None:
+        print(changing_nothing(source, unchanged))
+    elif pruned is not None:
         print(summary(pruned.certificate))
     print(f"Radiance: {out}")
     if shown is not None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -110,20 +111,31 @@ def _largest(terms: Terms, bands: int) -> np.ndarray:
 
 def _ladder(terms: Terms, bands: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """(kept bands, expand) from one band to all of them, by pivoted QR."""
-    from scipy.linalg import qr
-
     weighted = []
     for g, p in terms:
         weight = g.max(0)
         finite = weight[np.isfinite(weight)]
         weighted.append(p * np.where(np.isfinite(weight), weight, finite.max(initial=1.0))[:, None])
     table = np.concatenate(weighted) if weighted else np.zeros((1, bands))
-    *_, order = qr(table, pivoting=True, mode="r")
+    order = _pivots(table)
     for r in range(1, bands):
         kept = np.sort(order[:r])
         expand, *_ = np.linalg.lstsq(table[:, kept], table, rcond=None)
         expand[:, kept] = np.eye(r)
         yield kept, expand.T
+
+
+def _pivots(table: np.ndarray) -> np.ndarray:
+    """The columns in the order of pivoted QR: each the farthest from the span of those before. By
+    NumPy, for `scipy.linalg` takes longer to load than all bounds of a scene."""
+    rest, order = table.astype(float), []
+    for _ in range(table.shape[1]):
+        size = (rest**2).sum(0)
+        size[order] = -1
+        order.append(int(size.argmax()))
+        way = rest[:, order[-1]] / max(np.sqrt(size.max()), 1e-300)
+        rest = rest - np.outer(way, way @ rest)
+    return np.array(order)
 
 
 def _step(bands: int, kept: np.ndarray, expand: np.ndarray, residual: np.ndarray) -> Row:
@@ -149,7 +161,7 @@ def with_bands(scene: Scene, kept: np.ndarray, bands: int) -> Scene:
     def cut(spectrum: Array | None) -> Array | None:
         if spectrum is None or spectrum.shape[-1] != bands:
             return spectrum
-        return spectrum[..., kept]
+        return jnp.asarray(np.asarray(spectrum)[..., kept])  # indexing by JAX would compile
 
     def cut_material(material: Any) -> Any:
         names = {"ambient", "specular", *material.spectra, *material.neutral_spectra}

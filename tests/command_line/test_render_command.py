@@ -19,7 +19,7 @@ from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 from jaxvision.files.scenes import read_scene
 from jaxvision.files.scenes.schema import overridden
-from jaxvision.render_command import job
+from jaxvision.render_command import job, pruning
 from jaxvision.render_command.tiles import PartialImage, PartialSum
 from jaxvision.rendering import PixelSamples, render
 
@@ -631,3 +631,57 @@ def test_too_little_time_to_choose_still_makes_a_picture(tmp_path):
     assert "within 0.001 s; allow more time to measure." in error
     assert "Rendered with the scene's own settings." in error
     assert (tmp_path / "o.exr").exists()
+
+
+def far_balls(count):
+    """Balls beside the view, in a file's words."""
+    turns = np.linspace(0.3, 0.7, count) * 2 * np.pi
+    return "".join(
+        f'[[surface]]\nshape = "sphere"\ncentre = [{99 * np.sin(t):.6g}, {99 * np.cos(t) - 200:.6g}'
+        ', 0]\nradius = 1\nmaterial = "grey"\n'
+        for t in turns
+    )
+
+
+def test_what_changes_nothing_is_left_out_unless_all_is_to_be_kept(tmp_path, monkeypatch):
+    floor = (
+        '[[surface]]\nshape = "quad"\ncorner = [-2, -2, -1]\nedge_u = [4, 0, 0]\n'
+        'edge_v = [0, 4, 0]\nmaterial = "grey"\n'
+    )
+    (tmp_path / "scene.toml").write_text(SCENE + floor + far_balls(8))
+    command = tmp_path / "scene.toml", "--no-preview", "--out"
+    assert "Left out" not in run(*command, tmp_path / "less.exr")[1]  # too small to look
+    monkeypatch.setattr(pruning, "_looking", lambda scene: 0.0)
+    status, said, _ = run(*command, tmp_path / "less.exr")
+    assert status == 0
+    assert "Left out what changes nothing: surfaces[2]" in said
+    assert "and 5 more (--keep-all keeps it)." in said
+    _, said, _ = run(*command, tmp_path / "all.exr", "--keep-all")
+    assert "Left out" not in said
+    less, whole = (read_image(tmp_path / name) for name in ("less.exr", "all.exr"))
+    np.testing.assert_allclose(less, whole, rtol=1e-6)  # to rounding: one band serves for three
+    assert "surfaces[9]" in head(tmp_path / "less.exr")[1]["jaxvision:certificate"]
+    with monkeypatch.context() as patch:
+        stop_after(patch, 2)
+        run(*command, tmp_path / "rest.exr")
+    assert run(*command, tmp_path / "rest.exr")[0] == 0
+    np.testing.assert_array_equal(less, read_image(tmp_path / "rest.exr"))
+    # paths draw their emitters at random, so nothing is left out of them
+    text = (SCENE + floor + far_balls(8)).replace("tile = 100", 'integrator = "path"\nsamples = 1')
+    (tmp_path / "path.toml").write_text(text)
+    _, said, _ = run(tmp_path / "path.toml", "--no-preview", "--out", tmp_path / "path.exr")
+    assert "Left out" not in said
+    excluded = run(*command, tmp_path / "less.exr", "--keep-all", "--tolerance", "1%")
+    assert "--keep-all and --tolerance exclude each other" in excluded[2]
+
+
+@pytest.mark.slow
+def test_workers_leave_out_what_changes_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(pruning, "_looking", lambda scene: 0.0)
+    (tmp_path / "scene.toml").write_text(SCENE + far_balls(8))
+    command = tmp_path / "scene.toml", "--no-preview", "--out"
+    assert "Left out" in run(*command, tmp_path / "here.exr")[1]
+    assert "Left out" in run(*command, tmp_path / "there.exr", "--workers", 2)[1]
+    np.testing.assert_array_equal(
+        *(read_image(tmp_path / name) for name in ("here.exr", "there.exr"))
+    )
