@@ -150,7 +150,7 @@ def settings(
 
     Raises:
         InputError: unless exactly one of tolerance and time is given, above 0, and where no setting
-            meets it.
+            meets it; `deadlines.TooLittleTime` where the measurement ran out of time before.
     """
     goal = tolerance if render_seconds is None else render_seconds
     if goal is None or (tolerance is not None and render_seconds is not None) or not goal > 0:
@@ -173,7 +173,9 @@ def settings(
     if pruned is not None and pruned.certificate.dropped:
         problem = None
     left, _ = left_of(scene_file, own, pruned)
-    remains = max(until - now(), LEAST)
+    remains = until - now()
+    if remains < LEAST:
+        raise _too_little(scene_file, seconds)
     names = tuple(name for name in knobs_of(left, own) if name not in APART)
     problem, curves = measured(
         left,
@@ -196,11 +198,15 @@ def settings(
             f"allow more than {render_seconds:g} s, or render with the settings of the scene."
         )
     if not any(np.isfinite(trial.error) for curve in curves for trial in curve.trials):
-        raise TooLittleTime(
-            f"{scene_file.path}: no error was measured within {seconds:.3g} s; allow more time to "
-            "measure."
+        raise _too_little(scene_file, seconds)
+    try:
+        best, checked = settled(
+            problem, curves, wanted, allowed, seconds=until - now(), clock=clock
         )
-    best, checked = settled(problem, curves, wanted, allowed, seconds=until - now(), clock=clock)
+    except InputError as error:
+        if any(one.stopped.startswith("out of time") for one in curves):
+            raise TooLittleTime(str(error)) from error
+        raise
     known = {
         "settings": dict(best.settings),
         "promised": best.error + gone,
@@ -213,6 +219,13 @@ def settings(
     if cache:
         _write(file, known)
     return replace(_chosen(scene_file, known, pruned), curves=curves)
+
+
+def _too_little(scene_file: SceneFile, seconds: float) -> TooLittleTime:
+    return TooLittleTime(
+        f"{scene_file.path}: no error was measured within {seconds:.3g} s; allow more time to "
+        "measure."
+    )
 
 
 def _compiling(
