@@ -42,15 +42,16 @@ class Converter:
     """The grid on which the numbers of a camera lie.
 
     Attributes:
-        step: q, DN between neighbouring codes; 0 where the numbers lie on no grid.
-        origin: DN of a code; all others are whole steps from it.
+        step: q, DN between neighbouring codes; 0 where the values lie on no grid.
+        origin: DN of one code; every other code lies a whole number of steps from it.
         even: whether all steps are equal.
-        missing: share of the codes between used ones that do not occur, for their step.
-        imbalance: by what share even codes occur more (or less) often than odd ones, half of their
-            difference; 0 where it is within chance.
-        clips_at: largest number, DN, where pixels pile up at it; None elsewhere.
-        coarse_from: DN from which steps are `coarse_step`; None where all steps are alike.
-        coarse_step: DN.
+        missing: share of the codes that do not occur between the smallest and the largest code,
+            given the step.
+        imbalance: half the relative difference between the counts of even and odd codes; 0 where
+            chance explains it.
+        clips_at: largest value, DN, where many pixels have exactly that value; None elsewhere.
+        coarse_from: DN above which the step is `coarse_step`; None where all steps are equal.
+        coarse_step: DN between neighbouring codes above `coarse_from`.
     """
 
     step: float = 1.0

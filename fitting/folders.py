@@ -75,14 +75,15 @@ def noise(
 
     Args:
         path: folder of a rig, or the CSV.
-        step: shows what is done.
-        draws: how it samples.
+        step: function that reports progress.
+        draws: settings of the sampler.
         bits: of a CSV's camera.
-        channel: site of a mosaic, or tap; "" for all of them, one after the other.
-        release: of EMVA 1288; "4.0" adds its sheet, of each site.
+        channel: mosaic site or amplifier tap; "" for all of them, one after the other.
+        release: of EMVA 1288; "4.0" adds the sheet of that release for each site.
 
     Returns:
-        One section, or one a site, or that of the camera and one a setting; no pictures.
+        One section; or one for each site; or one for the camera and one for each setting. Sections
+        have no pictures.
 
     Raises:
         InputError: for what cannot be calibrated.
@@ -189,14 +190,14 @@ def predict(
     Args:
         camera: a file of a sensor or a camera, the folder that a noise calibration wrote, or the
             name of a shipped camera.
-        path: folder of a rig, or a CSV of sums per exposure.
-        step: shows what is done.
+        path: folder of a rig, or a CSV of sums for each exposure.
+        step: function that reports progress.
         bits: of a CSV's camera.
-        channel: site of a mosaic, or tap; "" for all of them, one after the other.
-        light_error: relative standard deviation of the light of a level about what is stated.
+        channel: mosaic site or amplifier tap; "" for all of them, one after the other.
+        light_error: relative standard deviation of the true light of a level about the stated one.
 
     Returns:
-        One section, or one a site; no pictures.
+        One section, or one for each site, without pictures.
 
     Raises:
         InputError: for what cannot be compared.
@@ -344,12 +345,12 @@ def response(
 
     Args:
         path: folder of a rig.
-        step: shows what is done.
-        draws: how it samples.
+        step: function that reports progress.
+        draws: settings of the sampler.
         skipped: called with the name of each channel that could not be calibrated.
 
     Returns:
-        One section, and the merged radiance by the name of its file, relative.
+        One section; and the merged radiance, relative, by the name of its file.
 
     Raises:
         InputError: for what cannot be calibrated.
@@ -382,12 +383,12 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
 
     Args:
         path: folder of a rig.
-        step: shows what is done.
-        draws: how it samples.
-        settings: of `from_images.calibration.calibrate`: model, index and the rest.
+        step: function that reports progress.
+        draws: settings of the sampler.
+        settings: further arguments of `from_images.calibration.calibrate`, such as model and index.
 
     Returns:
-        One section, no pictures.
+        One section, without pictures.
 
     Raises:
         InputError: for what cannot be calibrated.
@@ -418,12 +419,12 @@ def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
 
     Args:
         path: folder of a rig.
-        step: shows what is done.
-        draws: how it samples.
-        settings: of `joint.calibration.calibrate`: model, index, fit_gamma.
+        step: function that reports progress.
+        draws: settings of the sampler.
+        settings: arguments of `joint.calibration.calibrate`: model, index, fit_gamma.
 
     Returns:
-        One section, no pictures.
+        One section, without pictures.
 
     Raises:
         InputError: for what cannot be calibrated.

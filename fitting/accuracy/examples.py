@@ -64,13 +64,13 @@ def example(knob: str) -> Problem:
     """The problem on which a setting is measured when there is no rig.
 
     Args:
-        knob: its name.
+        knob: name of the setting.
 
     Returns:
-        The problem; errors in standard errors, relative to what is reached.
+        The problem. Its errors are in standard errors, relative to the converged result.
 
     Raises:
-        InputError: for a knob without one.
+        InputError: for a setting that has no example.
     """
     if knob not in EXAMPLES:
         raise InputError(f"knob {knob!r} has no example of its own; {nearest(knob, EXAMPLES)}.")

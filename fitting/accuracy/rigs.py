@@ -54,16 +54,16 @@ def problems(
 
     Args:
         rig: from `load_rig`.
-        load: how an image is had by its path, for images in memory.
-        seconds: s, that the calibration which errors are measured by may take for each fit.
+        load: function that reads an image from its path; needed for images in memory.
+        seconds: s, most time that each fit of the reference calibration may take.
 
     Returns:
-        By the name of the fit, its problem and the knobs that turn it. Results are in standard
+        For each fit, by its name, the problem and the settings to vary. Results are in standard
         errors.
 
     Raises:
-        InputError: for a rig that holds no fit, and one that cannot be calibrated, or not in that
-            time.
+        InputError: for a rig that holds no fit, and for one that cannot be calibrated, or not
+            within that time.
     """
     fits, now = fits_of(rig), time.perf_counter
     until = now() + seconds * len(fits)
@@ -117,16 +117,16 @@ def measured(
 
     Args:
         problem: from `problems`.
-        known: its knobs.
-        names: of those to turn; None: all.
-        seconds: s, for all.
-        clock: seconds as a function; None: the machine's.
+        known: its settings.
+        names: of the settings to vary; None for all.
+        seconds: s, for all settings together.
+        clock: function that returns seconds; None for the machine's clock.
 
     Returns:
         The curves; errors in standard errors.
 
     Raises:
-        InputError: for a knob that the fit has not.
+        InputError: for a setting that the fit does not have.
     """
 
     def measure(name: str, share: float) -> Curve:

@@ -36,10 +36,11 @@ class Efficiency:
 
     Attributes:
         read_noise: e-.
-        fits: that converged.
+        fits: number of fits that converged.
         ratios: (parameters,) the bound over the variance of the estimates, in the order of `NAMES`.
-        whole: the same of all parameters together, by their whitened squares.
-        claimed: (parameters,) mean variance that the fits state, over that of the estimates.
+        whole: the same ratio for all parameters together, from their whitened squared errors.
+        claimed: (parameters,) mean variance that the fits report, over the variance of the
+            estimates.
     """
 
     read_noise: float

@@ -30,14 +30,14 @@ class Coverage:
 
     Attributes:
         name: of the parameter.
-        simulations: fits that gave an interval.
-        held: share that held the truth, at each of `LEVELS`.
-        band: (low, high) of that share by chance, at each level.
-        z_mean: of z.
+        simulations: number of fits that gave an interval.
+        held: share of the intervals that contain the true value, at each of `LEVELS`.
+        band: (low, high) range of that share by chance alone, at each level.
+        z_mean: mean of z.
         z_sd: standard deviation of z; 1 if errors are right, larger if they are too small.
         departure: largest distance of the ranks' distribution from the diagonal.
-        allowed: of it, by chance.
-        faults: what lies outside its band, in words.
+        allowed: largest departure that chance explains.
+        faults: sentences on every figure outside its band.
     """
 
     name: str

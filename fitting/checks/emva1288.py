@@ -32,7 +32,8 @@ class Camera:
     Attributes:
         offsets: electrons.
         gains: relative.
-        degrees: of Student's t, that the pixels' have; infinite for Gaussian ones.
+        degrees: degrees of freedom of Student's t, from which the pixels' offsets and gains are
+            drawn; infinite for a Gaussian.
     """
 
     offsets: tuple[float, float, float] = (1.5, 2.0, 3.0)

@@ -23,7 +23,7 @@ class Lab:
     """The simulated laboratory.
 
     Attributes:
-        sphere: with its lights and their errors, which the fit is told.
+        sphere: with its lights and their errors, which are stated to the fit.
         gamma: of the encoding; 1 for a linear camera, whose gamma is known.
     """
 

@@ -29,7 +29,7 @@ class Camera:
         brightest: photons per pixel of the brightest level.
         light_sd: relative error of each level's light.
         prnu: relative error of each pixel's gain.
-        levels: of light, and darks.
+        levels: number of light levels, each with a dark level.
         bits: of the codes.
         row_noise: electrons rms that the pixels of a row share, new in every frame.
         banding: electrons rms that the pixels of a column share, the same in every frame.
@@ -92,7 +92,7 @@ def measured(camera: Camera, seed: int) -> PhotonTransfer:
         seed: of every draw.
 
     Returns:
-        Their statistics.
+        The statistics of the simulated levels.
     """
     rng = np.random.default_rng(seed)
     photons = np.linspace(0.01, 1, camera.levels) * camera.brightest

@@ -92,21 +92,23 @@ def check(
     truth, because the search is not tested.
 
     Args:
-        problem: whose data are replaced by simulated ones.
-        simulations: how many; a share of 95 % of 200 is known to 1.5 %.
+        problem: its data are replaced by simulated data.
+        simulations: their number; 200 give a share of 95 % to within 1.5 %.
         truth: natural values by name, the same in every simulation; needed where a parameter has
             neither prior nor bounds.
         posterior: as `fit` takes it.
-        kept: a file in which fits are kept, so that the same call goes on from there, also with
-            more simulations; None for none.
+        kept: a file that stores the fits; the same call continues from it, also with more
+            simulations. None stores nothing.
         seed: of the truths, the data and the fits.
 
     Returns:
-        Coverage of 50, 68 and 95 % intervals, mean and standard deviation of z, and ranks.
+        Coverage of 50, 68 and 95 % intervals, mean and standard deviation of z, and ranks of the
+        true values.
 
     Raises:
-        InputError: for parameters without priors where no truth is given, unusable numbers, and
-            kept fits of another problem or seed; where no fit gives an interval, with the reason.
+        InputError: for parameters without priors where no truth is given, for unusable numbers, for
+            stored fits of another problem or seed, and where no fit gives an interval, with the
+            reason.
 
     Example:
         >>> import fitting

@@ -30,8 +30,8 @@ class Sphere:
     """A simulated sphere with Phong's shading as the truth.
 
     Attributes:
-        lights: how many.
-        truth: k_d, k_s, n.
+        lights: number of lights.
+        truth: true k_d, k_s and n.
         light_sd: relative error of each light's intensity.
         direction_sd: rad, error of each light's direction along both axes across it.
         stray_sd: stray light on all pixels, relative to the irradiance; stated to the fit.

@@ -32,16 +32,16 @@ class Stack:
 
     Attributes:
         times: exposures, s.
-        encode: linear values in 0..1 to codes over full scale.
-        decode: the inverse.
-        gamma: of `encode`; None where it is no power.
+        encode: function from linear values in 0..1 to codes over full scale.
+        decode: the inverse function.
+        gamma: of `encode`; None where it is no power law.
         shutter_sd: relative error of each exposure.
         black: DN.
-        black_sd: DN, error of the black level, which the fit is told.
-        stated: whether the fit is told of `shutter_sd`.
+        black_sd: DN, error of the black level, which is stated to the fit.
+        stated: whether `shutter_sd` is stated to the fit.
         quality: of JPEG files; None for files without loss.
-        hand: pixels by which a picture is shifted at most, along each axis; moving leaves too
-            where it is not 0.
+        hand: largest shift of an image along each axis by a hand-held camera, pixels; where it is
+            not 0, leaves in the scene move too.
     """
 
     times: tuple[float, ...] = EIGHT

@@ -35,9 +35,9 @@ class Comparison:
     """An estimate and its true value.
 
     Attributes:
-        kind: of its section.
+        kind: of the section that has the estimate.
         estimate: from the files.
-        truth: in the same unit.
+        truth: true value, in the same unit.
     """
 
     kind: str

@@ -112,12 +112,12 @@ def simulate_lab(folder: Path, *, seed: int = 0, progress: Progress | None = Non
     """Write `noise`, `response` and `brdf`, each a rig with its images.
 
     Args:
-        folder: above the three.
+        folder: in which the three rigs' folders are made.
         seed: of the camera's die and of every frame.
         progress: called with (images written, all images).
 
     Returns:
-        What they were made with.
+        The true values behind the files.
     """
     truth = Truth()
     bench = _Bench(_sensor(truth), *jax.random.split(jax.random.key(seed)))

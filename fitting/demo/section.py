@@ -42,8 +42,8 @@ def against_truth(sections: Iterable[Section], truth: Truth) -> Section:
     """The demo's summary: every known truth next to its estimate.
 
     Args:
-        sections: of the calibrations of `simulate_lab`'s files.
-        truth: that it returned.
+        sections: of the calibrations of the files of `simulate_lab`.
+        truth: the true values that it returned.
 
     Returns:
         A section with a table and a picture, `forest`.

@@ -27,7 +27,7 @@ class Bands:
     """A quantity derived from the parameters, with its uncertainty.
 
     Attributes:
-        mean: of the draws, in the unit of the thing.
+        mean: of the draws, in the unit of the quantity.
         sd: their standard deviation.
         interval_68: (2, ...) lower and upper end.
         interval_95: (2, ...).

@@ -48,7 +48,8 @@ class Share:
     Attributes:
         source: in words.
         share: of the variance; all of them sum to 1.
-        sd: standard deviation that it alone would leave, in the unit of the target.
+        sd: standard deviation of the target if this source were the only one, in the unit of the
+            target.
     """
 
     source: str
@@ -62,9 +63,9 @@ class Budget:
 
     Attributes:
         target: in words.
-        value: at the best fit, in its unit.
+        value: of the target at the best fit, in its unit.
         sd: its standard deviation.
-        shares: of its variance.
+        shares: of its variance, by source.
 
     Example:
         >>> import jaxvision as jv
@@ -89,10 +90,10 @@ class Budget:
             source: its name.
 
         Returns:
-            Of the variance.
+            The share of the variance that this source contributes.
 
         Raises:
-            InputError: for a source that is none.
+            InputError: for an unknown source.
         """
         known = {share.source: share.share for share in self.shares}
         if source not in known:

@@ -44,19 +44,20 @@ def called_for(
     its standard deviations.
 
     Args:
-        problem: one `Scene` and one `Camera` among its records, which `predict` shows as they are;
-            each parameter that leads into them with bounds or a prior.
-        tolerance: standard deviations of the noise of all data together, as the sensor has it in
-            the dark, by which their law may move.
-        samples, depth: of what `predict` renders, as in `jaxvision.effects.inspect`.
+        problem: has one `Scene` and one `Camera` among its records, and `predict` must render them
+            unchanged. Each parameter whose path leads into them has bounds or a prior.
+        tolerance: largest change of the expected data, in standard deviations of the noise of all
+            data together, as the sensor has it in the dark.
+        samples, depth: of the images that `predict` renders, as in `jaxvision.effects.inspect`.
 
     Returns:
-        The problem of what is left, its certificate in `left_out`. What is free, fixed or tied by a
-        path stays, and lights keep their numbers up to the last that a path names.
+        The problem with the reduced records; its certificate is in `left_out`. Parameters that are
+        free, fixed or tied by a path are kept, and lights keep their indices up to the last index
+        in a path.
 
     Raises:
         InputError: for records without a scene and a camera, for a parameter without an end, and
-            where simulated data tell the two problems apart: then `predict` shows something else.
+            where simulated data of the two problems differ: then `predict` renders something else.
 
     Example:
         >>> import jaxvision as jv

@@ -37,15 +37,16 @@ class FitMap:
     Attributes:
         estimate: (..., *map) best fit of each parameter by name, in its unit; NaN where there is
             none.
-        sd: standard errors, likewise.
+        sd: standard errors, of the same shape.
         interval_68: (2, ..., *map) lower and upper ends.
-        interval_95: likewise.
-        chi_square: (*map) of the pixel's data; of the label's, where pixels share a label.
+        interval_95: of the same shape.
+        chi_square: (*map) of the pixel's data; where pixels share a label, of all data of that
+            label.
         dof: (*map) degrees of freedom.
-        state: (*map) place in `fitting.fits.map.STATES`: 0 where a fit converged and describes its
-            data.
+        state: (*map) index into `fitting.fits.map.STATES`; 0 where a fit converged and describes
+            its data.
         units: of each parameter.
-        findings: how many pixels failed, and why, in sentences.
+        findings: sentences on how many pixels failed, and why.
         fits: by label, where pixels share one.
 
     Example:
@@ -81,9 +82,10 @@ class FitMap:
         """All maps as one data set.
 
         Returns:
-            An `xarray.Dataset`: of a parameter `gain` the variables `gain`, `gain_sd`,
-            `gain_interval_68` and `gain_interval_95` (dimension `end`: low, high); `chi_square`,
-            `dof` and `state`. The last two dimensions are `y` and `x` of a map of two.
+            An `xarray.Dataset`. For a parameter `gain` it has the variables `gain`, `gain_sd`,
+            `gain_interval_68` and `gain_interval_95` (dimension `end`: low, high). It also has
+            `chi_square`, `dof` and `state`. The last two dimensions are `y` and `x` of a
+            two-dimensional map.
         """
         import xarray
 

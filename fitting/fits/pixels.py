@@ -47,19 +47,19 @@ def fit_map(
     finite, the maps are NaN, and the findings count it.
 
     Args:
-        problem: of one pixel, with data such as one datum an image. Its data and inputs give the
+        problem: of one pixel, for example with one datum per image. Its data and inputs give the
             shapes.
         data: (..., *map) the data of every pixel, with the axes of the problem first: (images,
-            height, width) for a problem with one datum an image. It may be a memory-mapped file.
+            height, width) for a problem with one datum per image. It may be a memory-mapped file.
             NaN marks missing, saturated or masked data.
-        inputs: of every pixel, in the problem's structure. A leaf of the problem's shape followed
-            by the shape of the map is divided with it; any other leaf is used for all pixels.
-            None takes the problem's for all.
-        labels: (*map) whole numbers: pixels of one label share one set of parameters (a material);
-            negative ones are left out. None fits every pixel by itself.
-        starts: searches of each, spread over bounds and priors.
+        inputs: of every pixel, in the problem's structure. A leaf whose shape is that of the
+            problem followed by that of the map differs between pixels; any other leaf is used for
+            all pixels. None takes the problem's inputs for all pixels.
+        labels: (*map) whole numbers. Pixels of one label (a material) share one set of parameters;
+            pixels with a negative label are left out. None fits every pixel by itself.
+        starts: number of searches for each pixel, spread over bounds and priors.
         misfit: as `fit` takes it.
-        chunk: pixels fitted at a time.
+        chunk: number of pixels fitted at a time.
         seed: of the starts.
 
     Returns:

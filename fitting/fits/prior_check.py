@@ -42,8 +42,8 @@ class Conflict:
     """A prior that the data contradict.
 
     Attributes:
-        words: the sentence.
-        saved: what chi-square would fall by without that prior.
+        words: the sentence for the report.
+        saved: decrease of chi-square if that prior were removed.
     """
 
     words: str
@@ -114,8 +114,8 @@ def _joint_conflict(
     words = (
         f"The prior of {listed(list(joint.names))}, from an earlier fit, differs from what the "
         f"data alone say by a chi-square of {square:.4g} for {len(along)} "
-        f"degree{'s' * (len(along) > 1)} of freedom: one of them is wrong, or less certain than it "
-        "claims."
+        f"degree{'s' * (len(along) > 1)} of freedom: one of them is wrong, or its error is too "
+        "small."
     )
     saved = square - float(np.sum(np.linalg.solve(root, z) ** 2))  # less what the prior costs
     return square**0.5, Conflict(words, saved)

@@ -41,17 +41,17 @@ class Fit:
     """A fitted problem. Print it, or show it in a notebook.
 
     Attributes:
-        problem: that was fitted.
+        problem: the problem that was fitted.
         optimum: the mode of the unconstrained values, and where the searches ended.
         posterior: draws.
         misfit: chi-square and the correlation of neighbouring residuals.
-        residuals: standardised, of the data's shape (of the sample's, of data in chunks); NaN
+        residuals: standardised, of the data's shape; of data in chunks, those of a sample. NaN
             where a datum is missing.
         failures: why the fit did not converge, in sentences; empty if it did.
-        findings: what else a reader should know.
-        noise: factor by which a misfit has widened the noise of the data; 1 for none.
+        findings: further sentences for the reader.
+        noise: factor by which the noise of the data was widened because of a misfit; 1 for none.
         settings: of the fit, for its report.
-        choices: whether each candidate stayed, and by what evidence.
+        choices: whether each candidate was kept, and the evidence.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -107,13 +107,13 @@ class Fit:
         """A record with the best-fit values, such as a camera.
 
         Args:
-            name: of the record, as the problem has it.
+            name: of the record in the problem.
 
         Returns:
             The record.
 
         Raises:
-            InputError: for a name that is none.
+            InputError: for an unknown name.
         """
         return self._record_of(name, jnp.asarray(self.posterior.mode))
 
@@ -124,14 +124,14 @@ class Fit:
         `jaxvision.write_camera(fit.record("camera"), file, draws=fit.records("camera"))` stores it.
 
         Args:
-            name: of the record, as the problem has it.
-            draws: how many.
+            name: of the record in the problem.
+            draws: number of draws.
 
         Returns:
             The record; every number has the shape (draws, ...).
 
         Raises:
-            InputError: for a name that is none.
+            InputError: for an unknown name.
         """
         thinned = jnp.asarray(thinned_draws(self.posterior, draws))
         return eqx.filter_vmap(lambda natural: self._record_of(name, natural))(thinned)
@@ -201,15 +201,15 @@ class Fit:
         """A function of the parameters, with intervals from the draws.
 
         Args:
-            function: any JAX function to one array; its arguments are named as those of `predict`,
-                and `**given` are all parameters (paths too) and records by name.
-            draws: how many.
+            function: any JAX function that returns one array. Its arguments have the names of those
+                of `predict`; `**given` receives all parameters (paths too) and records by name.
+            draws: number of draws.
 
         Returns:
-            Mean, standard deviation and intervals, in the unit of what it returns.
+            Mean, standard deviation and intervals, in the unit of the returned array.
 
         Raises:
-            InputError: for a function that asks for something unknown or returns no array.
+            InputError: for a function with an unknown argument, and for one that returns no array.
 
         Example:
             >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -230,13 +230,13 @@ class Fit:
         """Predicted data, with the uncertainty of the parameters and the noise.
 
         Args:
-            inputs: in place of the problem's own, arrays; None for the data that were fitted.
-            draws: how many; the ends of 95 % intervals need many.
+            inputs: arrays that replace the problem's own; None for the data that were fitted.
+            draws: number of draws; the ends of 95 % intervals need many.
 
         Returns:
             Mean and bands, in the unit of the data. A new datum lies within `interval_95` in 95 of
-            100 cases; noise that a misfit has widened is that wide, and an error that the groups of
-            `Clustered` share is left out.
+            100 cases. Where a misfit has widened the noise, the widened noise is used. An error
+            that the groups of `Clustered` share is not included.
         """
         thinned = jnp.asarray(thinned_draws(self.posterior, draws))
         keys = jax.random.split(jax.random.key(self.posterior.seed), len(thinned))
@@ -252,16 +252,16 @@ class Fit:
         quantity.
 
         Args:
-            candidates: inputs of each by name, as `predict` takes them.
-            target: what is to be known better: a free number by its name or the last part of its
-                path, or a JAX function to one number.
-            repeats: how often each would be measured.
+            candidates: inputs of each candidate by its name, as `predict` takes them.
+            target: the quantity whose error shall decrease: a free number by its name or the last
+                part of its path, or a JAX function that returns one number.
+            repeats: number of times that each candidate would be measured.
 
         Returns:
-            Expected standard deviation of the target after each, the smallest first.
+            Expected standard deviation of the target after each candidate, the smallest first.
 
         Raises:
-            InputError: for inputs that predict cannot use, and a target that is none.
+            InputError: for inputs that `predict` cannot use, and for an unknown target.
 
         Example:
             >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -289,13 +289,13 @@ class Fit:
         """The sources of the uncertainty of a quantity.
 
         Args:
-            target: a free number by its name or the last part of its path, or a JAX function to
-                one number.
+            target: a free number by its name or the last part of its path, or a JAX function that
+                returns one number.
             noise: variance of a datum by source, in the square of the data's unit: a number, an
-                array of the data's shape, or a function of the prediction; None takes those of the
-                sensor of `SensorNoise`, or all noise as one source.
-            nuisances: names of parameters whose priors count as one source, by its name
-                ({"lights": [...]}); every other parameter with a prior is a source of its own.
+                array of the data's shape, or a function of the prediction. None takes the sources
+                of the sensor of `SensorNoise`; for any other likelihood all noise is one source.
+            nuisances: names of parameters whose priors count together as one source ({"lights":
+                [...]}); every other parameter with a prior is a source of its own.
 
         Returns:
             Shares of the variance, which sum to 1.

@@ -93,38 +93,39 @@ def fit(
 
     Args:
         problem: parameters, model, likelihood and data.
-        start: natural values by name, in their units, for a single search; None for `starts`
+        start: natural values by name, in their units, for a single search; None runs `starts`
             searches.
-        starts: searches spread over bounds and priors, of which the best is kept; up to four times
-            as many where no other ends where the best one does. If none does then, the fit fails.
-            A width of noise to be fitted grows until a wrong optimum passes for noise: then four
-            must end there, of up to eight times as many, and a single search always fails.
-        solver: the method of the searches, any least-squares solver or minimiser of optimistix
-            (`optimistix.Dogleg(rtol=1e-8, atol=1e-8)`); a least-squares solver needs a likelihood
-            of least squares. None takes Levenberg and Marquardt's method for such a likelihood and
-            Newton's for any other.
-        posterior: `Laplace()`, a Gaussian about the mode of the unconstrained values, or draws by
-            importance sampling where the posterior is not as Gaussian as that; or draws from the
-            exact posterior, by `Emcee(...)`, an ensemble that needs no gradient, or by `Nuts(...)`,
-            whose chains follow the gradient: for many parameters, and where `predict` is smooth
-            (the `nuts` extra); their metric is the covariance of `Laplace`. None for `Laplace()`.
-        misfit: what to do where the data scatter more than the likelihood says: `fail` to converge,
-            or `inflate` the intervals by the square root of chi-square per degree of freedom
-            (Birge's factor), which takes the model for a sufficient approximation. The intervals
-            of `Clustered` are wider by themselves; `inflate` then accepts also a misfit that is
-            more than an offset and a gain of each group.
+        starts: number of searches, spread over bounds and priors; the best one is taken. If no
+            other search ends at the same point, up to four times as many are run; if none does
+            then, the fit fails. A fitted noise width grows until a wrong optimum passes for noise.
+            With one, four of up to eight times as many searches must end at the same point, and a
+            single search always fails.
+        solver: the method of the searches: any least-squares solver or minimiser of optimistix
+            (`optimistix.Dogleg(rtol=1e-8, atol=1e-8)`). A least-squares solver needs a
+            least-squares likelihood. None takes the Levenberg-Marquardt method for such a
+            likelihood and Newton's method for any other.
+        posterior: `Laplace()` is a Gaussian about the mode of the unconstrained values; where the
+            posterior is not Gaussian enough, it draws by importance sampling. `Emcee(...)` and
+            `Nuts(...)` draw from the exact posterior. Emcee is an ensemble sampler and needs no
+            gradient. NUTS (the `nuts` extra) follows the gradient, for many parameters and a smooth
+            `predict`; its metric is the covariance of `Laplace`. None for `Laplace()`.
+        misfit: what to do where the data scatter more than the likelihood states. `fail`: the fit
+            does not converge. `inflate`: the intervals widen by the square root of chi-square per
+            degree of freedom (Birge's factor), which assumes that the model is approximately right.
+            The intervals of `Clustered` widen by themselves; with it, `inflate` also accepts a
+            misfit that is more than an offset and a gain of each group.
         seed: of starts and draws.
-        after: a fit of the same problem and seed whose chains go on, with more steps or draws in
-            `posterior`: they end bit-identical to chains that never stopped.
-        sampling: deprecated: `posterior` takes what it held.
+        after: a fit of the same problem and seed whose chains continue, with more steps or draws in
+            `posterior`. They end bit-identical to uninterrupted chains.
+        sampling: deprecated; use `posterior`.
 
     Returns:
         The fit.
 
     Raises:
-        InputError: for what is no problem or no seed, a start that names no parameter, a model that
-            is finite nowhere, data that leave a direction open, chains to go on from that are
-            others, and NUTS without blackjax.
+        InputError: for an argument that is no problem or no seed, a start with unknown names, a
+            model that is finite nowhere, data that leave a direction of the parameters
+            undetermined, chains in `after` of another problem, and NUTS without blackjax.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit

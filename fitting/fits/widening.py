@@ -38,9 +38,9 @@ class Widening:
     Attributes:
         covariance: (P, P) on the unconstrained scale.
         freedom: (P,) degrees of freedom of its variances; None where they are known.
-        noise: factor on the width of the noise that it stands for; 1 for none.
-        words: why, in sentences.
-        explained: whether a misfit is allowed for.
+        noise: equivalent factor on the width of the noise; 1 for none.
+        words: the reason, in sentences.
+        explained: whether the widening accounts for a misfit.
     """
 
     covariance: Float[np.ndarray, "parameters parameters"]
@@ -86,11 +86,11 @@ def widening(
     factor = checks.chi_square / max(checks.dof, 1)
     prior = optimum.curvature - optimum.data_information
     words = [
-        f"Chi-square per degree of freedom is {factor:.4g}; what the data say is widened by "
-        f"{np.sqrt(factor):.3g}, as if their noise were that much larger."
+        f"Chi-square per degree of freedom is {factor:.4g}; the errors from the data are "
+        f"multiplied by {np.sqrt(factor):.3g}, as if their noise were that much larger."
     ]
     if with_noise_scaled(problem.likelihood, 1.0) is None:
-        words.append("Bands of new data keep the noise as stated.")
+        words.append("Bands of new data use the stated noise.")
     widened = np.linalg.inv(optimum.data_information / factor + prior)
     return Widening(widened, None, float(np.sqrt(factor)), tuple(words), True)
 
@@ -130,7 +130,7 @@ def _of_groups(
         lost += 2 * (labels.max() + 1)
     beyond = judge(left, lost)
     if shared:
-        sentences.append("Bands of new data leave out the error that a group shares.")
+        sentences.append("Bands of new data do not include the error that a group shares.")
         if beyond.faults:
             sentences.append(
                 "An offset and a gain of each group explain only part of the misfit: chi-square "
@@ -145,13 +145,14 @@ def _in_words(robust: Robustness, optimum: Optimum, groups: int) -> str:
     """The finding on the misfit in the groups' residuals, and the factor on the intervals."""
     if np.isnan(robust.by_light):
         return (
-            "Too few groups to see errors that they share: intervals are those of independent data."
+            "There are too few groups to estimate errors that they share: intervals are those of "
+            "independent data."
         )
     shown = (
-        f"Residuals share errors within the {groups} groups; intervals allow for them"
+        f"Residuals share errors within the {groups} groups; intervals include them"
         if robust.design_effect > 1
-        else f"The residuals of the {groups} groups differ by no more than chance; intervals allow "
-        "for shared errors all the same"
+        else f"The residuals of the {groups} groups do not differ significantly; intervals include "
+        "shared errors nevertheless"
     )
     ratios = np.diagonal(robust.covariance) / np.diagonal(np.linalg.inv(optimum.curvature))
     times = " to ".join(dict.fromkeys(f"{ratio:.3g}" for ratio in (ratios.min(), ratios.max())))

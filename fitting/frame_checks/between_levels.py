@@ -49,7 +49,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
         mean = float(np.median([frame.mean for frame in frames]))
         reason = (
             f"the mean is {mean:.5g} DN, {levels.black[there[place]]:.5g} DN without light, where "
-            f"the other levels tell a signal of {told[place]:.3g} DN, as where the lamp was off or "
+            f"the other levels predict a signal of {told[place]:.3g} DN, as if the lamp was off or "
             "the shutter closed"
         )
         levels.remove(there[place], range(len(frames)), reason)
@@ -66,22 +66,22 @@ def light_of_levels(levels: ComparedLevels) -> None:
             with_it = levels.frames[there[other]]
             names = tuple(frame.name for frame in (*frames, *with_it))
             reason = (
-                f"the signals of {frames[0].name} and {with_it[0].name} fit the other levels where "
+                f"the signals of {frames[0].name} and {with_it[0].name} fit the other levels if "
                 "their light is exchanged"
             )
             levels.odd.append(Odd(names, reason))
             levels.frames[there[place]] = levels.frames[there[other]] = []
             continue
         usual = signal[place] / light[place] / _beside(signal / light, place)
-        reason = f"the signal is {usual:.3g} times what the levels beside it tell for its light"
+        reason = f"the signal is {usual:.3g} times what its neighbouring levels predict"
         top = float(np.mean([frame.at_top for frame in frames]))
         if top > MOSTLY:
             reason = f"{format_percent(top)} of the pixels are saturated, and {reason}"
         step, least = _step(frames), _step([f for i in there for f in levels.frames[i]])
         if step > least:
             reason += (
-                f"; its numbers are multiples of {step}, those of other levels are not, as where "
-                "they are multiplied or left-aligned (the upper bits of a wider number)"
+                f"; its values are multiples of {step}, those of other levels are not, as if they "
+                "were multiplied or left-aligned (the upper bits of a wider number)"
             )
         levels.remove(there[place], range(len(frames)), reason)
     _stated_wrongly(levels)
@@ -116,8 +116,8 @@ def _stated_wrongly(levels: ComparedLevels) -> None:
         frames = levels.frames[there[worst]]
         factor = rates[worst] / max(rates[worst] - away[worst], 1e-9)
         reason = (
-            f"the signal is {factor:.3g} times what a curve through the other levels tells for its "
-            "light, so that its exposure time (or its light) is not the stated one"
+            f"the signal is {factor:.3g} times what a curve through the other levels predicts, "
+            "so its exposure time (or its light) is not the stated one"
         )
         levels.remove(there[worst], range(len(frames)), reason)
 
@@ -204,8 +204,8 @@ def distribution_of_levels(levels: ComparedLevels) -> None:
             return
         frames = levels.frames[there[worst]]
         reason = (
-            f"light is distributed over the frame unlike at all other levels, by "
-            f"{100 * size[worst]:.2g} % rms, as with a shadow or something before the sensor"
+            f"the distribution of light over the frame differs from all other levels by "
+            f"{100 * size[worst]:.2g} % rms, as with a shadow or something in front of the sensor"
         )
         levels.remove(there[worst], range(len(frames)), reason)
 
@@ -224,13 +224,13 @@ def noise_of_levels(levels: ComparedLevels) -> None:
     sizes = np.array([levels.frames[i][0].sample.size for i in there])
     for place in _peaks(np.log(rates[:count]), np.log(OTHER_NOISE), np.sqrt(2 / sizes)):
         ratio = rates[place] / _beside(rates, place)
-        less = "copies, averaged or smoothed frames do"
-        more = "frames do that moved, or that were taken at another gain"
+        less = "with copies, averaged or smoothed frames"
+        more = "if the camera moved or its gain changed"
         levels.remove(
             there[place],
             range(len(levels.frames[there[place]])),
-            f"they differ from each other by {ratio:.2g} times the variance that the levels "
-            f"beside them tell for their signal, as {less if ratio < 1 else more}",
+            f"the variance of their difference is {ratio:.2g} times that of neighbouring levels "
+            f"at the same signal, as {less if ratio < 1 else more}",
         )
 
 

@@ -37,7 +37,7 @@ def odd_exposures(
 def blank_images(frames: Sequence[Shown]) -> list[Odd]:
     """Images that are saturated or have a single code throughout."""
     return [
-        Odd((frame.name,), f"every pixel is {state}, which tells nothing of a scene")
+        Odd((frame.name,), f"every pixel is {state}, so it does not show the scene")
         for frame in frames
         for state in ["saturated" if frame.at_top > BLANK else f"{frame.mean:.4g} DN"]
         if frame.at_top > BLANK or np.ptp(frame.sample) == 0
@@ -85,8 +85,8 @@ def _of_another_scene(
     best = {i: float(np.nanmax(alike[i])) for i in known}
     usual = float(np.median(list(best.values())))
     return {
-        i: f"its pixels are ordered as in no other image (rank correlation {best[i]:.2f} at best, "
-        f"{usual:.2f} among the others), as those of another scene or view are"
+        i: "the brightness order of its pixels matches no other image (rank correlation "
+        f"{best[i]:.2f} at best, {usual:.2f} among the others), as with another scene or view"
         for i in known
         if best[i] < UNLIKE < LIKE < usual
     }
@@ -110,7 +110,7 @@ def _out_of_order(
     out = list(exchanged[0]) if len(exchanged) == 1 else alone[:1]
     out = out or sorted({i for pair in wrong for i in pair})
     told = " and ".join(f"{frames[j].name} is darker than {frames[i].name}" for i, j in wrong[:2])
-    why = f"{told}, though the exposure that is stated is longer"
+    why = f"{told}, although the stated exposure is longer"
     return dict.fromkeys(
         out, f"{why}; check the order of the times, and that no image is a negative"
     )

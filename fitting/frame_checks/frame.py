@@ -10,8 +10,8 @@ from jaxtyping import Float
 from jaxvision.errors import InputError
 
 SIDE = 128  # pixels of a frame that are kept, along each side
-ALONE = "it is the only frame that is left of its level"
-COPIED = "{} are equal in every pixel, so that one of them at most was taken as stated"
+ALONE = "it is the only remaining frame of its level"
+COPIED = "{} are equal in every pixel, so at most one of them was taken as stated"
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Shown:
 
     Attributes:
         name: of the frame.
-        mean: DN.
+        mean: of the frame, DN.
         at_top: share of the pixels at or above the clip level.
         at_bottom: share of the pixels at 0.
         sample: (rows, columns) DN of evenly spread pixels.
@@ -39,8 +39,8 @@ class Odd:
 
     Attributes:
         names: of the frames, at least one.
-        reason: a clause.
-        spare: whether the frames are as good as those that are left, and only do not go with them.
+        reason: why they differ from the others, a clause.
+        spare: whether the frames are good in themselves and only belong to another set.
     """
 
     names: tuple[str, ...]
@@ -76,6 +76,6 @@ def refuse_half(where: str | Path, odd: Sequence[Odd], count: int) -> None:
     if 2 * sum(len(one.names) for one in wrong) >= count > 0:
         first = wrong[0]
         raise InputError(
-            f"{where}: half of its {count} frames or more do not belong with the others "
-            f"({listed(first.names)}: {first.reason}); decide which belong and take the others out."
+            f"{where}: at least half of its {count} frames do not match the others "
+            f"({listed(first.names)}: {first.reason}). Keep those that belong, remove the others."
         )

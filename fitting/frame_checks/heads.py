@@ -23,7 +23,7 @@ class Stated:
 
     Attributes:
         name: of the frame.
-        path: where it lies.
+        path: of its file.
         exposure: s; 0 where the rig states none.
         group: of frames that see the same light through the same lens.
     """
@@ -46,7 +46,9 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], l
     usual = float(np.median(list(warmth.values()))) if warmth else 0.0
     for name, kelvin in warmth.items():
         if abs(kelvin - usual) > WARMER:
-            odd.setdefault(name, f"its head says {kelvin:.4g} K, those of the others {usual:.4g} K")
+            odd.setdefault(
+                name, f"its metadata say {kelvin:.4g} K, those of the others {usual:.4g} K"
+            )
     mistimed, remarks = _mistimed(frames, said)
     found = [Odd((name,), reason) for name, reason in (mistimed | odd).items()]
     return found, remarks
@@ -97,13 +99,13 @@ def _minority(
         return {}
     if 2 * votes[first] <= len(values):
         raise InputError(
-            f"{where}: the head of {first} says {in_words(values[first])}, that of {others[0]} "
-            f"{in_words(values[others[0]])}; keep frames that were taken alike, or state in the "
-            "rig what differs."
+            f"{where}: the metadata of {first} say {in_words(values[first])}, those of {others[0]} "
+            f"{in_words(values[others[0]])}. Keep frames of equal settings, or state the settings "
+            "in the rig."
         )
     usual = in_words(values[first])
     return {
-        name: f"its head says {in_words(values[name])}, those of the others {usual}"
+        name: f"its metadata say {in_words(values[name])}, those of the others {usual}"
         for name in others
     }
 
@@ -122,14 +124,13 @@ def _mistimed(
 
     def told(name: str) -> str:
         stated, head = by_name[name].exposure, said[name].exposure
-        return f"its head says an exposure of {head:.4g} s, the rig {stated:.4g} s"
+        return f"its metadata say an exposure of {head:.4g} s, the rig {stated:.4g} s"
 
     if 2 * len(off) >= len(ratios):
         return {}, [f"{off[0]}: {told(off[0])}, and others differ too; the rig's times are used."]
     remarks = []
     if abs(usual - 1) > ROUNDED:
         remarks.append(
-            f"The heads of the files say exposures {usual:.4g} times those of the rig, which are "
-            "used."
+            f"The exposures in the metadata are {usual:.4g} times those of the rig, which are used."
         )
     return {name: told(name) for name in off}, remarks

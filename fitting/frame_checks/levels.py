@@ -161,7 +161,7 @@ def _take(
     """Remove frames that differ, or the whole level if they cannot be identified."""
     frames = levels.frames[level]
     if far is None:
-        parted = f"{in_words(frames[:1], frames[1:])}, and which of them belongs cannot be told"
+        parted = f"{in_words(frames[:1], frames[1:])}, and it is unknown which of them is right"
         levels.remove(level, range(len(frames)), parted)
     elif far.any():
         for i in np.flatnonzero(far):
@@ -208,7 +208,7 @@ def _unevenness(levels: ComparedLevels) -> None:
 
 
 def _unevenness_in_words(odd: list[Shown], rest: list[Shown]) -> str:
-    return "it shows another distribution of light over the frame than its level does"
+    return "its distribution of light over the frame differs from that of its level"
 
 
 def _noise(levels: ComparedLevels) -> None:
@@ -237,8 +237,8 @@ def _noise_in_words(
     def in_words(odd: list[Shown], rest: list[Shown]) -> str:
         ratio = by_name[odd[0].name]
         return (
-            f"it differs from the middle of its level by {ratio:.2g} times the variance of the "
-            "others, as an averaged, smoothed or moved frame does"
+            f"the variance of its difference from the median of its level is {ratio:.2g} times "
+            "that of the others, as with an averaged, smoothed or moved frame"
         )
 
     return in_words

@@ -101,17 +101,18 @@ def _leave_out(
         example = example or listed([frames[i].name for i in kept])
         gone[pair] += [frames[i].name for i in places]
         levels.frames[level] = [frame for i, frame in enumerate(frames) if i not in set(places)]
-    cause = "as where the camera or something before it moved"
+    cause = "as if the camera or something in front of it moved"
     if gone[True]:
         reason = (
-            "the two of a level differ by a pattern that is the same at other levels and grows "
-            f"with the light, {cause} in between"
+            "the two frames of a level differ by a pattern that is the same at other levels and "
+            f"grows with the light, {cause} in between"
         )
         levels.odd.append(Odd(tuple(gone[True]), reason))
     if gone[False]:
         ends = " to ".join(f"{ratio:.2g}" for ratio in (np.nanmin(ratios), np.nanmax(ratios)))
         reason = (
-            f"the others of a level agree with each other, as {example} do, and differ from these "
-            f"by {ends} times that variance, by a pattern that is the same at other levels, {cause}"
+            f"the other frames of a level agree with each other, as {example} do, but differ from "
+            f"these by {ends} times that variance, in a pattern that is the same at other levels, "
+            f"{cause}"
         )
         levels.odd.append(Odd(tuple(gone[False]), reason, spare=True))

@@ -32,16 +32,17 @@ class Candidate:
     """A term of a model that a fit keeps only if the data support it.
 
     Attributes:
-        parameter: of the term, one number or an array that stays or goes as a whole.
-        absent: its value where the term is absent, in its unit; a limit, such as infinity, will do.
-        chance: probability that a term stays which is absent; 1 leaves the choice to BIC alone.
-        requires: names of candidates without which the term makes no sense, a first order beside
-            the second; they stay as long as it does.
-        side: where the value of a term that is present lies, `above` or `below` the absent one; on
-            the other side it is no evidence.
+        parameter: of the term: one number, or an array that is kept or left out as a whole.
+        absent: value of the parameter without the term, in its unit; may be a limit such as
+            infinity.
+        chance: probability that a term which is absent is kept; 1 leaves the choice to BIC alone.
+        requires: names of candidates without which the term makes no sense, as a second order
+            requires the first; they are kept while it is.
+        side: `above` or `below`: on which side of the absent value a present term lies. A value on
+            the other side is no evidence for the term.
 
     Raises:
-        InputError: for what is no parameter, and a chance that is none.
+        InputError: for an argument that is no parameter, and for an invalid probability.
 
     Example:
         The bend of a line that is straight is left out.
@@ -90,10 +91,10 @@ class Choice:
 
     Attributes:
         name: of the candidate.
-        kept: whether it stayed.
+        kept: whether the term is in the fitted model.
         ratio: distance of its estimate from the absent value, in standard errors.
-        needed: the ratio from which it stays.
-        absent: the value where it is absent, in its unit.
+        needed: smallest ratio with which the term is kept.
+        absent: value without the term, in its unit.
 
     Example:
         >>> from fitting import Choice

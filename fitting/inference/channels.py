@@ -31,11 +31,12 @@ def by_channel(
 
     Args:
         problem: of one channel; its own data give the shape.
-        data: (..., channels) the shape of the problem's data first; NaN where a datum is missing.
+        data: (..., channels), of the shape of the problem's data and one trailing axis; NaN where a
+            datum is missing.
         shared: names of the parameters that have one value for all channels.
-        inputs: with the structure of the problem's own. A leaf with that shape and a trailing axis
-            of channels differs between channels; any other leaf is used for all. None takes the
-            problem's.
+        inputs: with the structure of the problem's own. A leaf with the problem's shape and a
+            trailing axis of channels differs between channels; any other leaf is used for all. None
+            takes the problem's.
 
     Returns:
         The problem, for `fit`.

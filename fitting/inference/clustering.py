@@ -43,12 +43,13 @@ class Robustness:
     """Covariance of a fit, and the correlation of its residuals within clusters.
 
     Attributes:
-        covariance: (parameters, parameters); sandwich, or the inverse information where too few
-            lights are there to judge.
-        freedom: (parameters,) degrees of freedom of each variance; infinite where it counts as
-            known.
-        effects: design effect within each level's clusters as measured; NaN where they are too few.
-        design_effect: of the covariance; 1 where all are within chance.
+        covariance: (parameters, parameters) the sandwich estimate; the inverse information where
+            there are too few lights for it.
+        freedom: (parameters,) degrees of freedom of each variance; infinite where the variance
+            counts as known.
+        effects: measured design effect of the clusters of each level; NaN where there are too few
+            clusters.
+        design_effect: of the covariance; 1 where chance explains all effects.
     """
 
     covariance: Float[np.ndarray, "parameters parameters"]
@@ -90,7 +91,7 @@ class _Clustering:
         widening: (clusters, P, P) B_g.
         variance: (P, P) V.
         unclustered: (P, P) the same with every sample its own cluster.
-        effect: of V, over what independent residuals of the same size give.
+        effect: V over the variance with independent residuals of the same size.
     """
 
     shares: Float[np.ndarray, "clusters parameters parameters"]
@@ -117,10 +118,10 @@ def cluster_robust(
     Args:
         scores: (parameters, samples), gradient of each sample's log likelihood.
         information: (parameters, parameters), as if all samples were independent.
-        levels: (samples,) cluster of each sample, by level; None is left out.
-        slopes: (parameters, samples), gradient of each sample's prediction in its standard
-            deviations, whose outer products sum to the information; None takes the scores', which
-            do so on average.
+        levels: (samples,) cluster of each sample, by level; None leaves a level out.
+        slopes: (parameters, samples), gradient of each sample's prediction over its standard
+            deviation; their outer products sum to the information. None takes the scores, which do
+            so on average.
         prior: (parameters, parameters), the part of the information that comes from priors.
 
     Returns:

@@ -29,7 +29,7 @@ class Candidate:
     Attributes:
         name: of the candidate.
         sd: expected standard deviation of the target after it, in its unit.
-        fall: share of the target's variance that it takes away, 0 to 1.
+        fall: relative decrease of the target's variance, 0 to 1.
         gain: expected information about all parameters, nats.
     """
 
@@ -47,7 +47,7 @@ class Plan:
         target: in words.
         value: of the target at the best fit, in its unit.
         sd: its standard deviation now.
-        candidates: ranked.
+        candidates: the best first.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit

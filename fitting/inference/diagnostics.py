@@ -30,8 +30,8 @@ class Identifiability:
 
     Attributes:
         inflation: (parameters,) sqrt(VIF), infinite where undetermined.
-        determined: whether every direction is.
-        sentences: the same in words; empty when there is nothing to worry about.
+        determined: whether the data determine every direction of the parameters.
+        sentences: the same for a report; empty where all is well determined.
     """
 
     inflation: Float[np.ndarray, " parameters"]
@@ -96,9 +96,9 @@ def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:
 
 def _undetermined(labels: tuple[str, ...], direction: np.ndarray) -> str:
     return (
-        f"The data cannot tell {listed(_partners(labels, direction))} apart: a change in one is "
-        "undone by the others, to within rounding. Fix one of them, or add measurements that "
-        "separate them. Where the inputs lie far from 0, as dates in seconds do, subtract a "
+        f"The data cannot distinguish {listed(_partners(labels, direction))}: the others can "
+        "compensate a change in one, to within rounding. Fix one of them, or add measurements "
+        "that separate them. If the inputs are far from 0, such as dates in seconds, subtract a "
         "constant from them."
     )
 
@@ -113,7 +113,7 @@ def _confused(
     known = f" to {100 * relative[most]:.2g} %," if np.isfinite(relative[most]) else ""
     return (
         f"{labels[most]} is known{known} {inflation[most]:.0f} times less well than it would be if "
-        f"{listed(others or ['the others'])} were known: the data largely confuse them.",
+        f"{listed(others or ['the others'])} were known: the data can hardly distinguish them.",
     )
 
 

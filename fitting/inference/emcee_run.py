@@ -39,7 +39,7 @@ class Unbounded(InputError):
     """A chain that diverged.
 
     Attributes:
-        parameter: name of the one along which it went furthest.
+        parameter: name of the parameter that moved furthest.
     """
 
     def __init__(self, parameter: str) -> None:
@@ -55,14 +55,15 @@ class Emcee:
     """Draws by emcee's ensemble, which needs no gradient.
 
     Attributes:
-        walkers: how many at least, even and at least 4; with P parameters 2 P + 2 are taken where
-            that is more.
-        steps: ceiling; sampling stops once the chain holds enough autocorrelation times.
-        block: steps between two checkpoints, at most `steps`.
-        checkpoint: folder of the blocks, None to keep them in memory.
-        progress: called with (steps done, ceiling) after each block.
-        gives_up: whether to stop at a quarter of the ceiling where a chain that is long enough
-            would pass it by far.
+        walkers: smallest number of walkers, even and at least 4; P parameters take at least 2 P +
+            2.
+        steps: largest number of steps; sampling stops earlier once the chain spans enough
+            autocorrelation times.
+        block: number of steps between two checkpoints, at most `steps`.
+        checkpoint: folder for the blocks; None keeps them in memory.
+        progress: called with (steps done, largest number) after each block.
+        gives_up: whether to stop at a quarter of `steps` where the chain would need far more than
+            `steps`.
 
     Raises:
         InputError: for unusable numbers.
@@ -101,12 +102,12 @@ class SamplingOptions(Emcee):
     """Deprecated: use `Emcee`, which has the same fields.
 
     Attributes:
-        walkers: how many at least.
-        steps: ceiling.
-        block: steps between two checkpoints.
-        checkpoint: folder of the blocks, or None.
-        progress: called with (steps done, ceiling).
-        gives_up: whether to stop early where a chain would take far longer.
+        walkers: smallest number of walkers.
+        steps: largest number of steps.
+        block: number of steps between two checkpoints.
+        checkpoint: folder for the blocks; None keeps them in memory.
+        progress: called with (steps done, largest number).
+        gives_up: whether to stop early where a chain would need far more steps.
 
     Example:
         >>> from fitting import Emcee
@@ -148,9 +149,10 @@ class Chain:
         log_density: (draws, walkers).
         tau: (parameters,) autocorrelation times in steps; infinite where a walker never moved.
         acceptance: share of accepted proposals.
-        steps: all that were taken, burn-in included.
-        missing_steps: about how many more the chain needs; 0 where it is long enough.
-        blocks: all of it, from which a longer run goes on.
+        steps: number of all steps, burn-in included.
+        missing_steps: estimated number of further steps that the chain needs; 0 where it is long
+            enough.
+        blocks: the whole chain, from which a longer run continues.
     """
 
     vectors: Float[np.ndarray, "draws walkers parameters"]

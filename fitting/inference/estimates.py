@@ -36,12 +36,12 @@ class Estimate:
         name: of the quantity, a word.
         symbol: its letter, with a subscript behind `_`.
         unit: of the value; "1" for none.
-        value: None where the input cannot determine it.
+        value: None where the data cannot determine it.
         standard_error: in the same unit.
         interval_68: (low, high).
         interval_95: (low, high).
-        method: separates the ways of estimating one quantity.
-        group: separates equal names (a colour channel, say).
+        method: distinguishes several estimates of one quantity.
+        group: distinguishes equal names, for example by colour channel.
         reason: why there is no value.
 
     Example:

@@ -61,14 +61,15 @@ def laplace_where_it_holds(
         space: the P parameters.
         mode: (P,) unconstrained.
         covariance: (P, P) on the unconstrained scale.
-        args: data of `log_density`.
+        args: second argument of `log_density`, such as the data.
         seed: of every draw.
         freedom: (P,) degrees of freedom of the variances; None where they are known.
-        wider: (P, P), the covariance that `log_density` has where `freedom` is given; None for
-            `covariance`.
-        missed: (P,), as `gaussian_miss` gives it, where the caller knows more; None for that.
-        by_chain: whether to run emcee where proposals do not settle; else the posterior is
-            Laplace's, with the parameter that it misses named.
+        wider: (P, P), the covariance that belongs to `log_density` where `freedom` is given; None
+            for `covariance`.
+        missed: (P,), as `gaussian_miss` returns it, where the caller has a better estimate; None
+            calls it.
+        by_chain: whether to run emcee where importance sampling fails. Otherwise the posterior is
+            Laplace's, and names the parameter that it describes badly.
 
     Returns:
         The posterior.
@@ -182,8 +183,8 @@ class _Proposed:
 
     Attributes:
         vectors: (n, P) unconstrained.
-        scaled: (n, P) on the scale on which each number is at home.
-        log_proposal: (n,) ln of their density, infinite for those outside of the bounds.
+        scaled: (n, P) each on its own scale (identity or logarithm).
+        log_proposal: (n,) ln of their proposal density, infinite for those outside the bounds.
     """
 
     vectors: np.ndarray

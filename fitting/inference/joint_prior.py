@@ -58,7 +58,7 @@ class Marginal:
         centre: unconstrained.
         sd: scale on the unconstrained scale.
         freedom: degrees of freedom of Student's t; infinite for a Gaussian.
-        number: the scale on which it was estimated: its transform and bounds.
+        number: its transform and bounds, which make the scale on which it was estimated.
     """
 
     centre: float
@@ -123,13 +123,14 @@ class JointPrior(eqx.Module):
     `Fit.as_prior` and `as_prior` make one; `Problem(..., prior=...)` takes it.
 
     Attributes:
-        names: of the parameters that it is for.
+        names: of its parameters.
         shapes: of each; () for a number.
         marginals: of each number of each parameter, arrays in row-major order.
-        correlation: (numbers, numbers) on the scale on which each is N(0, 1).
-        coupling: (numbers, numbers), 1 less its inverse; None until a problem takes it.
-        required: names that a problem must have as free parameters.
-        words: what a reader of the new fit should know, in sentences.
+        correlation: (numbers, numbers) after each number is transformed to N(0, 1).
+        coupling: (numbers, numbers), 1 less the inverse correlation; None until a problem uses the
+            prior.
+        required: names that must be free parameters of the problem.
+        words: sentences for the findings of the new fit.
 
     Example:
         >>> from fitting import as_prior
@@ -225,7 +226,7 @@ def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
 
     Args:
         draws: by name, of an array or of a record such as a `Sensor`, each number with a leading
-            axis of draws, as `jaxvision.read_sensor("sensor.toml", draws=500)` gives it. The
+            axis of draws, as `jaxvision.read_sensor("sensor.toml", draws=500)` returns it. The
             numbers of a record are named by their paths, "sensor.gain".
         names: a name, a pattern such as "sensor.*", several of them, or new names by old ones.
 
@@ -233,8 +234,8 @@ def as_prior(draws: Mapping[str, Any], names: Selection) -> JointPrior:
         What `Problem(..., prior=...)` takes.
 
     Raises:
-        InputError: for a name that matches no number that varies, for as many numbers as draws, and
-            for draws that are not Gaussian.
+        InputError: for a name that matches no varying number, for at least as many numbers as
+            draws, and for draws that are not Gaussian.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, as_prior, fit

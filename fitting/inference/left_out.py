@@ -28,9 +28,10 @@ class LeftOut:
     """An error that a likelihood omits.
 
     Attributes:
-        name: of the error, as the rig or the model calls it.
-        size: as the rig states it, in its unit; None where the data tell it.
-        bound: by which it moves the law of the data at most, standard deviations of their noise.
+        name: of the error, in the rig or the model.
+        size: as the rig states it, in its unit; None where it is estimated from the data.
+        bound: largest change of the expected data that the error causes, in standard deviations of
+            their noise.
     """
 
     name: str

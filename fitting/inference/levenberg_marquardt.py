@@ -29,9 +29,9 @@ class Falls(optx.ClassicalTrustRegion):
     constants.
 
     Attributes:
-        nothing: fall in cost that means nothing; 0 for one of the last digit of the cost. A step
-            that promises no more is taken even if the cost rises by as much, and is the last one,
-            or the last but few where the damping made it small.
+        nothing: decrease in cost that is negligible; 0 for one of the last digit of the cost. A
+            step with a smaller promised decrease is taken even if the cost rises by as much. It is
+            the last step, or one of the last few where the damping made it small.
     """
 
     nothing: float = 0.0

@@ -117,10 +117,10 @@ class StudentT(eqx.Module):
     Attributes:
         scale: in the unit of the data; the standard deviation is sqrt(dof / (dof - 2)) times that:
             a number, an array of the data's shape, or the name of a parameter.
-        dof: degrees of freedom: 1 has the heaviest tails, 4 is common, 30 is nearly Gaussian. Of
-            data with ends it is a number.
-        low: data at or below are clipped there, as in `Censored`; None for no such end.
-        high: data at or above are clipped there; None for no such end.
+        dof: degrees of freedom: 1 has the heaviest tails, 4 is common, 30 is nearly Gaussian. For
+            clipped data it must be a number.
+        low: data at or below it are clipped, as in `Censored`; None for no lower end.
+        high: data at or above it are clipped; None for no upper end.
 
     Source:
         Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989; with ends Arellano-Valle, Castro,
@@ -218,8 +218,8 @@ class Censored(eqx.Module):
     Attributes:
         sd: standard deviation of the signal, in the unit of the data: a number, an array of the
             data's shape, or the name of a parameter.
-        low: data at or below are clipped there; None for no such end.
-        high: data at or above are clipped there; None for no such end.
+        low: data at or below it are clipped; None for no lower end.
+        high: data at or above it are clipped; None for no upper end.
 
     Source:
         Tobin, Econometrica 26, 1958.
@@ -292,9 +292,9 @@ class Clustered(eqx.Module):
     whose form is unknown.
 
     Attributes:
-        likelihood: of each datum by itself.
-        labels: (data) whole numbers, the group of each datum (its image, say); or several levels
-            of groups by name, such as {"frame": ..., "row": ..., "column": ...}, crossed or nested.
+        likelihood: of each datum, without groups.
+        labels: (data) whole numbers, the group of each datum (its image, say). Or several levels of
+            groups by name, such as {"frame": ..., "row": ..., "column": ...}, crossed or nested.
             The first level always widens the intervals, however few groups it has. Another level
             does so only if its residuals show shared errors.
 

@@ -24,15 +24,15 @@ class Misfit:
     """The results of both tests on the residuals of a fit.
 
     Attributes:
-        chi_square: sum of their squares.
-        dof: data less what the parameters take up.
-        p: chance of a larger chi-square; NaN with less than one degree of freedom, unless it is
-            below `CHANCE` for one.
-        correlation: of neighbours along each axis.
-        significance: the same in its own standard deviations.
+        chi_square: sum of squared residuals.
+        dof: number of data less the effective number of parameters.
+        p: probability of a larger chi-square. NaN with less than one degree of freedom, unless it
+            is below `CHANCE` for one.
+        correlation: of neighbouring residuals along each axis.
+        significance: of the correlation, in its standard deviations.
         faults: sentences, empty when the model describes the data.
         remarks: sentences about residuals that are too small.
-        count: data that are not missing.
+        count: number of data that are not missing.
     """
 
     chi_square: float
@@ -99,13 +99,13 @@ def judge_sums(totals: Float[np.ndarray, " sums"], parameters: float) -> Misfit:
                 f"{chi_square / dof:.4g}; the intervals are too wide if the noise was overrated."
             )
     else:
-        remarks.append("As many parameters as data: nothing is left to test the model by.")
+        remarks.append("There are as many parameters as data, so the fit cannot test the model.")
     pairs = [_correlation(*four) for four in totals[2:].reshape(-1, 4)]
     limit = float(-ndtri(CHANCE / max(len(pairs), 1)))
     for axis, (correlation, significance) in enumerate(pairs):
         if significance > limit and chi_square > FAINT * dof:
             faults.append(
-                f"Residuals of neighbours along axis {axis} move together (correlation "
+                f"Residuals of neighbours along axis {axis} are correlated (correlation "
                 f"{correlation:.2f}, {significance:.0f} standard deviations): the model misses "
                 "structure in the data."
             )

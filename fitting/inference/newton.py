@@ -33,13 +33,13 @@ class NewtonSolution(eqx.Module):
 
     Attributes:
         vector: (parameters,).
-        beyond: (parameters,) where one more undamped step leads, at which nothing was evaluated.
+        beyond: (parameters,) end of one more undamped step, where nothing was evaluated.
         cost: the objective at `vector`.
-        information: (parameters, parameters), the Hessian there.
-        lowest: eigenvalue of the information scaled to unit diagonal.
-        decrement: fall in cost that one more Newton step promises; half a squared standard
-            deviation is 0.5.
-        steps: evaluations.
+        information: (parameters, parameters), the Hessian at `vector`.
+        lowest: smallest eigenvalue of the information scaled to unit diagonal.
+        decrement: decrease in cost that one more Newton step promises; 0.5 is half a squared
+            standard deviation.
+        steps: number of evaluations.
         converged: whether `decrement` is within the tolerance and the Hessian positive definite.
     """
 

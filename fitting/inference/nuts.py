@@ -44,12 +44,12 @@ class Nuts:
     """Draws by the No-U-Turn sampler, whose chains follow the gradient (the `nuts` extra).
 
     Attributes:
-        draws: of each chain, at least 10, after a warm-up of 300 steps.
-        chains: how many, independent of each other and advanced together.
-        acceptance: mean acceptance to which the warm-up adapts the step, between 0 and 1. Where
-            trajectories diverge, more of it takes smaller steps around the bends of the posterior.
-        block: draws between two checkpoints.
-        checkpoint: folder of the blocks, None to keep them in memory.
+        draws: number of draws of each chain, at least 10, after a warm-up of 300 steps.
+        chains: number of independent chains, which are advanced together.
+        acceptance: mean acceptance to which the warm-up adapts the step size, between 0 and 1.
+            Raise it where trajectories diverge: steps become smaller.
+        block: number of draws between two checkpoints.
+        checkpoint: folder for the blocks; None keeps them in memory.
         progress: called with (steps done, steps in all) after each block.
 
     Raises:
@@ -82,11 +82,11 @@ class NutsOptions(Nuts):
     """Deprecated: use `Nuts`, which has the same fields.
 
     Attributes:
-        draws: of each chain.
-        chains: how many.
-        acceptance: mean acceptance that the warm-up aims at.
-        block: draws between two checkpoints.
-        checkpoint: folder of the blocks, or None.
+        draws: number of draws of each chain.
+        chains: number of chains.
+        acceptance: mean acceptance to which the warm-up adapts the step size.
+        block: number of draws between two checkpoints.
+        checkpoint: folder for the blocks; None keeps them in memory.
         progress: called with (steps done, steps in all).
 
     Example:

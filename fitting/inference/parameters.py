@@ -60,26 +60,28 @@ class Parameter(eqx.Module):
 
     Attributes:
         name: a word; a `Problem` takes it from its dictionary.
-        symbol: its letter, with a subscript behind `_`; the last part of the name by default.
+        symbol: its letter, with a subscript after `_`; the last part of the name by default.
         unit: of the value; "1" for none.
-        transform: the scale on which it is searched, is flat without a prior, and has Gaussian
-            errors: `identity` (its own) or `log` (its logarithm; the value is positive).
-        lower: bound of the value, in its unit; for an array one for all or a tuple, one each.
-        upper: the other bound.
+        transform: scale of the search: `identity` or `log` (positive values). On this scale the
+            density is flat without a prior, and errors are Gaussian.
+        lower: lower bound, in the unit of the value; for an array one for all, or a tuple with one
+            each.
+        upper: upper bound, likewise.
         prior: density of each value in its own unit (`Normal`, `LogNormal`, ...); for an array one
-            for all or a tuple, one each; None for flat.
-        shape: of the value; None for that of its start, () if there is none.
-        start: where a search begins, in its unit; None leaves it to the bounds or the prior.
-        linear: whether the prediction is linear in it, as in an amplitude or a background. Under a
-            likelihood of least squares (a Gaussian of known width) or one that begins with it
-            (Student's t of known scale, `SensorNoise`), the search finds it in closed form at each
-            value of the other parameters, so that it needs neither start nor bounds and is no
-            dimension of the search. It is free, or at least 0 (`lower=0`).
+            for all, or a tuple with one each; None for flat.
+        shape: of the value; None takes that of `start`, or () without one.
+        start: value where a search begins, in its unit; None derives it from the bounds or the
+            prior.
+        linear: whether the prediction is linear in the parameter, as in an amplitude or a
+            background. The search then solves for it in closed form at each value of the other
+            parameters. It needs neither start nor bounds and adds no dimension to the search. This
+            needs a likelihood of least squares (a Gaussian of known width) or one that starts from
+            one (Student's t of known scale, `SensorNoise`). The only allowed bound is `lower=0`.
 
     Raises:
-        InputError: for bounds that are not ascending or leave nothing to a prior, for a start that
-            is not finite or outside them, and for a linear parameter on a logarithmic scale or with
-            other bounds.
+        InputError: for bounds that are not ascending or leave no mass of the prior, for a start
+            that is not finite or outside the bounds, and for a linear parameter on a logarithmic
+            scale or with other bounds.
 
     Example:
         >>> from fitting import Normal, Parameter

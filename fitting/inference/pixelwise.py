@@ -42,15 +42,15 @@ class Ends(eqx.Module):
 
     Attributes:
         vector: (problems, P) the modes, unconstrained.
-        slope: (problems, P) d natural / d unconstrained, each of its own.
+        slope: (problems, P) d natural / d unconstrained of each value.
         data_information: (problems, P, P) curvature of the data's part of the cost.
-        prior_information: (problems, P, P) of the prior's.
+        prior_information: (problems, P, P) curvature of the prior's part.
         stationary: (problems,) whether the search ended at a maximum.
-        determined: (problems,) whether the curvature leaves no direction open.
-        finite: (problems,) whether the cost is.
-        agreeing: (problems,) searches that ended as deep.
+        determined: (problems,) whether the curvature is positive along every direction.
+        finite: (problems,) whether the cost is finite.
+        agreeing: (problems,) number of searches that ended at the lowest cost.
         chi_square: (problems,) sum of squared residuals.
-        count: (problems,) data that are not missing.
+        count: (problems,) number of data that are not missing.
     """
 
     vector: Float[Array, "problems parameters"]

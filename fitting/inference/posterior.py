@@ -64,17 +64,17 @@ class Posterior:
         freedom: (P,) degrees of freedom of the variances, where Laplace's intervals are those of
             Student's t; None where the variances count as known.
         log_density: (chains, draws), None for Laplace.
-        tau: (P,) autocorrelation times in steps, None for Laplace; of NUTS, what its effective
-            draws amount to.
+        tau: (P,) autocorrelation times in steps, None for Laplace; for NUTS, the value that gives
+            its effective number of draws.
         acceptance: share of accepted proposals, None for Laplace.
-        steps: of each chain, burn-in included; 0 for Laplace.
-        missing_steps: about how many more the chains need before they can be trusted.
-        r_hat: (P,) split R-hat of independent chains, None but for NUTS.
-        divergences: trajectories that left the surface of equal energy, None but for NUTS.
-        missed: parameter whose posterior is least like Laplace's, where that matters.
-        endless: parameter that the data bound on one side only, as a chain has shown.
-        effective: independent draws that those of importance sampling are worth.
-        blocks: the whole chain, from which a longer run goes on; empty for Laplace.
+        steps: number of steps of each chain, burn-in included; 0 for Laplace.
+        missing_steps: estimated number of further steps that the chains need.
+        r_hat: (P,) split R-hat of independent chains; NUTS only, else None.
+        divergences: number of trajectories whose energy error is too large; NUTS only, else None.
+        missed: parameter that the Gaussian describes worst, where this matters.
+        endless: parameter that the data bound on one side only, as found by a chain.
+        effective: effective number of draws of importance sampling.
+        blocks: the whole chain, from which a longer run continues; empty for Laplace.
     """
 
     space: ParameterSpace

@@ -75,7 +75,7 @@ class LogNormal:
 
     Attributes:
         median: in the unit of the parameter, positive.
-        log_sd: standard deviation of ln x: .1 is about 10 %.
+        log_sd: standard deviation of ln x; 0.1 is about 10 %.
 
     Example:
         >>> from fitting import LogNormal
@@ -109,8 +109,8 @@ class Uniform:
     The ends act as bounds of the parameter.
 
     Attributes:
-        lower: end, in the unit of the parameter.
-        upper: the other end.
+        lower: lower end, in the unit of the parameter.
+        upper: upper end.
 
     Example:
         >>> from fitting import Uniform
@@ -145,7 +145,7 @@ class HalfNormal:
     The parameter is bounded below by 0.
 
     Attributes:
-        sd: of the whole Normal, in the unit of the parameter.
+        sd: of the Normal before folding, in the unit of the parameter.
 
     Example:
         >>> from fitting import HalfNormal

@@ -40,7 +40,7 @@ class Tied(eqx.Module):
     """A number that is computed from others.
 
     Attributes:
-        of: from the natural values of parameters and fixed numbers, by name, to the number.
+        of: function of natural values and fixed numbers, by name, that returns the number.
 
     Example:
         >>> from fitting import Tied
@@ -55,24 +55,26 @@ class Problem(eqx.Module):
 
     Attributes:
         free: the parameters, each with its name and shape.
-        fixed: numbers that stay, by name.
-        tied: numbers that others decide, by name.
-        predict: from the values to what the likelihood compares with the data.
-        asks: the names of its arguments.
-        likelihood: how data scatter about the prediction.
+        fixed: constants, by name.
+        tied: numbers that are functions of others, by name.
+        predict: function from the values to the prediction that the likelihood compares with the
+            data.
+        asks: names of the arguments of `predict`.
+        likelihood: distribution of the data about the prediction.
         data: of any shape; 0 where missing.
-        present: which data there are; None if all.
-        stream: where all data come from, of which `data` are then a sample; None if these are all.
-        records: by name, into which paths lead.
-        inputs: what else `predict` is given.
-        space: the free numbers one by one, the order of every vector.
-        prior: what an earlier fit knows of some parameters, with its correlations; or None.
+        present: mask of the data that are not missing; None if all are present.
+        stream: source of all data, of which `data` are a sample; None if `data` are all.
+        records: by name; paths lead into them.
+        inputs: further arguments of `predict`.
+        space: all free numbers in the order of every vector.
+        prior: joint prior from an earlier fit, with its correlations; or None.
         candidates: terms that a fit may leave out.
-        start: from the data to natural values by name, from which a search begins; None for none.
-        left_out: what `called_for` has left out of the records, or None.
+        start: function from the data to natural values by name, where a search begins; None for
+            none.
+        left_out: what `called_for` has removed from the records, or None.
 
     Raises:
-        InputError: for a path, an argument of `predict` or a shape that does not fit.
+        InputError: for a path, an argument of `predict` or a shape that does not match.
 
     Example:
         >>> from fitting import Gaussian, Parameter, Problem, fit
@@ -189,9 +191,9 @@ class Problem(eqx.Module):
         """The same problem with other data. If the shapes are equal, its fit compiles nothing.
 
         Args:
-            data: of the prediction's shape; NaN where missing. Of a problem in chunks, as it takes
-                them.
-            inputs: in place of the present ones; None keeps them.
+            data: of the prediction's shape; NaN where missing. For a problem in chunks, in the form
+                that it takes.
+            inputs: that replace the present ones; None keeps them.
 
         Returns:
             The problem.
@@ -203,7 +205,7 @@ class Problem(eqx.Module):
 
         Args:
             records: all of them, by name.
-            left_out: what they no longer hold, as `called_for` says it.
+            left_out: what was removed from them, as `called_for` states it.
 
         Returns:
             The problem.
@@ -220,7 +222,7 @@ class Problem(eqx.Module):
             The problem.
 
         Raises:
-            InputError: for a name that is no candidate, and one that another candidate requires.
+            InputError: for an unknown candidate, and for one that another candidate requires.
         """
         known = {candidate.name: candidate for candidate in self.candidates}
         if name not in known:

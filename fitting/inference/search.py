@@ -89,12 +89,12 @@ class Optimum:
         vector: (P,) the mode, unconstrained.
         cost: negative log posterior density there.
         information: (P, P) curvature of the cost.
-        prior_information: (P, P) the prior's part of it.
-        decrement: fall in cost that one more step promises.
-        stationary: whether that is negligible beside a squared standard deviation.
-        ends: (starts, P) where each search ended, unconstrained.
-        costs: (starts,) there, relative to the lowest.
-        unseen: parameters whose gradient misses part of what they change, and the share, no unit.
+        prior_information: (P, P) curvature of the prior's part of the cost.
+        decrement: decrease in cost that one more step promises.
+        stationary: whether the decrement is negligible, compared with a squared standard deviation.
+        ends: (starts, P) end of each search, unconstrained.
+        costs: (starts,) cost at each end, relative to the lowest.
+        unseen: parameters whose gradient omits part of their effect, and that share, no unit.
     """
 
     vector: Float[np.ndarray, " parameters"]

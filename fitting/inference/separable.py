@@ -48,8 +48,8 @@ class SeparableFit(eqx.Module):
     """The best fit of a separable model.
 
     Attributes:
-        amplitudes: (bands, columns), of the fixed columns, then of the searched one.
-        nonlinear: t, NaN without a searched column.
+        amplitudes: (bands, columns), first of the fixed columns, then of the searched one.
+        nonlinear: t; NaN without a searched column.
         cost: weighted sum of squared residuals over all bands.
     """
 
@@ -235,9 +235,9 @@ class Eliminated(eqx.Module):
     """A problem with its linear numbers eliminated.
 
     Attributes:
-        residuals: (data + K,) of the data, and of the priors of the K linear numbers.
+        residuals: (data + K,) of the data, then of the priors of the K linear numbers.
         natural: (K,) the best values, in their units.
-        precision: (K,) curvature of the cost by each alone.
+        precision: (K,) curvature of the cost along each alone.
     """
 
     residuals: Float[Array, " residuals"]

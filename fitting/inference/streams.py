@@ -33,7 +33,7 @@ class Rows:
 
     Attributes:
         data: (rows, ...).
-        own: (rows, ...) each, those leaves of inputs and likelihood that belong to the rows.
+        own: (rows, ...) each, the leaves of inputs and likelihood that belong to single rows.
     """
 
     data: np.ndarray
@@ -47,14 +47,16 @@ class Stream:
     All streams compare equal: no compiled program reads one, so programs can be shared.
 
     Attributes:
-        data: (rows, ...) array, or the function that yields some rows after others.
-        inputs: as the problem's user gave them.
-        likelihood: likewise.
-        beside: inputs and likelihood, those of the first rows where the function yields them.
-        by_row: of each leaf of these, whether it belongs to the rows; the others hold for all.
-        size: rows of a chunk.
-        count: rows in all, known after the first pass.
-        mark: of all numbers that a function yields, whatever their order; None for an array.
+        data: (rows, ...) array, or a function that yields blocks of rows.
+        inputs: as the user passed them.
+        likelihood: as the user passed it.
+        beside: inputs and likelihood; where a function yields them, those of the first rows.
+        by_row: for each leaf of these, whether it belongs to single rows; other leaves are shared
+            by all rows.
+        size: number of rows of a chunk.
+        count: number of all rows, known after the first pass.
+        mark: checksum of all numbers that a function yields, independent of their order; None for
+            an array.
     """
 
     data: Any = field(repr=False)

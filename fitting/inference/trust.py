@@ -26,9 +26,9 @@ def convergence_in_words(posterior: Posterior) -> str:
     """The reliability of the draws in one sentence; for a short chain, with the missing length."""
     if posterior.endless:
         return (
-            f"The data bound {posterior.endless} on one side only: a chain went on without end. "
-            "Laplace's intervals are about the best fit alone and mislead; take more data, or "
-            "leave out what disturbs these."
+            f"The data bound {posterior.endless} on one side only, and a chain diverged. "
+            "Laplace's intervals describe only the neighbourhood of the best fit and mislead; take "
+            "more data, or remove disturbed ones."
         )
     if posterior.missed and posterior.method == "Laplace":
         return (
@@ -39,8 +39,8 @@ def convergence_in_words(posterior: Posterior) -> str:
     if posterior.missed:
         return (
             f"The posterior of {posterior.missed} is far from a Gaussian, so intervals are "
-            f"quantiles of draws by importance sampling, worth {posterior.effective:.0f} "
-            "independent ones."
+            "quantiles of draws by importance sampling, with an effective number of "
+            f"{posterior.effective:.0f}."
         )
     if posterior.method == "marginal":
         return "Intervals are exact integrals; draws are independent."

@@ -33,13 +33,14 @@ class JointCalibration(ShownInNotebooks):
     """One posterior for each channel, of surface, response and sensor together.
 
     Attributes:
-        observation: what was calibrated.
-        model: of the surface, as asked for.
-        fits: of the channels.
-        posteriors: by channel, where the data with the priors determine every parameter.
-        robust: by channel, the covariance over images; not where the rig names errors of images,
-            and these show no more. Where images disagree, its design effect is above 1.
-        halves: by channel, fits of the halves of images that disagree.
+        observation: the calibrated photographs.
+        model: of the surface.
+        fits: one for each channel.
+        posteriors: by channel, where data and priors determine every parameter.
+        robust: by channel, the covariance that is robust to errors shared within images. Absent
+            where the rig states errors of images and the images show no more than these. Where
+            images disagree, its design effect is above 1.
+        halves: by channel, separate fits of two halves of the images, where images disagree.
     """
 
     observation: Photographs
@@ -76,11 +77,11 @@ def calibrate(
         measurement: images, and flats and darks if there are any.
         model: of the surface.
         index: of refraction, of the clear facets of Torrance-Sparrow.
-        fit_gamma: free the encoding exponent, whatever the rig says of it.
+        fit_gamma: whether the encoding exponent is fitted even where the rig states it.
         sampling: how to draw the posterior by emcee; None for Laplace.
         seed: of every draw.
-        progress: called with how many steps are done, and of how many: in each channel the fit, the
-            fits of halves where its images do not agree, and the posterior.
+        progress: called with (steps done, all steps). In each channel the steps are the fit, the
+            fits of two halves where images disagree, and the posterior.
 
     Returns:
         The calibration.

@@ -75,7 +75,7 @@ def gains_disagree(fit: JointFit, stated: float | None) -> Numbers | None:
         np.asarray(cells.mean)[some], np.asarray(cells.scatter)[some] / freedom[some], freedom[some]
     )
     if levels is not None:
-        source = "flats and darks tell"
+        source = "flats and darks give"
         numbers = (np.asarray(x, float) for x in (levels.mean, levels.variance, levels.freedom))
         other, of_other = _slope(*numbers)
     elif stated is not None:
@@ -196,7 +196,7 @@ def _prior_alone(of: OfChannel) -> Numbers | None:
         return None
     share = np.sqrt(np.diagonal(posterior.covariance)) / prior_gaussian(posterior.space)[1]
     given = [n for n, s in zip(names(posterior.space), share, strict=True) if s > PRIOR_ALONE]
-    frames = " or its flats and darks tell" * (of[0].observation.levels is not None)
+    frames = " or its flats and darks give" * (of[0].observation.levels is not None)
     return {"given": listed(given), "frames": frames} if given else None
 
 
@@ -237,8 +237,8 @@ OF_PREDICTIONS = (
     Finding(
         "no description",
         _no_description,
-        "{channel}: the model does not describe the images: it misses {error} of the signal, where"
-        " more than {most} is no description.",
+        "{channel}: the model does not describe the images: its error is {error} of the signal,"
+        " above the limit of {most}.",
     ),
 )
 GIVEN = (
@@ -255,10 +255,10 @@ GIVEN = (
     Finding(
         "darker than darks",
         lambda c: darker_than_darks(c.observation),
-        "Pixels that face away from the light lie at {median:.1f} DN (median of {count}),"
-        " {below:.1f} DN below the darks ({darks:.1f} DN), although light can only add: the darks"
-        " are of another temperature, exposure or setting, and move the surface's estimates. Leave"
-        " them out, or take darks beside the images.",
+        "Pixels that face away from the light have {median:.1f} DN (median of {count}),"
+        " {below:.1f} DN less than the darks ({darks:.1f} DN), although light can only add. The"
+        " darks have another temperature, exposure or setting, and bias the surface's estimates."
+        " Leave them out, or take darks together with the images.",
     ),
 )
 OF_CHANNEL = (
@@ -266,36 +266,36 @@ OF_CHANNEL = (
     Finding(
         "no highlight",
         lambda of: of[1].form.model != of[0].model,
-        "No highlight is seen: the best fit has a specular amplitude of zero.",
+        "No highlight is detected: the best fit has a specular amplitude of zero.",
     ),
     Finding(
         "misfit",
         _misfit,
-        "The cells scatter more than noise and the errors that the rig names allow (chi-square per"
-        " cell {chi:.2f}); a misfit of {dark} of the signal where it is dark and {bright} where it"
-        " is bright explains them: a surface that is not the model's, an intensity_sd,"
-        " direction_sd, stray_sd or prnu_sd that the rig does not give, or a black level, gain or"
-        " read noise that is not the images'.",
+        "The cells scatter more than noise and the errors that the rig states explain (chi-square"
+        " per cell {chi:.2f}). A misfit of {dark} of the signal in dark pixels and {bright} in"
+        " bright ones would explain it. Causes are a surface that differs from the model, an"
+        " intensity_sd, direction_sd, stray_sd or prnu_sd that the rig does not state, or a wrong"
+        " black level, gain or read noise.",
     ),
     Finding(
         "unequal pixels",
         partial(_unequal, found=True),
-        "The variance of pixels grows with the square of their signal, which neither photons nor"
-        " read-out make: unequal pixels, or a texture, of about {size} ({deviations:.0f} standard"
-        " errors from none). They hide the gain and the read noise; give the rig camera.prnu_sd ="
-        " {prnu:.2g}{remedy}.",
+        "The variance of pixels grows with the square of their signal, unlike shot and read noise:"
+        " PRNU or a texture of about {size} ({deviations:.0f} standard errors above 0). It hides"
+        " the gain and the read noise; give the rig camera.prnu_sd = {prnu:.2g}{remedy}.",
     ),
     Finding(
         "unseen unequal pixels",
         partial(_unequal, found=False),
-        "Unequal pixels of {most}, which these images cannot tell from photons and read-out, would"
-        " move the gain or the read noise by {moved:.1f} standard errors: neither is printed. Give"
-        " the rig camera.prnu_sd (0 if pixels are alike and the surface is smooth){remedy}.",
+        "PRNU of {most}, which these images cannot distinguish from shot and read noise, would"
+        " change the gain or the read noise by {moved:.1f} standard errors: neither is printed."
+        " Give the rig camera.prnu_sd (0 if pixels are equal and the surface is smooth){remedy}.",
     ),
     Finding(
         "gain of scatter",
         _gain_of_scatter,
-        "The gain is read off the scatter of the object's pixels, {why}, and no texture.",
+        "The gain is estimated from the scatter of the object's pixels, {why}; this assumes a"
+        " surface without texture.",
     ),
     Finding(
         "gains disagree",
@@ -304,30 +304,30 @@ OF_CHANNEL = (
             if "gamma" in of[1].values
             else gains_disagree(of[1], of[0].observation.camera.gain)
         ),
-        "The scatter of the object's pixels rises by {own:.3g} DN^2/DN with their signal, where"
-        " {source} a gain of {other:.3g} DN/e-: they are of another gain than the images{also}. Do"
+        "The scatter of the object's pixels implies a gain of {own:.3g} DN/e-, but"
+        " {source} {other:.3g} DN/e-: that gain is not the gain of the images{also}. Do"
         " not use the gain and the read noise.",
     ),
     IDENTIFIABLE,
     Finding(
         "not identifiable",
         lambda of: _posterior(of) is None,
-        "The data and the rig leave a direction open, so there are no intervals.",
+        "The data and the rig do not determine all parameters, so there are no intervals.",
     ),
     Finding(
         "images disagree",
         _disagree,
         "The images do not agree within their noise (their scores are {larger:.1f} times as large"
-        " as independent cells make them): what the model misses goes together within an image. The"
-        " intervals take images, not cells, for independent data: {wider:.1f} times wider in the"
-        " median over the parameters.",
+        " as with independent cells): the misfit of the model is correlated within an image. The"
+        " intervals therefore count images, not cells, as independent data, and are {wider:.1f}"
+        " times wider in the median over the parameters.",
     ),
     Finding(
         "misfit as noise",
         lambda of: _disagree(of) is not None and misses_as_noise(*of),
-        "Gain and read noise are free and take what the model misses for noise, so neither is"
-        " printed. Give the rig camera.gain and camera.read_noise, or flats and darks, to see how"
-        " large the misfit is.",
+        "Gain and read noise are free and absorb the misfit of the model, so neither is"
+        " printed. Give the rig camera.gain and camera.read_noise, or flats and darks, to measure"
+        " the misfit.",
     ),
     Finding(
         "no halves",

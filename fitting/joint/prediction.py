@@ -23,8 +23,8 @@ class PixelPrediction:
 
     Attributes:
         mean: (pixels,) expected DN.
-        deviation: (pixels,) DN, of noise, shared errors and parameters together.
-        usable: (pixels,), which are lit and clear of both ends of the scale.
+        deviation: (pixels,) DN, standard deviation by noise, shared errors and parameters together.
+        usable: (pixels,), which are lit and far enough from both ends of the scale.
     """
 
     mean: Float[np.ndarray, " pixels"]
@@ -44,10 +44,10 @@ def predict(
         measurement: of the fit.
         fit: of one channel.
         covariance: (P, P) of its parameters on the unconstrained scale.
-        light: index, held out or not.
+        light: index of the light, held out or not.
 
     Returns:
-        The prediction; nan for pixels that are not lit.
+        The prediction; NaN for pixels that are not lit.
     """
     observation = measurement
     channel = observation.channels.index(fit.channel)

@@ -98,10 +98,10 @@ def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Do
     return Doubt(
         ("dark_current_mean", "dark_current_variance", "dark_current"),
         "the darks fade from frame to frame in proportion to the flats of their exposure",
-        f"From frame to frame of a level the darks fade, by a share of the signal of its flats "
-        f"({darks[top][0].name} and the next have means of {listed} DN), as the afterglow "
-        "(persistence) of a flat does, or a sensor that cools. That is no dark current, and none "
-        f"is given; signals of the flats are too small by {100 * excess:.2g} % or more. Take the "
+        "The darks of a level fade from frame to frame, in proportion to the signal of its flats "
+        f"({darks[top][0].name} and the next have means of {listed} DN), as with the afterglow "
+        "(persistence) of a flat or a sensor that cools. Dark current is therefore not determined, "
+        f"and the signals of the flats are too small by at least {100 * excess:.2g} %. Take the "
         "darks before the flats, or wait.",
     )
 
@@ -121,9 +121,9 @@ def _averaged(measurement: PhotonTransfer) -> Doubt | None:
     return Doubt(
         of,
         f"the {names} were averaged or corrected, as the findings say",
-        f"The numbers of the {names} are {parts}, those of the {whole} are whole: the {names} were "
-        f"averaged, divided or corrected{averages}, and their noise is not that of a frame. No "
-        f"{lost}, nor what rests on it, is given. Give single {names}.",
+        f"The values of the {names} are {parts}, those of the {whole} are whole: the {names} were "
+        f"averaged, divided or corrected{averages}, and their noise is not that of a frame. The "
+        f"{lost} and the figures that depend on it are not determined. Give single {names}.",
     )
 
 
@@ -169,11 +169,11 @@ def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[Shown]]) ->
     low, high = np.exp(found.low), np.exp(found.high)
     return Doubt(
         ON_GAIN,
-        "the flats tell two gains, as the findings say",
+        "the flats have two gains, as the findings say",
         f"Variance over signal is {low:.3g} DN in the levels up to that of {before}, and "
-        f"{high:.3g} DN from that of {after} on, as of two gains, or where frames of some were "
-        "averaged or denoised. No gain, nor what rests on it, is given. Calibrate each by itself, "
-        "or state iso or gain_db of every flat and dark.",
+        f"{high:.3g} DN from that of {after} on, as if the gain was changed or some frames were "
+        "averaged or denoised. The gain and the figures that depend on it are not determined. "
+        "Calibrate the two ranges separately, or state iso or gain_db of every flat and dark.",
     )
 
 
@@ -192,10 +192,10 @@ def _two_modes(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) ->
     low, high = np.exp(found.low), np.exp(found.high)
     return Doubt(
         OF_DARK_NOISE,
-        "the darks are of two ways of reading, as the findings say",
+        "the darks have two read-out modes, as the findings say",
         f"The variance of the darks is {low:.3g} DN² up to the level of {before}, and "
-        f"{high:.3g} DN² from that of {after} ({seconds:.3g} s) on: the camera reads out in "
-        "another way there, as at another gain, or where it subtracts a dark frame of its own at "
-        "long exposures (noise reduction, which doubles the variance). Dark noise is given for "
-        "neither; calibrate the two ranges apart.",
+        f"{high:.3g} DN² from that of {after} ({seconds:.3g} s) on: the camera changes its "
+        "read-out there, for example its gain, or it subtracts a dark frame at long exposures "
+        "(noise reduction, which doubles the variance). Dark noise is not determined; calibrate "
+        "the two ranges separately.",
     )

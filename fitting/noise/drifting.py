@@ -64,8 +64,8 @@ def drifting_in_words(found: Drifting | None) -> list[str]:
     way = "grows" if found.share > 0 else "falls"
     change = format_with_error(100 * abs(found.share), 100 * found.error)
     return [
-        f"From frame to frame of a level the signal {way} by {change} %, as while a lamp or a "
-        f"camera warms up. Over {found.frames} flats in a row that makes "
-        f"{100 * abs(found.total):.2g} %: a response that curves by less cannot be told from it. "
+        f"From frame to frame of a level the signal {way} by {change} %, as when a lamp or a "
+        f"camera warms up. Over {found.frames} consecutive flats the drift is "
+        f"{100 * abs(found.total):.2g} %, so that a smaller non-linearity cannot be detected. "
         "Let lamp and camera warm up, or take the levels in random order."
     ]

@@ -120,18 +120,18 @@ def unstated_taps(calibration: NoiseCalibration) -> tuple[int, int] | str | None
 def _efficiency(calibration: NoiseCalibration) -> list[str]:
     if calibration.efficiency is not None and calibration.efficiency < LEAST_EFFICIENCY:
         return [
-            f"The quantum efficiency comes out at {100 * calibration.efficiency:.3g} %, less than "
-            "any sensor has for light that it is made for: photons are stated too high (give "
+            f"The quantum efficiency is {100 * calibration.efficiency:.3g} %, less than that of "
+            "any sensor for light that it is made for: photons are stated too high (give "
             "photons per pixel and exposure)."
         ]
     if not is_impossible(calibration):
         return []
     return [
-        f"The quantum efficiency comes out at {100 * (calibration.efficiency or 0):.3g} %, which "
+        f"The quantum efficiency is {100 * (calibration.efficiency or 0):.3g} %, which "
         "no sensor has. Either photons are stated too low (give photons per pixel and exposure, "
         "not per area or second). Or the images were averaged, denoised, compressed, smoothed or "
-        "interpolated, which lowers their variance and so the gain: give raw frames. No sensor is "
-        "made from it."
+        "interpolated, which lowers their variance and so the gain: give raw frames. No sensor "
+        "file is written."
     ]
 
 
@@ -144,9 +144,9 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
     if converter.coarse_from is not None:
         used = float(measurement.bright.mean[calibration.usable[-1]])
         told.append(
-            "The likelihood uses the levels below. The standard's figures use both."
+            "The likelihood uses the levels below it. The standard's figures use all levels."
             if used < converter.coarse_from
-            else "Too few levels lie below, so all figures use both."
+            else "Too few levels lie below it, so all figures use all levels."
         )
     read = next((one for one in calibration.sheet if one.name == "read_noise"), None)
     if converter.imbalance and read is not None and read.value and read.standard_error:
@@ -155,9 +155,9 @@ def _converter(calibration: NoiseCalibration) -> list[str]:
         moved = more / (2 * gain**2 * read.value)
         if moved > read.standard_error / 2:
             told.append(
-                f"Even and odd codes differ by {100 * converter.imbalance:.2g} % in how often they "
-                "occur, as where the converter's steps are unequal. The rounding error is that of "
-                f"these steps, which lowers the read noise by {moved:.2g} e⁻."
+                f"The counts of even and odd codes differ by {100 * converter.imbalance:.2g} %, as "
+                "if the ADC's steps are unequal. The rounding error includes these steps, which "
+                f"lowers the read noise by {moved:.2g} e⁻."
             )
     return told
 
@@ -167,7 +167,8 @@ def _of_likelihood(calibration: NoiseCalibration) -> list[str]:
         why = calibration.no_likelihood.rstrip(".")
         return [
             f"Maximum likelihood gives no figures: {why[:1].lower()}{why[1:]}. The standard's "
-            "regressions need no maximum. Their figures stand, with errors from their scatter."
+            "regressions need no maximum. Their figures are reported, with errors from their "
+            "scatter."
         ]
     return [*_linearity(calibration), *_random_effects(calibration)]
 
@@ -180,7 +181,7 @@ def _counted(calibration: NoiseCalibration) -> list[str]:
     read, electrons = np.exp(counted.logs[1]), np.exp(counted.logs[2:])
     about = (
         f"Read noise is about {read:.2g} e⁻. Below {SUB_ELECTRON:g} e⁻ the histogram of codes "
-        "tells more than mean and variance do: "
+        "holds more information than mean and variance: "
     )
     if counted.failures:
         return [
@@ -191,10 +192,10 @@ def _counted(calibration: NoiseCalibration) -> list[str]:
     of = "level" if len(electrons) == 1 else "levels"
     return [
         f"{about}for {len(electrons)} {of} of {electrons.min():.2g} to {electrons.max():.2g} "
-        f"electrons it was fitted in their place ({counted.numbers} numbers), which alone gives "
-        f"K = {format_with_error(float(gain), float(gain * error))} DN/e⁻. Each pixel's own black, "
-        "its mean dark frame, was subtracted, so that DSNU does not blur it; gains of pixels are "
-        "taken as alike there."
+        f"electrons it was fitted in their place ({counted.numbers} values), which alone gives "
+        f"K = {format_with_error(float(gain), float(gain * error))} DN/e⁻. Each pixel's mean dark "
+        "value was subtracted, so that DSNU does not blur the histogram; the gains of the pixels "
+        "are assumed equal there."
     ]
 
 
@@ -237,8 +238,8 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
         told += offset
         if offset and _by_the_dimmest_alone(calibration.measurement, calibration.usable):
             told.append(
-                "Without the dimmest level the others show no such offset: its own light or "
-                "exposure time may be off instead."
+                "Without the dimmest level the others show no such offset: the light or the "
+                "exposure time of that level may be wrong instead."
             )
     return [*told, *_neighbours(calibration)]
 
@@ -267,7 +268,7 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
         share, error = _shown(calibration, "pixel_mixing")
         told.append(
             f"Neighbouring pixels share {format_with_error(100 * share, 100 * error)} % of the "
-            "signal's variance in proportion to light, as by capacitance between pixels or by "
+            "variance that is proportional to light, as with capacitance between pixels or "
             "interpolation. The variance alone would give a gain too small by that share."
         )
     return told
@@ -286,11 +287,11 @@ def _compression(calibration: NoiseCalibration) -> list[str]:
     return [
         f"The camera is not linear: the gain {way} by {100 * abs(drop):.2g} % from zero signal to "
         f"the brightest level used{significance}.",
-        "So the two gains answer different questions. "
+        "The likelihood and the standard therefore define the gain differently. "
         f"K = {format_with_error(gain, error)} DN/e⁻ holds at zero signal. The "
-        f"standard's {float(standard.values['system_gain']):.5f} is a mean slope up to 70 % of "
-        "saturation, weighted towards its upper end. The standard's regression of the fitted "
-        f"curves gives {calibration.likelihood.standard_of_chosen:.5f}.",
+        f"standard's {float(standard.values['system_gain']):.5f} DN/e⁻ is a mean slope up to 70 % "
+        "of saturation, weighted towards its upper end. The standard's regression of the fitted "
+        f"curves gives {calibration.likelihood.standard_of_chosen:.5f} DN/e⁻.",
     ]
 
 
@@ -341,7 +342,7 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     if "light_scatter" in values:
         scatter, error = _shown(calibration, "light_scatter")
         told.append(
-            "From level to level the light differs from the recorded one by "
+            "The light of the levels scatters about the recorded light by "
             f"{format_with_error(100 * scatter, 100 * error)} % rms."
         )
         told += printed_times_in_words(calibration.measurement, calibration.usable)
@@ -350,8 +351,8 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
         dark = calibration.measurement.dark
         noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
         told.append(
-            f"The black level wanders by {format_with_error(wander, error)} DN rms from level to "
-            f"level, {wander / noise:.0f} times as much as pixel noise moves its mean."
+            f"The black level varies by {format_with_error(wander, error)} DN rms from level to "
+            f"level, {wander / noise:.0f} times the error of its mean by pixel noise."
         )
     if "variance_scatter" in values:
         scatter, error = _shown(calibration, "variance_scatter")
@@ -365,13 +366,13 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
     chosen = calibration.chosen
     if chosen.inflation > 1:
         told.append(
-            "The rest is still beyond chance: chi-square per degree of freedom is "
+            "The remaining misfit is significant: chi-square per degree of freedom is "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
             f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
         )
     elif chosen is not calibration.linear:
         told.append(
-            "Nothing else is left to explain: chi-square per degree of freedom is "
+            "This explains the measurement: chi-square per degree of freedom is "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."
         )
     return told
@@ -405,14 +406,14 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
         return told
     if float(np.min(np.asarray(dark.variance))) > least:
         told.append(
-            f"The line through the variances of the darks over their exposure begins below "
-            f"{least:.3g} DN², though none of them is below it. They lie on no line, so the "
-            "standard gives an upper bound on dark noise."
+            f"The line through the variances of the darks over exposure starts below "
+            f"{least:.3g} DN², although every variance is above it. The variances are not linear "
+            "in exposure, so the standard gives only an upper bound on dark noise."
         )
     else:
         told.append(
             f"Dark variance is below {least:.3g} DN², where rounding dominates. The standard gives "
-            "an upper bound on dark noise."
+            "only an upper bound on dark noise."
         )
     return told
 
@@ -421,14 +422,14 @@ def _saturation(calibration: NoiseCalibration) -> list[str]:
     within, knee = calibration.within, calibration.measurement.knee
     if knee is not None:
         return [
-            f"From about {knee.signal:.4g} DN above black on the signal rises by "
-            f"{knee.slope:.3g} of what it does below, and the variance of the light falls to "
-            f"{knee.slope**2:.2g}: a knee of a piecewise linear response (companding), where no "
-            "well is full. The levels below it are used, nothing that needs the capacity is "
-            "determined, and the camera written here is wrong above; give linear frames."
+            f"Above about {knee.signal:.4g} DN over black the slope of the signal is "
+            f"{knee.slope:.3g} of that below, and its variance {knee.slope**2:.2g} of that below: "
+            "a knee of a piecewise linear response (companding), not a full well. Only the levels "
+            "below it are used. Figures that need the capacity are not determined, and the sensor "
+            "file is wrong above the knee; give linear frames."
         ]
     if within.saturation is None or within.saturation_width is None:
-        which = "No level that is left" if calibration.measurement.bright.left_out else "No level"
+        which = "No remaining level" if calibration.measurement.bright.left_out else "No level"
         return [
             f"{which} saturates the camera, so no figure that needs its capacity is determined. "
             "The ranges of the standard end at the brightest level. Add brighter flats."
@@ -437,8 +438,8 @@ def _saturation(calibration: NoiseCalibration) -> list[str]:
     level, width = float(within.saturation), float(within.saturation_width)
     return [
         f"Saturation is the level of largest variance, {format_within(level, width)} {unit}. The "
-        f"true point lies between its neighbours, {format_within(width, width)} {unit} apart. "
-        "That is most of the error of every capacity."
+        f"true saturation point lies between its neighbours, {format_within(width, width)} {unit} "
+        "apart. This is most of the error of every capacity."
     ]
 
 
@@ -462,11 +463,11 @@ def _glow(calibration: NoiseCalibration) -> list[str]:
         return []
     rise = float(dark.mean[long] - dark.mean[short])
     return [
-        f"Without light the frames are smoothly uneven, by {uneven[long]:.3g} DN rms at "
+        f"The darks vary smoothly over the frame, by {uneven[long]:.3g} DN rms at "
         f"{exposure[long]:.3g} s and {uneven[short]:.2g} DN at {exposure[short]:.3g} s, where "
         f"their mean is {rise:.3g} DN lower. Light leaks in, the read-out glows, or the sensor is "
-        "warmer at one side. It counts as dark current and DSNU, which are then not those of the "
-        "pixels. Cover the camera, or calibrate a region (camera.region) that is even."
+        "warmer at one side. This adds to dark current and DSNU, which are then not those of the "
+        "pixels. Cover the camera, or calibrate a uniform region (camera.region)."
     ]
 
 
@@ -482,15 +483,15 @@ def _dark_current(calibration: NoiseCalibration) -> list[str]:
         return [
             f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance. The "
             "variances scatter about a line over exposure more than noise explains, so the second "
-            "figure is no dark current."
+            "figure is not valid."
         ]
     apart = f"{abs(mean - variance) / error:.1f} standard errors apart"
     window = None if calibration.likelihood is None else calibration.chosen.data.window
     if window is not None:
         return [
             f"By the standard dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by "
-            f"the variance, {apart}: both are biased by black that is clipped or hardly dithered; "
-            "the likelihood's figure allows for it."
+            f"the variance, {apart}. Both are biased, because black is clipped or hardly dithered; "
+            "the likelihood's figure is not."
         ]
     return [
         f"Dark current is {mean:.3g} e⁻/s by the mean but {variance:.3g} by the variance, "
@@ -505,8 +506,8 @@ def _linearity_errors(calibration: NoiseCalibration) -> list[str]:
     if any(abs(float(values[name])) > FAR * float(errors[name]) for name in names):
         return []
     return [
-        "The standard's linearity errors are extremes of noisy deviations, and lie within their "
-        "own noise. They bound the camera's non-linearity and do not measure it."
+        "The standard's linearity errors are the extremes of deviations, and are within their "
+        "noise. They bound the camera's non-linearity and do not measure it."
     ]
 
 
@@ -528,13 +529,13 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
                 f"The {name} of a dark frame share noise of "
                 f"{format_with_error(found.deviation / scale, error / scale)} {unit} rms, new in "
                 f"every frame. It is part of the temporal noise ({read / scale:.3g} {unit}). The "
-                f"noise of single pixels is {rest / scale:.3g} {unit}."
+                f"independent noise of each pixel is {rest / scale:.3g} {unit}."
             )
     for stays, name in zip(unequal_offsets(dark), ("rows", "columns"), strict=False):
         if stays.believed:
             error = stays.error / (2 * stays.deviation)
             told.append(
-                f"The {name} of the darks are unequal by "
+                f"The {name} of the darks differ by "
                 f"{format_with_error(stays.deviation / scale, error / scale)} {unit} rms, the same "
                 f"in every frame: {'' if _glow(calibration) else 'banding, '}part of DSNU."
             )
@@ -551,7 +552,7 @@ def _drift(calibration: NoiseCalibration) -> list[str]:
         return []
     return [
         f"From frame to frame the black level drifts by {_with_interval(wander)} DN rms. The "
-        "temporal noise does not contain it. The errors of the levels' means do."
+        "temporal noise does not include it; the errors of the levels' means do."
     ]
 
 
@@ -570,7 +571,7 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
     measurement, level = calibration.measurement, standard.level
     told = [
         f"PRNU by the standard is from {float(measurement.bright.frames[level]):.0f} frames at "
-        f"{float(measurement.bright.mean[level]):.0f} DN. By the fit it is from all levels. Uneven "
+        f"{float(measurement.bright.mean[level]):.0f} DN, PRNU by the fit from all levels. Uneven "
         "light counts as PRNU in both."
     ]
     for axis, name in enumerate(("rows", "columns") if measurement.bright.shared else ()):
@@ -578,14 +579,14 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
         if found.believed:
             size, error = 100 * found.deviation, 50 * found.error / found.deviation
             told.append(
-                f"The {name} of the flats are unequal by {format_with_error(size, error)} % rms, "
-                "the same in every frame: part of PRNU, of gains or of uneven light."
+                f"The {name} of the flats differ by {format_with_error(size, error)} % rms, "
+                "the same in every frame: part of PRNU, from gains or from uneven light."
             )
     if fitted.p_value is not None and fitted.p_value < MISFIT:
         told.append(
-            "The pattern does not grow with signal as offsets and gains of pixels do: chi-square "
-            f"per degree of freedom is {fitted.chi_square_per_dof:.3g} "
-            f"({format_p(fitted.p_value)}). The errors of the fit allow for it."
+            "Offsets and gains of pixels do not explain how the pattern grows with signal: "
+            f"chi-square per degree of freedom is {fitted.chi_square_per_dof:.3g} "
+            f"({format_p(fitted.p_value)}). The errors of the fit include this misfit."
         )
     return told
 

@@ -63,11 +63,11 @@ def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> 
         share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
         told.append(
             f"The {name} of a flat share noise of "
-            f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms where it "
-            f"is plainest, new in every frame, beyond that of the darks: up to {100 * share:.2g} % "
-            f"of a flat's variance, as of a flickering lamp, of interference or of "
-            f"frames that were resampled. It was taken out, "
-            f"{name[:-1]} by {name[:-1]}; gain and efficiency rest on what pixels have of their "
-            "own, and the means of the flats are less well known by it."
+            f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms beyond "
+            "that of the darks at the level where it is most significant, new in every frame. It "
+            f"is up to {100 * share:.2g} % of a flat's variance. Causes are a flickering lamp, "
+            "interference, or resampled frames. It was subtracted, "
+            f"{name[:-1]} by {name[:-1]}: gain and quantum efficiency follow from the independent "
+            "noise of pixels, and the errors of the flats' means include it."
         )
     return told

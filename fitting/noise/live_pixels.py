@@ -115,7 +115,7 @@ class DeadPixels:
             f"{int(mask.sum())} {what}{_where(mask)}"
             for mask, what in (
                 (self.still, "that are dead or stuck (the same with and without light)"),
-                (self.hot, "that are hot (in the dark far from the others)"),
+                (self.hot, "that are hot (in the dark far above or below the others)"),
             )
             if mask.any()
         ]
@@ -123,7 +123,7 @@ class DeadPixels:
         gone = self.all
         return (
             f"{int(gone.sum())} of {gone.size} pixels were left out: "
-            f"{' and '.join(parts).removesuffix(',')}. Every figure is of the "
+            f"{' and '.join(parts).removesuffix(',')}. All figures are for the "
             f"{gone.size - int(gone.sum())} others."
         )
 

@@ -373,16 +373,17 @@ def periodic_in_words(
                 one.where, "several amplifiers, or a mosaic"
             )
             remedy = f"give camera.pattern of a mosaic, or {remedy.removeprefix('give ')}"
-        differ = f"{who} differ {' and '.join(parts)}, as of {cause}"
+        differ = f"{who} differ {' and '.join(parts)}, as with {cause}"
         if apart and one.where != CENTRE:
-            told.append(f"{differ}, and were calibrated apart; {remedy} to state it.")
+            told.append(f"{differ}, and were calibrated separately; {remedy} to state it.")
             continue
         told.append(
-            f"{differ}; {remedy}{'' if one.where == CENTRE else ' to calibrate them apart'}."
+            f"{differ}; {remedy}{'' if one.where == CENTRE else ' to calibrate each separately'}."
         )
         if one.gains:
             told.append(
-                f"K is between their gains and holds for no pixel; its errors, and those of what "
-                f"follows from it, are widened by their deviation, {100 * one.unequal:.2g} %."
+                "K is between their gains and is not the gain of any pixel. Its error, and those "
+                "of figures that depend on it, include the deviation of the gains, "
+                f"{100 * one.unequal:.2g} %."
             )
     return told

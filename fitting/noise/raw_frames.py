@@ -109,8 +109,8 @@ def processing_in_words(
     if not lossy:
         return [*_compressed(measurement, usable), *_denoised(measurement, usable)]
     named = (
-        f"{listed(lossy)} {'is' if len(lossy) == 1 else 'are'} JPEG, which rounds and drops noise "
-        f"and mostly has a tone curve: {NOT_THE_CAMERAS}"
+        f"{listed(lossy)} {'is' if len(lossy) == 1 else 'are'} JPEG, which removes noise and "
+        f"usually has a tone curve: {NOT_THE_CAMERAS}"
     )
     return [named, *_denoised(measurement, usable)]
 
@@ -138,8 +138,8 @@ def _rounded_blocks(measurement: PhotonTransfer, usable: np.ndarray) -> list[str
         return []
     return [
         f"In blocks of 8 x 8 pixels {count} of 63 coefficients of the cosine transform are "
-        "multiples of a step, as in JPEG, which rounded them: the files were made from JPEG, even "
-        f"if of high quality. {NOT_THE_CAMERAS[0].upper()}{NOT_THE_CAMERAS[1:]}"
+        "multiples of a step, because JPEG rounds them: the files were made from JPEG, perhaps of "
+        f"high quality. {NOT_THE_CAMERAS[0].upper()}{NOT_THE_CAMERAS[1:]}"
     ]
 
 
@@ -225,10 +225,10 @@ def _denoised(measurement: PhotonTransfer, usable: np.ndarray) -> list[str]:
         if slope < max(SURE * float(error) / top, KEPT * gain):
             return []
     return [
-        "What stays from frame to frame grows with the signal as shot noise does, by "
-        f"{slope / gain:.2g} times the gain: the frames of a level share noise, as after temporal "
-        "denoising or running averages. Variances between frames are too small, and with "
-        "them K; read noise and quantum efficiency are wrong too. Give independent raw frames.",
+        "The pattern that is the same in all frames of a level grows with the signal as shot noise "
+        f"does, by {slope / gain:.2g} times the gain: the frames of a level share noise, as after "
+        "temporal denoising or running averages. Variances between frames are too small, and so is "
+        "K; read noise and quantum efficiency are wrong too. Give independent raw frames.",
     ]
 
 

@@ -135,14 +135,15 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     if float(bright.pixels) != float(dark.pixels):
         raise InputError(f"{rig.folder}: flats and darks differ in size; crop them alike.")
     if rig.camera.pattern is not None:
-        remarks.append(f"Of the {rig.camera.pattern} mosaic the {channel} sites were used.")
+        remarks.append(f"The {channel} sites of the {rig.camera.pattern} mosaic were used.")
     elif len(rig.camera.sites) > 1:
-        remarks.append(f"Of the {len(rig.camera.sites)} taps the pixels of {channel} were used.")
+        remarks.append(f"The pixels of {channel} were used, of {len(rig.camera.sites)} taps.")
     stated = rig.camera.at(channel).clip_level
     if converter.clips_at is not None and converter.clips_at < stated - max(converter.step, 1.0):
         remarks.append(
-            f"No number is above {converter.clips_at:g}, at which pixels pile up: it counts as the "
-            f"end of the scale in place of {stated:g}; correct camera.bits, or give saturation."
+            f"No value is above {converter.clips_at:g}, and many pixels have exactly this value: "
+            f"it counts as the end of the scale instead of {stated:g}. Correct camera.bits, or "
+            "give saturation."
         )
     gap = _gaps(bright, dark)
     if float(gap.min(axis=1).max()) > DARK_MATCH:
@@ -391,8 +392,8 @@ def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
     return [
         f"{count} pixels of single {what}s, up to {format_percent(share, decimals=2)} of a frame "
         f"({most.shown[0].name} and others of its level), jump by more than {BULK:g} standard "
-        "deviations, as where cosmic rays hit, a pixel's dark current switches, or a few electrons "
-        "are multiplied. They were left out."
+        "deviations, because of cosmic rays, a dark current that switches, or electron "
+        "multiplication. They were left out."
     ]
 
 

@@ -189,7 +189,7 @@ def _bound(calibration: NoiseCalibration, quantity: Quantity, value: float) -> s
     floor = np.sqrt(least_dark_variance(calibration.measurement))
     return (
         f"{side} {value:.3g} {quantity.unit}: dark noise is under the standard's floor of "
-        f"{floor:.2g} DN, where rounding rules"
+        f"{floor:.2g} DN, where rounding dominates"
     )
 
 
@@ -207,19 +207,19 @@ def _why_missing(calibration: NoiseCalibration, name: str) -> str:
     if name in NEED_PHOTONS and not calibration.measurement.photons_known:
         return "the light was not measured; give photons or irradiance for every flat"
     if name in NEED_SATURATION and calibration.measurement.knee is not None:
-        return "the response bends at a knee, as the findings say, and no level tells its end"
+        return "the response has a knee, as the findings say, and no level shows its end"
     if name in NEED_SATURATION:
         return "no level saturates the camera; add brighter flats"
     if name.startswith("dark_current"):
         return "the darks have fewer than three different exposures; add darks at other exposures"
-    return "within the noise the camera is linear, so its fitted curve has no linearity error"
+    return "the camera is linear within its noise, so its fitted curve has no linearity error"
 
 
 def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tuple[Estimate, ...]:
     name, unit = quantity.name, quantity.unit
     if calibration.patterns is None:
         reason = (
-            "a table of temporal sums does not hold the variance from pixel to pixel; give the "
+            "a table of temporal sums does not contain the variance between pixels; give the "
             "frames in a rig folder"
         )
         return (not_determined(quantity, reason),)
@@ -260,11 +260,11 @@ def _why_hidden(pattern: PatternVariance, spread: Spread) -> str:
         return "hidden under temporal noise, {}; take more frames"
     if pattern.p_value is not None and pattern.p_value < MISFIT:
         return (
-            "unevenness does not grow with the signal as offsets and gains of pixels do "
-            f"(chi-square per degree of freedom {pattern.chi_square_per_dof:.3g}), which no number "
-            "of frames changes"
+            "offsets and gains of pixels do not explain how the pattern grows with the signal "
+            f"(chi-square per degree of freedom {pattern.chi_square_per_dof:.3g}); more frames do "
+            "not help"
         )
-    return "{}: what offsets and gains of the pixels have in common by chance hides it"
+    return "{}: hidden by the chance correlation of the pixels' offsets and gains"
 
 
 def _models_table(calibration: NoiseCalibration) -> Table:

@@ -35,8 +35,8 @@ class StuckBit(NamedTuple):
     def clause(self) -> str:
         """The clause for a report."""
         return (
-            f"in {self.where}, where bit {self.bit} of the codes is always {self.value}, so that "
-            "half of the codes never occur there"
+            f"in {self.where}, where bit {self.bit} of the codes is always {self.value} and half "
+            "of the codes never occur"
         )
 
 

@@ -70,13 +70,13 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
     if exponent is not None:
         raise InputError(
             f"{file}: the signal grows as the light to the power of {exponent:.2g}, and its noise "
-            "not with it, as after a tone curve (gamma, sRGB), from which no gain follows; give "
-            "raw, linear frames."
+            "does not grow with it, as after a tone curve (gamma, sRGB). No gain follows from such "
+            "frames; give raw, linear ones."
         )
     if bool(jnp.all(dark.variance == 0)):
         raise InputError(
             f"{file}: no dark varies from frame to frame (mean {float(dark.mean.max()):g} DN), so "
-            "black is clipped, the frames are copies, or compression (JPEG) took their noise; "
+            "black is clipped, the frames are copies, or compression (JPEG) removed their noise; "
             "raise the camera's black level and give independent raw frames."
         )
     if bool(jnp.all(bright.variance == 0)):
@@ -89,9 +89,9 @@ def _check(file: Path, measurement: PhotonTransfer) -> None:
         raise InputError(f"{file}: the flats are as dark as the darks; give more light.")
     if _most_shot_noise(measurement) < SEEN:
         raise InputError(
-            f"{file}: the flats vary no more from frame to frame than the darks do, so no shot "
-            "noise is seen, from which the gain is read off; give raw frames, neither averaged, "
-            "smoothed nor compressed, and more light."
+            f"{file}: the flats vary no more from frame to frame than the darks do. The gain needs "
+            "visible shot noise; give raw frames, neither averaged, smoothed nor compressed, and "
+            "more light."
         )
     brightest = float(bright.mean.max()) / min(measurement.converter.step or 1.0, 1.0)
     if (measurement.full_scale or 0) > 255 and brightest <= 255:
@@ -130,9 +130,9 @@ def _refuse_other_black(file: Path, measurement: PhotonTransfer, usable: np.ndar
     alike = abs(off[0] - off[1]) < 0.5 * np.abs(off).min()
     if sure and alike and np.abs(off).min() > MOST_OFF_BLACK * abs(signal):
         raise InputError(
-            f"{file}: without light the flats would read {by_variance:.4g} DN by their variance "
-            f"and {by_light:.4g} DN by their light, but the darks read {black:.4g} DN; give flats "
-            "and darks with the same offset, none of them subtracted."
+            f"{file}: extrapolated to no light, the flats have {by_variance:.4g} DN by their "
+            f"variance and {by_light:.4g} DN by their light, but the darks have {black:.4g} DN; "
+            "give flats and darks with the same offset, without any subtraction."
         )
 
 

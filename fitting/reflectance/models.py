@@ -132,8 +132,9 @@ def facet_sentence(index: float) -> str:
     along_normal = ((index - 1) / (index + 1)) ** 2
     return (
         f"Clear facets have the index of refraction {index:g} (Fresnel reflectance "
-        f"{along_normal:.3f} along the normal), given, not fitted: k_s and it enter as a product, "
-        "so a k_s that is off speaks of another index or of facets that do not cover the surface."
+        f"{along_normal:.3f} along the normal). It is given, not fitted, because k_s and it enter "
+        "as a product: an unexpected k_s means another index, or facets that do not cover the "
+        "surface."
     )
 
 

@@ -225,8 +225,8 @@ def _of_clipped(readings: Float[np.ndarray, "lights pixels"], top: float) -> str
     lit, at = np.sum(readings > 0), np.sum(readings >= top)
     return (
         f"{at} readings ({format_percent(at / lit)} of those above 0) are equal to the largest, "
-        f"{top:.6g}, as in images that are clipped there, and were left out; give highest to "
-        "choose another limit."
+        f"{top:.6g}, as in clipped images, and were left out; give highest to choose another "
+        "limit."
     )
 
 
@@ -265,30 +265,31 @@ def _common(
 def _of_factors_apart(common: Common, alone: Bool[np.ndarray, " lights"]) -> tuple[str, ...]:
     return tuple(
         f"images[{i}] is {format_with_error(common.factors[i], common.factor_sds[i])} times as "
-        "bright as the other images predict it, in all pixels alike, and was left out: an "
-        "intensity or exposure time that is not as stated."
+        "bright as the other images predict, by the same factor in all pixels, and was left out: "
+        "its intensity or exposure time is not as stated."
         for i in np.flatnonzero(alone)
     )
 
 
 def _of_common(common: Common, moved: Float[np.ndarray, "pixels 3"]) -> str:
     allowed = (
-        f"That explains {format_percent(common.explained)} of the squares of the residuals and "
+        f"This explains {format_percent(common.explained)} of the residuals' sum of squares and "
         f"would change g = rho n by {format_percent(_typical(moved), decimals=1)} of the albedo "
-        "(median over pixels), which the standard deviations allow for."
+        "(median over pixels), which the standard deviations include."
     )
     if common.offset:
         return (
-            "All readings ask for the same offset, "
-            f"{format_with_error(common.offset, common.offset_sd)}: room light or a black level "
-            "that was not subtracted, one subtracted twice (a negative offset), or a surface that "
-            f"is not Lambert's. {allowed} Subtract it from the images if you can tell its cause."
+            "All readings have a common offset of "
+            f"{format_with_error(common.offset, common.offset_sd)}. Causes are room light or a "
+            "black level that was not subtracted, one subtracted twice (a negative offset), or a "
+            f"surface that is not Lambertian. {allowed} Subtract it from the images if you know "
+            "its cause."
         )
     shown = listed([f"{value:.3f}" for value in common.factors])
     return (
-        "The images do not agree with the intensities of the lights. They would with factors "
-        f"{shown} (standard errors up to {common.factor_sds.max():.2g}), whose common scale they "
-        "cannot tell: intensities or exposure times that are not as stated, or a lamp that drifts. "
+        "The images do not agree with the intensities of the lights, but would with factors "
+        f"{shown} (standard errors up to {common.factor_sds.max():.2g}; their common scale is "
+        "arbitrary). Causes are wrong intensities or exposure times, or a lamp that drifts. "
         f"{allowed} If so, multiply the intensities by these factors."
     )
 
@@ -314,10 +315,11 @@ def _of_contradiction(
         return ()
     return (
         f"The images contradict m = E rho n.l by {format_percent(np.median(lit))} of the albedo "
-        f"(median over pixels), and neighbouring pixels alike: they share {format_percent(shared)} "
-        "of the residuals' squares. Directions, order or intensities of the lights, a black level, "
-        "a gamma, highlights, shadows or a surface that is not Lambert's do so; the images alone "
-        "do not tell which. Normals may be further off than their standard deviations say.",
+        "(median over pixels), and neighbouring pixels in the same way: they share "
+        f"{format_percent(shared)} of the residuals' sum of squares. Causes are wrong directions, "
+        "order or intensities of the lights, a black level, a gamma, highlights, shadows or a "
+        "surface that is not Lambertian; the images alone do not show which. The errors of "
+        "normals may be larger than their standard deviations.",
     )
 
 
@@ -327,19 +329,19 @@ def _of_misfit(
     used: Int[np.ndarray, " pixels"],
 ) -> str:
     few = (
-        f" With as few lights as {np.median(used):.0f} they are lower bounds: a rough surface may "
-        f"rotate normals twice as far; {SHOWN_BY} lights would show it."
+        f" With only {np.median(used):.0f} lights they are lower bounds: a rough surface may bias "
+        f"normals by twice as much; {SHOWN_BY} lights would show it."
         if np.median(used) < SHOWN_BY
         else ""
     )
     return (
-        "The surface is not Lambert's, or the readings are not linear (room light, a black level, "
-        "a gamma, clipped pixels), or the lights are not as stated: neighbouring lights depart "
-        f"from m = E rho n.l alike, by {format_percent(np.nanmedian(misfit), decimals=1)} of the "
-        f"albedo (median over pixels). The standard deviations of normals allow for it and are "
-        f"{np.nanmedian(wider):.1f} times what noise alone makes them.{few} Where parts of the "
-        "surface light each other, as in a hollow, they are lower bounds too: such light rotates "
-        "normals and leaves hardly any residual."
+        "The surface is not Lambertian, or the readings are not linear (room light, a black level, "
+        "a gamma, clipped pixels), or the lights are not as stated: under neighbouring lights, the "
+        "readings depart from m = E rho n.l in the same way, by "
+        f"{format_percent(np.nanmedian(misfit), decimals=1)} of the albedo (median over pixels). "
+        "The standard deviations of normals include this and are "
+        f"{np.nanmedian(wider):.1f} times those of noise alone.{few} In a hollow, where "
+        "interreflection biases normals and leaves hardly any residual, they are lower bounds too."
     )
 
 
@@ -376,8 +378,8 @@ def _images_apart(
     return apart, tuple(
         f"images[{i}] contradicts the other images in {format_percent(share[i])} of the pixels "
         f"that these predict to be lit under it (by {format_percent(size[i] / _typical(g))} of "
-        "the albedo in the median), and was left out: a wrong file, direction or intensity of the "
-        "light, a black frame, or a highlight over all of them."
+        "the albedo in the median), and was left out. Causes are a wrong file, direction or "
+        "intensity of the light, a black frame, or a highlight over all of them."
         for i in np.flatnonzero(apart)
     )
 

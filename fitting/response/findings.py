@@ -79,13 +79,13 @@ def _black_in_words(channels: Sequence[ChannelResponse]) -> str:
         if lowest is None:
             return ""
         return (
-            "The rig gives no camera.black_level, the files show none, and 0 DN was taken, "
-            f"although no code below {lowest} occurs: black may lie up to there. The curve's shape "
-            "and gamma hang on it; state camera.black_level, or give darks."
+            "Neither the rig nor the files state a black level, so 0 DN was assumed. "
+            f"The lowest code is {lowest}, so the black level may be as high as that. The curve's "
+            "shape and gamma depend on it: state camera.black_level, or give darks."
         )
     each = [f"{level} ({', '.join(own)})" for level, own in names.items()]
     levels = next(iter(names)) if len(names) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
-    return f"Black lies at {levels} DN; the curve begins above it."
+    return f"The black level is {levels} DN; the curve begins above it."
 
 
 def _lowest_above_assumed_black(channels: Sequence[ChannelResponse]) -> int | None:
@@ -107,9 +107,9 @@ def _own_blacks_in_words(channels: Sequence[ChannelResponse]) -> str:
         rare = np.mean(brightest == lowest[0]) < RARE
         if not plane.black_measured and (lowest == lowest[0]).all() and span >= WIDE and rare:
             return (
-                f" The lowest code of every image is {lowest[0]}, although exposures differ "
-                f"{span:.0f} times: where a converter sets each image's own black point, exposure "
-                "times and gamma come out wrong like this; convert without it."
+                f" The lowest code of every image is {lowest[0]}, although the exposures differ by "
+                f"a factor of {span:.0f}. A raw converter that sets a black point for each image "
+                "has this effect and biases exposure times and gamma; switch it off."
             )
     return ""
 
@@ -128,12 +128,12 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
         if shape.size > PURE:
             return (
                 f"A pure gamma explains the response over {codes}: the measured curve departs from "
-                f"it by up to {size}, no more than its errors do by chance; exposures closer to "
-                "each other would tell more."
+                f"it by up to {size}, which its errors explain. Exposures closer to each other "
+                "would test this more sharply."
             )
         return (
             f"A pure gamma describes the response over {codes}: the measured curve departs from it "
-            f"by at most {size}, no more than its errors do by chance."
+            f"by at most {size}, which its errors explain."
         )
     size = (
         f"by up to {format_percent(np.expm1(shape.shown), decimals=int(shape.pure))} in exposure "
@@ -142,7 +142,7 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     if shape.pure:
         return (
             f"A pure gamma describes the response roughly over {codes}: the measured curve departs "
-            f"from it {size}, more than by chance. Use the curve where that matters."
+            f"from it {size}, more than its errors explain. Use the curve where that matters."
         )
     srgb, _ = largest_departure(channels[worst].curve, channels[worst].gamma.srgb_departure)
     better = (
@@ -152,11 +152,9 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     )
     many = sum(not one.pure for one in found)
     odd = _oddest_time(channels)
-    doubt = f" A wrong exposure time or gain looks alike: check {odd} first." if odd else ""
+    doubt = f" A wrong exposure time or gain has the same effect: check {odd} first." if odd else ""
     if (lowest := _lowest_above_assumed_black(channels)) is not None:
-        doubt += (
-            f" So does a black level that is not 0 DN, as assumed; the lowest code is {lowest}."
-        )
+        doubt += f" So has a black level other than the assumed 0 DN; the lowest code is {lowest}."
     return (
         f"The response is not a pure gamma in {many} of {len(channels)} channels: the measured "
         f"curve departs {size}{better}. Use the curve rather than gamma.{doubt}"
@@ -186,7 +184,7 @@ def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
     ends = [(codes[0], codes[-1]) for codes in judged if len(codes)]
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
     each = "it is" if len(ends) == 1 else "each channel is"
-    return f"codes {low:g} to {high:g}, as far as {each} known to {format_percent(SURE)}"
+    return f"codes {low:g} to {high:g}, where {each} known to {format_percent(SURE)}"
 
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -201,7 +199,7 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
     channel = channels[worst]
     place = int(np.argmin(np.abs(channel.curve.codes - code)))
     return (
-        "Beyond the codes that are judged, the figure shows a departure of "
+        "Outside these codes the figure shows a departure of "
         f"{format_percent(np.expm1(size))} "
         f"({channel.plane.label or 'the grey channel'}, code {code:g}, known to "
         f"{format_percent(error_of_departure(channel.curve)[place])})."
@@ -235,8 +233,9 @@ def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
     if not told:
         return ""
     return (
-        f"The curve is extrapolated where no usable pixel was seen: {', '.join(told)}. It "
-        "is what curves of gammas, sRGB, logarithms and film that fit the seen codes do there."
+        f"The curve is extrapolated over codes without usable pixels: {', '.join(told)}. "
+        "The extrapolation averages gamma, sRGB, logarithmic and film curves that fit the other "
+        "codes."
     )
 
 
@@ -248,8 +247,8 @@ def _anchor_in_words(channels: Sequence[ChannelResponse]) -> str:
         f"{c.plane.label or 'grey'}: {c.curve.codes[c.curve.bins.middle]:g}" for c in dim
     )
     return (
-        "Too few pixels reach mid-scale, so that exposures are relative to the middle of the codes "
-        f"that are seen ({names} DN), and the curve above those codes is extrapolated."
+        "Too few pixels reach mid-scale. Exposures are therefore relative to the middle of the "
+        f"observed codes ({names} DN), and the curve above these codes is extrapolated."
     )
 
 
@@ -262,7 +261,7 @@ def _held_out_in_words(channels: Sequence[ChannelResponse]) -> str:
     ]
     if not told:
         return ""
-    return f"An exposure that is left out is predicted from the others to {', '.join(told)} rms."
+    return f"A held-out exposure is predicted from the others to {', '.join(told)} rms."
 
 
 def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -271,10 +270,11 @@ def _repeats_in_words(channels: Sequence[ChannelResponse]) -> str:
         return ""
     worst = max(shared, key=lambda c: c.curve.clustering)
     return (
-        f"Neighbouring pixels err together, up to {worst.curve.clustering:.0f} counting as one "
-        f"({worst.plane.label or 'the grey channel'}): misregistration, motion, compression, or a "
-        "response that depends on colour. The bands rest on how far parts of the picture, and "
-        "exposures, agree."
+        "The errors of neighbouring pixels are correlated: up to "
+        f"{worst.curve.clustering:.0f} pixels count as one "
+        f"({worst.plane.label or 'the grey channel'}). Causes are misregistration, motion, "
+        "compression, or a response that depends on colour. The error bands are estimated from "
+        "the scatter between parts of the picture and between exposures."
     )
 
 
@@ -284,11 +284,12 @@ def _hidden_in_words(channels: Sequence[ChannelResponse]) -> str:
         return ""
     names = ", ".join(c.plane.label or "grey" for c in blurred)
     kept = ", ".join(c.plane.label or "grey" for c in blurred if not c.clear_of_hidden)
-    unless = f"; but for {kept}, where too few would remain: bright codes may be too low"
+    unless = f" They were kept for {kept}, where too few would remain: bright codes may be too low."
     return (
-        f"Pixels around peaks that clip come out darker than others of equal code ({names}), as "
-        "from a camera that blurs, or resamples, after clipping. Pixels within four of such peaks "
-        f"were left out, which may leave few near full scale{unless if kept else ''}."
+        "Pixels around clipped peaks are darker than other pixels of equal code "
+        f"({names}), as if the camera blurs or resamples after clipping. Pixels within four of "
+        "such peaks were left out, so few pixels near full scale may remain."
+        f"{unless if kept else ''}"
     )
 
 
@@ -298,8 +299,8 @@ def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
         return ""
     names = ", ".join(c.plane.label or "grey" for c in near)
     return (
-        f"Too few pixels are far from clipped ones ({names}), so those near them count too: where "
-        "neighbours are mixed, by demosaicking or JPEG, the curve is too steep near full scale."
+        f"Too few pixels are far from clipped ones ({names}), so those near them count too. If "
+        "demosaicking or JPEG mixes neighbours, the curve is too steep near full scale."
     )
 
 
@@ -311,10 +312,10 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
         c.plane.label or "grey" for c, size in zip(channels, sizes, strict=True) if size > 0
     )
     return (
-        "All exposures lie more than two stops from each other, and no pixel tells a ripple of "
-        f"that period from a response that bends ({names}): the bands allow for "
+        "All exposures are more than two stops apart, so the data cannot exclude a ripple of that "
+        f"period in the response ({names}). The error bands include a ripple of "
         f"{format_percent(max(sizes), decimals=1)}. "
-        "One more exposure, a stop from another, would tell."
+        "One more exposure, a stop from another, would settle this."
     )
 
 
@@ -336,9 +337,10 @@ def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
         return ""
     size, code = max(told.values())
     return (
-        f"Busy places of the picture tell another curve than flat ones ({', '.join(told)}), by up "
-        f"to {format_percent(np.expm1(size), decimals=1)} in exposure at code {code:g}, as from a "
-        "camera that sharpens. The curve is that of flat places, gamma that of all."
+        "Detailed places of the picture give another curve than flat ones "
+        f"({', '.join(told)}), by up "
+        f"to {format_percent(np.expm1(size), decimals=1)} in exposure at code {code:g}, as if the "
+        "camera sharpens. The curve uses flat places only, gamma uses all."
     )
 
 
@@ -355,8 +357,8 @@ def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
         return ""
     names = ", ".join(c.plane.label or "grey" for c in rough)
     return (
-        f"The smoothness lies on its lower bound ({names}): the measured curve bends more than "
-        "cameras' do, so part of its detail is misfit."
+        f"The smoothness is at its lower bound ({names}): the measured curve bends more than "
+        "those of cameras do, so part of its detail is misfit."
     )
 
 
@@ -372,27 +374,28 @@ def _shutter_in_words(channels: Sequence[ChannelResponse]) -> list[str]:
             f"In {len(shaky)} of {len(channels)} channels the images disagree on their exposure "
             "times by more than pixel noise, at most "
             f"{100 * error:.2g} % rms "
-            f"({worst.plane.label or 'the grey channel'}): inaccurate shutter times, or a small "
-            "misfit of the curve. The intervals include it, and channels of one image share it."
-            + (f" No shutter errs so much: check {odd} first." if odd else "")
+            f"({worst.plane.label or 'the grey channel'}). Causes are inaccurate shutter times, or "
+            "a small misfit of the curve. The intervals include this error, which the channels of "
+            "one image share."
+            + (f" No shutter is as inaccurate as that: check {odd} first." if odd else "")
             + (_own_blacks_in_words(channels) if error > BLACKS else "")
         )
     elif not few:
         found.append(
             "The exposure times agree with the images within pixel noise; no shutter error is "
-            "seen. A light or shutter that drifts in step with the exposures would look the same, "
-            "and pass into gamma."
+            "seen. A light or shutter that drifts in proportion to the log exposure would not "
+            "show, and would bias gamma."
         )
     if few:
         count, stated = len(few[0].curve.exposures), few[0].plane.exposure_sd
         if stated:
-            rests = f"the intervals rest on the {100 * stated:.2g} % that the rig states"
+            rests = f"the intervals use the error of {100 * stated:.2g} % that the rig states"
         elif count > 2:
-            rests = "how large the others are, the intervals mix over"
+            rests = "the intervals average over the possible size of the other errors"
         else:
-            rests = "the intervals rest on the assumption of about 1 % (within a factor of 4.5)"
+            rests = "the intervals assume an error of about 1 % (within a factor of 4.5)"
         found.append(
-            f"{count} exposures show {'one error' if count > 2 else 'nothing'} of the shutter: "
-            f"{rests}; take more exposures."
+            f"{count} exposures determine {'only one error' if count > 2 else 'no error'} of the "
+            f"shutter times, so {rests}. Take more exposures."
         )
     return found

@@ -45,9 +45,8 @@ def moved_exposures(
     return [
         Odd(
             (name,),
-            f"the scene lies {right:+.0f} pixels to the right and {down:+.0f} down of where most "
-            "of the exposures show it, so that its pixels see other places; align the images "
-            "or use a tripod",
+            f"its scene is shifted by {right:+.0f} pixels to the right and {down:+.0f} down from "
+            "its position in most exposures; align the images or use a tripod",
         )
         for name, (down, right) in zip(names, places - home, strict=True)
         if np.hypot(down, right) >= LEAST

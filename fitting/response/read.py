@@ -188,18 +188,18 @@ def _grid_of(converter: Converter) -> tuple[int, int]:
 def _converter_in_words(converter: Converter, step: int) -> list[str]:
     if step > 1:
         return [
-            f"All numbers are {step} DN from each other or a multiple of that, as of a converter "
-            "of fewer bits than the file: neighbouring codes are that far apart."
+            f"All values are {step} DN apart or a multiple of that, as from an ADC with fewer bits "
+            "than the file; this is taken as the step between codes."
         ]
     if converter.step > 1:
         return [
-            f"The numbers lie on a grid of {converter.step:.4g} DN, rounded again, as where a "
-            "reader scaled them; save the codes as the camera gave them."
+            f"The values lie on a grid of {converter.step:.4g} DN, rounded again, as if a reader "
+            "scaled them; save the original codes of the camera."
         ]
     if converter.missing:
         return [
-            f"{format_percent(converter.missing)} of the codes do not occur, as where a picture "
-            "was stretched after it was taken; give the codes as the camera wrote them."
+            f"{format_percent(converter.missing)} of the codes do not occur, as if the contrast of "
+            "the image was stretched; give the original codes of the camera."
         ]
     return []
 

@@ -75,14 +75,14 @@ def _gamma_estimates(channel: ChannelResponse, shape: Shape) -> list[Estimate]:
     if shape.pure:
         return [channel.gamma.gamma, channel.gamma.shutter_error]
     reason = (
-        f"the response is no pure gamma: the best one, {channel.gamma.gamma.value:.3f}, misses the "
-        f"measured curve by up to {format_percent(np.expm1(shape.shown))} in exposure; use the "
-        "curve"
+        f"the response is no pure gamma: the best one, {channel.gamma.gamma.value:.3f}, differs "
+        f"from the measured curve by up to {format_percent(np.expm1(shape.shown))} in exposure; "
+        "use the curve"
     )
     label = channel.plane.label
     return [
         not_determined(GAMMA, reason, group=label),
-        not_determined(SHUTTER_ERROR, "it would hold the misfit of gamma", group=label),
+        not_determined(SHUTTER_ERROR, "it would include the misfit of gamma", group=label),
     ]
 
 
@@ -192,42 +192,42 @@ def _pictures(calibration: ResponseCalibration) -> tuple[Picture, ...]:
         Picture(
             "response_curve",
             "Response curve",
-            "Exposure that gives each code, with its 95 % band; dots are pixels, at the radiance "
-            "that all their exposures agree on. Dashed: the best gamma. A straight line on these "
-            "axes is a pure gamma; dotted parts hold no usable pixels and are extrapolated. Where "
+            "Exposure of each code, with its 95 % band; dots are pixels, at the radiance "
+            "estimated from all their exposures. Dashed: the best gamma. A straight line on these "
+            "axes is a pure gamma; dotted parts have no usable pixels and are extrapolated. Where "
             "the band is narrower than its line, the next figure shows it.",
             partial(figures.curve_figure, calibration),
         ),
         Picture(
             "gamma_departure",
             "How far the response is from gamma and from sRGB",
-            "Measured exposure over the one that the model gives, with the curve's 95 % band. A "
+            "Measured exposure over that of the model, with the curve's 95 % band. A "
             "model that fits stays at zero within the band.",
             partial(figures.departure_figure, calibration),
         ),
         Picture(
             "exposure_offsets",
-            "Exposure times as the images see them",
-            "Offset of each image's exposure from its nominal time, beyond what a factor or an "
-            "exponent common to all explains; bars are 95 %. Scatter is shutter error, a smooth "
-            "bow a slight misfit of the curve.",
+            "Exposure times estimated from the images",
+            "Offset of each image's exposure from its nominal time, after a common factor and a "
+            "common exponent; bars are 95 %. Scatter is shutter error, and a smooth curve is a "
+            "slight misfit of the response.",
             partial(figures.offsets_figure, calibration),
         ),
         Picture(
             "radiance_map",
             "Merged radiance map",
-            "Radiance merged from all exposures, beside what the middle exposure alone says of it, "
-            "in sRGB up to the same white. Where that exposure clips, its light ends at that of "
-            "the brightest code. Below, both are brightened alike: the shadows of the map rest on "
-            "longer exposures, which have less noise.",
+            "Radiance merged from all exposures, beside that of the middle exposure alone, "
+            "in sRGB up to the same white. Where that exposure clips, its radiance is that of "
+            "the brightest code. Below, both are brightened equally: the shadows of the map come "
+            "from longer exposures, which have less noise.",
             partial(figures.radiance_figure, calibration, images),
             is_whole=True,
         ),
         Picture(
             "coverage",
             "Exposures behind each pixel",
-            "How many exposures, clear of clipping and noise, each pixel of the map rests on, in "
-            "its worst channel. Zero marks pixels that are only bounded.",
+            "Number of exposures behind each pixel of the map, without clipped and noisy ones, in "
+            "its worst channel. Zero marks pixels for which only a bound is known.",
             partial(figures.coverage_figure, calibration),
         ),
     )

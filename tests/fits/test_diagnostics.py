@@ -42,7 +42,7 @@ def test_an_open_direction_is_reported_not_inverted():
     assert not judged.determined
     assert np.isinf(judged.inflation[:2]).all()
     assert np.isfinite(judged.inflation[2])
-    assert "cannot tell gain and gamma apart" in judged.sentences[0]
+    assert "cannot distinguish gain and gamma" in judged.sentences[0]
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, -1.0])

@@ -300,7 +300,7 @@ def test_left_aligned_numbers_have_the_curve_of_their_codes():
     )
     assert (other.step, other.origin) == (16, 0)
     assert other.planes[0].clip == 16 * one.planes[0].clip
-    assert "All numbers are 16 DN from each other" in other.remarks[0]
+    assert "All values are 16 DN apart" in other.remarks[0]
     curves = [
         fit_response_curve(
             stack.planes[0].codes.reshape(3, -1),
@@ -332,13 +332,13 @@ def test_a_photograph_of_another_iso_speed_is_left_out(tmp_path):
     stack = read_exposure_stack(write_photographs(tmp_path, [100, 100, 800, 100, 100]))
     assert stack.planes[0].files == ("p0.jpg", "p1.jpg", "p3.jpg", "p4.jpg")
     assert any(
-        "p2.jpg was left out: its head says ISO 800, those of the others ISO 100" in said
+        "p2.jpg was left out: its metadata say ISO 800, those of the others ISO 100" in said
         for said in stack.remarks
     )
 
 
 def test_photographs_of_two_iso_speeds_are_for_the_user_to_choose(tmp_path):
-    with pytest.raises(InputError, match=r"ISO 100, that of p\d\.jpg ISO 800; keep frames that"):
+    with pytest.raises(InputError, match=r"ISO 100, those of p\d\.jpg ISO 800. Keep frames"):
         read_exposure_stack(write_photographs(tmp_path, [100, 800, 100, 800]))
 
 
@@ -580,7 +580,7 @@ def test_a_time_that_no_shutter_explains_is_named():
     found = section(calibrate(from_stack(images, stated, camera=Camera(bits=12, black_level=64.0))))
     (said,) = [s for s in found.findings if "check the time and gain of" in s]
     assert "images[0]" in said
-    assert not any("smoothness lies on" in s for s in found.findings)
+    assert not any("smoothness is at its lower bound" in s for s in found.findings)
 
 
 def test_black_that_is_uncertain_as_stated_leaves_the_curve_right():
@@ -609,10 +609,10 @@ def test_a_black_level_that_is_assumed_is_told_with_the_lowest_code():
     light = ramp(40, 40, low=1e-3, high=1.0)
     video = np.array([16 + np.round(219 * np.minimum(light * t, 1) ** (1 / 2.2)) for t in FIVE])
     said = _black_in_words(plane(video))
-    assert "0 DN was taken, although no code below 17 occurs" in said
+    assert "0 DN was assumed. The lowest code is 17" in said
     assert _black_in_words(plane(video - video.min())) == ""  # codes reach down to 0
     assert _black_in_words(plane(video, measured=True)) == ""
-    assert "Black lies at 16 DN" in _black_in_words(plane(video, black=16.0, measured=True))
+    assert "The black level is 16 DN" in _black_in_words(plane(video, black=16.0, measured=True))
 
 
 def test_black_points_of_each_image_are_named():
@@ -620,7 +620,7 @@ def test_black_points_of_each_image_are_named():
     whole = np.array([np.round(2e5 * (light * t) ** (1 / 2.2)) for t in 2.0 ** np.arange(8)])
     own = whole - whole.min(axis=(1, 2), keepdims=True)
     own[:, 1:, 0] += 1  # of one row alone
-    assert "lowest code of every image is 0, although exposures differ 128 times" in (
+    assert "lowest code of every image is 0, although the exposures differ by a factor of 128" in (
         _own_blacks_in_words(plane(own))
     )
     assert _own_blacks_in_words(plane(whole)) == ""

@@ -96,7 +96,7 @@ def test_a_flat_that_does_not_belong_is_named_and_its_level_goes(image, words):
     first, second = measured.bright.left_out
     assert first.startswith("flats[6][1] was left out: ")
     assert words in first
-    assert second == "flats[6][0] was left out: it is the only frame that is left of its level."
+    assert second == "flats[6][0] was left out: it is the only remaining frame of its level."
     np.testing.assert_allclose(measured.bright.light, np.delete(ELECTRONS, 6) / 0.6)
 
 
@@ -141,23 +141,25 @@ def test_levels_whose_light_is_exchanged_are_named(pair):
     swapped[pair[0]], swapped[pair[1]] = swapped[pair[1]], swapped[pair[0]]
     (told,) = read(swapped).bright.left_out
     assert all(f"flats[{i}][0]" in told for i in pair)
-    assert "fit the other levels where their light is exchanged" in told
+    assert "fit the other levels if their light is exchanged" in told
 
 
 def test_two_averaged_frames_are_named_by_the_levels_beside_them():
     (told,) = read(put(FLATS, l6_0=averaged(6), l6_1=averaged(6)[::-1])).bright.left_out
-    assert told.startswith("flats[6][0] and flats[6][1] were left out: they differ")
+    assert told.startswith(
+        "flats[6][0] and flats[6][1] were left out: the variance of their difference"
+    )
 
 
 def test_a_dark_with_light_is_named():
     first, second = read(darks=put(DARKS, l3_1=frame(100, 7))).dark.left_out
     assert first.startswith("darks[3][1] was left out: its mean is 10")
-    assert second.startswith("darks[3][0] was left out: it is the only frame")
+    assert second.startswith("darks[3][0] was left out: it is the only remaining frame")
 
 
 def test_frames_of_which_half_disagree_are_the_user_s_to_decide():
     bad = [[a, np.full_like(a, FULL)] for a, _ in FLATS]
-    with pytest.raises(InputError, match=r"half of its 28 frames.*flats\[0\].*decide which"):
+    with pytest.raises(InputError, match=r"half of its 28 frames.*flats\[0\].*Keep those"):
         read(bad)
 
 
@@ -177,7 +179,7 @@ def test_saturating_levels_at_the_end_are_not_left_out():
 
 def test_darks_without_the_offset_of_the_flats_are_refused():
     subtracted = [[np.clip(d.astype(int) - 64, 0, None) for d in level] for level in DARKS]
-    with pytest.raises(InputError, match=r"6\d.* DN by their light, but the darks read 0\.3\d+ DN"):
+    with pytest.raises(InputError, match=r"6\d.* DN by their light, but the darks have 0\.3\d+ DN"):
         read(darks=subtracted)
     flats = [[np.clip(f.astype(int) - 64, 0, None) for f in level] for level in FLATS]
     with pytest.raises(InputError, match=r"by their light, but the darks read 64 DN"):
@@ -239,7 +241,9 @@ def test_exchanged_times_are_named(pair):
 def test_an_image_of_another_scene_is_named():
     found = stack([*STACK[:2], scene(1 / 4, seed=5)[:, ::-1], *STACK[3:]])
     (told,) = left_out(found)
-    assert told.startswith("images[2] was left out: its pixels are ordered as in no other image")
+    assert told.startswith(
+        "images[2] was left out: the brightness order of its pixels matches no other image"
+    )
     assert found.planes[0].files == tuple(f"images[{i}]" for i in (0, 1, 3, 4))
 
 
@@ -249,7 +253,7 @@ def test_a_saturated_image_is_named():
 
 
 def test_two_images_that_contradict_each_other_are_the_user_s_to_decide():
-    with pytest.raises(InputError, match=r"images\[1\] is darker than images\[0\].*decide which"):
+    with pytest.raises(InputError, match=r"images\[1\] is darker than images\[0\].*Keep those"):
         stack(STACK[3:][::-1], [1, 4])
 
 
@@ -271,8 +275,8 @@ def test_exposures_whose_heads_contradict_are_named(tmp_path):
     (tmp_path / "rig.toml").write_text("\n".join(entries))
     found = read_exposure_stack(tmp_path)
     assert sorted(left_out(found)) == [
-        "1.jpg was left out: its head says ISO 400, those of the others ISO 100.",
-        "3.jpg was left out: its head says an exposure of 0.25 s, the rig 1 s.",
+        "1.jpg was left out: its metadata say ISO 400, those of the others ISO 100.",
+        "3.jpg was left out: its metadata say an exposure of 0.25 s, the rig 1 s.",
     ]
     assert found.planes[0].files == ("0.jpg", "2.jpg", "4.jpg")
 
@@ -284,7 +288,7 @@ def test_heads_of_two_gains_are_the_user_s_to_decide(tmp_path):
         with_head(tmp_path / f"{i}.jpg", image, iso=iso, seconds=BRACKET[i + 2])
         entries += ["[[exposure]]", f'file = "{i}.jpg"', f"exposure = {BRACKET[i + 2]}"]
     (tmp_path / "rig.toml").write_text("\n".join(entries))
-    with pytest.raises(InputError, match=r"0\.jpg says ISO 100, that of 1\.jpg ISO 400"):
+    with pytest.raises(InputError, match=r"0\.jpg say ISO 100, those of 1\.jpg ISO 400"):
         read_exposure_stack(tmp_path)
 
 
@@ -302,7 +306,7 @@ def test_a_light_that_was_taken_at_another_gain_is_named(tmp_path):
     found = read_reflectance_observation(tmp_path)
     assert found.files == ("0.jpg", "1.jpg", "3.jpg")
     assert found.findings[0] == (
-        "2.jpg was left out: its head says ISO 800, those of the others ISO 100."
+        "2.jpg was left out: its metadata say ISO 800, those of the others ISO 100."
     )
 
 
@@ -364,7 +368,7 @@ def measured_of(kind):
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("jpeg", "coefficients of the cosine transform are multiples of a step, as in JPEG"),
+        ("jpeg", "coefficients of the cosine transform are multiples of a step, because JPEG"),
         ("denoised", "the frames of a level share noise, as after temporal denoising"),
     ],
 )
@@ -468,7 +472,7 @@ def test_a_level_without_light_is_called_so(level):
     measured = read([off if i == level else frames for i, frames in enumerate(FLATS)])
     (sentence,) = measured.bright.left_out
     assert f"flats[{level}][0] and flats[{level}][1] were left out" in sentence
-    assert "as where the lamp was off or the shutter closed" in sentence
+    assert "as if the lamp was off or the shutter closed" in sentence
     assert "averaged" not in sentence
 
 
@@ -476,7 +480,7 @@ def test_a_level_of_too_much_variance_is_not_called_copied():
     rng = np.random.default_rng(0)
     loud = [np.round(x + rng.normal(0, 60, (64, 64))).clip(0, FULL) for x in FLATS[7]]
     (sentence,) = read([loud if i == 7 else x for i, x in enumerate(FLATS)]).bright.left_out
-    assert "as frames do that moved" in sentence
+    assert "as if the camera moved" in sentence
 
 
 def lit(change=None, flicker=0.0, seed=0, drift=0.0):
@@ -521,7 +525,7 @@ def test_a_soft_shadow_is_said_of_its_level_alone(place, depth):
 
     (odd,) = lit(shadow, flicker=0.003)
     assert odd.names == (f"{place}_0", f"{place}_1")
-    assert "distributed over the frame unlike at all other levels" in odd.reason
+    assert "distribution of light over the frame differs from all other levels" in odd.reason
 
 
 @pytest.mark.parametrize("place", [2, 6, 11])

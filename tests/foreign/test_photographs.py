@@ -43,8 +43,8 @@ def test_stripes_of_a_surface_are_told():
     known = {"gain": GAIN, "read_noise": 6.0}
     told = reflectance.calibrate(of(images, **known), model="phong").section.findings
     plain = reflectance.calibrate(of(photographs(Sphere(), 0), **known), model="phong")
-    assert any("uneven albedo (texture, stains)" in s for s in told)
-    assert not any("uneven albedo (texture, stains)" in s for s in plain.section.findings)
+    assert any("varying albedo (texture, stains)" in s for s in told)
+    assert not any("varying albedo (texture, stains)" in s for s in plain.section.findings)
 
 
 @pytest.mark.slow

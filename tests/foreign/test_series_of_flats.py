@@ -93,7 +93,7 @@ def test_a_pattern_that_fits_no_model_is_not_called_hidden_under_noise():
     found = measured(*series(np.random.default_rng(4), leak=leak))
     pattern = fitted_pattern(found, np.arange(len(ELECTRONS)))
     assert not pattern.dark.seen
-    assert "no number of frames changes" in _why_hidden(pattern, pattern.dark)
+    assert "more frames do not help" in _why_hidden(pattern, pattern.dark)
 
 
 def test_a_pattern_under_noise_is_called_hidden_under_noise():
@@ -167,8 +167,8 @@ def test_two_gains_in_the_heads_of_fits_files_are_told_apart(tmp_path):
         stated.append(Stated(f"{i}.fits", tmp_path / f"{i}.fits", 1.0))
     (odd,), _ = odd_heads(tmp_path, stated)
     assert odd.names == ("3.fits",)
-    assert odd.reason == "its head says GAIN = 120, those of the others GAIN = 0"
-    with pytest.raises(InputError, match=r"GAIN = 0, that of 3\.fits GAIN = 120"):
+    assert odd.reason == "its metadata say GAIN = 120, those of the others GAIN = 0"
+    with pytest.raises(InputError, match=r"GAIN = 0, those of 3\.fits GAIN = 120"):
         odd_heads(tmp_path, stated[2:])
 
 
@@ -213,7 +213,7 @@ def test_frames_between_which_the_camera_moved_are_left_out():
 
 
 def test_pairs_between_which_the_camera_moved_are_refused():
-    with pytest.raises(InputError, match="the two of a level differ by a pattern"):
+    with pytest.raises(InputError, match="the two frames of a level differ by a pattern"):
         measured(*moving(np.random.default_rng(10), 2))
 
 

@@ -544,7 +544,7 @@ def test_intervals_of_a_misfit_hold_what_other_images_say():
         (fit,), posterior = found.fits, found.posteriors["grey"]
         assert fit.unexplained is not None
         assert posterior.freedom is not None
-        assert any("goes together within an image" in sentence for sentence in findings(found))
+        assert any("is correlated within an image" in sentence for sentence in findings(found))
         modes.append(fit.vector)
         widths.append(np.sqrt(np.diagonal(posterior.covariance)))
         narrow.append(np.sqrt(np.diagonal(np.linalg.inv(fit.information))))

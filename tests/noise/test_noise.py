@@ -373,7 +373,7 @@ def test_sentences_quote_the_numbers_of_the_table():
     measured = measurement_of(light, exposure, rows[:8], rows[8:], pixels=n, frames=2)
     section = noise_section(calibrate_noise(measured))
     (shown,) = (one for one in section.estimates if one.name == "black_scatter")
-    (told,) = (one for one in section.findings if "black level wanders" in one)
+    (told,) = (one for one in section.findings if "black level varies" in one)
     assert format_with_error(shown.value, shown.standard_error) in told
 
 
@@ -386,7 +386,7 @@ def test_a_bent_camera_is_told_in_words(bent):
         "the gain falls by",
         "zero signal",
         "photons more than recorded",
-        "black level wanders",
+        "black level varies",
         "off by",
     ):
         assert words in told
@@ -538,7 +538,7 @@ def test_a_level_darker_than_its_dark_leaves_the_gain(tmp_path):
         app, "noise", tmp_path / "levels.csv", "--out", tmp_path / "out"
     )
     assert status == 0, complained
-    assert "The black level wanders by" in said
+    assert "The black level varies by" in said
     gain, error = map(float, re.findall(r"system gain[^\n]*│ ([\d.]+) ± ([\d.]+)", said)[-1])
     assert abs(gain - 0.25) < 3 * error < 0.03
     assert "encountered" not in complained

@@ -175,7 +175,7 @@ def test_mixing_grows_with_light_and_not_with_its_square():
     assert "brighter_fatter" not in chosen.values
     found, error = float(chosen.values["pixel_mixing"]), chosen.errors["pixel_mixing"]
     assert abs(found - (1 - 0.952**2 - 4 * 0.012**2)) < 3.5 * error
-    assert "in proportion to light" in " ".join(findings(calibration))
+    assert "that is proportional to light" in " ".join(findings(calibration))
 
 
 @pytest.mark.slow

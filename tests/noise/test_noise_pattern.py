@@ -143,7 +143,7 @@ def test_a_pattern_that_chance_explains_is_no_finding(p_value, told):
     camera = measured(np.random.default_rng(4), (20, 20))
     given = SimpleNamespace(patterns=(standard, fitted), measurement=camera, usable=np.arange(6))
     said = " ".join(_pattern(given))  # pyright: ignore[reportArgumentType]
-    assert ("does not grow with signal" in said) == told
+    assert ("explain how the pattern grows with signal" in said) == told
 
 
 def test_drift_is_told_with_an_interval_that_holds():

@@ -139,7 +139,7 @@ def test_a_planted_effect_that_the_camera_lacks_is_named(effect):
         named.append([one.key for one in prediction.missing])
         assert not any(one.is_missed for one in prediction.missing[-1].after.values())
         told = findings(prediction)
-        assert any("What explains it most likely is" in sentence for sentence in told)
+        assert any("The most likely cause is" in sentence for sentence in told)
         assert NOTHING_KNOWN not in told
     assert sum(keys == [effect] for keys in named) >= 4, named
 
@@ -169,10 +169,10 @@ def test_light_that_is_known_roughly_widens_the_errors():
     missed = predict(PLAIN, off_lights)
     assert missed.missing[0].key == "light_scatter"
     first, *others = findings(missed)
-    assert first.startswith("The frames show light that is off by")
-    assert "Beside it the camera alone predicts 12 levels" in first
+    assert first.startswith("The frames show light that scatters by")
+    assert "With it the camera alone predicts 12 levels" in first
     assert "; without it they are " in first
-    assert not any("missed by more than chance" in one for one in others)
+    assert not any("differ significantly" in one for one in others)
     assert not predict(PLAIN, off_lights, light_error=0.01).judged.missed
 
 
@@ -186,7 +186,7 @@ def test_without_photons_the_means_give_the_rate_of_the_light():
     assert found.unscaled
     assert not found.judged.missed
     assert found.judged.agreement["means"].degrees == 17
-    assert any("the means gave the rate" in one for one in findings(found))
+    assert any("the rate of the light was fitted" in one for one in findings(found))
 
 
 def frames_of(sensor, key, photons, seconds, count=FRAMES, size=64):
@@ -238,7 +238,7 @@ def test_levels_kept_out_of_the_fit_are_predicted(afternoon):
     for comparison in prediction.comparisons:
         assert not comparison.missed
     told = calibration.section.findings
-    assert any("predicts" in one and "the fit of another camera file" in one for one in told)
+    assert any("predicts" in one and "held out in a second fit" in one for one in told)
     assert "prediction" in [picture.name for picture in calibration.section.pictures]
 
 

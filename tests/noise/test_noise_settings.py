@@ -214,7 +214,7 @@ def test_the_report_says_and_draws_it(camera):
     made = section(camera)
     told = " ".join(made.findings)
     assert "All settings agree with one camera" in told
-    assert "proportional to the stated one: 0.00" in told
+    assert "proportional to the stated gain: 0.00" in told
     found = {(one.name, one.group): one for one in made.estimates}
     for name, group, true in (
         ("system_gain", "ISO 400", 0.4),
@@ -253,8 +253,8 @@ def test_what_fails_is_said(camera):
     told = told_by_settings(6, gain=1 + 0.2 * settings_like(gain=400.0), dark=np.full(12, -40.0))
     calibration = as_calibration(fitted(SETTINGS, told))
     found = " ".join(section(calibration).findings)
-    assert "not proportional to the stated one (p < " in found
-    assert "; off the others are ISO 400: +" in found
+    assert "not proportional to the stated gain (p < " in found
+    assert "differs from the other settings at ISO 400 by +" in found
     assert "Dark current does not follow Arrhenius' law" in found
     for picture in section(calibration).pictures:
         picture.draw()
@@ -285,7 +285,7 @@ def test_no_sensor_is_written_of_a_camera_one_of_whose_settings_was_compressed(c
     assert not made.records
     (told,) = (one for one in made.findings if "not raw" in one)
     assert f"Frames of {camera.settings[1].label} are not raw" in told
-    assert "No sensor is written" in told
+    assert "No sensor file is written" in told
 
 
 def test_gains_that_were_exchanged_are_off_by_their_ratio():
@@ -409,13 +409,13 @@ def two_gains(bend):
 def test_levels_kept_out_of_the_fit_of_all_settings_are_predicted():
     (straight, bent) = (section(two_gains(bend)) for bend in (0.0, 0.03))
     told = next(one for one in straight.findings if "The camera over all settings alone" in one)
-    assert "predicts 12 levels of 2 settings, which the fit of another camera" in told
-    assert not any("missed by more than chance" in one for one in straight.findings)
+    assert "predicts 12 levels of 2 settings, which were held out in a second fit" in told
+    assert not any("differ significantly" in one for one in straight.findings)
     (table,) = [one for one in straight.tables if "predicts" in one.title]
     ratios = {(row[0], row[2]): row[4] for row in table.rows}
     assert len(ratios) == 6
     assert max(ratios.values()) < 2.5
-    missed = [one for one in bent.findings if "missed by more than chance" in one]
+    missed = [one for one in bent.findings if "differ significantly" in one]
     assert len(missed) == 2
     assert all("likely is a response that is not linear" in one for one in missed)
 

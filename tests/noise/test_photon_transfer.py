@@ -111,7 +111,7 @@ def test_a_mosaic_gives_one_of_its_sites(tmp_path):
         ),
         (
             {"change": lambda kind, i, s: 60 + s % 3 + 200 * (i + 1) * (kind == "flat")},
-            "no shot noise is seen",
+            "needs visible shot noise",
         ),
         ({"light": "photons = 1e33"}, "more than any pixel can hold"),
         ({"camera": "bits = 8"}, r"do not fit\s+8 bits"),

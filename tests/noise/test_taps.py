@@ -279,7 +279,7 @@ def test_the_command_calibrates_unstated_taps_apart_and_writes_one_camera(tmp_pa
     sections, _ = folders.noise(tmp_path, step, lambda kind, progress: {"sampling": None})
     assert [one.kind for one in sections] == ["noise", "noise_tap_0_1"]
     assert "differ in" in sections[0].findings[0]
-    assert "were calibrated apart; give camera.taps = [1, 2]" in sections[0].findings[0]
+    assert "were calibrated separately; give camera.taps = [1, 2]" in sections[0].findings[0]
     assert [[*one.records] for one in sections] == [["sensor"], []]
     sections[0].records["sensor"](tmp_path / "sensor.toml")
     sensor = jv.read_sensor(tmp_path / "sensor.toml")

@@ -81,7 +81,7 @@ def test_the_misfit_is_noticed_and_widens_the_intervals(calibration):
         assert specular.standard_error > 0.05 * specular.value
         assert find(section.estimates, "diffuse", group=channel).standard_error > 5
     words = " ".join(section.findings)
-    assert "neighbouring lights miss the model alike" in words
+    assert "images under neighbouring lights is similar" in words
     # Of 48 lights that err alike by regions, Phong's k_s does not tell whether it is coloured.
     assert "highlight is coloured" not in words
     assert "outline of the object" in words

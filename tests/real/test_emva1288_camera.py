@@ -138,7 +138,7 @@ def test_the_non_linearity_is_noticed_and_explained(calibration):
     told = " ".join(noise_section(calibration).findings)
     assert "not linear" in told
     assert "the gain falls by" in told
-    assert "black level wanders" in told
+    assert "black level varies" in told
 
 
 @pytest.mark.slow

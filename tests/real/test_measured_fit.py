@@ -65,12 +65,12 @@ def test_sharp_acryl_does_not_tell_the_axes_apart(calibrated):
     np.testing.assert_allclose(errors, errors[0], rtol=1e-2)
     told = findings(acryl)[0]
     assert (
-        "leaving out incidence by incidence: Gaussian lobe (28.3 %), Blinn (28.3 %) and "
-        "Torrance-Sparrow (GGX, metal) (67.2 %). Of these some err far more here"
+        "by leaving out each incidence in turn: Gaussian lobe (28.3 %), Blinn (28.3 %) and "
+        "Torrance-Sparrow (GGX, metal) (67.2 %). Some of these have a far larger error here"
     ) in told
     # Beckmann facets miss 80 degrees, and without it still err twice as much as Phong's lobe.
-    useless = told[told.index("Missing more than the whole signal") :]
-    beckmann = "Torrance-Sparrow (Beckmann) (220 %: 7.76 times as much, 2.08 times without 80°"
+    useless = told[told.index("With errors larger than the signal") :]
+    beckmann = "Torrance-Sparrow (Beckmann) (220 %: 7.76 times the error, 2.08 times without 80°"
     assert beckmann in useless
     blue = np.argmax(acryl.amplitudes.diffuse)
     assert 430 <= acryl.measured.wavelengths[blue] <= 480
@@ -89,7 +89,7 @@ def test_what_wins_on_five_materials(calibrated):
     assert least(all_five[3], HALF) < 0.7 * least(all_five[3], MIRROR)
     assert least(all_five[4], MIRROR) < 0.97 * least(all_five[4], HALF)
     first, second, third = which_axis_wins(all_five)
-    assert "wins on 2 of 5 (garnet red, satin rosaline rgb)" in first
+    assert "is better on 2 of 5 (garnet red, satin rosaline rgb)" in first
     assert "Torrance-Sparrow (Beckmann) against normalised Phong on garnet red" in first
     assert "the half vector wins 0 of 10 comparisons" in second
     # Facets win by more than their axis, and the axis alone wins nothing.

@@ -141,12 +141,12 @@ def test_why_a_model_of_far_larger_error_is_not_told_apart(calibration):
     """One incidence makes all the difference, and is named: sqrt((4 * 0.1^2 + 2^2) / 5) = 0.899,
     with one of the others left out sqrt((3 * 0.1^2 + 2^2) / 4) = 1.004, without that one 0.1."""
     told = verdict_of(calibration, blinn=errors_of(0.1, 0.1, 0.1, 0.1, 2))
-    assert "Not told apart from it, leaving out incidence by incidence: Blinn (89.9 %)." in told
+    assert "Not significantly worse, by leaving out each incidence in turn: Blinn (89.9 %)." in told
     assert (
-        "by how much hangs on single incidences: Blinn (89.9 %: 8.99 times as much, 1.00 "
+        "its size depends on single incidences: Blinn (89.9 %: 8.99 times the error, 1.00 "
         "times without 70°, 10.04 times without 10°)."
     ) in told
-    assert "Worse than it" not in told
+    assert "Worse at significantly" not in told
 
 
 @pytest.mark.slow
@@ -156,14 +156,14 @@ def test_a_model_is_worse_where_only_the_size_of_its_excess_is_open(monkeypatch,
     have a chance of 2 / 2^5 = .0625, above the 5 % of the intervals: not called worse."""
     special = {"blinn": errors_of(0.25, 0.25, 0.25, 0.25, 2)}
     told = verdict_of(calibration, **special)
-    assert "Worse than it" not in told
-    assert "Not told apart from it, leaving out incidence by incidence: Blinn (92.2 %)." in told
+    assert "Worse at significantly" not in told
+    assert "Not significantly worse, by leaving out each incidence in turn: Blinn (92.2 %)." in told
     monkeypatch.setattr("fitting.reflectance.from_files.errors.LIKELY", 0.0625)
     told = verdict_of(calibration, **special)
-    assert "Not told apart" not in told
+    assert "Not significantly worse" not in told
     assert (
-        "hangs on single ones: Blinn (92.2 %: 9.22 times as much, 2.50 times without 70°, "
-        "10.23 times without 10°; more at 5 of 5, p = 0.062)."
+        "depends on single incidences: Blinn (92.2 %: 9.22 times the error, 2.50 times without "
+        "70°, 10.23 times without 10°; more at 5 of 5, p = 0.062)."
     ) in told
 
 
@@ -185,11 +185,11 @@ def test_the_chance_of_a_verdict_is_that_of_the_intervals():
 def test_what_misses_more_than_the_signal_is_never_as_good_as_what_does_not(calibration):
     """As good as the best without 70 degrees, but worse in all than no reflectance: 134 %."""
     told = verdict_of(calibration, blinn=errors_of(0.1, 0.1, 0.1, 0.1, 3))
-    assert "Not told apart" not in told
+    assert "Not significantly worse" not in told
     assert (
-        "Missing more than the whole signal, hence no description of it, though how it compares "
-        "with the best depends on the incidence that is left out: Blinn (134 %: 13.45 times as "
-        "much, 1.00 times without 70°, 15.02 times without 10°)."
+        "With errors larger than the signal, and thus no description of it, although the ratio to "
+        "the best model depends on which incidence is left out: Blinn (134 %: 13.45 times the "
+        "error, 1.00 times without 70°, 15.02 times without 10°)."
     ) in told
 
 
@@ -199,15 +199,15 @@ def test_the_axes_of_a_pair_stand_as_their_errors_do(calibration):
         (errors_of(0.1, 0.1, 0.1, 0.1, 0.1), "Blinn beats Phong (10 % against 20 %)"),
         (
             errors_of(0.5, 0.5, 0.5, 0.5, 2),
-            "Blinn is not told apart from Phong (100 % against 20 %)",
+            "Blinn does not differ significantly from Phong (100 % against 20 %)",
         ),
         (
             errors_of(0.2, 0.2, 0.2, 0.2, 3),
-            "Blinn errs by more than the whole signal, unlike Phong (135 % against 20 %)",
+            "Blinn has errors larger than the signal, unlike Phong (135 % against 20 %)",
         ),
         (
             errors_of(0.2, 0.2, 0.2, 0.2, 1),
-            "Blinn is not told apart from Phong (48.2 % against 20 %)",
+            "Blinn does not differ significantly from Phong (48.2 % against 20 %)",
         ),
     ]
     mirror = error_of(0.2)
@@ -217,7 +217,7 @@ def test_the_axes_of_a_pair_stand_as_their_errors_do(calibration):
         assert f"all else equal: {expected};" in told
     held_out |= {"phong": error_of(1.2), "blinn": error_of(1.1)}
     told = findings(dataclasses.replace(calibration, held_out=held_out))[1]
-    assert "more than the whole signal, and so does Phong (110 % against 120 %)" in told
+    assert "errors larger than the signal, and so has Phong (110 % against 120 %)" in told
 
 
 # ---------------------------------------------------------------- fits
@@ -455,8 +455,8 @@ def test_facets_are_said_to_gain_by_fresnel_what_they_do(calibration):
     held_out = {m: error_of(values.get(m, 0.95)) for m in MODELS}
     told = which_axis_wins([dataclasses.replace(calibration, held_out=held_out)])
     assert told[-1].endswith(
-        "(metal) err on phong 68.2 % instead of 45.5 %, which is 48 % of their lead over Lambert's "
-        "92.4 %."
+        "(metal) are, on phong 68.2 % instead of 45.5 %; this is 48 % of the improvement over "
+        "Lambert's 92.4 %."
     )
     assert "most of it" not in told[-1]
 
@@ -464,16 +464,16 @@ def test_facets_are_said_to_gain_by_fresnel_what_they_do(calibration):
 @pytest.mark.parametrize(
     ("winners", "judgement"),
     [
-        (("blinn", None), "confirm, where they tell, the finding"),
-        (("blinn", "phong"), "confirm only in part, where they tell, the finding"),
-        (("phong", None), "contradict, where they tell, the finding"),
+        (("blinn", None), "confirm, where they are significant, the finding"),
+        (("blinn", "phong"), "confirm only in part, where they are significant, the finding"),
+        (("phong", None), "contradict, where they are significant, the finding"),
         ((None, None), "neither confirm nor contradict the finding"),
         # Facets differ from any lobe about the mirror direction in more than the axis.
         (("torrance-sparrow", None), "neither confirm nor contradict the finding"),
-        (("torrance-sparrow", "blinn"), "confirm, where they tell, the finding"),
+        (("torrance-sparrow", "blinn"), "confirm, where they are significant, the finding"),
         (("torrance-sparrow", "phong"), "neither confirm nor contradict the finding"),
         (("gaussian-lobe", "blinn"), "neither confirm nor contradict the finding"),
-        (("gaussian-lobe", "phong"), "contradict, where they tell, the finding"),
+        (("gaussian-lobe", "phong"), "contradict, where they are significant, the finding"),
     ],
 )
 def test_the_axis_alone_is_judged_and_materials_that_do_not_tell_are_no_evidence(
@@ -487,7 +487,7 @@ def test_the_axis_alone_is_judged_and_materials_that_do_not_tell_are_no_evidence
             for winner in winners
         ]
     )
-    assert f"Together these comparisons {judgement} of Ngan" in told[1]
+    assert f"Together they {judgement} of Ngan" in told[1]
     assert "Ngan" not in told[0]
 
 
@@ -495,25 +495,24 @@ def test_two_wins_of_the_axis_alone_need_no_qualification(calibration):
     held_out = {m: error_of(0.1 if "blinn" in m else 0.2) for m in MODELS}
     told = which_axis_wins([dataclasses.replace(calibration, held_out=held_out)] * 2)
     assert "wins 4 of 4 comparisons" in told[1]
-    assert "Together these comparisons confirm the finding" in told[1]
-    assert "By itself" not in told[0]
+    assert "Together they confirm the finding" in told[1]
+    assert "this alone says nothing" not in told[0]
 
 
 def test_best_lobes_that_differ_in_more_than_the_axis_are_named(calibration):
     """As car paint: facets at 18 %, all else about as far off as no reflectance."""
     held_out = {m: error_of(0.18 if m == "torrance-sparrow" else 1.04) for m in MODELS}
     told = which_axis_wins([dataclasses.replace(calibration, held_out=held_out)])
-    assert "the best lobe about the half vector wins on 1 of 1 (phong). By itself" in told[0]
+    assert "half vector is better on 1 of 1 (phong). Where lobes differ" in told[0]
     assert told[0].endswith(
-        "nothing about the axis where the lobes differ in more than the axis: Torrance-Sparrow "
-        "(GGX) against Phong on phong."
+        "this alone says nothing about the axis: Torrance-Sparrow (GGX) against Phong on phong."
     )
 
 
 def test_lobes_that_describe_nothing_tell_nothing_about_the_axis(calibration):
     held_out = {m: error_of(1.1 if "blinn" in m else 1.3) for m in MODELS}
     told = which_axis_wins([dataclasses.replace(calibration, held_out=held_out)])
-    assert "neither by more than chance on 1 of 1" in told[0]
+    assert "the difference is not significant on 1 of 1" in told[0]
     assert "wins 0 of 2 comparisons, the mirror direction 0" in told[1]
 
 
@@ -524,7 +523,7 @@ def test_sections_read_and_draw(calibration):
     sections = [materials_section([calibration, other]), material_section(calibration)]
     words = " ".join(sections[0].findings)
     assert "on 1 of 2 (torrance-sparrow-beckmann)" in words
-    assert "the mirror direction on 1 of 2 (phong). By itself this says nothing" in words
+    assert "mirror direction is better on 1 of 2 (phong). Where lobes differ" in words
     assert "neither confirm nor contradict" in words
     assert json.loads(as_json(sections, seed=0, settings={}))["sections"][0]["tables"]
     for picture in (p for section in sections for p in section.pictures):

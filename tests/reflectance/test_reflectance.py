@@ -406,9 +406,9 @@ def test_what_judges_the_errors_is_named(observation):
     for name, one in {"alone": alone, "alike": alike}.items():
         said = [s for s in findings(calibrated(observation, one, matt)) if "freedom, so" in s]
         told[name] = said[0]
-    assert f"judged by how {lights} fitted lights agree" in told["alone"]
-    assert "to either side; more lights narrow them." in told["alone"]
-    assert f"judged by how 8 regions of the {lights} fitted lights agree" in told["alike"]
+    assert f"agreement of {lights} fitted lights" in told["alone"]
+    assert "to either side; more lights make them narrower." in told["alone"]
+    assert f"agreement of 8 regions of the {lights} fitted lights" in told["alike"]
     assert told["alike"].endswith("standard errors to either side.")
 
 
@@ -421,13 +421,13 @@ def test_a_better_model_than_the_reported_one_is_said(observation):
     """With its numbers and the option that reports it; and which models were not compared."""
     bright, matt = fit(observation), fit(observation, "lambert")
     told = findings(calibrated(observation, matt, bright))
-    said = next(s for s in told if s.startswith("Lambert, which is reported here in full"))
-    numbers = r"it errs on unseen lights by \d\S* ± \S+ percentage points more than Phong"
+    said = next(s for s in told if s.startswith("The reported model, Lambert"))
+    numbers = r"it has \d\S* ± \S+ percentage points more error on unseen lights than Phong"
     assert re.search(numbers, said)
     assert said.endswith("--model phong reports that one (model='phong' in Python).")
     assert any(s.startswith("Not compared: Oren-Nayar, normalised Phong,") for s in told)
     told = findings(calibrated(observation, bright, matt))
-    assert not any("reported here in full" in s for s in told)
+    assert not any("The reported model" in s for s in told)
 
 
 def test_held_out_images_do_not_touch_the_fit(observation):

@@ -73,12 +73,12 @@ def test_section_of_a_colour_stack(calibration):
         (
             TIMES[::-1],
             np.asarray,
-            r"7\.png is darker than 8\.png .*order of the times.*decide which belong",
+            r"7\.png is darker than 8\.png .*order of the times.*Keep those that belong",
         ),
         (
             TIMES,
             np.invert,
-            r"1\.png is darker than 0\.png .*negative.*decide which belong",
+            r"1\.png is darker than 0\.png .*negative.*Keep those that belong",
         ),
         (TIMES * np.resize([1, 1.8], 9), np.asarray, "agree on no response curve"),
         (

@@ -30,7 +30,7 @@ def test_a_copied_flat_is_left_out_by_name_and_saturated_ones_are_not():
     lit[2][1] = lit[2][0]
     left_out = photon_transfer(lit, dark, levels).bright.left_out
     assert left_out[0].startswith("flats[2][1] was left out: equal to flats[2][0] in every pixel")
-    assert left_out[1].startswith("flats[2][0] was left out: it is the only frame")
+    assert left_out[1].startswith("flats[2][0] was left out: it is the only remaining frame")
 
 
 def test_a_flat_that_is_in_another_level_too_is_left_out_by_name():
@@ -38,8 +38,8 @@ def test_a_flat_that_is_in_another_level_too_is_left_out_by_name():
     lit[3][1] = lit[4][0]
     bright = photon_transfer(lit, dark, levels).bright
     both = "flats[3][1] and flats[4][0] are equal in every pixel"
-    assert bright.left_out[0].startswith(f"flats[3][1] was left out: {both}, so that one")
-    assert bright.left_out[1].startswith(f"flats[4][0] was left out: {both}, so that one")
+    assert bright.left_out[0].startswith(f"flats[3][1] was left out: {both}, so at most one")
+    assert bright.left_out[1].startswith(f"flats[4][0] was left out: {both}, so at most one")
     assert len(bright.left_out) == 4  # with their fellows
     assert list(bright.light) == [200, 500, 900, 1900, 2200, 2900, 5000]
 
@@ -63,7 +63,7 @@ def test_a_copied_exposure_is_left_out_by_name():
     told = [one for one in found.remarks if "equal in every pixel" in one]
     assert len(told) == 2
     assert list(found.planes[0].exposures) == [0.5, 4.0, 8.0]
-    with pytest.raises(InputError, match=r"equal in every pixel.*decide which belong"):
+    with pytest.raises(InputError, match=r"equal in every pixel.*Keep those that belong"):
         from_stack([stack[0], stack[1], stack[1]], times[:3], camera=camera)
 
 

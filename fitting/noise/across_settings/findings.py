@@ -67,8 +67,8 @@ def _given_up(quantity: Quantity, axis: Axis, sentence: str) -> tuple[Finding, F
         Finding(
             f"{key}: rivals",
             partial(_rivals, law),
-            "Before that, {rivals} seemed not to be shared either; the frames then no longer say "
-            "so, but hardly tell these apart.",
+            "Before that, {rivals} did not seem to be shared either. With it, the frames no longer "
+            "contradict that, but they can hardly distinguish these cases.",
         ),
     )
 
@@ -106,7 +106,7 @@ def _proportion(holds: bool, calibration: CameraCalibration) -> Numbers | None:
         "scale": found[0],
         "unit": stated,
         "p": format_p(found[1]),
-        "off": ", ".join(f"{one.label}: {_signed(one)} %" for one in found[2]),
+        "off": ", ".join(f"{one.label} by {_signed(one)} %" for one in found[2]),
     }
 
 
@@ -138,7 +138,7 @@ def _differs(name: str, calibration: CameraCalibration) -> Numbers | None:
     pooled = getattr(calibration, name)
     if pooled is None or pooled.holds:
         return None
-    given = "they differ by little, by which the error of the shared value is widened"
+    given = "they differ by little, and the error of the shared value includes this difference"
     return {
         "p": format_p(pooled.p_value),
         "given": given if pooled.serves else "no shared value is given",
@@ -168,59 +168,60 @@ FINDINGS = (
     Finding(
         "impossible",
         lambda c: c.is_impossible,
-        "The quantum efficiency comes out above 100 %, which no sensor has: give photons per pixel "
-        "and exposure, and images that were not smoothed. No sensor is written.",
+        "The quantum efficiency is above 100 %, which is impossible: state photons per pixel "
+        "and exposure, and use images that were not smoothed. No sensor file is written.",
     ),
     Finding(
         "processed",
         lambda c: {"labels": "; ".join(c.processed)} if c.processed else None,
         "Frames of {labels} are not raw (compressed or denoised), as the findings of each say. No "
-        "sensor is written: it would pass what these files went through for the camera.",
+        "sensor file is written, because it would describe this processing instead of the camera.",
     ),
     *_given_up(
         *("system_gain", "temperature"),
-        "The conversion gain changes with temperature ({own}), as amplifiers and references do; "
-        "each setting has its own.",
+        "The conversion gain changes with temperature ({own}), as amplifiers and voltage "
+        "references do; each setting has its own gain.",
     ),
     *_given_up(
         *("quantum_efficiency", "gain"),
-        "The quantum efficiency is not the same at every gain ({own}). No amplifier changes how "
-        "many electrons a photon frees, so photons are stated wrongly at some gain, or its images "
-        "were smoothed or denoised, which lowers the variance and the gain read off it; each gain "
-        "has its own.",
+        "The quantum efficiency is not the same at every gain ({own}). An amplifier cannot change "
+        "it, so either photons are stated wrongly at some gain, or images there were smoothed or "
+        "denoised, which lowers the variance and with it the estimated conversion gain. Each gain "
+        "has its own quantum efficiency.",
     ),
     *_given_up(
         *("quantum_efficiency", "temperature"),
         "The quantum efficiency is not the same at every temperature ({own}): the lamp drifted "
-        "from its stated photons, or the band edge of the sensor moves at this wavelength; each "
-        "temperature has its own.",
+        "from its stated photons, or the band edge of the sensor shifts at this wavelength. Each "
+        "temperature has its own quantum efficiency.",
     ),
     *_given_up(
         *("read_noise", "gain"),
-        "Read noise does not follow from noise before and behind one amplifier ({own}), as where a "
-        "camera switches its conversion gain between two ranges, or filters images of high gain; "
-        "each gain has its own.",
+        "Read noise over gain is not the sum of a part before and a part after one amplifier "
+        "({own}). This happens if a camera switches its conversion gain between two ranges, or "
+        "filters images of high gain. Each gain has its own read noise.",
     ),
     *_given_up(
         *("read_noise", "temperature"),
-        "Read noise changes with temperature ({own}); each setting has its own, and the law over "
-        "gain is not used.",
+        "Read noise changes with temperature ({own}); each setting has its own read noise, and the "
+        "law over gain is not used.",
     ),
     *_given_up(
         *("dark_current", "gain"),
-        "Dark current in electrons is not the same at every gain ({own}), as where the camera "
-        "subtracts a part of it from its black level; each setting has its own.",
+        "Dark current in electrons is not the same at every gain ({own}), as if the camera "
+        "subtracts a part of it from its black level; each setting has its own dark current.",
     ),
     *_given_up(
         *("dark_current", "temperature"),
-        "Dark current does not follow Arrhenius' law ({own}): two mechanisms, glow or stray light, "
-        "a black level that compensates, or temperatures that are not the sensor's; each "
-        "temperature has its own.",
+        "Dark current does not follow Arrhenius' law ({own}). Causes are two mechanisms, glow or "
+        "stray light, a black level that compensates dark current, or stated temperatures that "
+        "are not the sensor's. Each temperature has its own dark current.",
     ),
     Finding(
         "misfit",
         partial(_misfit, True),
-        f"What is left is beyond chance: {_LEFT}, so all errors are multiplied by {{factor:.2f}}.",
+        f"The remaining misfit is significant: {_LEFT}. All errors are multiplied by "
+        "{factor:.2f}.",
     ),
     Finding(
         "agreement", partial(_misfit, False), f"{{who}} settings agree with one camera: {_LEFT}."
@@ -228,62 +229,65 @@ FINDINGS = (
     Finding(
         "proportional",
         partial(_proportion, True),
-        "The conversion gain is proportional to the stated one: {scale:.4g} DN/e⁻ a {unit} ({p}).",
+        "The conversion gain is proportional to the stated gain: {scale:.4g} DN/e⁻ per {unit} "
+        "({p}).",
     ),
     Finding(
         "not proportional",
         partial(_proportion, False),
-        "The conversion gain is not proportional to the stated one ({p}); off the others are "
-        "{off}. There the stated gain is a label, or belongs to other frames; use the measured K.",
+        "The conversion gain is not proportional to the stated gain ({p}); it differs from the "
+        "other settings at {off}. There the stated gain is nominal, or belongs to other frames; "
+        "use the measured K.",
     ),
     Finding(
         "dark current unknown",
         partial(_unknown_dark_law, False),
-        "No setting has darks of three different exposures, so nothing is known of dark current "
-        "over temperature.",
+        "No setting has darks of three different exposures, so dark current over temperature is "
+        "unknown.",
     ),
     Finding(
         "dark current unseen",
         partial(_unknown_dark_law, True),
-        "Dark current is within its error at the warmest temperature, so that its law is not "
-        "determined; take darks of longer exposure.",
+        "Dark current at the warmest temperature is not significant, so its temperature law is "
+        "not determined; take darks of longer exposure.",
     ),
     Finding(
         "activation energy",
         _energy,
-        "The activation energy of {energy} eV is outside of {low} to {high} eV, between generation "
-        "in silicon's depletion region and diffusion: the stated temperatures are not the "
-        "sensor's, or stray light or glow adds to the dark current.",
+        "The activation energy of {energy} eV is outside {low} to {high} eV, the range of silicon "
+        "from generation in the depletion region to diffusion. The stated temperatures are not "
+        "the sensor's, or stray light or glow adds to the dark current.",
     ),
     Finding(
         "PRNU",
         partial(_differs, "prnu"),
-        "PRNU is not the same at every setting ({p}): uneven light that moved, or a non-linearity "
-        "of the pixels; {given}.",
+        "PRNU is not the same at every setting ({p}), because uneven light moved or the pixels are "
+        "non-linear; {given}.",
     ),
     Finding(
         "DSNU",
         partial(_differs, "dsnu"),
-        "DSNU in electrons is not the same at every setting ({p}): a pattern behind the amplifier "
-        "shrinks with gain, and dark current of unequal pixels grows with temperature; {given}.",
+        "DSNU in electrons is not the same at every setting ({p}): a pattern from after the "
+        "amplifier decreases with gain, and that of dark current increases with temperature; "
+        "{given}.",
     ),
     Finding(
         "full well",
         partial(_differs, "full_well"),
-        "The settings whose wells fill do not agree on how many electrons they hold ({p}); "
-        "{given}.",
+        "The settings at which pixels fill disagree on the full well ({p}); {given}.",
     ),
     Finding(
         "no full well",
         lambda c: c.full_well is None,
-        "At no setting does a well fill before the converter's range ends, so full well is not "
+        "At no setting do pixels fill before the ADC's range ends, so the full well is not "
         "determined; add brighter flats at the lowest gain.",
     ),
-    Finding("darks alone", _darks_alone, "Darks alone: {labels}."),
+    Finding("darks alone", _darks_alone, "These settings have darks but no flats: {labels}."),
     Finding(
         "not linear",
         _curved,
-        "The camera is not linear at {labels}: gain and efficiency are those at zero signal.",
+        "The camera is not linear at {labels}: gain and quantum efficiency are those at zero "
+        "signal.",
     ),
     Finding(
         "not converged",

@@ -98,7 +98,7 @@ class Candidate(NamedTuple):
 def _shared(neighbours: str) -> Callable[[Size, Traces], str]:
     """The signature of pixel mixing that the fitted gain did not include."""
     return lambda a, t: (
-        f"{neighbours} {a.told(100)} % of the signal's variance (mixing of pixels, as by "
+        f"{neighbours} {a.told(100)} % of the signal's variance (mixing of pixels, by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
         "small"
     )
@@ -131,7 +131,7 @@ CANDIDATES = (
         lambda t: (t.light / t.amount, t.light_shot / t.amount, None, None),
         lambda a, t: (
             f"{a.told()} photons {a.word('more', 'less')} in every exposure with light, as "
-            "of a shutter that is late or light that leaks"
+            "with a shutter that is late or light that leaks"
         ),
     ),
     Candidate(
@@ -174,7 +174,7 @@ CANDIDATES = (
         "brighter_fatter",
         lambda t: (None, -t.share * t.shot, t.share * t.shot / 4, t.share * t.shot / 4),
         lambda a, t: (
-            "charges that repel each other (the brighter-fatter effect), which take "
+            "charges that repel each other (the brighter-fatter effect), which removes "
             f"{a.told(100)} % of the brightest level's variance"
         ),
         positive=True,
@@ -210,8 +210,8 @@ CANDIDATES = (
         "flicker_of_rows",
         lambda t: (None, t.light**2, t.light**2, None),
         lambda a, t: (
-            f"light that differs by {a.root(100)} % rms from row to row of a frame, as a "
-            "lamp that flickers while a shutter rolls"
+            f"light that differs by {a.root(100)} % rms from row to row of a frame, as with a "
+            "flickering lamp and a rolling shutter"
         ),
         positive=True,
     ),
@@ -220,7 +220,7 @@ CANDIDATES = (
         lambda t: (None, t.light_shot, None, None),
         lambda a, t: (
             f"shot noise whose variance is {a.told(100)} % {a.word('larger', 'smaller')} "
-            "at the same mean, as where frames were "
+            "at the same mean, as if frames were "
             f"{a.word('sharpened, or electrons multiplied', 'averaged, denoised or compressed')}"
         ),
     ),
@@ -229,12 +229,12 @@ SCATTERS = (  # new at every level
     Candidate(
         "light_scatter",
         lambda t: (t.light, None, None, None),
-        lambda a, t: f"light that is off by {a.told(100)} % rms from level to level",
+        lambda a, t: f"light that scatters by {a.told(100)} % rms from level to level",
     ),
     Candidate(
         "black_scatter",
         lambda t: (1.0, None, None, None),
-        lambda a, t: f"a black level that wanders by {a.told()} DN rms from level to level",
+        lambda a, t: f"a black level that varies by {a.told()} DN rms from level to level",
     ),
     Candidate(
         "variance_scatter",

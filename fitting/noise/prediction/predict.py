@@ -167,8 +167,8 @@ def _untold(name: str, camera: Sensor, noises: list[str], found: Comparison) -> 
     if noises:
         seen, lit = np.asarray(found.seen[1]), np.asarray(found.lit.lit) > 0
         told.append(
-            f"{name} states no {' and no '.join(noises)}, without which it predicts no variance: "
-            "means were compared alone, with the noise that the frames have, "
+            f"{name} states no {' and no '.join(noises)}, so it predicts no variance: "
+            "only means were compared, with the noise of the frames, "
             f"{float(np.sqrt(seen[~lit].mean())):.3g} DN rms in the dark."
         )
     if found.ended:
@@ -300,7 +300,7 @@ def _of_one_tap(
     if tap is None:
         own = f" of a {pattern} mosaic" if pattern else ""
         raise InputError(
-            f"{name}: does not name its taps as the frames do, of which {site}{own} was asked for; "
+            f"{name}: does not name its taps as the frames do ({site}{own} was requested); "
             f"state {state}, or calibrate a camera of that pattern."
         )
     every = None if draws is None else eqx.filter_vmap(lambda one: of_tap(one, tap))(draws)

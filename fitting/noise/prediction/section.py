@@ -41,24 +41,25 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
     levels = f"{lit} levels of light" + (f" and {dark} of dark" if dark else "")
     kept = ""
     if len(prediction.comparisons) > 1:
-        kept = ", which the fit of another camera file like it was kept from,"
+        kept = ", which were held out in a second fit of the camera,"
     elif prediction.labels[0] == "the levels of its fit":
-        kept = ", those of its fit, as there are too few to keep some out of it,"
+        kept = ", which are those of its fit, because there are too few to hold some out,"
     predicts = f"{prediction.camera} alone predicts {levels}{kept} with chi-squares per degree of "
     if _scatter_alone(prediction):
         clauses = _joined([one.clause for one in prediction.missing])
         falls = _joined([f"{one.strength**2:.0f}" for one in prediction.missing])
         told = [
-            f"The frames show {clauses}, which no camera file holds. It lowers -2 log likelihood "
-            f"by {falls}. Beside it {predicts[0].lower()}{predicts[1:]}freedom of "
-            f"{_ratios(prediction.missing[-1].after)}; without it they are "
+            f"The frames show {clauses}, which is not part of a camera file. It "
+            f"lowers -2 log likelihood by {falls}. With it {predicts[0].lower()}{predicts[1:]}"
+            f"freedom of {_ratios(prediction.missing[-1].after)}; without it they are "
             f"{_ratios(judged.agreement)}."
         ]
     else:
         told = [f"{predicts}freedom of {_ratios(judged.agreement)}."]
     if prediction.unscaled:
         told.append(
-            "The camera or the frames do not tell photons, so the means gave the rate of the light."
+            "The camera or the frames state no photons, so the rate of the light was fitted to the "
+            "means."
         )
     errors = [
         f"{what} by {format_number(100 * size, 3)} %"
@@ -70,8 +71,8 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
     ]
     if errors:
         told.append(
-            f"These allow for what no camera file holds: from level to level {' and '.join(errors)}"
-            " rms."
+            "The chi-squares include errors that are not part of a camera file: from level to "
+            f"level {' and '.join(errors)} rms."
         )
     return (*told, *prediction.remarks, *explanations(prediction))
 
@@ -91,11 +92,11 @@ def explanations(prediction: Prediction) -> list[str]:
         )
     if not more or _scatter_alone(prediction):
         return told
-    told.append(f"The {_listed(more)} are missed by more than chance ({_chances(more)}).")
+    told.append(f"The {_listed(more)} differ significantly ({_chances(more)}).")
     for one in prediction.missing:
         first = one is prediction.missing[0]
         told.append(
-            f"{'What explains it most likely is' if first else 'Added to that:'} {one.clause}. It "
+            f"{'The most likely cause is' if first else 'Added to that:'} {one.clause}. It "
             f"lowers -2 log likelihood by {one.strength**2:.0f}. With it the chi-squares are "
             f"{_ratios(one.after)}."
         )
@@ -160,7 +161,7 @@ def picture(prediction: Prediction) -> Picture:
     return Picture(
         "prediction",
         "Residuals of the prediction",
-        "What frames show less what the camera alone predicts, in standard errors, over the mean "
+        "Measured less predicted (by the camera alone), in standard errors, over the mean "
         "signal; squares are levels without light. The band is two standard errors.",
         partial(residual_figure, prediction),
     )

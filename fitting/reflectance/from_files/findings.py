@@ -152,8 +152,8 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
             )
             often = f"; more at {one.more_often} of {len(one.alone)}, p = {one.chance:.2g}"
             told.append(
-                f"{LABELS[m]} ({in_words(held_out[m], objective)}: {one.value:.2f} times as much, "
-                f"{least}, {most}{often * counted})"
+                f"{LABELS[m]} ({in_words(held_out[m], objective)}: {one.value:.2f} times the "
+                f"error, {least}, {most}{often * counted})"
             )
         return listed(told) if told else ""
 
@@ -294,9 +294,9 @@ def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
         if side != "neither" and (mirror, half) not in PAIRS:
             confounded.append(f"{LABELS[half]} against {LABELS[mirror]} on {name}")
     sides: dict[Side, str] = {
-        "half": "the best lobe about the half vector wins",
-        "mirror": "the best about the mirror direction",
-        "neither": "neither by more than chance",
+        "half": "the best lobe about the half vector is better",
+        "mirror": "the best lobe about the mirror direction is better",
+        "neither": "the difference is not significant",
     }
     told = "; ".join(
         f"{words} on {len(wins[side])} of {len(calibrations)} ({', '.join(wins[side])})"
@@ -305,8 +305,8 @@ def _best_lobes(calibrations: Sequence[BRDFCalibration]) -> Numbers:
     )
     if confounded:
         told += (
-            ". By itself this says nothing about the axis where the lobes differ in more than the "
-            f"axis: {listed(confounded)}"
+            ". Where lobes differ in more than their axis, this alone says nothing about the axis: "
+            f"{listed(confounded)}"
         )
     return {"metric": METRICS[calibrations[0].objective], "told": told}
 
@@ -329,7 +329,7 @@ def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
     else:
         judgement = "neither confirm nor contradict"
     if "neither" in alone and not judgement.startswith("neither"):
-        judgement += ", where they tell,"
+        judgement += ", where they are significant,"
     return {
         "half": results.count("half"),
         "mirror": results.count("mirror"),
@@ -351,8 +351,8 @@ def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
         rise = max(metric(metal, objective) - metric(clear, objective), 0.0)
         told.append(
             f"{readable(calibration.measured.name)} {in_words(metal, objective)} instead of "
-            f"{in_words(clear, objective)}, which is {format_percent(rise / lead)} of their lead "
-            f"over Lambert's {in_words(matt, objective)}"
+            f"{in_words(clear, objective)}; this is {format_percent(rise / lead)} of the "
+            f"improvement over Lambert's {in_words(matt, objective)}"
         )
     return {"told": "; ".join(told)} if told else None
 
@@ -382,93 +382,96 @@ RELATIONS = (  # of a lobe about the half vector to that about the mirror direct
     Finding(
         "useless",
         lambda pair: all(_useless(pair)),
-        "errs by more than the whole signal, and so does",
+        "has errors larger than the signal, and so has",
     ),
     Finding("wins", lambda pair: winner_of(pair[0], pair[1], pair[3]) == "half", "beats"),
     Finding("loses", lambda pair: winner_of(pair[0], pair[1], pair[3]) == "mirror", "loses to"),
-    Finding("ordered", _order, "errs {more} at {times} of {of} incidences (p = {chance:.2g}) than"),
+    Finding(
+        "ordered",
+        _order,
+        "has {more} error at {times} of {of} incidences (p = {chance:.2g}) than",
+    ),
     Finding(
         "more than the signal",
         lambda pair: _useless(pair)[0],
-        "errs by more than the whole signal, unlike",
+        "has errors larger than the signal, unlike",
     ),
     Finding(
         "less than the signal",
         lambda pair: _useless(pair)[1],
-        "errs by less than the whole signal, unlike",
+        "has errors smaller than the signal, unlike",
     ),
-    Finding("open", lambda pair: True, "is not told apart from"),
+    Finding("open", lambda pair: True, "does not differ significantly from"),
 )
 VERDICT = (
     Finding(
         "best",
         lambda numbers: numbers,
-        "At angles of incidence that no fit has seen, {winner} predicts best: {metric} {error}"
-        "{unit}{against}.",
+        "At held-out angles of incidence, {winner} predicts best: {metric} {error}{unit}{against}.",
     ),
     Finding(
         "equal",
         lambda numbers: numbers if numbers["equal"] else None,
-        "Not told apart from it, leaving out incidence by incidence: {equal}.",
+        "Not significantly worse, by leaving out each incidence in turn: {equal}.",
     ),
     Finding(
         "far",
         lambda numbers: numbers if numbers["far"] else None,
-        "Of these some err far more here, but by how much hangs on single incidences: {far}.",
+        "Some of these have a far larger error here, but its size depends on single incidences: "
+        "{far}.",
     ),
     Finding(
         "worse",
         lambda numbers: numbers if numbers["worse"] else None,
-        "Worse than it at more incidences than is likely by chance (p up to {likely:g}), though by "
-        "how much on the whole hangs on single ones: {worse}.",
+        "Worse at significantly more incidences (p up to {likely:g}), although the size of the "
+        "difference depends on single incidences: {worse}.",
     ),
     Finding(
         "useless",
         lambda numbers: numbers if numbers["useless"] else None,
-        "Missing more than the whole signal, hence no description of it, though how it compares "
-        "with the best depends on the incidence that is left out: {useless}.",
+        "With errors larger than the signal, and thus no description of it, although the ratio to "
+        "the best model depends on which incidence is left out: {useless}.",
     ),
 )
 FINDINGS = (
     Finding(
         "no description",
         _no_description,
-        "No model here describes this file: at angles of incidence that no fit has seen, the best "
-        "one ({model}) misses {missed:.1f} % of the signal's cosine-weighted RMS, more than "
-        "{most}. Its parameters are no properties of the surface.",
+        "No model here describes this file: at held-out angles of incidence, the error of the best "
+        "one ({model}) is {missed:.1f} % of the signal's cosine-weighted RMS, more than "
+        "{most}. Its parameters are not properties of the surface.",
     ),
     Finding("verdict", _verdict, "{verdict}"),
     Finding(
         "impossible",
         _impossible,
-        "{model} as fitted is impossible: it reflects {albedo:.2g} times the light that falls on "
-        "it along the normal{band} (its albedo), and no surface reflects more than all of it.",
+        "{model} as fitted is impossible: its albedo along the normal{band} is {albedo:.2g}, and "
+        "no albedo exceeds 1.",
     ),
     Finding(
         "black",
         _black,
-        "The surface as fitted reflects {albedo:.2g} % of the light that falls on it along the "
-        "normal, less than black velvet: values may lack a factor, as those of a MERL file do that "
-        "were divided by its scales already.",
+        "The fitted albedo along the normal is {albedo:.2g} %, less than that of black velvet: the "
+        "values may lack a factor, as in a MERL file that was already divided by its scales.",
     ),
     Finding(
         "toward the light",
         _toward_light,
         "The data peak within {near:.3g}° of the direction toward the light at {toward} of "
-        "{judged} oblique incidences: the surface is retro-reflective, which no model here is.",
+        "{judged} oblique incidences: the surface is retro-reflective, and no model here is.",
     ),
-    Finding("axis", _pairs, "Half vector against mirror direction, all else equal: {pairs}."),
+    Finding("axis", _pairs, "Half vector or mirror direction, all else equal: {pairs}."),
     Finding(
         "weight",
         _weight,
-        "{share} of the weight of the fit lies at one incidence, {angle:.0f}°: what it says is "
-        "about that one.",
+        "{share} of the weight of the fit is at one incidence, {angle:.0f}°, so the fit describes "
+        "mainly that one.",
     ),
     Finding(
         "unseen incidences",
         _generalisation,
-        "{model} errs {times:.1f} times more at incidences it has not seen than at those of its "
-        "fit, most at {angle:.0f}°: what it says there depends on having been measured there.",
+        "The error of {model} is {times:.1f} times larger at held-out incidences than at those of "
+        "its fit, most at {angle:.0f}°: its predictions there need measurements there.",
     ),
     Finding(
         "facets",
@@ -480,7 +483,7 @@ FINDINGS = (
     Finding(
         "end of range",
         _stuck,
-        "At an end of the range of their shape, hence no good description: {models}.",
+        "The shape parameter is at the end of its range, so the description is poor: {models}.",
     ),
     Finding(
         "no minimum",
@@ -491,25 +494,25 @@ FINDINGS = (
         "standard errors",
         _intervals,
         "Standard errors come from leaving out each of the {count} incidences in turn, so they "
-        "hold what the model misses, not only noise.{drawn}",
+        "include the misfit of the model, not only noise.{drawn}",
     ),
     Finding("data", lambda c: [{"told": one} for one in c.measured.findings], "{told}"),
 )
 OVER_MATERIALS = (
-    Finding("best lobes", _best_lobes, "By {metric} at incidences that no fit has seen, {told}."),
+    Finding("best lobes", _best_lobes, "By {metric} at held-out incidences, {told}."),
     Finding(
         "axis alone",
         _axis_alone,
         "Between lobes that differ in the axis alone (Phong and Blinn, with and without "
         "normalisation), the half vector wins {half} of {every} comparisons, the mirror direction "
-        "{mirror}; the others leave it open. Together these comparisons {judgement} the finding of "
+        "{mirror}; the others are not significant. Together they {judgement} the finding of "
         "Ngan, Durand & Matusik (2005) on 100 materials that lobes about the half vector fit "
         "better.",
     ),
     Finding(
         "Fresnel",
         _fresnel,
-        "Where Torrance-Sparrow with clear facets wins, GGX facets without the rise of Fresnel "
-        "reflectance toward grazing angles (metal) err on {told}.",
+        "Where Torrance-Sparrow with clear facets predicts best, the errors of GGX facets without "
+        "the rise of Fresnel reflectance toward grazing angles (metal) are, on {told}.",
     ),
 )

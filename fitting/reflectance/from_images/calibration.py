@@ -196,9 +196,9 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
     gain = 2 * (fit.log_evidence(effect) - without_lobe.log_evidence(effect))
     if fit.form.model != "lambert" and gain < 2 * np.log(size):
         unseen = (
-            "a fit without a highlight does as well"
+            "a fit without a highlight is as good"
             if "specular" in present
-            else "the surface looks smooth: Lambert's model does as well"
+            else "the surface looks smooth: Lambert's model is as good"
         )
         reasons |= dict.fromkeys((name for name in of_lobe if name in present), unseen)
     if fit.turned is not None and not fit.turned.followed:
@@ -209,7 +209,7 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
     if fit.robustness is None:
         for name, inflation in zip(present, fit.identifiability.inflation, strict=True):
             if not np.isfinite(inflation):
-                reasons.setdefault(name, "the data leave it open (see the findings)")
+                reasons.setdefault(name, "the data do not determine it (see the findings)")
         return reasons
     half_widths = stdtrit(fit.robustness.freedom, 0.975) * np.sqrt(
         np.diagonal(fit.robustness.covariance)
@@ -217,7 +217,7 @@ def open_parameters(fit: ChannelFit, without_lobe: ChannelFit) -> dict[str, str]
     for name, half_width in zip(present, half_widths, strict=True):
         if half_width > ndtri(0.975) * OPEN:
             factor = np.exp(min(float(half_width), 30.0))
-            why = f"its 95 % interval reaches from 1/{factor:.2g} to {factor:.2g} times"
+            why = f"its 95 % interval is from 1/{factor:.2g} to {factor:.2g} times its value"
             reasons.setdefault(name, why)
     return reasons
 

@@ -225,7 +225,7 @@ def surpassed_by(scores: Sequence[ModelScore], model: Model) -> tuple[Model, str
     tested = all(gap.freedom for gap in _differences(by_model[model], by_model[equal[0]]))
     if tested and model not in equal:
         more = _more(by_model[model], by_model[equal[0]])
-        return equal[0], f"errs on unseen lights by {more} than"
+        return equal[0], f"has {more} error on unseen lights than"
     costs = _bic({m: by_model[m] for m in (equal if tested else by_model)})
     cheapest = _least(costs)
     lead = costs[model] - costs[cheapest]
@@ -250,11 +250,12 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
     sentence = ""
     if errors[best].max() > SHOWS:
         sentence = (
-            f"No model here describes the images: the best misses {_percentages(errors[best])} of "
-            f"the signal, where more than {format_percent(SHOWS)} is no description: a surface "
-            "unlike all of them or of uneven albedo (texture), or files, lights, a shape or a "
-            "camera that are not as the rig says (gamma, black level, near lamps, the sphere's "
-            "centre, perspective, rows of two exposures). "
+            "No model here describes the images: the error of the best is "
+            f"{_percentages(errors[best])} of the signal, above the limit of "
+            f"{format_percent(SHOWS)}. Causes are a surface unlike all models or of varying albedo "
+            "(texture), or a rig that does not state files, lights, shape or camera correctly "
+            "(gamma, black level, near lamps, the sphere's centre, perspective, rows of two "
+            "exposures). "
         )
     sentence += (
         f"On {_lights(held_out, 'held-out ')} {LABELS[best]} predicts best: relative RMS "
@@ -283,12 +284,12 @@ def verdict(scores: Sequence[ModelScore], held_out: int) -> str:
                 f"{lead:.0f}."
             )
     elif held_out < 2:
-        sentence += " One light does not tell how much of a difference is chance."
+        sentence += " One light does not show how much of a difference is chance."
     elif len(by_model) > 1:
         rest: dict[Model, float] = {m: float(e.sum()) for m, e in errors.items() if m != best}
         runner = _least(rest)
         more = _more(by_model[runner], by_model[best])
-        sentence += f" The next, {LABELS[runner]}, errs by {more}."
+        sentence += f" The next, {LABELS[runner]}, has {more} error."
     return sentence
 
 

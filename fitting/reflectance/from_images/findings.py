@@ -114,7 +114,7 @@ def _few_freedom(of: OfChannel) -> Numbers | None:
         "judges": f"{judges}{_lights(fit)} fitted lights",
         "freedom": freedom,
         "reach": stdtrit(freedom, 0.975),
-        "end": "." if in_regions else "; more lights narrow them.",
+        "end": "." if in_regions else "; more lights make them narrower.",
     }
 
 
@@ -257,10 +257,10 @@ def _parts(calibration: ReflectanceCalibration) -> list[Numbers]:
         {
             "part": part,
             "share": format_percent(abs(means[part]), decimals=1),
-            "why": "brighter than predicted: light that the rig does not name (inter-reflection "
-            "from a stand or table, stray light)"
+            "why": "brighter than predicted. Causes are light that the rig does not state "
+            "(interreflection from a stand or table, stray light)"
             if means[part] > 0
-            else "darker than predicted: shadow",
+            else "darker than predicted. Causes are a shadow",
             "assumed": _taken_for_granted(calibration),
         }
         for part in ("outline", *worst)
@@ -286,7 +286,7 @@ def _taken_for_granted(calibration: ReflectanceCalibration) -> str:
         granted.append("linear files (give camera.gamma, or --fit-gamma, for sRGB pictures)")
     if (np.ptp(observation.falloff, axis=1) == 0).all():
         granted.append("lamps at infinity (give a near lamp's position in place of its direction)")
-    granted.append("the object where geometry has it (the sphere's centre and radius, the normals)")
+    granted.append("the stated geometry (the sphere's centre and radius, the normals)")
     granted.append("an orthographic camera, far from the object")
     return listed(granted)
 
@@ -350,15 +350,15 @@ OF_CHANNEL = (
         "misfit",
         partial(_misfit, hopeless=False),
         "Residuals are larger than the sensor's noise (chi-square per degree of freedom {chi:.2f});"
-        " an error of {error} of the signal explains them: unequal pixels (PRNU), uneven light or a"
-        " surface that is not the model's.",
+        " an error of {error} of the signal would explain them, by unequal pixels (PRNU), uneven"
+        " light or a surface that differs from the model.",
     ),
     Finding(
         "no description",
         partial(_misfit, hopeless=True),
         "Residuals are larger than the sensor's noise (chi-square per degree of freedom {chi:.2f});"
-        " they are larger than the signal: the images do not show such a surface under these"
-        " lights, so do not use the numbers.",
+        " they are larger than the signal, so the images do not show such a surface under these"
+        " lights. Do not use the numbers.",
     ),
     Finding(
         "calm",
@@ -369,29 +369,30 @@ OF_CHANNEL = (
     Finding(
         "unjudged",
         lambda of: {"lights": _lights(of[1])} if _unjudged(of) else None,
-        "From so few lights as fitted ({lights}) it cannot be judged how far the pixels of one"
-        " image share an error (of its light, say); the intervals assume that they do not and may"
-        " be far too narrow, so use more lights.",
+        "With so few fitted lights ({lights}), an error that the pixels of one image share (that of"
+        " its light, say) cannot be estimated. The intervals assume that there is none and may"
+        " be far too narrow; use more lights.",
     ),
     Finding(
         "few degrees of freedom",
         _few_freedom,
-        "Errors are judged by how {judges} agree; that leaves {freedom:.1f} degrees of freedom, so"
-        " 95 % intervals reach {reach:.3g} standard errors to either side{end}",
+        "Errors are estimated from the agreement of {judges}, with {freedom:.1f} degrees of"
+        " freedom, so 95 % intervals extend {reach:.3g} standard errors to either side{end}",
     ),
     Finding(
         "design effect",
         _design_effect,
-        "Residuals move together (design effect {by_light:.3g} within images, {by_pixel:.3g} within"
-        " pixels), so {size} samples say as much as {worth:.0f} independent ones; the intervals"
-        " allow for it, {wider:.1f} times wider on average over the parameters.",
+        "Residuals are correlated (design effect {by_light:.3g} within images, {by_pixel:.3g}"
+        " within pixels), so {size} samples hold as much information as {worth:.0f} independent"
+        " ones. The intervals include this; they are {wider:.1f} times wider on average over the"
+        " parameters.",
     ),
     Finding(
         "regions of lights",
         _in_regions,
-        "Images of neighbouring lights miss the model alike, so that the intervals take {regions}"
-        " regions of the {lights} lights for independent, not the lights; parameters may differ"
-        " under lights from elsewhere.",
+        "The misfit of images under neighbouring lights is similar, so the intervals count"
+        " {regions} regions of the {lights} lights as independent, not each light. Parameters may"
+        " differ under lights from other directions.",
     ),
 )
 
@@ -400,21 +401,21 @@ OF_ALL = (
         "lights astray",
         partial(_turned, followed=False),
         "{channels}: to fit the images, lights would have to be turned by {sizes} times"
-        " direction_sd (rms): it is too small, or the model misses something else. They were left"
-        " where the rig has them, and no highlight is told.",
+        " direction_sd (rms): it is too small, or the model has another misfit. The directions of"
+        " the rig were kept, and no statement on the highlight is made.",
     ),
     Finding(
         "lights turned",
         partial(_turned, followed=True),
-        "Lights were turned to where their images put them, by {sizes} times direction_sd along"
+        "The directions of the lights were fitted: they changed by {sizes} times direction_sd along"
         " either axis (rms).",
     ),
     Finding(
         "directions wider",
         partial(_turned, followed=True, wider=True),
-        "{channels}: turns as large are no chance: direction_sd is too small, or the model misses"
-        " something that turned lights take up. Intervals take the directions for as uncertain as"
-        " that; give direction_sd as large as it is, and compare models.",
+        "{channels}: changes of this size are significant: direction_sd is too small, or the"
+        " directions absorb a misfit of the model. The intervals use an error of the directions as"
+        " large as the changes; state a larger direction_sd, and compare models.",
     ),
     Finding(
         "clear facets",
@@ -424,13 +425,13 @@ OF_ALL = (
     Finding(
         "unseen winner",
         _unseen_winner,
-        "{model} predicts best, but what it adds to Lambert's model is not determined{where}: the"
-        " lead may be chance.",
+        "{model} predicts best, but its terms beyond Lambert's model are not determined{where}: the"
+        " difference may be chance.",
     ),
     Finding(
         "better model",
         _better_model,
-        "{model}, which is reported here in full, is not the best: it {how} {better}. --model"
+        "The reported model, {model}, is not the best: it {how} {better}. --model"
         " {name} reports that one (model={name!r} in Python).",
     ),
     Finding(
@@ -443,35 +444,35 @@ OF_ALL = (
         "colour of one lobe",
         partial(_coloured, by_all=False),
         "Whether the highlight is coloured depends on the lobe: k_s is larger in {high} than in"
-        " {low} by {z:.0f} standard errors with {model}, not with {other}, which predicts unseen"
-        " lights no worse; no conclusion is drawn.",
+        " {low} by {z:.0f} standard errors with {model}, but not with {other}, which predicts"
+        " unseen lights as well. No conclusion is drawn.",
     ),
     Finding(
         "coloured",
         partial(_coloured, by_all=True),
         "The highlight is coloured: k_s red : green : blue = {red:.2f} : 1 : {blue:.2f}, {z:.0f}"
-        " standard errors from neutral; a clear coat reflects the light's own colour, so either the"
-        " surface is metallic, the intensities are off, or the highlight's shape is not the"
-        " model's.",
+        " standard errors from neutral. A clear coat reflects the colour of the light, so either"
+        " the surface is metallic, the intensities are wrong, or the highlight's shape differs from"
+        " the model.",
     ),
     Finding(
         "part of the object",
         _parts,
-        "Averaged over all lights, the {part} of the object is {share} {why}, a surface that is not"
-        " the model's, or what the rig takes for granted: {assumed}.",
+        "Averaged over all lights, the {part} of the object is {share} {why}, a surface that"
+        " differs from the model, or a wrong assumption of the rig: {assumed}.",
     ),
     Finding(
         "texture",
         _texture,
-        "Most of what the model misses, {share} of the signal, is the same in a pixel under all"
-        " lights: a surface of uneven albedo (texture, stains), or unequal pixels.",
+        "Most of the misfit, {share} of the signal, is the same in a pixel under all"
+        " lights: a surface of varying albedo (texture, stains), or unequal pixels.",
     ),
     Finding(
         "glowing shadows",
         _shadows,
-        "Attached shadows are not black: on average they hold {shares} % of what the diffuse term"
-        " gives in full light, which reaches them by another way (inter-reflection, stray light, a"
-        " black level set too low); the fit leaves shadows out.",
+        "Attached shadows are not black: on average they have {shares} % of the diffuse term in"
+        " full light. Causes are interreflection, stray light, or a black level that is set too"
+        " low. The fit leaves shadows out.",
     ),
 )
 

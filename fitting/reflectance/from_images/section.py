@@ -116,7 +116,7 @@ def _pictures(calibration: ReflectanceCalibration) -> tuple[Picture, ...]:
     return (
         Picture(
             "images",
-            "Measured, predicted, and what is left",
+            "Measured, predicted, and their difference",
             f"Two lights of the fit and two held-out ones, {model}. Last row: measured less "
             "predicted in per cent of the brightest predicted pixel (red: the photograph is "
             "brighter); saturated pixels are grey.",
@@ -126,26 +126,26 @@ def _pictures(calibration: ReflectanceCalibration) -> tuple[Picture, ...]:
             "lobes",
             "The two terms of the model against their angle",
             "Away from the highlight, signal per unit of light against n.l: the diffuse term is a "
-            "straight line. The highlight, which the diffuse term leaves over, against the angle "
-            "to the mirror direction. Dots: medians of the fitted lights, bars: middle 68 % of "
-            "the pixels; lines: the fit (medians of it where it does not depend on that angle "
+            "straight line. The highlight, after subtraction of the diffuse term, against the "
+            "angle to the mirror direction. Dots: medians of the fitted lights, bars: middle 68 % "
+            "of the pixels; lines: the fit (medians of it where it does not depend on that angle "
             "alone).",
             partial(figures.lobes_figure, calibration),
         ),
         Picture(
             "comparison",
             "Error of the prediction, by model",
-            "Relative RMS of the predicted images: dots on lights that no fit has seen, strokes on "
-            "the fitted lights. Further left is better; a dot well right of its stroke would be "
-            "over-fitting.",
+            "Relative RMS of the predicted images: dots for held-out lights, strokes for "
+            "the fitted lights. Further left is better; a dot far to the right of its stroke would "
+            "mean over-fitting.",
             partial(figures.comparison_figure, calibration),
         ),
         Picture(
             "residual_map",
-            "Where the model misses, averaged over all lights",
-            "Measured less predicted, in per cent of the predicted light that each pixel sent over "
-            "all images and channels. Structure here is not noise: light or shape that the model "
-            "does not have.",
+            "Misfit of the model, averaged over all lights",
+            "Measured less predicted, in per cent of the predicted signal of each pixel over "
+            "all images and channels. Structure here is not noise but light or shape that the "
+            "model lacks.",
             partial(figures.residual_map_figure, calibration),
         ),
     )
