@@ -110,7 +110,7 @@ def test_a_linear_mosaic_of_several_black_levels_is_linear():
     said = " ".join(found.section.findings)
     assert "not a pure gamma" not in said
     assert "shows a departure" not in said
-    assert "Black lies at 480 (red), 512 (green 1, green 2) and 560 (blue) DN" in said
+    assert "The black level is 480 (red), 512 (green 1, green 2) and 560 (blue) DN" in said
 
 
 @pytest.mark.slow
