@@ -160,7 +160,7 @@ def brdf(
     compare_all: Annotated[
         bool,
         typer.Option(
-            "--compare-all", help="Rig: fit all ten models, not six, in about twice the time."
+            "--compare-all", help="Rig: fit all eleven models, not eight, in about twice the time."
         ),
     ] = False,
     ambient: Annotated[

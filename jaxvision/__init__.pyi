@@ -73,6 +73,9 @@ from .brdf.fresnel import (
     Dielectric as Dielectric,
     Schlick as Schlick,
 )
+from .brdf.eon import (
+    EON as EON,
+)
 from .brdf.gaussian_lobe import (
     GaussianLobe as GaussianLobe,
     GaussianLobeBRDF as GaussianLobeBRDF,

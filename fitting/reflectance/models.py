@@ -9,7 +9,8 @@ The facets of `torrance-sparrow` are GGX, as in the record's default, and those 
 term is that of a clear dielectric of a given index, which is never fitted: except at grazing
 angles, k_s and the normal reflectance enter only as their product. Facets of
 `torrance-sparrow-metal` (GGX) have the same reflectance at all angles, which is nearly true for
-metals.
+metals. In `eon` the facets light each other as white ones do, so that k_d is an
+amplitude in any unit of light.
 """
 
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from jaxtyping import Array, Float
 from jaxvision import Vec
 from jaxvision.brdf import evaluate, shading
 from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
+from jaxvision.brdf.eon import EON
 from jaxvision.brdf.fresnel import Dielectric
 from jaxvision.brdf.gaussian_lobe import GaussianLobe
 from jaxvision.brdf.oren_nayar import OrenNayar
@@ -93,17 +95,31 @@ def _rough_body(shape: Array, index: float) -> Material:
     return OrenNayar(jnp.ones(1, shape.dtype), shape)
 
 
+def _facets_that_light_each_other(shape: Array, index: float) -> Material:
+    del index
+    one = jnp.ones(1, shape.dtype)
+    return EON(one, shape, facet_albedo=one)
+
+
 _EXPONENT = Parameter("exponent", symbol="n", unit="1", transform="log")
 _CONCENTRATION = Parameter("concentration", symbol="c", unit="1/rad", transform="log")
 _FACET_ROUGHNESS = Parameter("roughness", symbol="α", unit="1", transform="log")
 _BODY_ROUGHNESS = Parameter("roughness", symbol="σ", unit="rad", transform="log")
+_SHARE_OF_ROUGHNESS = Parameter("roughness", symbol="r", unit="1", transform="log")
 # Between which values a shape is searched, by its symbol. A body of the least roughness differs
 # from the smooth one, Lambert's, by less than a millionth up to 87 degrees from the normal.
-SEARCHED = {"n": (0.5, 20_000.0), "c": (0.5, 100.0), "α": (0.005, 1.5), "σ": (1e-4, 1.5)}
+SEARCHED = {
+    "n": (0.5, 20_000.0),
+    "c": (0.5, 100.0),
+    "α": (0.005, 1.5),
+    "σ": (1e-4, 1.5),
+    "r": (1e-5, 1.0),
+}
 
 REFLECTANCES: dict[Model, Reflectance] = {
     "lambert": Reflectance("Lambert", "none"),
     "oren-nayar": Reflectance("Oren-Nayar", "none", _BODY_ROUGHNESS, _rough_body),
+    "eon": Reflectance("EON", "none", _SHARE_OF_ROUGHNESS, _facets_that_light_each_other),
     "phong": Reflectance("Phong", "mirror", _EXPONENT, _lobe(Phong)),
     "normalised-phong": Reflectance(
         "normalised Phong", "mirror", _EXPONENT, _lobe(NormalisedPhong), "1"

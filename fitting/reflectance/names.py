@@ -7,6 +7,7 @@ from typing import Literal, get_args
 Model = Literal[
     "lambert",
     "oren-nayar",
+    "eon",
     "phong",
     "normalised-phong",
     "gaussian-lobe",

@@ -3,6 +3,7 @@
 from . import (
     blinn as blinn,
     dichromatic as dichromatic,
+    eon as eon,
     gaussian_lobe as gaussian_lobe,
     glass as glass,
     half_difference as half_difference,

@@ -92,6 +92,7 @@ def test_what_is_matt_looks_the_same_from_all_of_the_lens():
     [
         jv.TorranceSparrow([0.1], [0.5], 0.3),
         jv.OrenNayar([0.2], 0.5),
+        jv.EON([0.2], 0.7),
         jv.OrenNayar([0.2], 0.5, form="full"),
         jv.NormalisedBlinn([0.1], [0.5], 20.0),
         jv.GaussianLobeBRDF([0.1], [0.5], 4.0),

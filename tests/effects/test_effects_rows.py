@@ -39,6 +39,7 @@ ROWS = {
     "Glass": {"absorption"},
     "TorranceSparrow": {"specular", "interface"},
     "OrenNayar": {"sigma"},
+    "EON": {"roughness"},
     "Mirror": {"reflectance"},
     "RectangleLight": {"edge_u", "edge_v"},
     **{
@@ -67,6 +68,7 @@ QUANTITIES = {
     "Lambert": {"diffuse", "ambient"},
     "TorranceSparrow": {"diffuse", "roughness", "ambient", "distribution", "shadowing"},
     "OrenNayar": {"diffuse", "ambient", "form"},
+    "EON": {"diffuse", "ambient", "facet_albedo"},
     "Phong": LOBE,
     "PhongBRDF": LOBE,
     "NormalisedPhong": LOBE,

@@ -8,6 +8,7 @@ from jaxvision.brdf import fresnel as fr
 from jaxvision.brdf import specular
 from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
 from jaxvision.brdf.dichromatic import Dichromatic
+from jaxvision.brdf.eon import EON
 from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.lambert import Lambert
 from jaxvision.brdf.mirror import Mirror
@@ -101,6 +102,7 @@ EXAMPLES = {
     "brdf.torrance_sparrow.microfacet_lobe": ((FACETS, WI, WO), {}),
     **family("torrance_sparrow", FACETS, *SAMPLED),
     **family("oren_nayar", OrenNayar(KD, 0.4, form="full"), "evaluate"),
+    **family("eon", EON(KD, 0.7), "evaluate", "albedo"),
     **family("dichromatic", SHAFER, "shading", *SAMPLED),
     "brdf.dichromatic_separation.usable_pixels": ((COLOURS,), {"dark": 0.1, "saturated": 0.7}),
     "brdf.dichromatic_separation.separate": (

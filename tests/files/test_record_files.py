@@ -11,6 +11,7 @@ from fitting.noise import calibrate, from_frames
 from fitting.noise.section import section as noise_section
 from fitting.rig import Camera as RigCamera
 from jaxvision import (
+    EON,
     Camera,
     DirectionalLight,
     Lambert,
@@ -49,6 +50,7 @@ MATERIALS = [
     Lambert((0.1, 0.2, 0.3)),
     Phong((0.3,), (0.4,), exponent=25.0),
     OrenNayar((0.3,), 0.5),
+    EON((0.3,), 0.5, facet_albedo=(1.0,)),
     TorranceSparrow((0.1,), (1.0,), 0.2, interface=Schlick((0.04,))),
 ]
 

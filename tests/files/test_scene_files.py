@@ -12,7 +12,7 @@ from scipy.constants import c, h, k
 
 import jaxvision as jv
 from jaxvision import scene
-from jaxvision.brdf import blinn, fresnel, gaussian_lobe, lambert, mirror, oren_nayar, phong
+from jaxvision.brdf import blinn, eon, fresnel, gaussian_lobe, lambert, mirror, oren_nayar, phong
 from jaxvision.brdf.glass import Glass
 from jaxvision.brdf.half_difference import HalfDifferenceTable
 from jaxvision.brdf.torrance_sparrow import TorranceSparrow
@@ -128,6 +128,7 @@ MATERIALS = {
     'family = "oren_nayar"\nalbedo = 0.5\nsigma = 30\nform = "full"': oren_nayar.OrenNayar(
         K_D, np.pi / 6, form="full"
     ),
+    'family = "eon"\nalbedo = 0.5\nroughness = 0.4': eon.EON(K_D, 0.4),
     'family = "phong"\nalbedo = 0.5\nspecular = 0.2\nexponent = 40': phong.Phong(
         K_D, [0.2] * 3, 40.0
     ),

@@ -3,6 +3,7 @@ the library's rearrangements. Local frame; each returns f_r as a list of bands."
 
 import cmath
 import math
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -101,6 +102,44 @@ def oren_nayar(wi, wo, *, kd, sigma, full):
     l1 += (1 - abs(math.cos(phi))) * c3 * math.tan((a + b) / 2)
     l2 = 0.17 * rho * v / (v + 0.13) * (1 - math.cos(phi) * (2 * b / math.pi) ** 2)
     return np.maximum(rho / math.pi * (l1 + l2), 0)
+
+
+def eon(wi, wo, *, kd, r):
+    """Listing 1 of Portsmouth, Kutz & Hill (2025); its albedo of a single reflection by quadrature
+    of the first term, not by the paper's closed form."""
+    rho = np.asarray(kd) * math.pi
+    s = float(np.dot(wi, wo)) - wi[2] * wo[2]
+    single = 1 + r * (s / max(wi[2], wo[2]) if s > 0 else s)
+    lost, mean = _lost(r, float(wi[2])) * _lost(r, float(wo[2])), _mean_lost(r)
+    mixed = rho**2 * (1 - mean) / (1 - rho * mean)
+    return (rho * single / _unit_facets(r) + mixed * lost / mean) / math.pi
+
+
+def _unit_facets(r):
+    return 1 + (0.5 - 2 / (3 * math.pi)) * r
+
+
+def _lost(r, cos_o):
+    """Of a white surface, 1 - E: over rings of light at theta, with 1 / pi for the mean of the
+    positive and of the negative half of cos(phi)."""
+    theta_o, x = math.acos(cos_o), NODES[0]
+    reflected = 0.0
+    for low, high in ((0.0, theta_o), (theta_o, math.pi / 2)):
+        theta = (low + high) / 2 + (high - low) / 2 * x
+        part = np.sin(theta) * math.sin(theta_o) / math.pi
+        ring = np.sin(2 * theta) * part * (1 / np.maximum(np.cos(theta), cos_o) - 1)
+        reflected += (high - low) / 2 * NODES[1] @ ring
+    return 1 - (1 + r * reflected) / _unit_facets(r)
+
+
+@lru_cache
+def _mean_lost(r):
+    x, w = NODES
+    cosines = (1 + x) / 2
+    return float(w @ [c * _lost(r, c) for c in cosines])
+
+
+NODES = np.polynomial.legendre.leggauss(64)
 
 
 def albedo(plain, wo):

@@ -183,6 +183,26 @@ def oren_nayar(m, n, wi, wo):
     return np.maximum(k * first[:, None] + np.pi * k**2 * second[:, None], 0)
 
 
+def eon(m, n, wi, wo):
+    """By the closed form of the albedo, in angles (Portsmouth, Kutz & Hill, listing 1)."""
+    r, c_i, c_o, k = float(m.roughness), dots(n, wi), dots(n, wo), number(m.diffuse)
+    a = 1 / (1 + (0.5 - 2 / (3 * np.pi)) * r)
+    s = dots(wi, wo) - c_i * c_o
+    single = k * (a * (1 + r * np.where(s > 0, s / np.maximum(c_i, c_o), s)))[:, None]
+
+    def missing(c):
+        theta = np.arccos(np.clip(c, 1e-9, 1))
+        sin = np.sin(theta)
+        g = sin * (theta - sin * np.cos(theta))
+        g = g + 2 / 3 * (np.tan(theta) * (1 - sin**3) - sin)
+        return 1 - a * (1 + r * g / np.pi)
+
+    mean = a * (1 + (2 / 3 - 28 / (15 * np.pi)) * r)
+    rho = np.minimum(np.pi * k, 1) if m.facet_albedo is None else number(m.facet_albedo)
+    further = missing(c_i) * missing(c_o) / max(1 - mean, 1e-30)
+    return single + k * rho * mean / (1 - rho * (1 - mean)) * further[:, None]
+
+
 def reflected(m, n, wi, wo):
     """Radiance toward `wo` per irradiance of a facing surface."""
     c_i = dots(n, wi)
@@ -197,6 +217,8 @@ def reflected(m, n, wi, wo):
         ) * reflected(m.interface, n, wi, wo)
     if name == "OrenNayar":
         return np.where(lit, oren_nayar(m, n, wi, wo) * cosine, 0)
+    if name == "EON":
+        return np.where(lit, eon(m, n, wi, wo) * cosine, 0)
     body = number(m.diffuse) * cosine
     if name == "Lambert":
         return np.where(lit, body, 0)

@@ -53,6 +53,7 @@ class Draw:
             lambda: jv.NormalisedBlinn(k_d, k_s, n),
             lambda: jv.OrenNayar(k_d, spread(rng, 1e-3, 0.5)),
             lambda: jv.OrenNayar(k_d, spread(rng, 1e-3, 0.5), form="full"),
+            lambda: jv.EON(k_d, spread(rng, 1e-3, 1)),
             lambda: jv.TorranceSparrow(
                 k_d,
                 k_s,

@@ -57,6 +57,7 @@ def _shade_pixels(normals, directions, n_l, model, diffuse, specular, shape):
         "normalised-phong": lambda i, o: brdfs.phong(i, o, n=shape, kind="normalised", **k),
         "normalised-blinn": lambda i, o: brdfs.blinn(i, o, n=shape, kind="normalised", **k),
         "oren-nayar": lambda i, o: brdfs.oren_nayar(i, o, kd=diffuse, sigma=shape, full=False),
+        "eon": lambda i, o: np.pi * diffuse * brdfs.eon(i, o, kd=1 / np.pi, r=shape),
         "torrance-sparrow-beckmann": lambda i, o: brdfs.torrance_sparrow(
             i, o, eta=[INDEX], k=[0.0], distribution="beckmann", **facets
         ),

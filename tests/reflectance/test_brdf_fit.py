@@ -59,6 +59,7 @@ def oracle(model, wi, wo, kd, ks, shape):
     return {
         "lambert": lambda: brdfs.lambert(wi, wo, kd=kd),
         "oren-nayar": lambda: brdfs.oren_nayar(wi, wo, kd=kd, sigma=shape, full=False),
+        "eon": lambda: np.pi * kd * brdfs.eon(wi, wo, kd=1 / np.pi, r=shape),
         "phong": lambda: brdfs.phong(wi, wo, n=shape, kind="shading", **k),
         "normalised-phong": lambda: brdfs.phong(wi, wo, n=shape, kind="normalised", **k),
         "gaussian-lobe": lambda: brdfs.gaussian(wi, wo, c=shape, kind="shading", **k),

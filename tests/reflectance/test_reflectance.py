@@ -29,7 +29,12 @@ from fitting.reflectance.from_images.calibration import (
     open_parameters,
 )
 from fitting.reflectance.from_images.calibration import calibrate as calibrate_reflectance
-from fitting.reflectance.from_images.comparison import compare, relative_rms, squares_by_light
+from fitting.reflectance.from_images.comparison import (
+    compare,
+    equally_good,
+    relative_rms,
+    squares_by_light,
+)
 from fitting.reflectance.from_images.findings import findings
 from fitting.reflectance.from_images.fit import fit_channel, predicted_image
 from fitting.reflectance.from_images.geometry_cells import group
@@ -151,13 +156,22 @@ def test_the_truth_is_found(observation, model, truth):
 
 
 @pytest.mark.slow
-def test_the_roughness_of_a_diffuse_surface_is_found(observation):
-    frames = photographs(np.random.default_rng(7), model="oren-nayar", truth=(0.6, 0, 0.5))
-    found = fit(with_frames(observation, frames), "oren-nayar")
+@pytest.mark.parametrize("model", ["oren-nayar", "eon"])
+def test_the_roughness_of_a_diffuse_surface_is_found(observation, model):
+    frames = photographs(np.random.default_rng(7), model=model, truth=(0.6, 0, 0.5))
+    found = fit(with_frames(observation, frames), model)
     assert [p.name for p in found.space] == ["diffuse", "roughness"]
     z = np.log(found.natural / (0.6, 0.5)) / deviations(found)
     np.testing.assert_allclose(z, 0, atol=4)
     assert np.all(deviations(found) < 0.03)
+
+
+@pytest.mark.slow
+def test_a_rough_matt_ball_is_told_from_lamberts_by_default(observation):
+    """The two rough bodies are compared without `compare_all`, and one of them predicts best."""
+    frames = photographs(np.random.default_rng(9), model="eon", truth=(0.6, 0, 0.6))
+    found = calibrate_reflectance(with_frames(observation, frames), model="eon")
+    assert equally_good(found.scores)[0] in ("eon", "oren-nayar")
 
 
 @pytest.mark.slow

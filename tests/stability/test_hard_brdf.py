@@ -20,6 +20,7 @@ from jaxvision.brdf.dichromatic_separation import (
     plane_normal,
     separate,
 )
+from jaxvision.brdf.eon import EON
 from jaxvision.brdf.fresnel import Conductor, Dielectric
 from jaxvision.brdf.gaussian_lobe import GaussianLobe, GaussianLobeBRDF
 from jaxvision.brdf.lambert import Lambert
@@ -235,6 +236,7 @@ MATERIALS = {
     ),
     "oren-nayar": [OrenNayar([0.3], sigma) for sigma in (0.0, 1.0)],
     "full oren-nayar": [OrenNayar([0.3], sigma, form="full") for sigma in (0.0, 1.0)],
+    "eon": [EON([0.3], r) for r in (0.0, 1.0)],
     "dichromatic": [Dichromatic(Lambert([0.3]), Blinn([0.0], [1.0], 9.0), [1.0], [0.0])],
     "beckmann": microfacets(distribution="beckmann"),
 }

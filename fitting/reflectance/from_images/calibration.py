@@ -31,6 +31,8 @@ from .signal import Form
 FEWEST_SAMPLES = 50
 USUAL: tuple[Model, ...] = (
     "lambert",
+    "oren-nayar",
+    "eon",
     "phong",
     "gaussian-lobe",
     "blinn",

@@ -23,6 +23,8 @@ COMPOSED: dict[str, float] = {
     "brdf.dichromatic_separation.plane_normal": 16,
     "brdf.dichromatic_separation.separate": 16,
     "brdf.dichromatic_separation.usable_pixels": 0.5,
+    "brdf.eon.albedo": 1,
+    "brdf.eon.evaluate": 2,
     "brdf.evaluation.albedo": 0.5,
     "brdf.evaluation.evaluate": 0.5,
     "brdf.evaluation.pdf": 2,
