@@ -61,6 +61,9 @@ from .brdf.blinn import (
     BlinnBRDF as BlinnBRDF,
     NormalisedBlinn as NormalisedBlinn,
 )
+from .brdf.coated import (
+    Coated as Coated,
+)
 from .brdf.dichromatic import (
     Dichromatic as Dichromatic,
 )

@@ -2,6 +2,7 @@
 
 from . import (
     blinn as blinn,
+    coated as coated,
     dichromatic as dichromatic,
     eon as eon,
     gaussian_lobe as gaussian_lobe,

@@ -5,15 +5,22 @@
 The model is complete: half vector, normalised distribution, masking and shadowing, exact Fresnel
 reflectance. (The textbook's Gaussian of the mirror angle with the same name is `gaussian_lobe`.) It
 is reciprocal. Light that bounces between facets is lost, so even with F = 1 the lobe's albedo falls
-below 1 for rougher surfaces. k_d is not reduced by the interface's reflection, so the only bound is
-albedo <= pi k_d + k_s. A bright body under glass may exceed 1 at grazing angles: pi k_d = 0.9, k_s
-= 1, eta = 1.5, alpha = 0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5, 0.2,
-0.05, 0.02. Local frame, normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook &
-Torrance, ACM TOG 1(1) (1982); see `microfacet` and `fresnel` for the parts.
+below 1 for rougher surfaces, unless `multiple_scattering` adds
+
+    k_s F_m L_i L_o / (pi L)    F_m = F^2 (1 - L) / (1 - F L)
+
+where L_i and L_o are the shares that white facets lose, and L and F the means of L_o and of the
+reflectance over even light (Kulla & Conty, "Revisiting Physically Based Shading at Imageworks",
+SIGGRAPH 2017 courses). White facets then reflect all light to within 1e-3. k_d is not reduced by
+the interface's reflection (`coated` does that), so the only bound is albedo <= pi k_d + k_s. A
+bright body under glass may exceed 1 at grazing angles: pi k_d = 0.9, k_s = 1, eta = 1.5, alpha =
+0.1 reflects 0.94, 0.99, 1.14, 1.25, 1.28 at cos(theta_o) = 1, 0.5, 0.2, 0.05, 0.02. Local frame,
+normal = +z. Sources: Torrance & Sparrow, JOSA 57(9) (1967); Cook & Torrance, ACM TOG 1(1) (1982);
+see `microfacet` and `fresnel` for the parts.
 """
 
 from dataclasses import replace
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -49,6 +56,7 @@ from ..core._types import (
 )
 from ..core._vector import Direction, Vec, as_vec
 from ..scene import Material
+from ._facet_energy import SMOOTHEST, lost, mean_lost
 from ._half_vector import reflected
 from ._lobe import (
     ColourOrNeutral,
@@ -69,6 +77,7 @@ from .fresnel import (
     _largest_reflectance,
     _least_reflectance,
     fresnel,
+    mean_reflectance,
 )
 from .microfacet import (
     LEAST_ROUGHNESS,
@@ -83,6 +92,9 @@ from .microfacet import (
     visibility,
 )
 
+MultipleScattering = Literal["kulla-conty"]
+BETWEEN = get_args(MultipleScattering)
+LEAST_LOSS = 1e-6  # of facets of roughness 2e-3
 ROUGHEST = 3.0  # alpha: facets inclined by 72 degrees; measured surfaces stay below 1.5
 
 
@@ -99,10 +111,13 @@ class TorranceSparrow(Material):
         ambient: (bands,) k_a, no unit, the reflected part of the ambient radiance, or None.
         distribution: "ggx" or "beckmann"; static.
         shadowing: "smith" or "v-cavity"; static.
+        multiple_scattering: "kulla-conty" returns the light that facets send on to each other, for
+            Smith's shadowing and one roughness up to 1; None loses it; static.
 
     Raises:
         ValueError: if the interface has neither one band nor as many as the others; for a roughness
-            above 3, which is probably in degrees or per cent.
+            above 3, which is probably in degrees or per cent; for multiple scattering with two
+            roughnesses, one above 1, or v-cavities.
 
     Example:
         >>> gloss, up = jv.TorranceSparrow([0.0], [1.0], 0.5), jnp.array([0.0, 0.0, 1.0])
@@ -118,6 +133,9 @@ class TorranceSparrow(Material):
     ambient: Colour | None = eqx.field(converter=as_optional_float, default=None, kw_only=True)
     distribution: Distribution = eqx.field(static=True, default="ggx", kw_only=True)
     shadowing: Shadowing = eqx.field(static=True, default="smith", kw_only=True)
+    multiple_scattering: MultipleScattering | None = eqx.field(
+        static=True, default=None, kw_only=True
+    )
 
     def __check_init__(self) -> None:
         check_fields(self, diffuse=AMOUNT, specular=AMOUNT, roughness=AMOUNT, ambient=AMOUNT)
@@ -135,6 +153,14 @@ class TorranceSparrow(Material):
             )
         for name, words in (("distribution", Distribution), ("shadowing", Shadowing)):
             check_choice(f"TorranceSparrow.{name}", getattr(self, name), get_args(words))
+        if self.multiple_scattering is not None:
+            check_choice("TorranceSparrow.multiple_scattering", self.multiple_scattering, BETWEEN)
+            rough = is_known(self.roughness) and np.max(self.roughness) > 1
+            if jnp.ndim(self.roughness) > 0 or rough or self.shadowing != "smith":
+                raise ValueError(
+                    "TorranceSparrow.multiple_scattering needs one roughness, at most 1, and "
+                    "shadowing 'smith'."
+                )
 
 
 def _alpha(material: TorranceSparrow) -> Alpha:
@@ -157,7 +183,26 @@ def microfacet_lobe(material: TorranceSparrow, wi: Direction, wo: Direction) -> 
 def evaluate(material: TorranceSparrow, wi: Direction, wo: Direction) -> Colour:
     """f_r, (bands,) in sr^-1."""
     body = where_seen(wi, wo, material.diffuse)
-    return body + material.specular * microfacet_lobe(material, wi, wo)
+    lobe = microfacet_lobe(material, wi, wo)
+    if material.multiple_scattering is not None:
+        further = _returned(material) * _lost(material, wi) * _lost(material, wo)
+        lobe = lobe + where_seen(wi, wo, further)
+    return body + material.specular * lobe
+
+
+def _lost(material: TorranceSparrow, w: Direction) -> Scalar:
+    """L_i or L_o, no unit."""
+    return lost(as_vec(w).z, material.roughness, material.distribution)
+
+
+def _returned(material: TorranceSparrow) -> Colour:
+    """F_m / (pi L), (bands,) or (1,), sr^-1; of polished facets as if L were `LEAST_LOSS`."""
+    mean = mean_lost(material.roughness, material.distribution)
+    share = 1 / (jnp.pi * jnp.maximum(mean, LEAST_LOSS))
+    if material.interface is None:
+        return share[None]
+    f = mean_reflectance(material.interface)
+    return share * f * f * (1 - mean) / (1 - f * mean)
 
 
 def _cavity_facet(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
@@ -192,7 +237,10 @@ def _diffuse_part(material: TorranceSparrow, wo: Direction) -> Scalar:
     lobe = material.specular
     if material.interface is not None:
         lobe = lobe * fresnel(material.interface, as_vec(wo).z)
-    return diffuse_share(jnp.pi * material.diffuse, lobe)
+    body = jnp.pi * material.diffuse
+    if material.multiple_scattering is not None:
+        body = body + lobe.mean() * _lost(material, wo)
+    return diffuse_share(body, lobe)
 
 
 def sample(material: TorranceSparrow, wo: Direction, u: Float[Array, "3"]) -> Vec:
@@ -293,6 +341,9 @@ def albedo(material: TorranceSparrow, wo: Direction) -> Colour:
     rays = jax.vmap(ray)
     cos_psi, sin_psi = -jnp.sin(beyond), jnp.cos(beyond)
     lobe = turn @ (rays(cos_psi, sin_psi) + rays(cos_psi, -sin_psi))
+    if material.multiple_scattering is not None:
+        mean = mean_lost(material.roughness, material.distribution)
+        lobe = lobe + jnp.pi * mean * _returned(material) * _lost(material, viewer)
     return jnp.pi * material.diffuse + material.specular * where_above(viewer.z, lobe)
 
 
@@ -303,7 +354,8 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
     for Beckmann; t is tan^2 of the half vector's angle. Smith: V cos_i <= 1 / (4 (c_o + H_o)), with
     c_o + H_o = (c_o + sqrt(c_o^2 + a^2 s_o^2)) / 2 for GGX and at least max(c_o, a s_o / (2 sqrt
     pi)) for Beckmann. V-cavity: V cos_i <= 1 / (4 max(c_o, d^2 / (c_i + c_o))). The integral is at
-    most 1, because facets only lose light.
+    most 1, because facets only lose light. The light between facets is at most its largest value
+    over a grid of cosines, times cos_i.
     """
     wide = max(largest(x, "roughness"), LEAST_ROUGHNESS)
     small = np.min([np.broadcast_to(numbers(end.roughness), (2,)) for end in x], axis=0)
@@ -335,16 +387,35 @@ def _bound(x: Ends[TorranceSparrow]) -> Reflection:
 
     reflectance, neutral = _largest_reflectance(x.of("interface"))
 
+    further = _largest_returned(x)
+
     def most(a: Angles) -> np.ndarray:
-        return reflectance(a.cos_between) * facets(a.cos_half) * seen(a)
+        single = reflectance(a.cos_between) * facets(a.cos_half) * seen(a)
+        return single + further * np.maximum(a.cos_i, 0)
 
     lobe = LargestLobe(peak(x, "specular"), most, float(reflectance(0.0)), None, neutral, False)
     neglected = None
     if x.low.interface is not None:
         full = _bound(Ends(*(replace(end, interface=None) for end in x))).lobe
         assert full is not None
-        neglected = _least_reflectance(x.of("interface")), full
+        neglected = _least_reflectance(x.of("interface")) if further == 0 else 0.0, full
     return Reflection(peak(x, "diffuse"), lobe, facets=neglected)
+
+
+def _largest_returned(x: Ends[TorranceSparrow]) -> float:
+    """The largest F_m L_i L_o / (pi L) of roughnesses between the two ends, sr^-1, and 5 % for
+    those between the nodes."""
+    if x.low.multiple_scattering is None:
+        return 0.0
+    ends = [float(np.clip(numbers(end.roughness), SMOOTHEST, 1)) for end in x]
+    cosines = jnp.linspace(0, 1, 65)
+    found = 0.0
+    for alpha in np.geomspace(min(ends), max(ends), 16 if ends[0] != ends[1] else 1):
+        a = jnp.asarray(alpha, cosines.dtype)
+        largest_lost = float(lost(cosines, a, x.low.distribution).max())
+        mean = float(mean_lost(a, x.low.distribution))
+        found = max(found, largest_lost**2 / (np.pi * max(mean, LEAST_LOSS)))
+    return 1.05 * found
 
 
 def _from_file(

@@ -66,7 +66,8 @@ QUANTITIES = {
     "Glass": {"index"},
     "Mirror": set(),
     "Lambert": {"diffuse", "ambient"},
-    "TorranceSparrow": {"diffuse", "roughness", "ambient", "distribution", "shadowing"},
+    "TorranceSparrow": {"diffuse", "roughness", "ambient", "distribution", "shadowing"}
+    | {"multiple_scattering"},
     "OrenNayar": {"diffuse", "ambient", "form"},
     "EON": {"diffuse", "ambient", "facet_albedo"},
     "Phong": LOBE,
@@ -77,6 +78,7 @@ QUANTITIES = {
     "NormalisedBlinn": LOBE,
     "GaussianLobe": {"diffuse", "ambient", "concentration"},
     "GaussianLobeBRDF": {"diffuse", "ambient", "concentration"},
+    "Coated": {"body", "interface", "roughness", "optical_depth", "distribution"},
     "Dichromatic": {"body", "body_spectrum", "interface_spectrum"},
     "HalfDifferenceTable": TABLE | {"interpolation"},
     "IsotropicTable": TABLE | {"theta_i", "theta_o", "phi", "azimuths", "outside", "reciprocal"},

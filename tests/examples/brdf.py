@@ -7,6 +7,7 @@ from jaxvision import as_vec
 from jaxvision.brdf import fresnel as fr
 from jaxvision.brdf import specular
 from jaxvision.brdf.blinn import Blinn, NormalisedBlinn
+from jaxvision.brdf.coated import Coated
 from jaxvision.brdf.dichromatic import Dichromatic
 from jaxvision.brdf.eon import EON
 from jaxvision.brdf.glass import Glass
@@ -37,6 +38,7 @@ FRAME = local_frame(N)
 ALPHA = jnp.asarray([0.3, 0.4])
 BLINN = Blinn(KD, KS, 9.0)
 FACETS = TorranceSparrow(KD, KS, ALPHA, interface=fr.Conductor([0.2, 0.5], [3.0, 2.0]))
+GLAZED = Coated(Lambert(KD), fr.Dielectric([1.5]), 0.3, optical_depth=KA)
 SHAFER = Dichromatic(Phong([0.1], [0.0], 1.0), NormalisedBlinn([0.0], [1.0], 9.0), KD, KS)
 COLOURS = jnp.asarray(RNG.uniform(0.2, 0.8, (4, 5, 3)) * [1.0, 0.5, 0.3])
 LIGHT = jnp.asarray([1.0, 0.9, 0.7])
@@ -103,6 +105,8 @@ EXAMPLES = {
     **family("torrance_sparrow", FACETS, *SAMPLED),
     **family("oren_nayar", OrenNayar(KD, 0.4, form="full"), "evaluate"),
     **family("eon", EON(KD, 0.7), "evaluate", "albedo"),
+    **family("coated", GLAZED, *SAMPLED),
+    "brdf.fresnel.mean_reflectance": ((fr.Conductor([0.2, 0.5], [3.0, 2.0]),), {}),
     **family("dichromatic", SHAFER, "shading", *SAMPLED),
     "brdf.dichromatic_separation.usable_pixels": ((COLOURS,), {"dark": 0.1, "saturated": 0.7}),
     "brdf.dichromatic_separation.separate": (

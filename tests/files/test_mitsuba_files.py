@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from oracles import mitsuba_pictures
 
+from jaxvision.brdf.coated import Coated
 from jaxvision.errors import InputError
 from jaxvision.files.images import write_image
 from jaxvision.files.scenes import read_scene
@@ -147,6 +148,31 @@ def test_an_old_file_is_read_with_its_names(tmp_path):
     np.testing.assert_allclose(source.scene.lights[0].position, [5, 0, 0])
 
 
+@pytest.mark.filterwarnings("ignore:.*max_depth has no limit")
+def test_plastics_are_bodies_under_coats(tmp_path):
+    """Their albedo is that which returns as much: r / (1 - r R) of it is r / (1 - R) of Mitsuba's
+    default, R = 0.59635 of the index 1.5; a rough one is told of."""
+    index = '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>'
+    grey = '<rgb name="diffuse_reflectance" value="0.9 0.5 0.1"/>'
+    inside = '<shape type="sphere"><bsdf type="{}">{}</bsdf></shape><emitter type="constant"/>'
+    plain = inside.format("plastic", index + grey)
+    own = read(tmp_path, SENSOR, plain).scene.surfaces[0].material
+    assert isinstance(own, Coated)
+    r = np.pi * np.asarray(own.body.diffuse)
+    kept = np.array([0.9, 0.5, 0.1]) / (1 - 0.59635)
+    np.testing.assert_allclose(r / (1 - 0.59635 * r), kept, rtol=1e-4)
+    shows = '<boolean name="nonlinear" value="true"/>'
+    own = read(tmp_path, SENSOR, inside.format("plastic", index + grey + shows))
+    np.testing.assert_allclose(
+        np.pi * own.scene.surfaces[0].material.body.diffuse, [0.9, 0.5, 0.1], rtol=1e-5
+    )
+    own = read(tmp_path, SENSOR, inside.format("roughplastic", grey))
+    with pytest.warns(UserWarning, match="a rough coat without absorption loses no light here"):
+        read_scene(tmp_path / "a.xml")
+    assert own.scene.surfaces[0].material.roughness == pytest.approx(0.1)
+    assert own.scene.surfaces[0].material.distribution == "beckmann"
+
+
 def test_lights_without_a_colour_are_white(tmp_path):
     """Of sRGB, as Mitsuba's are; `<spectrum>` of one value is of equal energy."""
     lamp = '<shape type="sphere"><emitter type="area">{}</emitter></shape>'
@@ -183,7 +209,10 @@ def test_an_orthographic_camera_may_be_scaled_across_alone(tmp_path):
         ([SENSOR, '<shape type="cylinder"/>'], "'cylinder' is not read"),
         ([SENSOR, '<shape type="sphere"><float name="raduis" value="2"/></shape>'], "'radius'"),
         ([SENSOR, '<shape type="sphere"><ref id="steel"/></shape>'], "id 'steel'"),
-        ([SENSOR, '<shape type="sphere"><bsdf type="plastic"/></shape>'], "'plastic' is not read"),
+        (
+            [SENSOR, '<shape type="sphere"><bsdf type="principled"/></shape>'],
+            "'principled' is not read",
+        ),
         (
             [
                 SENSOR,

@@ -13,6 +13,7 @@ from precisions import both_precisions
 from jaxvision import as_dtype, brdf
 from jaxvision.brdf import microfacet
 from jaxvision.brdf.blinn import Blinn, BlinnBRDF, NormalisedBlinn
+from jaxvision.brdf.coated import Coated
 from jaxvision.brdf.dichromatic import Dichromatic
 from jaxvision.brdf.dichromatic_separation import (
     body_colour,
@@ -236,10 +237,15 @@ MATERIALS = {
     ),
     "oren-nayar": [OrenNayar([0.3], sigma) for sigma in (0.0, 1.0)],
     "full oren-nayar": [OrenNayar([0.3], sigma, form="full") for sigma in (0.0, 1.0)],
+    "coated": [
+        Coated(EON([0.3], 1.0), Dielectric([1.5]), a, optical_depth=[0.1]) for a in (0.0, 1.0)
+    ],
+    "multiple scattering": microfacets(multiple_scattering="kulla-conty"),
     "eon": [EON([0.3], r) for r in (0.0, 1.0)],
     "dichromatic": [Dichromatic(Lambert([0.3]), Blinn([0.0], [1.0], 9.0), [1.0], [0.0])],
     "beckmann": microfacets(distribution="beckmann"),
 }
+LONG = "beckmann", "coated", "multiple scattering"  # to compile
 EDGES = {
     "both along the normal": ([0, 0, 1], [0, 0, 1]),
     "mirror": ([0.6, 0, 0.8], [-0.6, 0, 0.8]),
@@ -259,7 +265,7 @@ EDGES = {
 @both_precisions
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name == "beckmann")) for name in MATERIALS],
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in MATERIALS],
 )
 def test_all_five_functions_are_finite_at_every_edge(dtype, name):
     """Values not negative, and gradients in the material and both directions finite."""

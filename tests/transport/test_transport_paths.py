@@ -12,7 +12,9 @@ from oracles import cornell_box
 from jaxvision import (
     EON,
     Blinn,
+    Coated,
     Dichromatic,
+    Dielectric,
     GaussianLobe,
     HalfDifferenceTable,
     Lambert,
@@ -109,6 +111,7 @@ FURNACE = {
     "gaussian_brdf": GaussianLobeBRDF([0.1, 0.05], [0.3], 9.0),
     "oren_nayar": OrenNayar([0.25, 0.1], 0.4),
     "eon": EON([0.25, 0.1], 0.8),
+    "coated": Coated(Lambert([0.25, 0.1]), Dielectric([1.5]), 0.3),
     "torrance_sparrow": TorranceSparrow([0.1, 0.05], [0.6], 0.3),
     "dichromatic": Dichromatic(
         Lambert([0.25]), TorranceSparrow([0.0], [0.6], 0.4), [0.9, 0.4], [1.0]

@@ -1,7 +1,8 @@
 """Scenes in Mitsuba's XML (versions 0.5 to 3): the parts that have an exact counterpart here.
 
     shapes      sphere, rectangle, disk, cube, obj, ply
-    BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor
+    BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor, plastic,
+                roughplastic
     emitters    point, directional, constant, envmap; area on any shape
     sensors     perspective, thinlens, orthographic
     integrators path, volpath and direct (as paths), ptracer

@@ -1,0 +1,261 @@
+"""A body under a clear coat: plastic, varnished wood, glazed ceramics.
+
+    f_r = F D V                                                         at the interface
+        + T_i T_o / eta^2 (f_b(wi', wo') + a_i a_o R / (pi (1 - a R)))  from the body
+
+The first term is `TorranceSparrow`'s. Its facets let T = 1 - (what they reflect) through, so that a
+coat without absorption loses nothing: what facets send on to each other goes through in the end.
+wi' and wo' are the refracted directions, and f_b the body's own BRDF. Of the body's light the
+interface returns R; the body reflects that again by its albedo, a_i, a_o and a on average. Without
+absorption R = 1 - (1 - M) / eta^2 by reciprocity, where M is what the interface reflects of even
+light from outside. A coat of the optical depth tau along the normal takes exp(-tau / cos') on each
+way through. Exact for a Lambertian body under a smooth interface; what other bodies receive from
+the inside of the interface counts as even light. Over a white Lambertian body under a clear coat
+all light returns. Reciprocal. Local frame, normal = +z.
+"""
+
+from typing import Annotated
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..core._bounds import Ends, Reflection, least, most
+from ..core._numerics import safe_sqrt
+from ..core._quadrature import gauss_legendre
+from ..core._types import (
+    AMOUNT,
+    FRACTION,
+    Colour,
+    Range,
+    Scalar,
+    as_float,
+    as_optional_float,
+    check_fields,
+    is_known,
+)
+from ..core._vector import Direction, Vec, as_vec
+from ..scene import Material
+from . import torrance_sparrow
+from ._facet_energy import LARGEST_INDEX, LEAST_INDEX, reflected
+from ._half_vector import reflected as mirrored_by
+from ._lobe import choose, diffuse_share, mixed_pdf, where_seen
+from ._registry import family, integrate_shading, is_delta, register, suprema
+from .eon import EON
+from .fresnel import Dielectric
+from .lambert import Lambert
+from .microfacet import Distribution, at_least_polished, facet_pdf, sample_facet
+from .torrance_sparrow import TorranceSparrow
+
+
+class Coated(Material):
+    """A body under a clear coat, which together reflect no more than they receive.
+
+    Attributes:
+        body: what lies under the coat, a material with a BRDF, such as `Lambert` or `EON`.
+        interface: between the coat and the air, of one index from 1.1 to 2.5.
+        roughness: () alpha of the interface, no unit, in [0, 1]; below 1e-6 it counts as 1e-6.
+        optical_depth: (bands,) of the coat along the normal, no unit: its absorption per metre
+            times its thickness. None is perfectly clear.
+        distribution: "ggx" or "beckmann"; static.
+
+    Raises:
+        ValueError: for another index, and if the body is a mirror or glass.
+
+    Example:
+        >>> white, up = jv.Lambert([1 / np.pi]), jnp.array([0.0, 0.0, 1.0])
+        >>> glazed = jv.Coated(white, jv.Dielectric([1.5]), 0.1)
+        >>> print(jv.brdf.albedo(glazed, up).round(3))
+        [1.]
+    """
+
+    body: Material
+    interface: Dielectric
+    roughness: Scalar = eqx.field(converter=as_float, default=0.0)
+    optical_depth: Colour | None = eqx.field(
+        converter=as_optional_float, default=None, kw_only=True
+    )
+    distribution: Distribution = eqx.field(static=True, default="ggx", kw_only=True)
+
+    def __check_init__(self) -> None:
+        check_fields(self, roughness=Range(0, 1, nan=True), optical_depth=AMOUNT)
+        if is_delta(self.body):
+            raise ValueError(
+                f"Coated.body must have a BRDF in sr^-1, got {type(self.body).__name__}, a delta "
+                "function: a polished TorranceSparrow (roughness 1e-3) has one."
+            )
+        eta = self.interface.eta
+        known = not is_known(eta) or bool(np.all((eta >= LEAST_INDEX) & (eta <= LARGEST_INDEX)))
+        if jnp.size(eta) != 1 or not known:
+            raise ValueError(
+                f"Coated.interface must have one index from {LEAST_INDEX} to {LARGEST_INDEX}, got "
+                f"{eta}."
+            )
+        _facets(self)  # checks the distribution
+
+
+def _facets(material: Coated) -> TorranceSparrow:
+    """The interface alone."""
+    dtype = material.roughness.dtype
+    return TorranceSparrow(
+        jnp.zeros(1, dtype),
+        jnp.ones(1, dtype),
+        material.roughness,
+        interface=material.interface,
+        distribution=material.distribution,
+    )
+
+
+def _within(material: Coated, w: Vec) -> Vec:
+    """The direction inside the coat that a direction above it refracts to; both point up."""
+    eta = material.interface.eta[0]
+    down = safe_sqrt((eta - 1) * (eta + 1) + w.z * w.z) / eta
+    return Vec(w.x / eta, w.y / eta, down)
+
+
+def _through(material: Coated, w: Vec) -> Colour:
+    """T exp(-tau / cos'), (bands,) or (1,), no unit."""
+    eta = material.interface.eta
+    passed = 1 - reflected(w.z, material.roughness, eta, material.distribution)
+    if material.optical_depth is None:
+        return passed
+    return passed * jnp.exp(-material.optical_depth / _within(material, w).z)
+
+
+def _returned(material: Coated) -> Colour:
+    """R, (bands,) or (1,), no unit: with c the cosine inside, the integral of 2 c exp(-2 tau / c)
+    up to the critical angle, and beyond it of what the interface reflects, where c dc = c_o dc_o /
+    eta^2 of the cosine outside."""
+    eta = material.interface.eta
+    critical = safe_sqrt((eta - 1) * (eta + 1)) / eta
+
+    def crossed(cosine: Colour) -> Colour:  # twice
+        if material.optical_depth is None:
+            return jnp.ones_like(cosine)
+        return jnp.exp(-2 * material.optical_depth / cosine)
+
+    def at(t: Scalar) -> Colour:
+        outside = reflected(t, material.roughness, eta, material.distribution)
+        inside = safe_sqrt((eta - 1) * (eta + 1) + t * t) / eta
+        beyond = outside * crossed(inside) / (eta * eta)
+        return 2 * t * (critical * critical * crossed(critical * t) + beyond)
+
+    t, dt = (jnp.asarray(x, eta.dtype) for x in gauss_legendre(24))
+    return dt @ jax.vmap(at)(t)
+
+
+def _mean_albedo(material: Coated) -> Colour:
+    """a, the body's albedo in even light, (bands,), no unit."""
+    if isinstance(material.body, Lambert):
+        return jnp.pi * material.body.diffuse
+    t, dt = (jnp.asarray(x, material.roughness.dtype) for x in gauss_legendre(8))
+    views = jax.vmap(lambda c: _albedo_of_body(material, Vec(jnp.sqrt(1 - c * c), 0 * c, c)))(t)
+    return (2 * t * dt) @ views
+
+
+def _albedo_of_body(material: Coated, w: Vec) -> Colour:
+    return family(material.body).albedo(material.body, w)
+
+
+def _from_body(material: Coated, wi: Direction, wo: Direction) -> Colour:
+    """The second term, (bands,) in sr^-1."""
+    light, viewer = as_vec(wi), as_vec(wo)
+    i, o = _within(material, light), _within(material, viewer)
+    again = _returned(material)
+    first = family(material.body).evaluate(material.body, i, o)
+    further = _albedo_of_body(material, i) * _albedo_of_body(material, o) * again
+    further = further / (jnp.pi * (1 - _mean_albedo(material) * again))
+    way = _through(material, light) * _through(material, viewer) / material.interface.eta**2
+    return where_seen(wi, wo, way * (first + further))
+
+
+def evaluate(material: Coated, wi: Direction, wo: Direction) -> Colour:
+    """f_r, (bands,) in sr^-1."""
+    lobe = torrance_sparrow.microfacet_lobe(_facets(material), wi, wo)
+    return lobe + _from_body(material, wi, wo)
+
+
+def _body_part(material: Coated, wo: Direction) -> Scalar:
+    """The share of samples for the body."""
+    passed = 1 - reflected(
+        as_vec(wo).z, material.roughness, material.interface.eta, material.distribution
+    )
+    return diffuse_share(passed * _mean_albedo(material), 1 - passed)
+
+
+def _alpha(material: Coated) -> Float[Array, "2"]:
+    return at_least_polished(jnp.broadcast_to(material.roughness, (2,)))
+
+
+def sample(material: Coated, wo: Direction, u: Float[Array, "3"]) -> Vec:
+    """A unit direction from the cosine about the normal, or `wo` mirrored by a facet it sees."""
+    h = sample_facet(wo, _alpha(material), u[:2])
+    return choose(_body_part(material, wo), u, mirrored_by(as_vec(wo), h))
+
+
+def pdf(material: Coated, wi: Direction, wo: Direction) -> Scalar:
+    """Density of `sample` in sr^-1."""
+    return mixed_pdf(_body_part(material, wo), wi, facet_pdf(wi, wo, _alpha(material)))
+
+
+def albedo(material: Coated, wo: Direction) -> Colour:
+    """The interface's albedo and, by quadrature, the body's, (bands,), no unit."""
+
+    def from_body(own: Coated, wi: Vec, viewer: Vec) -> Colour:
+        return _from_body(own, wi, viewer) * jnp.maximum(wi.z, 0)
+
+    lobe = torrance_sparrow.albedo(_facets(material), wo)
+    return lobe + integrate_shading(from_body, material, wo)
+
+
+def _bound(x: Ends[Coated]) -> Reflection:
+    """The lobe of the facets; of the body f_b / cos' at its largest, with all light let through:
+    (b + A^2 R / (pi (1 - A R))) / eta^2, where A is its largest albedo and R <= 1 - (1 - M) /
+    eta^2 with M <= 0.6, which is that of the index 2.5 and of a rough interface."""
+    body = suprema(x.of("body"))
+    lobe = suprema(Ends(*(_facets(end) for end in x))).lobe
+    eta = least(x.of("interface"), "eta"), most(x.of("interface"), "eta")
+    down = np.sqrt(1 - 1 / eta[0] ** 2)
+    own = body.body * (1 - body.grazing + body.grazing / down)
+    brightest = np.pi * body.body * (1 + body.grazing)
+    again = 1 - 0.4 / eta[1] ** 2
+    left = 1 - brightest * again
+    further = np.where(left > 0, brightest**2 * again / np.where(left > 0, left, 1), np.inf)
+    whole = (own + further / np.pi) / eta[0] ** 2
+    if body.lobe is not None:
+        whole = whole + np.inf
+    return Reflection(whole, lobe, np.inf, why=body.why, angular=True)
+
+
+def _from_file(
+    *,
+    diffuse: Colour,
+    roughness: Annotated[float, FRACTION] = 0.0,
+    eta: Annotated[float, Range(LEAST_INDEX, LARGEST_INDEX)] = 1.5,
+    body_roughness: Annotated[float, FRACTION] | None = None,
+    optical_depth: Colour | None = None,
+    distribution: Distribution = "ggx",
+) -> Coated:
+    """A matt body under a clear coat; `body_roughness` is that of `EON`, without which it is
+    `Lambert`."""
+    body = Lambert(diffuse) if body_roughness is None else EON(diffuse, body_roughness)
+    return Coated(
+        body,
+        Dielectric(np.atleast_1d(eta)),
+        roughness,
+        optical_depth=optical_depth,
+        distribution=distribution,
+    )
+
+
+register(
+    Coated,
+    evaluate=evaluate,
+    sample=sample,
+    pdf=pdf,
+    albedo=albedo,
+    bound=_bound,
+    from_file=_from_file,
+)
