@@ -6,30 +6,25 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxvision.accuracy.records import Compute
 from jaxvision.errors import InputError
 
-from ..inference.newton import minimise
 from ..observation import Load
+from ..reflectance.from_images.derivatives import predict
 from ..reflectance.from_images.fit import ChannelFit, fit_channel
 from ..reflectance.from_images.geometry_cells import Grouping, average, group, saturated_only
-from ..reflectance.from_images.model import Samples, negative_log_likelihood
-from ..reflectance.from_images.posterior import (
-    adjusted_log_density,
-    composite,
-    total_log_likelihood,
-)
+from ..reflectance.from_images.model import Samples
+from ..reflectance.from_images.optimum import TOLERANCE, minimise_samples
+from ..reflectance.from_images.posterior import adjusted_log_density, composite
 from ..reflectance.from_images.read import Photographs, read_reflectance_observation
 from ..reflectance.from_images.samples import Selection, gather, select
 from ..reflectance.from_images.signal import Form
 from ..rig import Rig
 from .chains import Density, Turn, chain_knobs
 
-TOLERANCE = 1e-7  # of a search, unless it is turned
 AWAY = 0.3  # of a logarithm: how far from the mode a search begins
 
 
@@ -49,11 +44,10 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
             "jaxvision-fit brdf says of them."
         )
     errors = np.sqrt(np.diagonal(fit.robustness.covariance))
-    start = jnp.asarray(fit.vector - AWAY, fit.samples.dn.dtype)
+    start = fit.vector - AWAY
 
     def searched(samples: Samples, tolerance: float = TOLERANCE) -> np.ndarray:
-        found = minimise(negative_log_likelihood, start, samples, tolerance=tolerance)
-        return np.asarray(found.vector) / errors
+        return minimise_samples(start, [samples], tolerance=tolerance).vector / errors
 
     def pixels(share: float) -> Compute:
         count = fit.samples.dn.size
@@ -70,14 +64,13 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
             return lambda seed: searched(fit.samples)
         grouping = _grouping(observation, chosen, width)
         saturated = saturated_only(fit.samples)
-
-        def mode(first: Array, made: Samples) -> Array:
-            return minimise(_cost, first, (made, saturated), tolerance=TOLERANCE).vector
+        apart = [] if saturated is None else [saturated]
 
         def compute(seed: int) -> np.ndarray:
-            near = mode(start, average(fit.samples, grouping))
-            exact = average(fit.samples, grouping, exact_at=near)
-            return np.asarray(mode(near, exact)) / errors
+            near = minimise_samples(start, [average(fit.samples, grouping), *apart]).vector
+            there = predict(near, fit.samples)
+            exact = average(fit.samples, grouping, exact_at=there)
+            return minimise_samples(near, [exact, *apart]).vector / errors
 
         return compute
 
@@ -87,10 +80,6 @@ def brdf_knobs(rig: Rig, load: Load) -> Mapping[str, Turn]:
         "solver tolerance": lambda tolerance: lambda seed: searched(fit.samples, tolerance),
     }
     return {**turns, **chain_knobs(_density(fit, usual))}
-
-
-def _cost(vector: Array, data: tuple[Samples, Samples | None]) -> Array:
-    return -total_log_likelihood(vector, data)
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:

@@ -13,6 +13,7 @@ from typing import Any, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxvision.programs import thoroughly
@@ -117,39 +118,40 @@ _minimise_thoroughly = cast(Any, eqx.filter_jit)(_search, compiler_options=thoro
 
 
 def minimise_read(
-    derivatives: Callable[[Float[Array, " parameters"]], tuple[Array, Array, Array]],
-    start: Float[Array, " parameters"],
+    derivatives: Callable[[Any], tuple[Any, Any, Any]],
+    start: Float[Any, " parameters"],
     *,
     max_steps: int = 100,
     tolerance: float = 1e-7,
 ) -> NewtonSolution:
     """As `minimise`, for an objective that is computed by several programs because its data are
     read again at every step."""
-    most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
     state = _begun(start)
-    while bool(_goes_on(state, most, enough)):
-        state = _advanced_alone(state, *derivatives(state.proposal))
-    return _solution(state, enough)
+    while _goes_on(state, max_steps, tolerance):  # in NumPy, without programs for single numbers
+        state = jax.device_get(_advanced_alone(state, *derivatives(state.proposal)))
+    return _solution(state, tolerance)
 
 
-def _goes_on(state: _State, max_steps: Array, tolerance: Array) -> Array:
+def _goes_on(state: _State, max_steps: int | Array, tolerance: float | Array) -> Array:
     unfinished = (state.decrement > tolerance) & (state.damping < STUCK)
     return unfinished & (state.steps < max_steps)
 
 
-def _begun(start: Array) -> _State:
-    infinite = jnp.full((), jnp.inf, start.dtype)
+def _begun(start: Any) -> _State:
+    def numbers(values: Any, dtype: Any = start.dtype) -> Any:
+        return np.array(values, dtype)
+
     return _State(
         vector=start,
-        cost=infinite,
-        gradient=jnp.zeros_like(start),
-        information=jnp.eye(start.size, dtype=start.dtype),
+        cost=numbers(np.inf),
+        gradient=numbers(np.zeros(start.shape)),
+        information=numbers(np.eye(start.size)),
         proposal=start,
         beyond=start,
-        damping=jnp.full_like(infinite, FIRST_DAMPING),
-        lowest=-infinite,
-        decrement=infinite,
-        steps=jnp.zeros((), int),
+        damping=numbers(FIRST_DAMPING),
+        lowest=numbers(-np.inf),
+        decrement=numbers(np.inf),
+        steps=numbers(0, int),
     )
 
 
@@ -181,7 +183,7 @@ def _advanced(state: _State, cost: Array, gradient: Array, information: Array) -
 _advanced_alone = eqx.filter_jit(_advanced)
 
 
-def _solution(end: _State, tolerance: Array) -> NewtonSolution:
+def _solution(end: _State, tolerance: float | Array) -> NewtonSolution:
     return NewtonSolution(
         vector=end.vector,
         beyond=end.beyond,

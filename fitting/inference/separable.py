@@ -19,6 +19,7 @@ point.
 
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -41,7 +42,7 @@ UNROLLED = 8  # amplitudes up to which a factorisation is written out, which bat
 BEND = 1e-3  # of the residuals, from which they are no line
 COLLINEAR = 1e-10  # of 1 - cos^2 between columns: below it their amplitudes cannot be separated
 
-Columns = Callable[[Float[Array, " knots"]], Float[Array, "knots observations"]]
+Columns = Callable[[Any], Any]  # of (knots,) values of t: (knots, observations)
 
 
 class SeparableFit(eqx.Module):
@@ -53,7 +54,7 @@ class SeparableFit(eqx.Module):
         cost: weighted sum of squared residuals over all bands.
     """
 
-    amplitudes: Float[Array, "bands columns"]
+    amplitudes: Float[Any, "bands columns"]
     nonlinear: float
     cost: float
 
@@ -158,25 +159,27 @@ def _solve_scaled(gram: Array, moment: Array) -> tuple[Array, Array]:
 
 def fit_separable(
     columns: Columns,
-    fixed: Float[Array, "fixed observations"],
-    values: Float[Array, "observations bands"],
-    weights: Float[Array, "observations bands"],
+    fixed: Float[Any, "fixed observations"],
+    values: Float[Any, "observations bands"],
+    weights: Float[Any, "observations bands"],
     *,
     lower: float,
     upper: float,
-    coarse: Float[Array, "knots observations"] | None = None,
+    coarse: Float[Any, "knots observations"] | None = None,
+    finer: int = KNOTS,
 ) -> SeparableFit:
-    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t."""
+    """The global minimum of sum w (y - fixed^T a - g(t) c)^2 over a, c >= 0 and t.
+
+    `finer`: knots of each finer grid. Fewer of them in more grids evaluate fewer columns."""
     knots = first_knots(lower, upper)
-    table = columns(jnp.asarray(knots, values.dtype)) if coarse is None else coarse
+    table = columns(knots.astype(values.dtype)) if coarse is None else coarse
     amplitudes, cost = _projected(table, fixed, values, weights)
-    for _ in range(ZOOMS):
-        best = int(jnp.argmin(cost))
-        knots = np.linspace(knots[max(best - 1, 0)], knots[min(best + 1, KNOTS - 1)], KNOTS)
-        amplitudes, cost = _projected(
-            columns(jnp.asarray(knots, values.dtype)), fixed, values, weights
-        )
-    best = int(jnp.argmin(cost))
+    shrunk = ZOOMS * np.log((KNOTS - 1) / 2) / np.log((finer - 1) / 2)
+    for _ in range(int(np.ceil(shrunk))):
+        best = int(np.argmin(cost))
+        knots = np.linspace(knots[max(best - 1, 0)], knots[min(best + 1, len(knots) - 1)], finer)
+        amplitudes, cost = _projected(columns(knots.astype(values.dtype)), fixed, values, weights)
+    best = int(np.argmin(cost))
     return SeparableFit(amplitudes[best], float(knots[best]), float(cost[best]))
 
 
@@ -186,39 +189,47 @@ def first_knots(lower: float, upper: float) -> Float[np.ndarray, " knots"]:
 
 
 def fit_amplitudes(
-    fixed: Float[Array, "fixed observations"],
-    values: Float[Array, "observations bands"],
-    weights: Float[Array, "observations bands"],
+    fixed: Float[Any, "fixed observations"],
+    values: Float[Any, "observations bands"],
+    weights: Float[Any, "observations bands"],
 ) -> SeparableFit:
     """`fit_separable` without a searched column: its amplitudes are 0, its t is NaN."""
-    nothing = jnp.zeros((1, fixed.shape[1]), values.dtype)
+    nothing = np.zeros((1, fixed.shape[1]), values.dtype)
     amplitudes, cost = _projected(nothing, fixed, values, weights)
     return SeparableFit(amplitudes[0], float("nan"), float(cost[0]))
 
 
-@compiled_briefly
 def _projected(
-    columns: Float[Array, "knots observations"],
-    fixed: Float[Array, "fixed observations"],
-    values: Float[Array, "observations bands"],
-    weights: Float[Array, "observations bands"],
-) -> tuple[Float[Array, "knots bands columns"], Float[Array, " knots"]]:
-    """Best amplitudes and the cost, summed over bands, for each of several searched columns."""
+    columns: Float[Any, "knots observations"],
+    fixed: Float[Any, "fixed observations"],
+    values: Float[Any, "observations bands"],
+    weights: Float[Any, "observations bands"],
+) -> tuple[Float[np.ndarray, "knots bands columns"], Float[np.ndarray, " knots"]]:
+    """Best amplitudes and the cost, summed over bands, for each of several searched columns. The
+    sums over observations are NumPy's: their number has no program of its own."""
+    columns, fixed, values, weights = map(np.asarray, (columns, fixed, values, weights))
     weighted = weights * values
-    own = jnp.square(columns) @ weights
+    own = np.square(columns) @ weights
 
-    def of_fixed(i: int, j: int) -> Array:
-        return jnp.broadcast_to((fixed[i] * fixed[j]) @ weights, own.shape)
+    def of_fixed(i: int, j: int) -> np.ndarray:
+        return np.broadcast_to((fixed[i] * fixed[j]) @ weights, own.shape)
 
     count = len(fixed)
     cross = [(columns * column) @ weights for column in fixed[:, None]]
     rows = [[of_fixed(i, j) for j in range(count)] + [cross[i]] for i in range(count)]
     rows.append([*cross, own])
-    gram = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
-    moments = [jnp.broadcast_to(column @ weighted, own.shape) for column in fixed]
-    moment = jnp.stack([*moments, columns @ weighted], axis=-1)
-    amplitudes, reduction = jax.vmap(jax.vmap(non_negative_amplitudes))(gram, moment)
-    return amplitudes, jnp.sum(weighted * values) + reduction.sum(axis=-1)
+    gram = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    moments = [np.broadcast_to(column @ weighted, own.shape) for column in fixed]
+    moment = np.stack([*moments, columns @ weighted], axis=-1)
+    knots = len(columns)
+    padded = (np.resize(x, (KNOTS, *x.shape[1:])) for x in (gram, moment))
+    amplitudes, reduction = (np.asarray(x)[:knots] for x in _non_negative(*padded))
+    return amplitudes, np.sum(weighted * values) + reduction.sum(axis=-1)
+
+
+_non_negative = compiled_briefly(
+    lambda gram, moment: jax.vmap(jax.vmap(non_negative_amplitudes))(gram, moment)
+)
 
 
 def in_closed_form(problem: Problem) -> tuple[int, ...]:

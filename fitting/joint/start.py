@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
-from ..inference.parameters import names, to_natural
+from ..inference.parameters import names, natural_numbers
 from ..reflectance.from_images.geometry_cells import average, group
 from ..reflectance.from_images.model import parameter_space
 from ..reflectance.from_images.optimum import project
@@ -33,8 +32,7 @@ def first_reflectance(
     )
     found, vector = project(average(samples, cells))
     space = parameter_space(found.form)
-    natural = np.asarray(to_natural(space, vector), np.float64)
-    start = dict(zip(names(space), natural.tolist(), strict=True))
+    start = dict(zip(names(space), natural_numbers(space, vector).tolist(), strict=True))
     if not form.free_gamma and observation.gamma is not None:
         start["gamma"] = observation.gamma
     return replace(form, model=found.form.model), start
@@ -59,14 +57,7 @@ def first_noise(observation: Photographs, channel: int, gamma: float | None) -> 
 def _gain_of_neighbours(observation: Photographs, channel: int, gamma: float | None) -> float:
     """K from the differences of neighbours in a row, whose light is nearly equal."""
     dn = np.clip(observation.dn[channel], observation.black + 1, None)
-    linear = np.asarray(
-        decoded(
-            jnp.asarray(dn),
-            jnp.asarray(observation.black),
-            jnp.asarray(observation.white),
-            None if gamma is None else jnp.asarray(gamma),
-        )
-    )
+    linear = decoded(dn, observation.black, observation.white, gamma)
     beside = (np.diff(observation.columns) == 1) & (np.diff(observation.rows) == 0)
     lit = (observation.cosine[:, 1:] > 0.2) & (dn[:, 1:] < observation.clip) & beside
     squares = np.diff(linear, axis=1)[lit] ** 2 / 2

@@ -199,9 +199,10 @@ def unit_brdf(
 
 
 def unit_shading(
-    model: Model, shape: Float[Array, ""], wi: Vec, wo: Vec, index: float
+    model: Model, shape: Float[Array, "*n"], wi: Vec, wo: Vec, index: float
 ) -> Float[Array, " n"]:
-    """The reflected light per irradiance on a surface that faces the light, for unit amplitude."""
+    """The reflected light per irradiance on a surface that faces the light, for unit amplitude and
+    one shape for all pairs of directions, or one for each."""
     return _over_pairs(shading, model, shape, wi, wo, index)
 
 
@@ -216,4 +217,8 @@ def _over_pairs(
 ) -> Array:
     build = REFLECTANCES[model].material
     assert build is not None, model
-    return jax.vmap(of_pair, (None, 0, 0))(build(shape, index), wi, wo)[:, 0]
+
+    def of_one(shape: Array, wi: Vec, wo: Vec) -> Array:
+        return of_pair(build(shape, index), wi, wo)[0]
+
+    return jax.vmap(of_one, (0 if shape.ndim else None, 0, 0))(shape, wi, wo)

@@ -35,9 +35,11 @@ from fitting.reflectance.from_images.comparison import (
     relative_rms,
     squares_by_light,
 )
+from fitting.reflectance.from_images.derivatives import cost_and_information, predict
 from fitting.reflectance.from_images.findings import findings
 from fitting.reflectance.from_images.fit import fit_channel, predicted_image
-from fitting.reflectance.from_images.geometry_cells import group
+from fitting.reflectance.from_images.geometry_cells import average, group
+from fitting.reflectance.from_images.model import log_likelihoods
 from fitting.reflectance.from_images.posterior import (
     adjusted_log_density,
     channel_posterior,
@@ -104,7 +106,7 @@ def calibrated(observation, *fits):
         observation=observation,
         model=fits[0].requested.model,
         fits=by_model,
-        scores=compare(observation, by_model, fitted, held_out),
+        scores=compare(observation, by_model, held_out),
         open_parameters={"grey": {}},
         posteriors={},
         fitted=fitted,
@@ -414,8 +416,9 @@ def test_what_judges_the_errors_is_named(observation):
     found, matt = fit(observation), fit(observation, "lambert")
     few = dataclasses.replace(found.robustness, freedom=np.full(3, 3.6))
     lights = len(np.unique(found.selection.light))
-    alone = dataclasses.replace(found, robustness=few)
-    alike = dataclasses.replace(alone, regions=np.arange(LIGHTS) // 2)
+    alone, alike = dataclasses.replace(found), dataclasses.replace(found)
+    vars(alone).update(robustness=few, regions=found.regions)  # else computed when asked for
+    vars(alike).update(robustness=few, regions=np.arange(LIGHTS) // 2)
     told = {}
     for name, one in {"alone": alone, "alike": alike}.items():
         said = [s for s in findings(calibrated(observation, one, matt)) if "freedom, so" in s]
@@ -492,13 +495,85 @@ def test_bad_options_are_refused(observation):
         calibrate_reflectance(observation, model="phong", minimum_cosine=0.9999)
 
 
-@pytest.mark.slow
-def test_float32_is_kept(observation):
+def test_fits_are_double_where_jax_computes_in_single_precision(observation):
+    double = fit(observation)
     with jax.enable_x64(False):
         found = fit(observation)
-        assert found.samples.dn.dtype == jnp.float32
-        z = np.log(found.natural / PHONG) / deviations(found)
-    np.testing.assert_allclose(z, 0, atol=4)
+    np.testing.assert_array_equal(found.vector, double.vector)
+
+
+@pytest.mark.parametrize(
+    ("form", "vector", "changes"),
+    [
+        (Form("lambert"), [0.4], {}),
+        (Form("oren-nayar", ambient=True), [0.4, 0.3, 20.0], {"gamma": 1.8}),
+        (Form("phong", ambient=True, free_gamma=True), [0.4, 0.4, 30.0, 20.0, 2.0], {}),
+        (Form("torrance-sparrow", index=1.4), [0.4, 3.0, 0.2], {"clip": 1000.0}),
+    ],
+)
+def test_derivatives_are_those_that_jax_takes_of_the_density(observation, form, vector, changes):
+    """Of pixels and, with an offset, of cells; some of them saturated."""
+    seen = dataclasses.replace(observation, **{"clip": 1500.0, **changes})
+    chosen = select(seen, held_out=False, form=form)
+    samples = gather(seen, chosen, channels=(0,)).samples(0, form)
+    deviation = np.random.default_rng(0).uniform(5, 20, len(chosen.light))
+    samples = dataclasses.replace(samples, deviation=deviation)
+    at = np.log(vector)
+    averaged = average(samples, cells(seen, chosen), exact_at=predict(at + 0.1, samples))
+    assert np.sum(samples.saturated) > 50
+    for own in (samples, averaged):
+
+        @jax.jit
+        def cost_and_slopes(v, own=own):
+            cost = lambda v: -jnp.sum(log_likelihoods(v, own))  # noqa: E731
+            return cost(v), jax.grad(cost)(v), jax.hessian(cost)(v)
+
+        wanted = cost_and_slopes(at)
+        found = cost_and_information(predict(at, own), own)
+        curvature = np.abs(np.diagonal(wanted[2]))
+        size = 1.0, np.sqrt(curvature), np.sqrt(np.outer(curvature, curvature))
+        for ours, jaxs, unit in zip(found, wanted, size, strict=True):
+            np.testing.assert_allclose(ours / unit, jaxs / unit, rtol=1e-10, atol=1e-10)
+
+
+def test_programs_grow_neither_with_pixels_nor_with_lights_nor_with_channels(tmp_path):
+    """Of a second calibration, of other photographs, only the density of its cells and the angles
+    of its pixels are compiled anew; of all models a lobe each, and few besides."""
+
+    def photographed(folder, channels, lights, size):
+        folder.mkdir()
+        normals, directions = sphere_normals(size, 0.46 * size), light_directions(lights)
+        signal = WHITE * shade(normals, directions, "phong", *PHONG)
+        rng = np.random.default_rng(0)
+        taken = [
+            expose(rng, signal * (1 - 0.1 * i), gain=GAIN, read_noise=READ, black=BLACK, clip=2000)
+            for i in range(channels)
+        ]
+        frames = taken[0] if channels == 1 else np.stack(taken, axis=-1)
+        camera = CAMERA | {"saturation": 2000.0}
+        write_rig(folder, frames, directions, [WHITE], radius=0.46 * size, camera=camera)
+        return folder
+
+    compiled = []
+
+    def listen(event, seconds, **of):
+        if event.endswith("backend_compile_duration"):
+            compiled.append(of.get("fun_name"))
+
+    def calibrated(folder):
+        compiled.clear()
+        seen = read_reflectance_observation(folder)
+        reflectance_section(calibrate_reflectance(seen, model="phong", compare_all=True))
+        return len(compiled)
+
+    grey = photographed(tmp_path / "grey", 1, 9, 24)
+    colour = photographed(tmp_path / "colour", 3, 13, 28)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        assert calibrated(grey) <= 20, compiled
+        assert calibrated(colour) <= 4, compiled
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def test_a_setting_without_its_name_is_told_its_name():

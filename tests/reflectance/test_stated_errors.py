@@ -4,7 +4,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -17,13 +16,9 @@ from fitting.inference.clustering import Robustness
 from fitting.inference.left_out import TOLERANCE
 from fitting.reflectance.from_images.calibration import open_parameters
 from fitting.reflectance.from_images.comparison import relative_rms, squares_by_light
-from fitting.reflectance.from_images.derivatives import scores_and_slopes
+from fitting.reflectance.from_images.derivatives import predict, scores_and_slopes
 from fitting.reflectance.from_images.fit import fit_channel
-from fitting.reflectance.from_images.model import (
-    linear_signal,
-    negative_log_likelihood,
-    predicted_dn,
-)
+from fitting.reflectance.from_images.model import log_likelihoods
 from fitting.reflectance.from_images.samples import Selection, gather, make_samples
 from fitting.reflectance.from_images.signal import Form
 from fitting.reflectance.from_images.stated import StatedErrors, with_stated_errors
@@ -96,7 +91,7 @@ def test_a_turned_light_is_turned_back(fitted, about):
     expected = relative_rms(squares_by_light(observation, right, right.selection))
     assert missed == pytest.approx(expected, rel=1e-3)
     left = np.linalg.inv(doubted.stated.left_of(doubted.information))
-    slopes = np.asarray(scores_and_slopes(doubted.vector, doubted.samples)[1])
+    slopes = scores_and_slopes(predict(doubted.vector, doubted.samples), doubted.samples)[1]
     beyond = np.diagonal(left - np.linalg.inv(slopes @ slopes.T))
     np.testing.assert_array_less(
         np.abs(doubted.vector - right.vector) / error, 3 * np.sqrt(beyond) / error + 0.05
@@ -148,7 +143,7 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
     brighter = core * observation.dn.max() * np.maximum(np.cos(observation.mirror_angle), 0) ** 400
     observation = replace(observation, dn=observation.dn + brighter * (observation.cosine > 0))
     found = fit(dn=observation.dn, uncertain={"direction_sd": known})
-    samples, vector = found.samples, jnp.asarray(found.vector)
+    samples, vector = found.samples, found.vector
     deviation = np.asarray(samples.deviation, float)
 
     def slope(low, high, step):
@@ -157,13 +152,13 @@ def test_turns_take_the_information_that_a_fit_of_them_takes(fitted, core):
     columns = []
     for one in np.eye(3) * 1e-4:
         columns.append(
-            slope(predicted_dn(vector - one, samples), predicted_dn(vector + one, samples), 2e-4)
+            slope(predict(vector - one, samples).dn, predict(vector + one, samples).dn, 2e-4)
         )
     for about in (0, 1):
         ends = []
         for size in (-1e-4, 1e-4):
             moved = replace(observation, **turned_by_hand(observation, size, about))
-            ends.append(predicted_dn(vector, make_samples(moved, 0, found.form, found.selection)))
+            ends.append(predict(vector, make_samples(moved, 0, found.form, found.selection)).dn)
         columns.append(slope(ends[0], ends[1], 2e-4 / 5e-3))
     design = np.stack(columns, axis=1)
     whole = design.T @ design + np.diag([0, 0, 0, 1, 1])
@@ -208,7 +203,7 @@ def test_errors_too_small_to_tell_are_left_out_with_their_bound(fitted):
     found = fit(uncertain=sizes, black_sd=1e-3)
     samples, light = found.samples, found.selection.light
     noise = np.asarray(samples.deviation, float)
-    signal = np.asarray(linear_signal(found.vector, samples), float)  # the files are linear
+    signal = predict(found.vector, samples).signal  # the files are linear
     of_light = [np.sum((1e-5 * signal / noise)[light == k] ** 2) for k in range(5)]
     of_black = np.sum((1e-3 / noise) ** 2)
     bounds = {
@@ -234,9 +229,7 @@ def test_the_likelihood_traces_no_stated_error(fitted):
     """Errors widen the covariance of a fit; its likelihood is the same program with and without."""
     _, fit = fitted
     found = [fit(), fit(uncertain={"exposure_sd": np.full(5, 0.01)}, black_sd=2.0)]
-    plain, stated = (
-        str(jax.make_jaxpr(negative_log_likelihood)(own.vector, own.samples)) for own in found
-    )
+    plain, stated = (str(jax.make_jaxpr(log_likelihoods)(own.vector, own.samples)) for own in found)
     assert plain == stated
 
 

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
+from threadpoolctl import threadpool_limits
 
 from jaxvision.core.side_by_side import side_by_side
 from jaxvision.errors import InputError
@@ -80,6 +81,7 @@ class ReflectanceCalibration(ShownInNotebooks):
 
 
 @in_double
+@threadpool_limits.wrap(limits=1, user_api="blas")  # threads cost more than matrices this small
 def calibrate(
     observation: Photographs,
     *,
@@ -147,17 +149,13 @@ def calibrate(
     )
     channels = range(len(observation.channels))
     gathered = gather(observation, fitted, channels=channels)
-    each = side_by_side(
-        [
-            partial(fit_channel, gathered, channel, form, cells)
-            for channel in channels
-            for form in forms.values()
-        ],
-        progress=progress,
-    )
-    fits: dict[Model, tuple[ChannelFit, ...]] = {
-        name: tuple(each[i :: len(forms)]) for i, name in enumerate(forms)
-    }
+
+    def fitted_channels(form: Form) -> tuple[ChannelFit, ...]:
+        return tuple(fit_channel(gathered, channel, form, cells) for channel in channels)
+
+    # the channels of a model in turn: its lobe is compiled once
+    pieces = [partial(fitted_channels, form) for form in forms.values()]
+    fits = dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
     reasons = {
         fit.channel: open_parameters(fit, matt)
         for fit, matt in zip(fits[model], fits["lambert"], strict=True)
@@ -166,7 +164,7 @@ def calibrate(
         observation=observation,
         model=model,
         fits=fits,
-        scores=compare(observation, fits, fitted, held_out),
+        scores=compare(observation, fits, held_out),
         open_parameters=reasons,
         posteriors={
             fit.channel: channel_posterior(fit, cells, sampling=sampling, seed=seed)

@@ -14,7 +14,6 @@ the best model:
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.special import stdtrit
@@ -23,8 +22,8 @@ from ...inference.formatting import format_percent, format_with_error
 from ...report.section import Table
 from ..models import LABELS
 from ..names import SHOWS, Model
-from .fit import ChannelFit, lights_as_fitted
-from .model import predicted_dn
+from .derivatives import predict
+from .fit import ChannelFit, lights_as_fitted, squared_errors
 from .read import Photographs
 from .samples import Selection, make_samples
 
@@ -99,13 +98,7 @@ def squares_by_light(
         return None
     channel = observation.channels.index(fit.channel)
     samples = make_samples(lights_as_fitted(observation, fit), channel, fit.form, selection)
-    predicted = np.asarray(predicted_dn(jnp.asarray(fit.vector), samples), np.float64)
-    measured = np.asarray(samples.dn, np.float64)
-    trusted = measured < observation.clip
-    light = selection.light[trusted]
-    squares = [(predicted - measured)[trusted] ** 2, (measured - observation.black)[trusted] ** 2]
-    sums = np.stack([np.bincount(light, square) for square in squares], axis=1)
-    return sums[np.bincount(light) > 0]
+    return squared_errors(predict(fit.vector, samples).dn, samples, selection)
 
 
 def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None:
@@ -119,7 +112,6 @@ def relative_rms(by_light: Float[np.ndarray, "lights 2"] | None) -> float | None
 def compare(
     observation: Photographs,
     fits: Mapping[Model, Sequence[ChannelFit]],
-    fitted: Selection,
     held_out: Selection,
 ) -> tuple[ModelScore, ...]:
     """Score every model in every channel, on the fitted and on the held-out samples."""
@@ -132,8 +124,8 @@ def compare(
         criteria = deviance + np.array([[2.0], [np.log(size)]]) * counts
         criteria -= criteria.min(axis=1, keepdims=True)
         for model, fit, (aic, bic) in zip(fits, of_models, criteria.T, strict=True):
-            seen, unseen = (squares_by_light(observation, fit, x) for x in (fitted, held_out))
-            error = relative_rms(seen)
+            unseen = squares_by_light(observation, fit, held_out)
+            error = relative_rms(fit.by_light)
             assert error is not None
             scores.append(
                 ModelScore(

@@ -1,6 +1,5 @@
 """Pictures of a reflectance calibration."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -13,10 +12,9 @@ from ...report.colours import OF_CHANNEL
 from ..models import LABELS, REFLECTANCES, has_lobe, shape_of
 from .calibration import ReflectanceCalibration, mean_residual
 from .fit import ChannelFit, lights_as_fitted, predicted_image
-from .model import encoding_gamma
 from .read import Photographs
 from .samples import Selection, make_samples
-from .signal import decoded, unit_lobe
+from .signal import decoded, lobe_with_slopes
 
 MARKERS = {"red": "o", "green": "s", "blue": "^", "grey": "o"}
 DISPLAY_GAMMA = 2.2
@@ -204,14 +202,14 @@ def _per_unit_light(
     selection = Selection(calibration.fitted.light[::step], calibration.fitted.pixel[::step])
     channel = observation.channels.index(fit.channel)
     samples = make_samples(lights_as_fitted(observation, fit), channel, fit.form, selection)
-    vector = jnp.asarray(fit.vector)
-    gamma = encoding_gamma(vector, samples)
-    linear = np.asarray(decoded(samples.dn, samples.black, samples.white, gamma))
-    ambient = {p.name: v for p, v in zip(fit.space, fit.natural, strict=True)}.get("ambient", 0.0)
+    natural = {p.name: v for p, v in zip(fit.space, fit.natural, strict=True)}
+    gamma = natural.get("gamma", samples.gamma)
+    linear = decoded(samples.dn, float(samples.black), float(samples.white), gamma)
+    ambient = natural.get("ambient", 0.0)
     unit = np.zeros(len(linear))
     if fit.form.model != "lambert":
         place = [p.name for p in fit.space].index(shape_of(fit.form.model).name)
-        unit = np.asarray(unit_lobe(fit.form, jnp.exp(vector[place]), samples.geometry))
+        unit = lobe_with_slopes(fit.form, fit.vector[place], samples.geometry)[0]
     angle = observation.mirror_angle[selection.light, selection.pixel]
     cosine = np.asarray(samples.geometry.wi.z)
     lit = cosine > 0

@@ -1,19 +1,19 @@
 """One channel, one model: the best parameters (`optimum`) and the data to assess them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from ...inference.clustering import Robustness, cluster_robust
-from ...inference.compiled import compiled_briefly
 from ...inference.diagnostics import Identifiability, identifiability
 from ...inference.neighbours import regions
-from ...inference.parameters import ParameterSpace, to_natural
-from .derivatives import scores_and_slopes
+from ...inference.parameters import ParameterSpace, natural_numbers
+from ...inference.precision import in_double
+from .derivatives import log_likelihood_of_dn, predict, scores_and_slopes
 from .geometry_cells import Grouping
-from .model import Samples, negative_log_likelihood, parameter_space, predicted_dn
+from .model import Samples, parameter_space
 from .optimum import best, residual_signal_slope, weighted
 from .read import Photographs
 from .samples import Gathered, Selection, make_samples
@@ -29,8 +29,6 @@ from .turns import (
     with_wider_directions,
 )
 
-_cost = compiled_briefly(negative_log_likelihood)
-
 
 @dataclass(frozen=True)
 class ChannelFit:
@@ -40,14 +38,11 @@ class ChannelFit:
     requested: Form  # the form asked for
     samples: Samples  # with the form and the deviations of the fit
     selection: Selection
-    # of lights that err alike; each its own where neighbours do not
-    regions: Int[np.ndarray, " lights"]
+    places: Float[np.ndarray, "lights 3"]  # of the lights, in units that compare
     space: ParameterSpace
     vector: Float[np.ndarray, " parameters"]  # unconstrained
     # on that scale, as if all samples were independent
     information: Float[np.ndarray, "parameters parameters"]
-    # covariance that does not assume so; None where the data leave a direction open
-    robustness: Robustness | None
     stated: StatedErrors  # what the rig calls uncertain
     # where the images put lights of uncertain directions; None without such
     turned: TurnedLights | None
@@ -56,6 +51,7 @@ class ChannelFit:
     chi_square: float  # per degree of freedom, with the weights of the fit
     sensor_chi_square: float | None  # with the sensor's noise alone; None if unknown
     log_likelihood: float  # with the spread of the final residuals, where lights stand in the fit
+    by_light: Float[np.ndarray, "lights 2"]  # `squared_errors` of the samples
     # (lights, 2) turns and (lights, 2, 2) what the images tell of them, in units of the directions'
     # uncertainty; None without such
     told_of_turns: tuple[np.ndarray, np.ndarray] | None
@@ -68,7 +64,23 @@ class ChannelFit:
     @property
     def natural(self) -> Float[np.ndarray, " parameters"]:
         """Parameters in their own units."""
-        return np.asarray(to_natural(self.space, jnp.asarray(self.vector)))
+        return natural_numbers(self.space, self.vector)
+
+    @cached_property
+    def _scores_and_slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        return scores_and_slopes(predict(self.vector, self.samples), self.samples)
+
+    @cached_property
+    def regions(self) -> Int[np.ndarray, " lights"]:
+        """Of lights that err alike; each its own where neighbours do not."""
+        return regions(self._scores_and_slopes[0], self.selection.light, self.places)
+
+    @cached_property
+    def robustness(self) -> Robustness | None:
+        """Covariance that does not assume independent samples; None where the data leave a
+        direction open. Of most models compared nobody needs it."""
+        every = np.arange(len(self.space))
+        return robust_covariance(self, every) if self.identifiability.determined else None
 
     @property
     def design_effect(self) -> float:
@@ -90,6 +102,7 @@ class ChannelFit:
         return evidence - float(np.sum(turns**2) + widening.sum()) / 2
 
 
+@in_double
 def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping) -> ChannelFit:
     """Return the best fit of one channel with its robustness, misfit and evidence."""
     observation, selection = gathered.observation, gathered.selection
@@ -103,69 +116,61 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         if lights.followed:
             turns = lights.turns / lights.widened
             known = with_wider_directions(observation, lights.widened)
-    samples, vector = found.samples, found.vector
-
+    samples, prediction = found.samples, found.prediction
     space = parameter_space(samples.form)
-    information = np.asarray(found.information, np.float64)
-    robustness = None
-    stated = stated_errors(known, channel, vector, samples, selection, turns)
-    judged = identifiability(space, stated.left_of(information))
-    gradients = np.asarray(scores_and_slopes(vector, samples)[0], np.float64)
-    alike = regions(gradients, selection.light, observation.wi.mean(axis=1))
-    if judged.determined:
-        robustness = robust_covariance(
-            vector, samples, selection, information, np.arange(len(space)), stated, alike
-        )
-    residual, signal, slope = residual_signal_slope(vector, samples)
-    likeliest = weighted(vector, samples, fit_spread(residual, signal, slope, sensor=sensor))
+    stated = stated_errors(known, channel, prediction, samples, selection, turns)
+    seen = residual_signal_slope(prediction, samples)
+    likeliest = weighted(prediction, samples, fit_spread(*seen, sensor=sensor))
     told = None
     if lights is not None:
         about = np.zeros_like(lights.turns) if turns is None else turns
-        shifts = shifts_of_turns(known, about, channel, vector, likeliest, selection)
+        shifts = shifts_of_turns(known, about, channel, prediction.vector, likeliest, selection)
         told = about, information_on_turns(shifts, likeliest, selection, len(about))
-    dof = len(residual) - len(space)
+    dof = len(seen[0]) - len(space)
     return ChannelFit(
         channel=observation.channels[channel],
         requested=form,
         samples=samples,
         selection=selection,
-        regions=alike,
+        places=observation.wi.mean(axis=1),
         space=space,
-        vector=np.asarray(vector, np.float64),
-        information=information,
-        robustness=robustness,
+        vector=prediction.vector,
+        information=found.information,
         stated=stated,
         turned=lights,
-        identifiability=judged,
+        identifiability=identifiability(space, stated.left_of(found.information)),
         spread=found.spread,
-        chi_square=chi_square_per_dof(residual, signal, slope, found.weights, dof),
-        sensor_chi_square=None
-        if sensor is None
-        else chi_square_per_dof(residual, signal, slope, sensor, dof),
-        log_likelihood=-float(_cost(vector, likeliest)),
+        chi_square=chi_square_per_dof(*seen, found.weights, dof),
+        sensor_chi_square=None if sensor is None else chi_square_per_dof(*seen, sensor, dof),
+        log_likelihood=float(log_likelihood_of_dn(prediction, likeliest)[0].sum()),
+        by_light=squared_errors(prediction.dn, samples, selection),
         told_of_turns=told,
         converged=found.converged,
     )
 
 
-def robust_covariance(
-    vector: Float[Array, " parameters"],
-    samples: Samples,
-    selection: Selection,
-    information: Float[np.ndarray, "parameters parameters"],
-    known: Int[np.ndarray, " known"],
-    stated: StatedErrors,
-    alike: Int[np.ndarray, " lights"],
-) -> Robustness:
+def robust_covariance(fit: ChannelFit, known: Int[np.ndarray, " known"]) -> Robustness:
     """Return the covariance of the `known` parameters, with the others fixed, including shared
     errors of lights and pixels and the errors that the rig states."""
-    gradients, slopes = (np.asarray(x, np.float64) for x in scores_and_slopes(vector, samples))
-    slopes = slopes if stated.slopes is None else stated.slopes
-    among = stated.left_of(information)[np.ix_(known, known)]
-    found = cluster_robust(
-        gradients[known], among, alike[selection.light], selection.pixel, slopes=slopes[known]
-    )
-    return with_stated_errors(found, stated, among, known)
+    gradients, slopes = fit._scores_and_slopes
+    slopes = slopes if fit.stated.slopes is None else fit.stated.slopes
+    among = fit.stated.left_of(fit.information)[np.ix_(known, known)]
+    light, pixel = fit.selection.light, fit.selection.pixel
+    found = cluster_robust(gradients[known], among, fit.regions[light], pixel, slopes=slopes[known])
+    return with_stated_errors(found, fit.stated, among, known)
+
+
+def squared_errors(
+    predicted: Float[np.ndarray, " samples"], samples: Samples, selection: Selection
+) -> Float[np.ndarray, "lights 2"]:
+    """Return (lights, 2) sums over a light's unsaturated samples of squared (predicted - measured)
+    and of squared signals above black."""
+    measured = np.asarray(samples.dn)
+    trusted = measured < samples.clip
+    light = selection.light[trusted]
+    squares = (predicted - measured)[trusted] ** 2, (measured - samples.black)[trusted] ** 2
+    sums = np.stack([np.bincount(light, square) for square in squares], axis=1)
+    return sums[np.bincount(light) > 0]
 
 
 def lights_as_fitted(observation: Photographs, fit: ChannelFit) -> Photographs:
@@ -184,5 +189,4 @@ def predicted_image(
     selection = Selection(np.full_like(pixels, light), pixels)
     channel = observation.channels.index(fit.channel)
     samples = make_samples(observation, channel, fit.form, selection)
-    predicted = predicted_dn(jnp.asarray(fit.vector), samples)
-    return np.minimum(np.asarray(predicted, np.float64), observation.clip)
+    return np.minimum(predict(fit.vector, samples).dn, observation.clip)

@@ -5,18 +5,16 @@ geometry with the mean digital number. The curvature of the model inside the cel
 This correction is computed at given parameters, where cells and pixels then agree exactly.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from jaxvision import Vec
-
-from .model import Samples, predicted_dn
-from .signal import Geometry
+from .derivatives import Prediction, predict
+from .model import Samples
+from .signal import in_plane
 
 COSINE_STEP = 0.05  # of a cell in n.l
 FEWEST_SATURATED = 64  # samples of a program of saturated ones
@@ -50,51 +48,36 @@ def group(
     return Grouping(cell, int(cell.max()) + 1)
 
 
-def average(
-    samples: Samples, grouping: Grouping, *, exact_at: Float[Array, " parameters"] | None = None
-) -> Samples:
+def average(samples: Samples, grouping: Grouping, *, exact_at: Prediction | None = None) -> Samples:
     """Average the unsaturated samples of each cell, weighted by their inverse variances.
 
-    With `exact_at`, the cells predict the mean of their pixels exactly at that vector. An empty
-    cell gets an enormous deviation, so that all channels have the same number of cells.
+    With `exact_at`, the samples as predicted at a vector, the cells predict the mean of their
+    pixels exactly there. An empty cell gets an enormous deviation, so that all channels have the
+    same number of cells.
     """
-    weight = 1 / np.asarray(samples.deviation, np.float64) ** 2
+    weight = np.asarray(samples.deviation, np.float64) ** -2
     if samples.saturated is not None:
         weight = np.where(samples.saturated, 0, weight)
     total = np.bincount(grouping.cell, weight, grouping.count)
     filled = total > 0
 
-    def mean(values: Array) -> Array:
-        sums = np.bincount(grouping.cell, weight * np.asarray(values), grouping.count)
-        return jnp.asarray(sums / np.where(filled, total, 1), samples.dn.dtype)
+    def mean(values: Any) -> Float[np.ndarray, " cells"]:
+        sums = np.bincount(grouping.cell, weight * values, grouping.count)
+        return sums / np.where(filled, total, 1)
 
-    deviation = np.where(filled, 1 / np.sqrt(np.where(filled, total, 1)), UNCERTAIN)
+    seen = samples.geometry
+    wi, wo = seen.wi, seen.wo
+    between = wi.x * wo.x + wi.y * wo.y + wi.z * wo.z
     cells = replace(
         samples,
-        geometry=_mean_geometry(samples.geometry, mean),
+        geometry=in_plane(*map(mean, (wi.z, wo.z, between, seen.irradiance))),
         dn=mean(samples.dn),
-        deviation=jnp.asarray(deviation, samples.dn.dtype),
+        deviation=np.where(filled, 1 / np.sqrt(np.where(filled, total, 1)), UNCERTAIN),
         saturated=None,
     )
     if exact_at is None:
         return cells
-    offset = mean(predicted_dn(exact_at, samples)) - predicted_dn(exact_at, cells)
-    return replace(cells, offset=offset)
-
-
-def _mean_geometry(seen: Geometry, mean: Callable[[Array], Array]) -> Geometry:
-    """Return directions with the mean cosines between light, normal and viewer, in a frame with the
-    viewer in the xz plane and the light at positive y."""
-    cos_i, cos_o = mean(seen.wi.z), mean(seen.wo.z)
-    between = mean(seen.wi.x * seen.wo.x + seen.wi.y * seen.wo.y + seen.wi.z * seen.wo.z)
-    sin_i, sin_o = (jnp.sqrt(jnp.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
-    tilted = sin_i * sin_o > 0
-    cos_phi = (between - cos_i * cos_o) / jnp.where(tilted, sin_i * sin_o, 1)
-    cos_phi = jnp.clip(jnp.where(tilted, cos_phi, 1), -1, 1)
-    sin_phi = jnp.sqrt((1 - cos_phi) * (1 + cos_phi))
-    toward_light = Vec(sin_i * cos_phi, sin_i * sin_phi, cos_i)
-    toward_view = Vec(sin_o, jnp.zeros_like(sin_o), cos_o)
-    return Geometry(toward_light, toward_view, mean(seen.irradiance))
+    return replace(cells, offset=mean(exact_at.dn) - predict(exact_at.vector, cells).dn)
 
 
 def saturated_only(samples: Samples) -> Samples | None:
@@ -107,12 +90,12 @@ def saturated_only(samples: Samples) -> Samples | None:
         return None
     chosen = np.flatnonzero(samples.saturated)
     count = max(FEWEST_SATURATED, 1 << (len(chosen) - 1).bit_length())
-    real = jnp.arange(count) < len(chosen)
-    at = jnp.asarray(np.resize(chosen, count))
+    real = np.arange(count) < len(chosen)
+    at = np.resize(chosen, count)
     return replace(
         samples,
         geometry=jax.tree.map(lambda x: x[at], samples.geometry),
         dn=samples.dn[at],
-        deviation=jnp.where(real, samples.deviation[at], UNCERTAIN),
+        deviation=np.where(real, samples.deviation[at], UNCERTAIN),
         saturated=real,
     )

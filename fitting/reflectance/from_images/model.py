@@ -1,15 +1,18 @@
 """Samples of photographs, their prediction by a surface and an encoding, and their likelihood.
 
 A pixel at or above the clip level states only that its value is at least that large. It is censored
-(Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation).
+(Tobin, Econometrica 26, 1958) and contributes log Phi((predicted - clip) / deviation). JAX can
+trace this density, for chains. `derivatives` has the same density and its slopes in NumPy, for
+searches.
 """
+
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...inference.compiled import compiled_briefly
 from ...inference.parameters import ParameterSpace, names, to_natural
 from ...inference.tails import log_ndtr
 from ..models import amplitude
@@ -24,69 +27,43 @@ def parameter_space(form: Form) -> ParameterSpace:
 
 
 class Samples(eqx.Module):
-    """Lit pixels of one channel, or cells of similar pixels."""
+    """Lit pixels of one channel, or cells of similar pixels: arrays of NumPy or of JAX."""
 
     form: Form = eqx.field(static=True)
     geometry: Geometry
-    dn: Float[Array, " samples"]  # DN
+    dn: Float[Any, " samples"]  # DN
     # DN; a cell of equal pixels is one sample of smaller deviation
-    deviation: Float[Array, " samples"]
-    saturated: Bool[Array, " samples"] | None  # None where nothing clips
-    black: Float[Array, ""]  # DN without light
-    white: Float[Array, ""]  # DN of full scale above black
-    clip: Float[Array, ""]  # DN from which a pixel is saturated
-    gamma: Float[Array, ""] | None  # known encoding; None for linear files or where it is free
+    deviation: Float[Any, " samples"]
+    saturated: Bool[Any, " samples"] | None  # None where nothing clips
+    black: Float[Any, ""]  # DN without light
+    white: Float[Any, ""]  # DN of full scale above black
+    clip: Float[Any, ""]  # DN from which a pixel is saturated
+    gamma: Float[Any, ""] | None  # known encoding; None for linear files or where it is free
     # DN added to a cell's prediction: by how much the mean over its pixels differs from the value
     # at their mean geometry
-    offset: Float[Array, " samples"] | None = None
-
-
-@compiled_briefly
-def linear_signal(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """X of the samples at an unconstrained vector, DN above black."""
-    space = parameter_space(samples.form)
-    natural = to_natural(space, vector)
-    values = {name: natural[i] for i, name in enumerate(names(space))}
-    return signal(values, samples.form, samples.geometry)
-
-
-def encoding_gamma(vector: Float[Array, " parameters"], samples: Samples) -> Array | None:
-    """The free gamma, the known one, or None for linear files."""
-    return jnp.exp(vector[-1]) if samples.form.free_gamma else samples.gamma
-
-
-@compiled_briefly
-def predicted_dn(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """(samples,) DN before clipping, at an unconstrained vector."""
-    gamma = encoding_gamma(vector, samples)
-    dn = samples.black + encoded(linear_signal(vector, samples), samples.white, gamma)
-    return dn if samples.offset is None else dn + samples.offset
-
-
-def residuals(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """(predicted - measured) / deviation of each sample, 0 for saturated pixels."""
-    z = (predicted_dn(vector, samples) - samples.dn) / samples.deviation
-    return z if samples.saturated is None else jnp.where(samples.saturated, 0, z)
+    offset: Float[Any, " samples"] | None = None
 
 
 def log_likelihoods(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """Log density of each measured value, or log probability of a saturated one.
+    """Log density of each measured value at an unconstrained vector, or log probability of a
+    saturated one.
 
     Source:
         Tobin, Econometrica 26, 1958.
     """
-    predicted = predicted_dn(vector, samples)
+    space = parameter_space(samples.form)
+    values = dict(zip(names(space), to_natural(space, vector), strict=True))
+    gamma = values["gamma"] if samples.form.free_gamma else samples.gamma
+    x = signal(values, samples.form, samples.geometry)
+    predicted = samples.black + encoded(x, samples.white, gamma)
+    if samples.offset is not None:
+        predicted = predicted + samples.offset
     z = (predicted - samples.dn) / samples.deviation
     gaussian = -z * z / 2 - jnp.log(samples.deviation) - float(np.log(2 * np.pi)) / 2
     if samples.saturated is None:
         return gaussian
     above = jnp.where(samples.saturated, (predicted - samples.clip) / samples.deviation, 0)
     return jnp.where(samples.saturated, log_ndtr(above), gaussian)
-
-
-def negative_log_likelihood(vector: Float[Array, " parameters"], samples: Samples) -> Array:
-    """Objective of a fit with saturated pixels."""
-    return -jnp.sum(log_likelihoods(vector, samples))
 
 
 def total_log_likelihood(

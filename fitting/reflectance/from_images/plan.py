@@ -7,7 +7,6 @@ divided by the design effect if residuals are correlated by light or by pixel.
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -20,18 +19,13 @@ from ...report.section import Section, Table
 from ..models import LABELS
 from ..names import Model
 from .calibration import ReflectanceCalibration
-from .derivatives import scores_and_slopes
+from .derivatives import predict, scores_and_slopes
 from .fit import ChannelFit
-from .model import (
-    encoding_gamma,
-    linear_signal,
-    parameter_space,
-    predicted_dn,
-)
+from .model import parameter_space
+from .optimum import weighted
 from .read import Photographs, angles
 from .samples import Selection, make_samples
-from .signal import Form, encoding_slope
-from .spread import variance
+from .signal import Form
 
 FROM_VIEW = (0, 20, 40, 60, 80)  # degrees
 AROUND = (0, 45, 90, 135, 180, 225, 270, 315)  # degrees, from the right counter-clockwise
@@ -80,22 +74,17 @@ def added_information(
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Fisher information (P, P) of one more image of independent pixels, if the model is right."""
     lit = observation.cosine[light] > 0
-    pixel = np.arange(len(lit))  # all of them: one shape, one compilation
+    pixel = np.arange(len(lit))
     selection = Selection(np.full_like(pixel, light), pixel)
     channel = observation.channels.index(fit.channel)
     samples = make_samples(observation, channel, fit.form, selection)
-    vector = jnp.asarray(fit.vector)
-    signal = linear_signal(vector, samples)
-    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
-    deviation = np.sqrt(variance(fit.spread, np.asarray(signal), slope=np.asarray(slope)))
-    expected = predicted_dn(vector, samples)
+    prediction = predict(fit.vector, samples)
     samples = replace(
-        samples,
-        dn=expected,
-        deviation=jnp.asarray(deviation, expected.dtype),
-        saturated=expected >= samples.clip,
+        weighted(prediction, samples, fit.spread),
+        dn=prediction.dn,
+        saturated=prediction.dn >= samples.clip,
     )
-    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)[:, lit]
+    slopes = scores_and_slopes(prediction, samples)[1][:, lit]
     return slopes @ slopes.T
 
 

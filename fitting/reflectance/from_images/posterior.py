@@ -15,8 +15,6 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -25,6 +23,7 @@ from ...inference.emcee_run import Emcee, for_group
 from ...inference.importance import laplace_where_it_holds
 from ...inference.parameters import ParameterSpace
 from ...inference.posterior import Posterior, sample
+from .derivatives import cost_and_information, predict
 from .fit import ChannelFit
 from .geometry_cells import Grouping, average, saturated_only
 from .model import total_log_likelihood
@@ -35,10 +34,10 @@ class Adjusted(eqx.Module):
 
     density: Callable[[Array, Any], Array] = eqx.field(static=True)  # function of (vector, data)
     data: Any  # of the density
-    mode: Float[Array, " parameters"]  # unconstrained
-    stretch: Float[Array, "parameters parameters"]  # the matrix C of mode + C (vector - mode)
+    mode: Float[Any, " parameters"]  # unconstrained
+    stretch: Float[Any, "parameters parameters"]  # the matrix C of mode + C (vector - mode)
     # of the density at the mode, to be subtracted; None for 0
-    slope: Float[Array, " parameters"] | None = None
+    slope: Float[Any, " parameters"] | None = None
 
 
 def adjusted_log_density(vector: Float[Array, " parameters"], data: Adjusted) -> Array:
@@ -48,18 +47,18 @@ def adjusted_log_density(vector: Float[Array, " parameters"], data: Adjusted) ->
     return own if data.slope is None else own - data.slope @ away
 
 
-_slope = eqx.filter_jit(jax.grad(total_log_likelihood))
-
-
 def composite(fit: ChannelFit, grouping: Grouping) -> Adjusted:
     """Return the adjusted likelihood of cells and saturated samples, where the covariance of a fit
     is known."""
     assert fit.robustness is not None
-    mode = jnp.asarray(fit.vector, fit.samples.dn.dtype)
-    data = average(fit.samples, grouping, exact_at=mode), saturated_only(fit.samples)
+    cells = average(fit.samples, grouping, exact_at=predict(fit.vector, fit.samples))
+    data = cells, saturated_only(fit.samples)
     stretch = curvature_stretch(fit.information, fit.robustness.gaussian_covariance)
-    slope = _slope(mode, data)
-    return Adjusted(total_log_likelihood, data, mode, jnp.asarray(stretch, mode.dtype), slope)
+    slope = np.zeros(len(fit.vector))
+    for own in data:
+        if own is not None:
+            slope -= cost_and_information(predict(fit.vector, own), own)[1]
+    return Adjusted(total_log_likelihood, data, fit.vector, stretch, slope)
 
 
 def channel_posterior(

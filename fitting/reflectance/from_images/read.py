@@ -361,7 +361,7 @@ def angles(
     normals: Float[np.ndarray, "pixels 3"], wi: Float[np.ndarray, "lights pixels 3"]
 ) -> tuple[np.ndarray, ...]:
     """Return n.l and the mirror angle in rad, (lights, pixels) each."""
-    per_light = [_angles_of_one_light(jnp.asarray(normals), jnp.asarray(w)) for w in wi]
+    per_light = [_angles_of_one_light(normals, w) for w in wi]
     return tuple(np.stack([np.asarray(x) for x in kind]) for kind in zip(*per_light, strict=True))
 
 

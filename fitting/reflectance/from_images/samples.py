@@ -3,13 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Int
 
 from .model import Samples
-from .read import Photographs
-from .signal import Form, Geometry, local_geometry
+from .read import VIEW, Photographs
+from .signal import Form, Geometry, in_plane
 
 
 @dataclass(frozen=True)
@@ -42,9 +41,9 @@ class Gathered:
     observation: Photographs  # of the object
     selection: Selection  # of its samples
     geometry: dict[int, Geometry]  # of each channel by its index
-    dn: dict[int, Array]  # (samples,) of each channel, DN
+    dn: dict[int, np.ndarray]  # (samples,) of each channel, DN
     # (samples,) of each channel; None where nothing clips in any
-    saturated: dict[int, Array | None]
+    saturated: dict[int, np.ndarray | None]
 
     def samples(self, channel: int, form: Form) -> Samples:
         """The samples of one channel, with a deviation of 1 DN."""
@@ -54,12 +53,12 @@ class Gathered:
             form=form,
             geometry=self.geometry[channel],
             dn=self.dn[channel],
-            deviation=jnp.ones_like(self.dn[channel]),
+            deviation=np.ones_like(self.dn[channel]),
             saturated=self.saturated[channel],
-            black=jnp.asarray(observation.black, float),
-            white=jnp.asarray(observation.white, float),
-            clip=jnp.asarray(observation.clip, float),
-            gamma=None if gamma is None else jnp.asarray(gamma, float),
+            black=np.float64(observation.black),
+            white=np.float64(observation.white),
+            clip=np.float64(observation.clip),
+            gamma=None if gamma is None else np.float64(gamma),
         )
 
 
@@ -69,23 +68,17 @@ def gather(observation: Photographs, selection: Selection, *, channels: Iterable
     clips = bool(observation.saturated[:, light, pixel].any())
     dn = {channel: observation.dn[channel, light, pixel] for channel in channels}
     falloff = observation.falloff[light, pixel]
-    shared = local_geometry(
-        jnp.asarray(observation.normals[pixel]),
-        jnp.asarray(observation.wi[light, pixel]),
-        jnp.asarray(falloff),
-    )
+    normals, wi = observation.normals[pixel], observation.wi[light, pixel]
+    cosine = np.einsum("sc,sc->s", normals, wi)
+    shared = in_plane(cosine, normals @ VIEW, wi @ VIEW, falloff)
     return Gathered(
         observation=observation,
         selection=selection,
         geometry={
-            c: replace(shared, irradiance=jnp.asarray(observation.intensity[c, light] * falloff))
-            for c in dn
+            c: replace(shared, irradiance=observation.intensity[c, light] * falloff) for c in dn
         },
-        dn={c: jnp.asarray(values) for c, values in dn.items()},
-        saturated={
-            c: jnp.asarray(values >= observation.clip) if clips else None
-            for c, values in dn.items()
-        },
+        dn=dn,
+        saturated={c: values >= observation.clip if clips else None for c, values in dn.items()},
     )
 
 

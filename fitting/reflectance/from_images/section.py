@@ -6,7 +6,6 @@ reported in full, with the reasons to doubt it.
 
 from functools import partial
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...inference.estimates import Estimate, gaussian_estimate, not_determined
@@ -82,16 +81,7 @@ def _partial_estimates(fit: ChannelFit, reasons: dict[str, str]) -> list[Estimat
     known = [i for i, parameter in enumerate(fit.space) if parameter.name not in reasons]
     errors, freedom = np.zeros(len(fit.space)), np.full(len(fit.space), np.inf)
     if known:
-        vector, chosen = jnp.asarray(fit.vector), np.asarray(known)
-        robust = robust_covariance(
-            vector,
-            fit.samples,
-            fit.selection,
-            fit.information,
-            chosen,
-            fit.stated,
-            fit.regions,
-        )
+        robust = robust_covariance(fit, np.array(known))
         errors[known] = np.sqrt(np.diagonal(robust.covariance))
         freedom[known] = robust.freedom
     rows = [

@@ -15,6 +15,7 @@ not parameters and not traced.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,15 +25,19 @@ from jaxtyping import Array, Float
 
 from jaxvision import Vec, as_array, as_vec
 from jaxvision.geometry.hemisphere import local_frame, to_local
-from jaxvision.point_ops import gamma_decode, gamma_encode
+from jaxvision.point_ops import gamma_encode
+from jaxvision.programs import briefly, thoroughly
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ...inference.parameters import Parameter, ParameterSpace
+from ...inference.precision import in_double
 from ..models import amplitude, has_lobe, shape_of, unit_shading
 from ..names import INDEX, Model
 from .read import VIEW
 
 COEFFICIENT_UNIT = "DN per unit light"
+BLOCK = 8192  # samples of a call of a lobe: a model is one program, whatever their number
+LONG = 300_000  # samples from which the optimised program of a lobe saves time
 DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a variance is needed
 GAMMA = Parameter("gamma", symbol="γ", unit="1", transform="log")
 
@@ -65,7 +70,7 @@ class Geometry(eqx.Module):
 
     wi: Vec  # components toward the light
     wo: Vec  # components toward the viewer
-    irradiance: Float[Array, "..."]  # E on a facing surface
+    irradiance: Float[Any, "..."]  # E on a facing surface
     # derivatives of `wi` to two angles of the light, rad^-1; None where its direction is exact
     turned: tuple[Vec, Vec] | None = None
     # rad, angles by which the lights are turned from where the rig puts them; None for none
@@ -104,12 +109,70 @@ def local_geometry(
     return Geometry(seen(wi), seen(view), jnp.asarray(irradiance), turned)
 
 
+def in_plane(
+    cos_i: Float[np.ndarray, " samples"],
+    cos_o: Float[np.ndarray, " samples"],
+    between: Float[np.ndarray, " samples"],
+    irradiance: Float[np.ndarray, " samples"],
+) -> Geometry:
+    """Return directions with given cosines between light, normal and viewer, which are all that
+    these models depend on: the viewer in the xz plane, the light at positive y."""
+    sin_i, sin_o = (np.sqrt(np.maximum((1 - c) * (1 + c), 0)) for c in (cos_i, cos_o))
+    tilted = sin_i * sin_o > 0
+    cos_phi = (between - cos_i * cos_o) / np.where(tilted, sin_i * sin_o, 1)
+    cos_phi = np.clip(np.where(tilted, cos_phi, 1), -1, 1)
+    sin_phi = np.sqrt((1 - cos_phi) * (1 + cos_phi))
+    light: Any = sin_i * cos_phi, sin_i * sin_phi, cos_i
+    view: Any = sin_o, np.zeros_like(sin_o), cos_o
+    return Geometry(Vec(*light), Vec(*view), irradiance)
+
+
 @eqx.filter_jit
 def unit_lobe(form: Form, shape: Float[Array, ""], geometry: Geometry) -> Array:
     """The shading of unit amplitude, 0 in attached shadows, for any model but Lambert's."""
     wi, wo = jax.tree.map(jnp.ravel, (geometry.wi, geometry.wo))
     unit = unit_shading(form.model, shape, wi, wo, form.index).reshape(geometry.wi.z.shape)
     return jnp.where(geometry.wi.z > 0, unit, 0)
+
+
+@in_double
+def lobe_with_slopes(
+    form: Form, log_shape: Float[np.ndarray, " samples"] | float, geometry: Geometry
+) -> Float[np.ndarray, "3 samples"]:
+    """Return `unit_lobe` and its first two derivatives by the logarithm of its shape."""
+    count = geometry.wi.z.size
+    given = [np.broadcast_to(log_shape, count), *geometry.wi, *geometry.wo]
+    found = np.empty((3, -(-count // BLOCK) * BLOCK))
+    program = _block_of_long if count >= LONG else _block
+    for begin in range(0, count, BLOCK):
+        part = slice(begin, begin + BLOCK)
+        own = [values[part] for values in given]
+        if begin + BLOCK > count:
+            own = [np.pad(values, (0, begin + BLOCK - count), mode="edge") for values in own]
+        found[:, part] = program(form.model, form.index, *own)
+    return found[:, :count]
+
+
+def _lobe_of_block(
+    model: Model, index: float, log_shape: Array, *components: Array
+) -> tuple[Array, ...]:
+    """u, du/ds and d2u/ds2 of a block at log shapes s."""
+    wi, wo = Vec(*components[:3]), Vec(*components[3:])
+
+    def unit(s: Array) -> Array:
+        return jnp.where(wi.z > 0, unit_shading(model, jnp.exp(s), wi, wo, index), 0)
+
+    def with_slope(s: Array) -> tuple[Array, Array]:
+        return jax.jvp(unit, (s,), (jnp.ones_like(s),))
+
+    (value, slope), (_, bend) = jax.jvp(with_slope, (log_shape,), (jnp.ones_like(log_shape),))
+    return value, slope, bend
+
+
+_block, _block_of_long = (
+    jax.jit(_lobe_of_block, static_argnums=(0, 1), compiler_options=options)
+    for options in (briefly(), thoroughly())
+)
 
 
 def signal(values: Values, form: Form, geometry: Geometry) -> Array:
@@ -124,26 +187,30 @@ def signal(values: Values, form: Form, geometry: Geometry) -> Array:
     return x + values["ambient"] if form.ambient else x
 
 
-def decoded(dn: Array, black: Array, white: Array, gamma: Array | None) -> Array:
+def decoded(
+    dn: Float[np.ndarray, "..."], black: float, white: float, gamma: float | None
+) -> Float[np.ndarray, "..."]:
     """X of stored digital numbers; with a gamma, values below black give 0.
 
     `white`: DN of full scale above black."""
     if gamma is None:
         return dn - black
-    return white * gamma_decode(jnp.maximum(dn - black, 0) / white, gamma)
+    return white * (np.maximum(dn - black, 0) / white) ** gamma
 
 
-def encoded(x: Array, white: Array, gamma: Array | None) -> Array:
+def encoded(x: Array, white: Array | float, gamma: Array | float | None) -> Array:
     """f(X), DN above black."""
     return x if gamma is None else white * gamma_encode(x / white, gamma)
 
 
-def encoding_slope(x: Array, white: Array, gamma: Array | None) -> Array:
+def encoding_slope(
+    x: Float[np.ndarray, "..."], white: float, gamma: float | None
+) -> Float[np.ndarray, "..."]:
     """f'(X), no unit; X is taken as at least 1 DN."""
     if gamma is None:
-        return jnp.ones_like(x)
-    ratio = jnp.maximum(x, DARKEST) / white
-    return gamma_encode(ratio, gamma) / (gamma * ratio)
+        return np.ones_like(x)
+    ratio = np.maximum(x, DARKEST) / white
+    return ratio ** (1 / gamma) / (gamma * ratio)
 
 
 def stored(values: Values, x: Array, white: Array) -> tuple[Array, Array, Array]:

@@ -20,21 +20,15 @@ Errors that change the distribution of the samples by at most a tenth of their n
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from scipy.special import chdtri
 
 from ...inference.clustering import Robustness
 from ...inference.left_out import LeftOut, distance, negligible
-from .derivatives import scores_and_slopes
-from .model import (
-    Samples,
-    encoding_gamma,
-    linear_signal,
-    predicted_dn,
-)
+from .derivatives import Prediction, predict, scores_and_slopes
+from .model import Samples
 from .read import Photographs
 from .samples import Selection
-from .signal import encoding_slope
 from .turns import beyond_turns, shifts_of_turns
 
 ROUNDING = 1e-9
@@ -68,17 +62,17 @@ class StatedErrors:
 def stated_errors(
     observation: Photographs,
     channel: int,
-    vector: Float[Array, " parameters"],
+    prediction: Prediction,
     samples: Samples,
     selection: Selection,
     turns: Float[np.ndarray, "lights 2"] | None,
 ) -> StatedErrors:
     """Return p e for all errors that the rig states and a fit can notice. `turns` are the (lights,
     2) rotations of the samples' lights in units of `direction_sd`, if they were fitted."""
-    sizes, light, count = observation.uncertain, selection.light, len(vector)
+    sizes, light, count = observation.uncertain, selection.light, len(prediction.vector)
     lights = len(next(iter(sizes.values()), ()))
-    own = _shifts_of_lights(observation, channel, vector, samples, selection, turns)
-    shared = _shifts_of_all(observation, vector, samples)
+    own = _shifts_of_lights(observation, channel, prediction, samples, selection, turns)
+    shared = _shifts_of_all(observation, prediction, samples)
     if not own and not shared:
         return StatedErrors(np.empty((0, count)), np.empty((0, count)))
     deviation = np.asarray(samples.deviation, np.float64)
@@ -96,7 +90,7 @@ def stated_errors(
     ]
     gone = negligible(errors)
     named = {error.name for error in gone}
-    slopes = np.asarray(scores_and_slopes(vector, samples)[1], np.float64)
+    slopes = scores_and_slopes(prediction, samples)[1]
     turnable = None
     if turns is not None and "direction_sd" in own:
         shifts = own.pop("direction_sd")
@@ -135,7 +129,7 @@ def _squares(shifts: np.ndarray, deviation: np.ndarray) -> np.ndarray:
 
 
 def _shifts_of_all(
-    observation: Photographs, vector: Array, samples: Samples
+    observation: Photographs, prediction: Prediction, samples: Samples
 ) -> dict[str, np.ndarray]:
     """(1, samples) DN, the change of a prediction by each error of all images at once."""
     found = {}
@@ -144,39 +138,35 @@ def _shifts_of_all(
     if observation.gamma_sd and samples.gamma is not None:
         steps = observation.gamma_sd, -observation.gamma_sd
         up, down = (
-            predicted_dn(vector, replace(samples, gamma=samples.gamma + step)) for step in steps
+            predict(prediction.vector, replace(samples, gamma=samples.gamma + step)).dn
+            for step in steps
         )
-        found["gamma_sd"] = np.asarray(up - down, np.float64)[None] / 2
+        found["gamma_sd"] = (up - down)[None] / 2
     return found
 
 
 def _shifts_of_lights(
     observation: Photographs,
     channel: int,
-    vector: Array,
+    prediction: Prediction,
     samples: Samples,
     selection: Selection,
     turns: np.ndarray | None,
 ) -> dict[str, np.ndarray]:
     """(shifts, samples) DN, the change of a prediction by each kind of error of the lights."""
     known = {n: sd[selection.light] for n, sd in observation.uncertain.items() if np.any(sd)}
-    signal = linear_signal(vector, samples)
-    slope = encoding_slope(signal, samples.white, encoding_gamma(vector, samples))
+    relative = prediction.slope * prediction.signal
     along = {
-        "intensity_sd": slope * signal,
-        "exposure_sd": slope * signal,
-        "stray_sd": slope * samples.geometry.irradiance,
+        "intensity_sd": relative,
+        "exposure_sd": relative,
+        "stray_sd": prediction.slope * np.asarray(samples.geometry.irradiance),
     }
-    found = {
-        name: np.asarray(moved, np.float64)[None] * known[name]
-        for name, moved in along.items()
-        if name in known
-    }
+    found = {name: moved[None] * known[name] for name, moved in along.items() if name in known}
     if "direction_sd" in known:
         if turns is None:
             turns = np.zeros((len(observation.files), 2))
         found["direction_sd"] = shifts_of_turns(
-            observation, turns, channel, vector, samples, selection
+            observation, turns, channel, prediction.vector, samples, selection
         )
     return found
 

@@ -21,14 +21,15 @@ and parameters are therefore fitted in alternation, each linearised about the la
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.special import chdtri
 
 from jaxvision import as_array, as_vec
 from jaxvision.geometry.hemisphere import local_frame
 
+from .derivatives import Prediction, Vector, predict, residuals
 from .geometry_cells import Grouping
-from .model import Samples, predicted_dn, residuals
+from .model import Samples
 from .optimum import Optimum, weighed, weighed_and_fitted
 from .read import Photographs, angles
 from .samples import Gathered, Selection, make_samples, of_some_pixels
@@ -59,7 +60,7 @@ def shifts_of_turns(
     observation: Photographs,
     turns: Float[np.ndarray, "lights 2"],
     channel: int,
-    vector: Float[Array, " parameters"],
+    vector: Vector,
     samples: Samples,
     selection: Selection,
 ) -> Float[np.ndarray, "2 samples"]:
@@ -71,7 +72,7 @@ def shifts_of_turns(
         lights = turned(observation, aside * observation.uncertain["direction_sd"][:, None])
         moved = make_samples(lights, channel, samples.form, selection)
         moved = replace(moved, gamma=samples.gamma)
-        return np.asarray(predicted_dn(vector, moved), np.float64)
+        return predict(vector, moved).dn
 
     moves = [predicted(axis, STEP) - predicted(axis, -STEP) for axis in (0, 1)]
     return np.stack(moves) / (2 * STEP)
@@ -80,14 +81,14 @@ def shifts_of_turns(
 def likeliest_turns(
     shifts: Float[np.ndarray, "2 samples"],
     turns: Float[np.ndarray, "lights 2"],
-    vector: Float[Array, " parameters"],
+    prediction: Prediction,
     samples: Samples,
     selection: Selection,
 ) -> Float[np.ndarray, "lights 2"]:
     """Return the (lights, 2) most likely rotations at given parameters, in units of `direction_sd`,
     linearised about `turns`."""
     moves, precision = _standard(shifts, samples, selection, len(turns))
-    left = -np.asarray(residuals(vector, samples), np.float64)
+    left = -residuals(prediction, samples)
     left += np.einsum("as,sa->s", moves, turns[selection.light])
     pulls = [np.bincount(selection.light, move * left, len(turns)) for move in moves]
     return np.linalg.solve(precision, np.stack(pulls, axis=1)[..., None])[..., 0]
@@ -198,12 +199,13 @@ def _settled(
     for observation, selection, rounds in stages:
         if step > 1:
             samples = _about(observation, selection, channel, found, turns)
-            found = replace(found, samples=weighed(found.vector, samples, sensor)[0])
+            samples, _, _, prediction = weighed(found.vector, samples, sensor)
+            found = replace(found, samples=samples, prediction=prediction)
         for _ in range(rounds):
             vector, samples = found.vector, found.samples
             shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
             before = turns
-            turns = likeliest_turns(shifts, before, vector, samples, selection)
+            turns = likeliest_turns(shifts, before, found.prediction, samples, selection)
             if _rms(turns[known]) > ABSURD:
                 return nominal, turns
             samples = _about(observation, selection, channel, found, turns)

@@ -784,18 +784,19 @@ ELSEWHERE = (
             fitting.reflectance.from_images.comparison: equally_good relative_rms
             fitting.reflectance.from_images.comparison: squares_by_light surpassed_by verdict
             fitting.reflectance.from_images.fit: fit_channel lights_as_fitted predicted_image
-            fitting.reflectance.from_images.fit: robust_covariance
-            fitting.reflectance.from_images.optimum: best optimum project residual_signal_slope
+            fitting.reflectance.from_images.fit: robust_covariance squared_errors
+            fitting.reflectance.from_images.optimum: best minimise_samples optimum project
+            fitting.reflectance.from_images.optimum: residual_signal_slope
             fitting.reflectance.from_images.optimum: weighed weighed_and_fitted weighted
             fitting.reflectance.from_images.turns: among_turns with_wider_directions
             fitting.reflectance.from_images.geometry_cells: average group saturated_only
-            fitting.reflectance.from_images.model: encoding_gamma linear_signal log_likelihoods
-            fitting.reflectance.from_images.model: negative_log_likelihood parameter_space
-            fitting.reflectance.from_images.model: predicted_dn residuals total_log_likelihood
+            fitting.reflectance.from_images.model: log_likelihoods parameter_space
+            fitting.reflectance.from_images.model: total_log_likelihood
             fitting.reflectance.from_images.signal: decoded encoded encoding_slope
-            fitting.reflectance.from_images.signal: local_geometry signal stored
-            fitting.reflectance.from_images.signal: surface_parameters unit_lobe
-            fitting.reflectance.from_images.derivatives: scores_and_slopes with_information
+            fitting.reflectance.from_images.signal: in_plane lobe_with_slopes local_geometry
+            fitting.reflectance.from_images.signal: signal stored surface_parameters unit_lobe
+            fitting.reflectance.from_images.derivatives: cost_and_information log_likelihood_of_dn
+            fitting.reflectance.from_images.derivatives: predict residuals scores_and_slopes
             fitting.reflectance.from_images.plan: added_information check_target plan
             fitting.reflectance.from_images.plan: plan_section
             fitting.reflectance.from_images.posterior: channel_posterior composite
