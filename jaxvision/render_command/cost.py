@@ -18,13 +18,15 @@ class Cost(NamedTuple):
 
     Attributes:
         error: rms standard error of the pixels over the rms radiance; None for one ray per pixel.
-        seconds: time of all its pixels without compilation, s.
-        compiling: time of tracing and compilation in this process, s.
+        seconds: time of all its pixels without compilation, s; on workers the sum of theirs.
+        compiling: time of tracing and compilation, s.
+        workers: number of processes that computed it; 0: this one alone.
     """
 
     error: float | None
     seconds: float
     compiling: float
+    workers: int = 0
 
 
 class Clock:
@@ -84,12 +86,17 @@ def in_words(cost: Cost, settings: RenderEntry) -> str:
         A sentence with the units s and %.
     """
     took = _seconds(cost.seconds)
+    if cost.workers:
+        took += f" of work on {cost.workers} worker{'s' * (cost.workers != 1)}"
     if cost.compiling >= 0.1:
         took += f" and {_seconds(cost.compiling)} of compiling"
     samples = f"{settings.samples} sample{'s' * (settings.samples != 1)} a pixel"
     if cost.error is None:
         return f"{samples}: no standard error, {took}."
-    told = f"{samples}: standard error {100 * cost.error:.2g} % of the rms radiance, {took}"
+    told = f"{samples}: standard error {100 * cost.error:.2g} % of the rms radiance"
+    if settings.integrator != "light":  # whose passes are independent
+        told += " or less, as samples are stratified"
+    told += f", {took}"
     target = next((t for t in _TARGETS if 0 < 1.5 * t <= cost.error), None)
     if target is not None:
         longer = _seconds(cost.seconds * (cost.error / target) ** 2)

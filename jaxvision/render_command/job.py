@@ -9,6 +9,8 @@ picture in memory.
 
 import dataclasses
 import math
+import os
+import platform
 import shutil
 import warnings
 from collections.abc import Callable, Iterator
@@ -46,7 +48,9 @@ _PASS = 32  # bytes a value that a pass of light tracing takes: measured for 204
 
 Advance = Callable[[int, int], None]
 Rows = Callable[[], Iterator[np.ndarray]]
-Seconds = tuple[float, float]  # of all pixels, and of compiling
+Part = tuple[np.ndarray, tuple[float, float], str]  # a result, its seconds, and who computed it
+Seconds = tuple[float, float, int]  # of all pixels, and of compiling
+_PROCESS = f"{platform.node()} {os.getpid()}"
 ERROR = "error"  # the layer of standard errors
 
 
@@ -171,15 +175,15 @@ def _render_tiles(
     with PartialImage(unfinished, key=key, values=values, fresh=fresh) as partial:
         work = _Work(source, settings, pruned)
         advance(partial.done, tiles)
-        first = partial.done
-        for radiance in in_order(_tile, work, range(first, tiles), memory=PROGRAMS):
-            partial.append(radiance)
+        first, spent = partial.done, _Spent(clock)
+        for part in in_order(_tile, work, range(first, tiles), memory=PROGRAMS):
+            partial.append(spent.taken(part))
             advance(partial.done, tiles)
 
         def rows() -> Iterator[np.ndarray]:
             return partial.rows(width, channels, height, at_once=ROWS)
 
-        yield rows, _of_all(clock, tiles, tiles - first)
+        yield rows, spent.of_all(tiles, tiles - first)
         partial.delete()
 
 
@@ -203,7 +207,9 @@ def _render_passes(
     passes, _ = work.passes
     advance(partial.done, passes)
     memory, first = PROGRAMS + _PASS * math.prod(shape), partial.done
-    for picture in in_order(_pass, work, range(first, passes), memory=memory):
+    spent = _Spent(clock)
+    for part in in_order(_pass, work, range(first, passes), memory=memory):
+        picture = spent.taken(part)
         squares = [np.square(picture, dtype=np.float64)] if several else []
         partial.add(np.concatenate([picture, *squares], axis=-1))
         advance(partial.done, passes)
@@ -216,7 +222,7 @@ def _render_passes(
     def rows() -> Iterator[np.ndarray]:
         return (picture[row : row + ROWS] for row in range(0, height, ROWS))
 
-    yield rows, _of_all(clock, passes, passes - first)
+    yield rows, spent.of_all(passes, passes - first)
     partial.delete()
 
 
@@ -254,22 +260,40 @@ class _Work:
         return passes_of(*left_of(self.source, self.settings, self.pruned))
 
 
-def _tile(work: _Work, index: int) -> np.ndarray:
+def _tile(work: _Work, index: int) -> Part:
     height, width = work.source.view.resolution
     tile = min(work.settings.tile, height * width)
     pixels = np.minimum(index * tile + np.arange(tile), height * width - 1)
-    return work.radiance(pixels // width, pixels % width)
+    with timed() as clock:
+        radiance = work.radiance(pixels // width, pixels % width)
+        return radiance, clock.read(), _PROCESS
 
 
-def _of_all(clock: Clock, parts: int, here: int) -> Seconds:
-    """The estimated seconds of all parts from those computed here, and the seconds of
-    compilation."""
-    seconds, compiling = clock.read()
-    return seconds * parts / max(here, 1), compiling
+def _pass(work: _Work, number: int) -> Part:
+    with timed() as clock:
+        return work.passes[1](number), clock.read(), _PROCESS
 
 
-def _pass(work: _Work, number: int) -> np.ndarray:
-    return work.passes[1](number)
+class _Spent:
+    """The time of a picture: by the clock of this process or, on workers, by theirs."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._there = np.zeros(2)
+        self._workers: set[str] = set()
+
+    def taken(self, part: Part) -> np.ndarray:
+        """The result of a part, whose seconds are added."""
+        result, seconds, process = part
+        if process != _PROCESS:
+            self._there += seconds
+            self._workers.add(process)
+        return result
+
+    def of_all(self, parts: int, here: int) -> Seconds:
+        """The seconds of all parts from those computed now, of compiling, and how many worked."""
+        seconds, compiling = self._there if self._workers else self._clock.read()
+        return float(seconds) * parts / max(here, 1), float(compiling), len(self._workers)
 
 
 def with_resolution(view: View, resolution: tuple[int, int]) -> View:

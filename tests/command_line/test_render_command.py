@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -289,7 +290,10 @@ def test_the_error_of_a_render_is_that_of_its_samples(rendered, tmp_path):
     assert np.sqrt((error**2).mean() / (expected**2).mean()) == pytest.approx(1, abs=0.15)
     radiance = read_image(tmp_path / "a.exr").astype(float)
     share = np.sqrt((error**2).mean() / (radiance**2).mean())
-    assert f"24 samples a pixel: standard error {100 * share:.2g} % of the rms radiance" in told
+    assert (
+        f"24 samples a pixel: standard error {100 * share:.2g} % of the rms radiance or less"
+        in told
+    )
     assert float(head(tmp_path / "a.exr")[1]["jaxvision:relativeError"]) == pytest.approx(
         share, rel=1e-2
     )
@@ -681,7 +685,14 @@ def test_workers_leave_out_what_changes_nothing(tmp_path, monkeypatch):
     (tmp_path / "scene.toml").write_text(SCENE + far_balls(8))
     command = tmp_path / "scene.toml", "--no-preview", "--out"
     assert "Left out" in run(*command, tmp_path / "here.exr")[1]
-    assert "Left out" in run(*command, tmp_path / "there.exr", "--workers", 2)[1]
+    _, told, _ = run(*command, tmp_path / "there.exr", "--workers", 2)
+    assert "Left out" in told
+    # the time is that of pixels: 468 of one ball take milliseconds, their program a second
+    took = re.search(
+        r"no standard error, (\S+) s of work on [12] workers? and (\S+) s of comp", told
+    )
+    assert took is not None
+    assert float(took[1]) < float(took[2])
     np.testing.assert_array_equal(
         *(read_image(tmp_path / name) for name in ("here.exr", "there.exr"))
     )
