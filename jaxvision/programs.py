@@ -97,6 +97,14 @@ def briefly() -> Options | None:
     return None if "XLA_FLAGS" in os.environ else quick_options() or None
 
 
+def moderately() -> Options | None:
+    """`compiler_options` of `jax.jit` for a program that computes about as long as XLA takes to
+    optimise it: `quick_options` with a little optimisation, unless the user's XLA_FLAGS say how."""
+    given, options = os.environ.get("XLA_FLAGS"), quick_options()
+    ours = given is None or given == quick_flags()
+    return options | {"xla_backend_optimization_level": 1} if ours and options else None
+
+
 def thoroughly() -> Options | None:
     """`compiler_options` of `jax.jit` for a long-running program, which is compiled with
     optimisation even after `compile_quickly`; read them after that call."""

@@ -31,7 +31,7 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     monkeypatch.setenv("XLA_FLAGS", "")
     programs.compile_quickly()
     assert os.environ["XLA_FLAGS"] == ""
-    assert programs.briefly() is None
+    assert programs.briefly() is programs.moderately() is None
     monkeypatch.delenv("XLA_FLAGS")
     monkeypatch.setattr(programs, "version", lambda name: "0.99.0")
     programs.compile_quickly()
@@ -42,7 +42,10 @@ def test_flags_are_set_only_where_the_user_sets_none_and_xla_knows_them(untouche
     assert "XLA_FLAGS" not in os.environ
     monkeypatch.setattr(programs, "find_spec", lambda name: None)
     assert programs.briefly()["xla_backend_optimization_level"] == 0
+    moderate = programs.briefly() | {"xla_backend_optimization_level": 1}
+    assert programs.moderately() == moderate
     programs.compile_quickly()
+    assert programs.moderately() == moderate  # whatever the flags say of all programs
     assert programs.briefly() is None  # the flags say so of all programs
     assert "optimization_level=0" in os.environ["XLA_FLAGS"]
     assert "fusion_emitters=false" in os.environ["XLA_FLAGS"]

@@ -442,7 +442,7 @@ def test_a_better_model_than_the_reported_one_is_said(observation):
     numbers = r"it has \d\S* ± \S+ percentage points more error on unseen lights than Phong"
     assert re.search(numbers, said)
     assert said.endswith("--model phong reports that one (model='phong' in Python).")
-    assert any(s.startswith("Not compared: Oren-Nayar, normalised Phong,") for s in told)
+    assert any(s.startswith("Not compared: Oren-Nayar, EON, normalised Phong,") for s in told)
     told = findings(calibrated(observation, bright, matt))
     assert not any("The reported model" in s for s in told)
 

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 from jaxvision import Vec, as_array, as_vec
 from jaxvision.geometry.hemisphere import local_frame, to_local
 from jaxvision.point_ops import gamma_encode
-from jaxvision.programs import briefly, thoroughly
+from jaxvision.programs import moderately
 from jaxvision.sensor import QUANTISATION_VARIANCE
 
 from ...inference.parameters import Parameter, ParameterSpace
@@ -36,8 +36,7 @@ from ..names import INDEX, Model
 from .read import VIEW
 
 COEFFICIENT_UNIT = "DN per unit light"
-BLOCK = 8192  # samples of a call of a lobe: a model is one program, whatever their number
-LONG = 300_000  # samples from which the optimised program of a lobe saves time
+BLOCK = 4096  # samples of a call of a lobe: a model is one program, whatever their number
 DARKEST = 1.0  # DN: signals are taken as at least this where a slope or a variance is needed
 GAMMA = Parameter("gamma", symbol="γ", unit="1", transform="log")
 
@@ -143,13 +142,12 @@ def lobe_with_slopes(
     count = geometry.wi.z.size
     given = [np.broadcast_to(log_shape, count), *geometry.wi, *geometry.wo]
     found = np.empty((3, -(-count // BLOCK) * BLOCK))
-    program = _block_of_long if count >= LONG else _block
     for begin in range(0, count, BLOCK):
         part = slice(begin, begin + BLOCK)
         own = [values[part] for values in given]
         if begin + BLOCK > count:
             own = [np.pad(values, (0, begin + BLOCK - count), mode="edge") for values in own]
-        found[:, part] = program(form.model, form.index, *own)
+        found[:, part] = _block(form.model, form.index, *own)
     return found[:, :count]
 
 
@@ -169,10 +167,7 @@ def _lobe_of_block(
     return value, slope, bend
 
 
-_block, _block_of_long = (
-    jax.jit(_lobe_of_block, static_argnums=(0, 1), compiler_options=options)
-    for options in (briefly(), thoroughly())
-)
+_block = jax.jit(_lobe_of_block, static_argnums=(0, 1), compiler_options=moderately())
 
 
 def signal(values: Values, form: Form, geometry: Geometry) -> Array:
