@@ -13,8 +13,9 @@ Source:
     143, 1980, the check of a prior by its predictive distribution.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,33 +26,21 @@ from scipy.stats import norm
 
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_with_error
-from ..inference.joint_prior import JointPrior, places_of, scores
+from ..inference.joint_prior import JointPrior, Marginal, places_of, scores
 from ..inference.likelihoods import Clustered
 from ..inference.misfit import CHANCE, Misfit
 from ..inference.parameters import Parameter, share_below, to_natural
-from ..inference.priors import HalfNormal, LogNormal, Normal, Prior, Uniform
+from ..inference.priors import Gamma, HalfNormal, LogNormal, Normal, Prior, Uniform
 from ..inference.problem import Problem, log_prior_at
 from ..inference.search import Optimum
 from .widening import Widening
 
+LOOSE = 1e3  # times as wide, a prior that decides nothing where the data do
 LEAST = 1e-4  # of what is known of a parameter, the data's share from which they are compared
 
 
-@dataclass(frozen=True)
-class Conflict:
-    """A prior that the data contradict.
-
-    Attributes:
-        words: the sentence for the report.
-        saved: decrease of chi-square if that prior were removed.
-    """
-
-    words: str
-    saved: float
-
-
-def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Conflict, ...]:
-    """Return the priors that differ significantly from the data, the largest difference first.
+def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[str, ...]:
+    """Sentences on the priors that differ significantly from the data, the largest first.
 
     The false-alarm rate for all priors together is one in 1 / `CHANCE` fits."""
     space, joint = problem.space, problem.prior
@@ -88,7 +77,7 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Confl
         z = (place + turned * step) / np.sqrt(1 + turned**2 * spread)
         if abs(z) > limit:
             alone = _alone(space[i], values[i], slopes[i], step, np.sqrt(spread))
-            found.append((abs(z), Conflict(_in_words(space[i], abs(z), alone), step * gradient[i])))
+            found.append((abs(z), _in_words(space[i], abs(z), alone)))
     if joint is not None and (one := _joint_conflict(problem, joint, vector, wide, chance)):
         found.append(one)
     return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
@@ -96,7 +85,7 @@ def conflicts(problem: Problem, optimum: Optimum, wide: Widening) -> tuple[Confl
 
 def _joint_conflict(
     problem: Problem, joint: JointPrior, vector: Array, wide: Widening, chance: float
-) -> tuple[float, Conflict] | None:
+) -> tuple[float, str] | None:
     """Compare a joint prior with the rest, in the directions that the data determine. The
     difference between its mean and the posterior's has the covariance of the prior minus that of
     the posterior (Hausman, Econometrica 46, 1978)."""
@@ -109,30 +98,79 @@ def _joint_conflict(
     values, axes = np.linalg.eigh(scaled)
     along = (axes.T @ np.linalg.solve(root, z))[values > LEAST]
     square = float(np.sum(along**2 / values[values > LEAST]))
-    if not along.size or chdtrc(len(along), square) > chance:
-        return None
-    words = (
-        f"The prior of {listed(list(joint.names))}, from an earlier fit, differs from what the "
-        f"data alone say by a chi-square of {square:.4g} for {len(along)} "
-        f"degree{'s' * (len(along) > 1)} of freedom: one of them is wrong, or its error is too "
-        "small."
-    )
-    saved = square - float(np.sum(np.linalg.solve(root, z) ** 2))  # less what the prior costs
-    return square**0.5, Conflict(words, saved)
+    words = _joint_in_words(joint, square, len(along), chance)
+    return (square**0.5, words[0]) if words else None
 
 
-def blamed(found: tuple[Conflict, ...], checks: Misfit) -> tuple[str, ...]:
-    """Findings that replace a misfit's if the model describes the data without these priors."""
-    left = checks.chi_square - sum(one.saved for one in found)
-    dof = max(checks.dof - len(found), 1)
-    if not (found and checks.faults and chdtrc(dof, max(left, 0)) > CHANCE):
-        return ()
-    named = "that prior" if len(found) == 1 else "those priors"
+def loosened(prior: Any) -> Any:
+    """A prior so wide that data which contradict it decide alone."""
+    match prior:
+        case Normal() | HalfNormal() | Marginal():
+            return replace(prior, sd=LOOSE * prior.sd)
+        case LogNormal():
+            return replace(prior, log_sd=LOOSE * prior.log_sd)
+        case Gamma():
+            return LogNormal(float(prior.quantile(np.array(0.5))), LOOSE)
+    return prior
+
+
+def blamed(
+    problem: Problem, vector: np.ndarray, wide: Widening, before: Misfit, alone: Misfit
+) -> tuple[str, ...]:
+    """Sentences on the priors that contradict a fit with `loosened` ones, the largest difference
+    first; empty if none does. In place of a misfit's where that fit describes the data."""
+    space, joint = problem.space, problem.prior
+    together = () if joint is None else places_of(joint, space)
+    at = jnp.asarray(vector, jnp.result_type(float))
+    values, slopes = jax.jvp(partial(to_natural, space), (at,), (jnp.ones_like(at),))
+    values, slopes = np.asarray(values, np.float64), np.asarray(slopes, np.float64)
+    errors, found = np.sqrt(np.diagonal(wide.gaussian_covariance)), []
+    tested = [i for i, p in enumerate(space) if loosened(p.prior) != p.prior]
+    limit = -ndtri(CHANCE / max(len(tested), 1) / 2)
+    for i in tested:
+        place, slope = _on_scale(space[i].prior, values[i])
+        z = abs(place) / float(np.hypot(1, slope * slopes[i] * errors[i]))
+        if z > limit:
+            own = _alone(space[i], values[i], slopes[i], 0.0, errors[i])
+            found.append((z, _in_words(space[i], z, own, earlier=i in together)))
+    told = [words for _, words in sorted(found, key=lambda pair: -pair[0])]
+    if joint is not None:
+        told = [*_joint_difference(problem, joint, at, wide), *told]
+    if not told or not before.faults:
+        return tuple(told)
     return (
-        f"{found[0].words} The model does not describe the data because of it: chi-square per "
-        f"degree of freedom is {checks.chi_square / max(checks.dof, 1):.4g}, and would be about "
-        f"{max(left, 0) / dof:.2g} without {named}.",
-        *(one.words for one in found[1:]),
+        f"{told[0]} The model does not describe the data because of it: chi-square per degree of "
+        f"freedom is {before.chi_square / max(before.dof, 1):.4g}, and would be about "
+        f"{alone.chi_square / max(alone.dof, 1):.2g} without that prior.",
+        *told[1:],
+    )
+
+
+def _joint_difference(
+    problem: Problem, joint: JointPrior, vector: Array, wide: Widening
+) -> tuple[str, ...]:
+    """A sentence on all numbers of a joint prior; empty where they agree with the data."""
+    on_scale = partial(scores, joint, problem.space)
+    z = np.asarray(on_scale(vector), np.float64)
+    slope = np.asarray(jax.jacfwd(on_scale)(vector), np.float64)
+    root = np.linalg.cholesky(np.asarray(joint.correlation, np.float64))
+    scaled = np.linalg.solve(root, slope @ wide.gaussian_covariance @ slope.T)
+    values, axes = np.linalg.eigh(np.linalg.solve(root, scaled.T))
+    told = values < 1 / LEAST  # in which the data say something
+    along = (axes.T @ np.linalg.solve(root, z))[told]
+    return _joint_in_words(joint, float(np.sum(along**2 / (1 + values[told]))), len(along), CHANCE)
+
+
+def _joint_in_words(
+    joint: JointPrior, square: float, numbers: int, chance: float
+) -> tuple[str, ...]:
+    if not numbers or chdtrc(numbers, square) > chance:
+        return ()
+    return (
+        f"The prior of {listed(list(joint.names))}, from an earlier fit, differs from what the "
+        f"data alone say by a chi-square of {square:.4g} for {numbers} "
+        f"degree{'s' * (numbers > 1)} of freedom: one of them is wrong, or its error is too "
+        "small.",
     )
 
 
@@ -145,6 +183,9 @@ def _on_scale(prior: Prior, x: float) -> tuple[float, float]:
             return float(np.log(x / prior.median)) / prior.log_sd, 1 / (x * prior.log_sd)
         case HalfNormal():
             return x / prior.sd, 1 / prior.sd
+        case Marginal():
+            place, slope = jax.value_and_grad(prior.score)(jnp.asarray(x))
+            return float(place), float(slope)
     below = share_below(prior, x)
     density = float(np.exp(prior.log_density(jnp.asarray(x))))
     if _falls(prior):
@@ -178,10 +219,10 @@ def _alone(p: Parameter, x: float, slope: float, step: float, error: float) -> s
     return format_with_error(x + slope * step, abs(slope) * error)
 
 
-def _in_words(p: Parameter, z: float, alone: str) -> str:
+def _in_words(p: Parameter, z: float, alone: str, *, earlier: bool = False) -> str:
     low, middle, high = (p.prior.quantile(ndtr(np.array(k))) for k in (-1.0, 0.0, 1.0))
     return (
-        f"The prior of {p.name}, {middle:.4g} ± {(high - low) / 2:.3g}, lies {z:.1f} standard "
-        f"deviations from what the data alone say ({alone}): one of them is wrong, or less certain "
-        "than it claims."
+        f"The prior of {p.name}{' in it' * earlier}, {middle:.4g} ± {(high - low) / 2:.3g}, lies "
+        f"{z:.1f} standard deviations from what the data alone say ({alone})"
+        f"{': one of them is wrong, or its error is too small' * (not earlier)}."
     )

@@ -45,9 +45,9 @@ from ..inference.search import (
     start_at,
 )
 from ..inference.streams import Advance
-from .data_checks import data_check
+from .data_checks import DataCheck, data_check
 from .moving_edges import warn_of_moving_edges
-from .prior_check import blamed, conflicts
+from .prior_check import blamed, conflicts, loosened
 from .result import Fit
 from .widening import Widening, residual_sums, residuals_at, widening
 from .words import about_chains, about_posterior, about_search, is_confirmed, verdict
@@ -177,18 +177,19 @@ def fit(
     before = None if after is None else after.posterior
     failures = verdict(optimum, checks, wide.explained, wide_noise=_fits_width(problem))
     against = conflicts(problem, optimum, wide)
-    why = () if wide.explained else blamed(against, checks)
-    if why:
-        failures = [*(one for one in failures if one not in checks.faults), *why]
-    own = data_check(problem, optimum.vector, checks, explained=wide.explained, seed=seed)
+    why = _contradicted(problem, end, how) if failures else ()
+    failures = [*why] or failures
+    own = DataCheck()
+    if not why:
+        own = data_check(problem, optimum.vector, checks, explained=wide.explained, seed=seed)
     failures = [*own.failures, *failures]
     drawn = _draw(problem, vector, optimum, wide, method, seed, before, failed=bool(failures))
-    failures += about_search(optimum, drawn) + about_chains(drawn)
-    contradicted = () if why else tuple(one.words for one in against)
+    failures += about_chains(drawn) + ([] if why else about_search(optimum, drawn))
+    contradicted = () if why else against
     remarks = (*own.findings, *wide.words, *(() if own.overrated else checks.remarks))
     carried = () if problem.prior is None else problem.prior.words
     remarks += (*contradicted, *carried)
-    findings = (*remarks, *about_posterior(problem, optimum, drawn))
+    findings = (*remarks, *(() if why else about_posterior(problem, optimum, drawn)))
     findings = (*map(str, choices), *findings)
     settings = {
         "starts": len(optimum.costs),
@@ -299,6 +300,27 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
         sizes = float(np.sqrt(ratio)), float(np.sqrt(needed))
         found.append(Choice(candidate.name, True, *sizes, candidate.absent))
     return tuple(found)
+
+
+def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
+    """Sentences on priors for which a fit failed: with wider ones the data are described, and
+    disagree with the stated ones. Empty where that is no cause."""
+    loose = problem.with_priors(loosened)
+    if loose.free == problem.free and loose.prior is None:
+        return ()
+    near = values_at(problem, jnp.asarray(end.optimum.vector, jnp.result_type(float)))
+    near = {p.name: np.asarray(near[p.name]) for p in problem.free}
+
+    def unseen(done: int, total: int) -> None:
+        """No progress is shown."""
+
+    try:
+        alone = _judged(loose, _optimum(loose, how, unseen, near=near), how, unseen)
+    except InputError:  # without its priors the problem has no maximum
+        return ()
+    if not alone.optimum.stationary or (alone.checks.faults and not alone.wide.explained):
+        return ()
+    return blamed(problem, alone.optimum.vector, alone.wide, end.checks, alone.checks)
 
 
 def _judged(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:

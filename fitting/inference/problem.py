@@ -235,6 +235,28 @@ class Problem(eqx.Module):
         one = known[name]
         return self._again({name: np.full(_shape(one.parameter), one.absent)})
 
+    def with_priors(self, change: Callable[[Any], Any]) -> "Problem":
+        """The same problem with other priors.
+
+        Args:
+            change: of a prior, returns the one in its place.
+
+        Returns:
+            The problem.
+        """
+
+        def changed(prior: Any) -> Any:
+            return tuple(map(changed, prior)) if isinstance(prior, tuple) else change(prior)
+
+        free = {p.name: replace(p, prior=p.prior and changed(p.prior)) for p in self.free}
+        every: dict[str, Any] = free | {
+            one.name: replace(one, parameter=free[one.name]) for one in self.candidates
+        }
+        joint = self.prior
+        if joint is not None:
+            joint = replace(joint, marginals=changed(joint.marginals))
+        return self._again(every, prior=joint)
+
     def _again(self, parameters: Mapping[str, Any] | None = None, **changes: Any) -> "Problem":
         present = True if self.present is None else on_host(self.present)
         given = {

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import quad
+from scipy.optimize import curve_fit
 
 import jaxvision as jv
 from fitting import (
@@ -240,8 +241,46 @@ def test_a_prior_that_new_data_contradict_is_named(half):
     (told,) = [one for one in found.failures if "from an earlier fit" in one]
     assert f"a chi-square of {square:.4g} for 3 degrees of freedom" in told
     alone = np.sum((DATA[SECOND] - COLUMNS[SECOND] @ own) ** 2) / SD**2  # without the prior
-    dof = max(found.misfit.dof - 1, 1)
+    dof = len(DATA[SECOND]) - len(own)
     assert f"and would be about {alone / dof:.2g} without that prior" in told
+
+
+@pytest.mark.slow
+def test_a_prior_far_from_the_data_is_the_only_cause_that_is_named():
+    """A decay over a background of .1, then of .3: the search between the two ends uphill. Against
+    SciPy's fit of the new data alone."""
+    time, noise = np.linspace(0, 5, 200), 0.02 * np.random.default_rng(0).standard_normal(200)
+    free = {
+        "amplitude": Parameter(lower=0, upper=5),
+        "decay": Parameter(lower=0.1, upper=10, transform="log"),
+        "background": Parameter(prior=Normal(0.1, 0.1)),
+    }
+
+    def glow(inputs, amplitude, decay, background):
+        return amplitude * jnp.exp(-inputs / decay) + background
+
+    with jax.enable_x64(True):
+        data = np.asarray(glow(time, 2.0, 1.5, 0.1)) + noise
+        first = fitted(Problem(free, glow, Gaussian(sd=0.02), data, inputs=time))
+        later = data + 0.2
+        prior = first.as_prior()
+        found = fitted(Problem(free, glow, Gaussian(sd=0.02), later, inputs=time, prior=prior))
+    sigma = np.full(200, 0.02)
+    best, spread = curve_fit(
+        lambda t, a, d, b: a * np.exp(-t / d) + b,
+        *(time, later, (2, 1.5, 0.3)),
+        sigma=sigma,
+        absolute_sigma=True,
+    )
+    sd = np.sqrt(spread[2, 2])
+    z = (best[2] - first.values["background"]) / np.hypot(sd, first.estimates[2].standard_error)
+    both, alone = found.failures
+    assert "differs from what the data alone say" in both
+    assert "does not describe the data because of it" in both
+    assert alone.startswith("The prior of background in it, ")
+    assert abs(float(alone.split("lies ")[1].split()[0]) - z) < 0.02 * z
+    assert f"({best[2]:.2f}" in alone
+    assert not found.findings
 
 
 @pytest.mark.slow

@@ -555,7 +555,7 @@ ELSEWHERE = (
             fitting.fits.budget: budget
             fitting.fits.called_for: called_for
             fitting.fits.data_checks: data_check
-            fitting.fits.prior_check: blamed conflicts
+            fitting.fits.prior_check: blamed conflicts loosened
             fitting.fits.information: expected_information slope_of with_inputs
             fitting.fits.information: in_words plan
             fitting.fits.solve: fit method_of
