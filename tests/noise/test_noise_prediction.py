@@ -7,12 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import called
+from scipy.stats import norm
 
 import fitting.noise.calibration as calibrations
 from fitting.cli import app
 from fitting.noise import Camera, calibrate, from_frames, predict
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.prediction.comparison import compare
+from fitting.noise.prediction.moments import Lit, clipped
 from fitting.noise.prediction.predict import levels_kept_out, predict_own_frames
 from fitting.noise.prediction.section import NOTHING_KNOWN, findings
 from fitting.noise.sensor import fitted_sensor
@@ -285,6 +287,26 @@ def test_bad_input_is_named(tmp_path):
     status, _, stderr = called(app, "predict", "emva1288", tmp_path / "none")
     assert status == 2
     assert "no such rig file" in stderr
+
+
+@pytest.mark.parametrize(("read", "dsnu"), [(0.3, 1.0), (0.3, 0.25), (0.2, 4.0), (0.3, 0.0)])
+def test_rounded_darks_of_a_die_are_predicted(read, dsnu):
+    """Codes of .8 DN/e- about 64.3 by the Normal distribution function: the mean of all pixels, the
+    temporal variance, and the scatter of both over dies of equal mean and spread of the offsets."""
+    gain, black = 0.8, 64.3
+    sensor = Sensor(read_noise=read, dsnu=dsnu, gain=gain, offset=black, bits=12)
+    dark = Lit(np.zeros(1), np.full(1, 0.01), np.zeros(1))
+    found, die = clipped(sensor, dark)
+    codes, places = np.arange(20, 110)[:, None], np.linspace(-6, 6, 4001)
+    weights = norm.pdf(places) / norm.pdf(places).sum()
+    edge = (codes - 0.5 - black - gain * dsnu * places) / (gain * read)
+    share = np.diff(norm.cdf(edge), axis=0)
+    mean, square = (codes[:-1] ** p * share for p in (1, 2))
+    of_pixel = np.stack([mean.sum(axis=0), square.sum(axis=0) - mean.sum(axis=0) ** 2])
+    np.testing.assert_allclose(found[:, 0], of_pixel @ weights, rtol=2e-6, atol=1e-6)
+    fit = np.polynomial.polynomial.Polynomial.fit
+    left = [x - fit(places, x, 2, w=np.sqrt(weights))(places) for x in of_pixel]
+    np.testing.assert_allclose(die, (left * weights) @ np.transpose(left), rtol=1e-3, atol=1e-9)
 
 
 @pytest.mark.parametrize("left_out", ["read_noise", "shot_noise"])

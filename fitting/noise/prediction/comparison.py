@@ -5,8 +5,9 @@ rate of the light if their photons are unknown, which the means then determine. 
 residuals of one quantity over the levels, N their covariance from the noise of the frames, and P
 that from the draws of the camera:
 
-    chi-square = r (N + P)^-1 r                  levels that the camera was not fitted to
-    chi-square = r N^-1 r,  n - tr(P N^-1) degrees of freedom        levels that it was fitted to
+    chi-square = r (N + P)^-1 r      levels that the camera was not fitted to
+    chi-square = r N^-1 r            levels that it was fitted to, with n - tr min(P N^-1, 1)
+                                     degrees of freedom
 
 A fit explains the sum of the covariances of all neighbours, in which the nearest ones have little
 weight. These are compared as if they had been kept out.
@@ -17,6 +18,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.linalg import eigh
 from scipy.special import chdtr, chdtrc
 
 from jaxvision import Sensor
@@ -140,7 +142,7 @@ def compare(
     every = _every(best, draws)
     if unscaled:
         lit = _scaled(best, every, measurement, lit, seen, shown)
-    found, drawn = _expected(best, every, measurement, lit, len(seen) == len(QUANTITIES))
+    found, drawn, die = _expected(best, every, measurement, lit, len(seen) == len(QUANTITIES))
     ended = np.zeros(shown.size, bool)
     if not fitted:
         ended = shown & _at_an_end(best, found.values, measurement)
@@ -157,6 +159,7 @@ def compare(
     levels, found, own = levels.at(shown), found.at(shown), own[:, shown]
     seen, lit = levels.seen, jax.tree.map(lambda x: x[shown], lit)
     flat = spread.reshape(len(spread), -1)
+    die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels
     camera = flat.T @ flat / len(flat)
     if not noise_known:
         unknown = UNKNOWN * np.concatenate([0 * own[:1], own[1:]]).ravel()
@@ -168,12 +171,12 @@ def compare(
             place = np.ravel([np.arange(seen.shape[1]) + row * seen.shape[1] for row in rows])
             missed = (seen - found.values).ravel()[place]
             taken = fitted and name != NEIGHBOURS
-            agreement[name] = _agreement(
-                missed, own.ravel()[place], camera[np.ix_(place, place)], taken, free
-            )
+            block = np.ix_(place, place)
+            scatter = np.diag(own.ravel()[place]) + die[block]
+            agreement[name] = _agreement(missed, scatter, camera[block], taken, free)
             if taken:
                 camera[place] = camera[:, place] = 0.0
-    return Comparison(lit, levels, found, own, camera, agreement, int(ended.sum()))
+    return Comparison(lit, levels, found, own, camera + die, agreement, int(ended.sum()))
 
 
 def _at_an_end(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) -> np.ndarray:
@@ -187,12 +190,15 @@ def _at_an_end(sensor: Sensor, values: np.ndarray, measurement: PhotonTransfer) 
 
 
 def _agreement(
-    missed: np.ndarray, own: np.ndarray, camera: np.ndarray, fitted: bool, free: int
+    missed: np.ndarray, scatter: np.ndarray, camera: np.ndarray, fitted: bool, free: int
 ) -> Agreement:
     if fitted:
-        taken = min(float(np.sum(np.diagonal(camera) / own)), len(missed) - 1.0 - free)
-        return Agreement(float(np.sum(missed**2 / own)), len(missed) - free - taken)
-    chi_square = float(missed @ np.linalg.solve(np.diag(own) + camera, missed))
+        # In no direction a fit to data with this scatter is less certain than they are.
+        taken = float(np.sum(np.minimum(eigh(camera, scatter, eigvals_only=True), 1.0)))
+        chi_square = float(missed @ np.linalg.solve(scatter, missed))
+        degrees = len(missed) - free - min(taken, len(missed) - 1.0 - free)
+        return Agreement(chi_square, degrees)
+    chi_square = float(missed @ np.linalg.solve(scatter + camera, missed))
     return Agreement(chi_square, float(max(len(missed) - free, 1)))
 
 
@@ -205,17 +211,23 @@ def _every(best: Sensor, draws: Sensor | None) -> Sensor:
 
 def _expected(
     sensor: Sensor, every: Sensor, measurement: PhotonTransfer, lit: Lit, neighbours: bool
-) -> tuple[Expected, Float[np.ndarray, "draws quantities levels"]]:
+) -> tuple[
+    Expected, Float[np.ndarray, "draws quantities levels"], Float[np.ndarray, "values values"]
+]:
     """The predictions of the best estimate and of the draws, in the numbers of the file, whose
     codes the sensor gives. Without draws there is one row."""
     step, origin = measurement.converter.step or 1.0, measurement.converter.origin
     of_every = expected(every, lit, neighbours=neighbours)
     values = of_every[0].copy()
     electrons, slope, by_light = (np.asarray(x) for x in charge_and_step(sensor, lit))
-    near = near_an_end(sensor, values, electrons)
+    near, die = near_an_end(sensor, values, electrons), np.zeros((values.size, values.size))
     if near.any():
         places = np.flatnonzero(near)
-        values[:2, places] = clipped(sensor, jax.tree.map(lambda x: x[places], lit))
+        moments, own = clipped(sensor, jax.tree.map(lambda x: x[places], lit))
+        values[:2, places] = moments
+        unit = np.repeat([step, step**2], len(places))
+        at = np.concatenate([places, places + values.shape[1]])
+        die[np.ix_(at, at)] = own * np.outer(unit, unit)
     gain = 1.0 if sensor.gain is None else float(sensor.gain)
     rows, columns, frames = (
         0.0 if one is None else (step * gain * float(one)) ** 2
@@ -225,7 +237,7 @@ def _expected(
     over_light[:2] = step * by_light, step**2 * slope * by_light
     values = _in_file(values, step, origin)
     found = Expected(values, over_light, electrons, step * slope, rows, columns, frames)
-    return found, _in_file(of_every[min(len(of_every) - 1, 1) :], step, origin)
+    return found, _in_file(of_every[min(len(of_every) - 1, 1) :], step, origin), die
 
 
 def _in_file(values: np.ndarray, step: float, origin: float) -> np.ndarray:
@@ -254,7 +266,7 @@ def _scaled(
     factor = float(np.median(signal[told] / (gain * efficiency * light[told])))
     for _ in range(REFINEMENTS):
         now = replace(lit, light=light * max(factor, 1e-300))
-        found, _ = _expected(sensor, every, measurement, now, len(seen) == len(QUANTITIES))
+        found, *_ = _expected(sensor, every, measurement, now, len(seen) == len(QUANTITIES))
         weight = 1 / np.maximum(found.values[1][told], 1e-300)
         slope, missed = found.by_light[0][told], (seen[0] - found.values[0])[told]
         factor *= float(np.exp(np.sum(weight * slope * missed) / np.sum(weight * slope**2)))

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.special import ndtri
 
 from jaxvision import Sensor, ShutterOffset, clipped_moments, expected_signal, signal_variance
 from jaxvision.sensor import neighbour_covariances
@@ -19,7 +18,9 @@ from ..levels import CLEAR_OF_CLIPPING, PhotonTransfer
 QUANTITIES = ("mean", "variance", "along rows", "along columns")
 SHORTEST = 1e-12  # s, of a flash or a bias frame
 DITHERED = 0.6  # codes rms, below which rounding is no noise of its own
-OFFSETS = 24  # of the pixels, over which rounding is averaged
+REACHED = 6.0  # standard deviations of the pixels' offsets on either side
+FINE = 0.1  # codes between two of these offsets, over which rounding is averaged
+MOST = 1024  # of these offsets, beyond which those of many codes are taken further apart
 
 
 class Lit(eqx.Module):
@@ -232,25 +233,41 @@ def near_an_end(sensor: Sensor, values: np.ndarray, electrons: np.ndarray) -> np
     return near
 
 
-def clipped(sensor: Sensor, lit: Lit) -> Float[np.ndarray, "2 levels"]:
-    """Mean and variance near the ends of the scale, averaged over the offsets of the pixels."""
-    return np.asarray(_clipped(sensor, lit))
+def clipped(
+    sensor: Sensor, lit: Lit
+) -> tuple[Float[np.ndarray, "2 levels"], Float[np.ndarray, "values values"]]:
+    """Mean and variance near the ends of the scale, averaged over the offsets of the pixels; and
+    the covariance, for one pixel, of their parts that are neither linear nor quadratic in its
+    offset. Averages over the pixels of a die differ by it, divided by their number, from those of
+    other dies of the same mean and spread of the offsets."""
+    every = (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu)
+    spread = float(np.sqrt(sum(float(x) ** 2 for x in every if x is not None)))
+    spread *= 1.0 if sensor.gain is None else float(sensor.gain)
+    count = 2 ** int(np.ceil(np.log2(np.clip(2 * REACHED * spread / FINE, 1, MOST))))
+    places = np.linspace(-REACHED, REACHED, count + 1) if count > 1 else np.zeros(1)
+    weights = np.exp(-(places**2) / 2)
+    weights /= weights.sum()
+    found = np.asarray(_clipped(sensor, lit, spread * places))
+    mean = np.tensordot(weights, found, 1)
+    left = (found - mean).reshape(len(places), -1)
+    root = np.sqrt(weights)[:, None]
+    powers = root * places[:, None] ** np.arange(3)
+    left = root * left
+    left = left - powers @ (np.linalg.pinv(powers) @ left)
+    return mean, left.T @ left
 
 
 @compiled_briefly
-def _clipped(sensor: Sensor, lit: Lit) -> Array:
-    spread = sum(x**2 for x in (sensor.dsnu, sensor.row_dsnu, sensor.column_dsnu) if x is not None)
-    gain = 1.0 if sensor.gain is None else sensor.gain
+def _clipped(sensor: Sensor, lit: Lit, offsets: Array | np.ndarray) -> Array:
     black = 0.0 if sensor.offset is None else sensor.offset
-    places = jnp.asarray(ndtri((np.arange(OFFSETS) + 0.5) / OFFSETS))
-    offsets = black + gain * jnp.sqrt(spread) * places
 
     def one(at: Lit, offset: Array) -> Array:
         own, light = _at(replace(sensor, offset=offset), at)
-        return jnp.stack([moment.reshape(()) for moment in clipped_moments(own, light)])
+        return jnp.stack([moment.reshape(()) for moment in clipped_moments(own, light)], axis=-1)
 
-    of_offsets = jax.lax.map(lambda offset: jax.vmap(lambda at: one(at, offset))(lit), offsets)
-    return jnp.mean(of_offsets, axis=0).T
+    return jax.lax.map(
+        lambda offset: jax.vmap(lambda at: one(at, black + offset), out_axes=-1)(lit), offsets
+    )
 
 
 def noise(levels: Frames, found: Expected) -> Float[np.ndarray, "quantities levels"]:

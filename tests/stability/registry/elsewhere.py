@@ -656,7 +656,8 @@ ELSEWHERE = (
             fitting.noise.pattern: fitted_pattern pattern_variance standard_pattern unequal_gains
             fitting.noise.pattern: unequal_offsets
             fitting.noise.quantised: quantised_moments window_for
-            fitting.noise.periodic: periodic_structure quarters residues taps_of unequal_gains_of
+            fitting.noise.periodic: periodic_structure quarters residues taps_in_words taps_of
+            fitting.noise.periodic: unequal_gains_of
             fitting.noise.regressions: chi_square line line_misfit surprise through_origin
             fitting.noise.sampling: sampling_errors
             fitting.noise.misfit.*
