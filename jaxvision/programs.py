@@ -41,7 +41,7 @@ _OF_PATHS: Options = {"xla_disable_hlo_passes": "while-loop-invariant-code-motio
 _TRIED = ("0.10.", "0.11.", "0.12.")
 _MOST_BYTES = 2**29
 _OWN = ("jaxvision", "fitting")  # packages whose files `source_digest` covers
-_BESIDE = ("jax", "jaxlib", "numpy", "equinox")  # what a program depends on besides
+_BESIDE = ("jax", "jaxlib", "numpy", "equinox")  # modules that a program depends on besides
 _WRITABLE_BY_OTHERS = 0o022
 _keeps_whole = False  # unless a command asks: a library's user may change what programs depend on
 
@@ -213,7 +213,7 @@ def _name_of_program(args: tuple[Any, ...], about: str) -> str:
     flags = {n: x for n, x in os.environ.items() if n.startswith(("XLA", "JAXVISION"))}
     settings = {n: x for n, x in jax.config.values.items() if "cache" not in n}
     known = (
-        *(f"{name} {version(name)}" for name in _BESIDE),
+        *(f"{name} {sys.modules[name].__version__}" for name in _BESIDE if name in sys.modules),
         sys.version,
         source_digest(),
         _processor(),

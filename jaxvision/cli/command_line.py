@@ -117,6 +117,8 @@ def command_app(
 ) -> typer.Typer:
     """A command with sub-commands, `--help`, `--version` and `--verbose`. `elsewhere` gives, for a
     sub-command of the other command, that command's name."""
+    # pydantic looks for plugins in the metadata of every installed package
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     app = typer.Typer(
         name=name,
         cls=_Group,
