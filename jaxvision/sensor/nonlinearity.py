@@ -15,6 +15,7 @@ from jaxtyping import Array, Int
 
 from ..core._arguments import takes_numbers
 from ..core._bounds import Ends
+from ..core._loops.fusion import one_program
 from ..core._monotone import monotone_slopes, through_points
 from ..core._numerics import divide
 from ..core._types import Scalars
@@ -184,6 +185,7 @@ def _slopes_of_spline(ends: Ends[ResponseSpline]) -> tuple[float, float]:
 register_curve(ResponseSpline, curve=_smooth, slopes=_slopes_of_spline, inverse=_smooth_inverse)
 
 
+@one_program
 def _found(
     curve: Callable[[Any, Scalars], Scalars],
     effect: Nonlinearity,

@@ -30,6 +30,7 @@ QUICKLY = [
     ("optics", "optics.distortion.undistort"),
     ("sensor", "sensor.brighter_fatter.gathered"),
     ("sensor", "sensor.expectation.expected_of_count"),
+    ("sensor", "sensor.nonlinearity.charge_of_signal"),
     ("sensor", "sensor.shutter.exposed"),
 ]
 OTHER = 1 - 2.0**-12  # times a number: directions stay unit, to what is checked
