@@ -241,7 +241,7 @@ class Camera(_Known):
         if not isinstance(content, dict) or not isinstance(content.get("sensor"), str):
             return content
         try:
-            told = _told_by_sensor(Path(content["sensor"]))
+            told = _values_of_sensor(Path(content["sensor"]))
         except InputError as error:
             raise ValueError(str(error).removesuffix(".")) from error
         for name, numbers in told.items():
@@ -379,7 +379,7 @@ class Camera(_Known):
         return values[place if len(values) == len(names) else place // len(COLOURS)]
 
 
-def _told_by_sensor(file: Path) -> dict[str, dict[str, float]]:
+def _values_of_sensor(file: Path) -> dict[str, dict[str, float]]:
     """The values in a sensor file, by the rig's key that they replace. Standard deviations come
     from the draws in the file next to it."""
     import numpy as np

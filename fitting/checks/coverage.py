@@ -64,11 +64,12 @@ def coverage(
     """
     chance = CHANCE / (len(names) * TESTS)
     return tuple(
-        _judged(u[np.isfinite(u)], name, chance) for u, name in zip(places.T, names, strict=True)
+        _coverage_of(u[np.isfinite(u)], name, chance)
+        for u, name in zip(places.T, names, strict=True)
     )
 
 
-def _judged(u: np.ndarray, name: str, chance: float) -> Coverage:
+def _coverage_of(u: np.ndarray, name: str, chance: float) -> Coverage:
     count = len(u)
     held = tuple(float(np.mean(np.abs(u - 0.5) < q / 2)) if count else np.nan for q in LEVELS)
     ends = [binom.ppf((chance / 2, 1 - chance / 2), count, q) / max(count, 1) for q in LEVELS]

@@ -45,7 +45,7 @@ def data_check(
     known = data[there]
     if known.size < FEWEST:
         return DataCheck()
-    seen = _Seen(problem, vector, there)
+    seen = _FitOfPresent(problem, vector, there)
     biased = None if checks.faults else _errors_of_data(seen, known)
     if biased is not None:
         return biased
@@ -60,7 +60,7 @@ def data_check(
     return DataCheck(findings=tuple(found))
 
 
-class _Seen:
+class _FitOfPresent:
     """The best fit for the data that are present, computed on request."""
 
     def __init__(self, problem: Problem, vector: np.ndarray, there: np.ndarray) -> None:
@@ -93,7 +93,7 @@ class _Seen:
         return on_host(width, dtype=np.float64)[self._there]
 
 
-def _errors_of_data(seen: _Seen, data: np.ndarray) -> DataCheck | None:
+def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
     """Whether standard deviations increase with every datum, but not with the prediction, and the
     resulting bias of the sum of all predictions."""
     widths = seen.widths()
@@ -124,7 +124,7 @@ def _errors_of_data(seen: _Seen, data: np.ndarray) -> DataCheck | None:
 
 
 def _clipped(
-    seen: _Seen, values: np.ndarray, counts: np.ndarray, checks: Misfit, seed: int
+    seen: _FitOfPresent, values: np.ndarray, counts: np.ndarray, checks: Misfit, seed: int
 ) -> list[str]:
     """Values at which data accumulate and beyond which the fit predicts many data."""
     found, total = [], int(counts.sum())
@@ -149,7 +149,7 @@ def _clipped(
     return found
 
 
-def _rounded(seen: _Seen, data: np.ndarray, seed: int) -> list[str]:
+def _rounded(seen: _FitOfPresent, data: np.ndarray, seed: int) -> list[str]:
     """A step of the data that is coarser than their noise and not part of the likelihood."""
     step = converter_of([data]).step
     if not step:

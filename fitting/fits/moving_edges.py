@@ -21,16 +21,16 @@ from ..inference.records import head, is_path
 _STEP = 0.02  # of the distance from the coordinates' origin, or of the number itself
 _BLOCKS, _LEAST = 16, 4  # blocks of a picture along each side, and pixels along each side of one
 _MOST = 6  # numbers that are looked at
-_told: WeakSet[Callable] = WeakSet()
+_warned: WeakSet[Callable] = WeakSet()
 
 
 def warn_of_moving_edges(problem: Problem) -> None:
     """Warns, once for each `predict`, of the share of the picture's change that its gradient misses
     at the starts of free places and shapes."""
     names = list(_geometric(problem))
-    if not names or problem.predict in _told:
+    if not names or problem.predict in _warned:
         return
-    _told.add(problem.predict)
+    _warned.add(problem.predict)
     values = values_at(problem, jnp.zeros(len(problem.space)))
     every = [(name, i) for name in names for i in range(values[name].size)]
     shares = {}

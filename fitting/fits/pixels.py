@@ -152,7 +152,7 @@ def fit_map(
             chance,
         )
         ends = jax.tree.map(lambda x: np.asarray(x)[: len(places)], ends)
-        columns, told = _judged(problem, ends, inflate=misfit == "inflate")
+        columns, told = _outcome(problem, ends, inflate=misfit == "inflate")
         for name, values in columns.items():
             table[name][:, places] = values
         chi_square[places], dof[places], state[places] = told
@@ -201,7 +201,7 @@ def _by_pixel(problem: Problem, inputs: Any, shape: tuple[int, ...]) -> list[Any
     return found
 
 
-def _judged(
+def _outcome(
     problem: Problem, ends: Ends, *, inflate: bool
 ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """(P, problems) of every column of the outline; chi-square, degrees of freedom and state."""
@@ -318,7 +318,7 @@ def _by_label(
     )
     known = {p.name: p for p in problem.free} | problem.fixed | problem.tied
     fits: dict[int, Fit] = {}
-    told = []
+    sentences = []
     for label in np.unique(of[of >= 0]):
         places = np.flatnonzero(of == label)
         mine = np.moveaxis(np.asarray(flat[..., places], np.float64), -1, 0)
@@ -339,7 +339,7 @@ def _by_label(
             )
         except InputError as error:  # of these pixels alone
             state[places] = STATES.index("undetermined")
-            told.append(f"Label {label}: {error}")
+            sentences.append(f"Label {label}: {error}")
             continue
         fits[int(label)] = found
         for i, one in enumerate(found.estimates):
@@ -354,4 +354,4 @@ def _by_label(
         state[places] = STATES.index("converged" if good else "misfit")
         if not found.optimum.stationary:
             state[places] = STATES.index("stopped")
-    return _mapped(problem, table, chi_square, dof, state, shape, fits, told)
+    return _mapped(problem, table, chi_square, dof, state, shape, fits, sentences)

@@ -171,7 +171,7 @@ def fit(
             problem, optimum, choices = _chosen(problem, how, advance)
         else:
             optimum = _optimum(problem, how, advance)
-        end = _judged(problem, optimum, how, advance)
+        end = _tested(problem, optimum, how, advance)
     optimum, residuals, checks, wide = end.optimum, end.residuals, end.checks, end.wide
     vector = jnp.asarray(optimum.vector, jnp.result_type(float))
     before = None if after is None else after.posterior
@@ -279,7 +279,7 @@ def _choices(problem: Problem, optimum: Optimum, how: _How, advance: Advance) ->
     elif problem.present is not None:
         count = float(on_host(problem.present).sum())
     with suppress(InputError):  # a term that is absent may leave a direction open
-        end = _judged(problem, optimum, how, advance)
+        end = _tested(problem, optimum, how, advance)
         information = np.linalg.inv(end.wide.covariance)
     if end is not None and end.wide.noise > 1:
         freedom[:] = max(end.checks.dof, 1)
@@ -315,7 +315,7 @@ def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
         """No progress is shown."""
 
     try:
-        alone = _judged(loose, _optimum(loose, how, unseen, near=near), how, unseen)
+        alone = _tested(loose, _optimum(loose, how, unseen, near=near), how, unseen)
     except InputError:  # without its priors the problem has no maximum
         return ()
     if not alone.optimum.stationary or (alone.checks.faults and not alone.wide.explained):
@@ -323,7 +323,7 @@ def _contradicted(problem: Problem, end: _End, how: _How) -> tuple[str, ...]:
     return blamed(problem, alone.optimum.vector, alone.wide, end.checks, alone.checks)
 
 
-def _judged(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
+def _tested(problem: Problem, optimum: Optimum, how: _How, advance: Advance) -> _End:
     """The residuals of a best fit and the covariance that includes their misfit. An optimum with an
     unidentifiable direction is refused."""
     optimum = _determined(problem, optimum, advance)

@@ -8,7 +8,7 @@ from scipy.special import stdtrit
 
 from ..inference.formatting import format_percent
 from .compared import HALF, MOSTLY, OTHER_NOISE, SURE, UNEVEN, ComparedLevels, rms
-from .frame import Odd, Shown
+from .frame import FrameSample, OddFrames
 
 SPIKE = 0.15  # by which a level's light differs from that of both levels beside it
 FEWEST_LEVELS = 4  # to tell what a level should be from those beside it
@@ -69,7 +69,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
                 f"the signals of {frames[0].name} and {with_it[0].name} fit the other levels if "
                 "their light is exchanged"
             )
-            levels.odd.append(Odd(names, reason))
+            levels.odd.append(OddFrames(names, reason))
             levels.frames[there[place]] = levels.frames[there[other]] = []
             continue
         usual = signal[place] / light[place] / _beside(signal / light, place)
@@ -87,7 +87,7 @@ def light_of_levels(levels: ComparedLevels) -> None:
     _stated_wrongly(levels)
 
 
-def _step(frames: Sequence[Shown]) -> int:
+def _step(frames: Sequence[FrameSample]) -> int:
     """The greatest common divisor of the numbers in some frames; 1 if they are not whole."""
     values = np.concatenate([frame.sample.ravel() for frame in frames])
     whole = np.isfinite(values).all() and (values == np.floor(values)).all()

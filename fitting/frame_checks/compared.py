@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .deviates import usual_size
-from .frame import ALONE, Odd, Shown
+from .frame import ALONE, FrameSample, OddFrames
 
 BLOCKS = 16  # of a frame, along each side
 SURE = 6.0  # standard deviations beyond which a frame departs
@@ -23,10 +23,10 @@ class ComparedLevels:
     """Levels from which deviating frames are removed."""
 
     def __init__(
-        self, frames: list[list[Shown]], light: np.ndarray, black: np.ndarray | None
+        self, frames: list[list[FrameSample]], light: np.ndarray, black: np.ndarray | None
     ) -> None:
         self.frames, self.light, self.black = frames, light, black
-        self.odd: list[Odd] = []
+        self.odd: list[OddFrames] = []
         own = [self.pixel_noise(level) for level in range(len(frames))]
         apart = [a.mean - b.mean for level in frames for a, b in pairwise(level)]
         self.wander = usual_size(apart) / float(np.sqrt(2))  # DN, of a frame's mean
@@ -64,7 +64,7 @@ class ComparedLevels:
             return 2 * HALF * self.scale(level)
         return max(UNEVEN * self.scale(level), HALF * self.noise[level])
 
-    def blocks(self, level: int, frame: Shown) -> Float[np.ndarray, "rows columns"]:
+    def blocks(self, level: int, frame: FrameSample) -> Float[np.ndarray, "rows columns"]:
         """Means of blocks minus the frame's mean, divided by the signal for flats and by the noise
         for darks."""
         sample = frame.sample.astype(float)
@@ -98,7 +98,7 @@ class ComparedLevels:
     def remove(self, level: int, places: Sequence[int], reason: str) -> None:
         """Remove frames from a level."""
         names = tuple(self.frames[level][i].name for i in places)
-        self.odd.append(Odd(names, reason))
+        self.odd.append(OddFrames(names, reason))
         self.frames[level] = [
             one for i, one in enumerate(self.frames[level]) if i not in set(places)
         ]
@@ -111,7 +111,7 @@ class ComparedLevels:
 
 
 def _noise_of_levels(
-    frames: Sequence[Sequence[Shown]], light: np.ndarray, own: Float[np.ndarray, " levels"]
+    frames: Sequence[Sequence[FrameSample]], light: np.ndarray, own: Float[np.ndarray, " levels"]
 ) -> Float[np.ndarray, " levels"]:
     """DN rms of a pixel between frames. If only two frames disagree, it is limited by the noise of
     other levels."""
@@ -138,7 +138,7 @@ def without_lines(field: np.ndarray) -> np.ndarray:
     return field - of_columns - of_rows + field.mean()
 
 
-def of_one_mean(frames: Sequence[Shown], black: float | None) -> list[np.ndarray]:
+def of_one_mean(frames: Sequence[FrameSample], black: float | None) -> list[np.ndarray]:
     """Samples of frames normalised to the middle frame's mean: flats of a flickering lamp are
     scaled above black, all others shifted."""
     means = np.array([frame.mean for frame in frames])

@@ -10,7 +10,7 @@ from jaxtyping import Bool
 from jaxvision import ArrayLike
 
 from ..copies import Copies
-from .frame import COPIED, Odd, Shown, listed, refuse_half
+from .frame import COPIED, FrameSample, OddFrames, listed, refuse_half
 
 BLANK = 0.999  # share of saturated pixels of an image that tells nothing
 LONGER = 1.2  # ratio of exposures from which the longer must be the brighter
@@ -19,8 +19,8 @@ UNLIKE, LIKE = 0.6, 0.9  # rank correlation of another scene at most, of one sce
 
 
 def odd_exposures(
-    where: str | Path, frames: Sequence[Shown], times: ArrayLike, *, full_scale: float
-) -> list[Odd]:
+    where: str | Path, frames: Sequence[FrameSample], times: ArrayLike, *, full_scale: float
+) -> list[OddFrames]:
     """Images of one still scene that show another scene, or that have less light than a shorter
     exposure."""
     gone = {name for one in blank_images(frames) for name in one.names}
@@ -28,16 +28,16 @@ def odd_exposures(
     odd, seconds = [], np.asarray(times, float)
     for test in (_copied_exposures, _of_another_scene, _out_of_order):
         for i, reason in test(frames, seconds, left, full_scale).items():
-            odd.append(Odd((frames[i].name,), reason))
+            odd.append(OddFrames((frames[i].name,), reason))
             left.remove(i)
     refuse_half(where, odd, len(frames))
     return odd
 
 
-def blank_images(frames: Sequence[Shown]) -> list[Odd]:
+def blank_images(frames: Sequence[FrameSample]) -> list[OddFrames]:
     """Images that are saturated or have a single code throughout."""
     return [
-        Odd((frame.name,), f"every pixel is {state}, so it does not show the scene")
+        OddFrames((frame.name,), f"every pixel is {state}, so it does not show the scene")
         for frame in frames
         for state in ["saturated" if frame.at_top > BLANK else f"{frame.mean:.4g} DN"]
         if frame.at_top > BLANK or np.ptp(frame.sample) == 0
@@ -45,7 +45,7 @@ def blank_images(frames: Sequence[Shown]) -> list[Odd]:
 
 
 def _clear(
-    frames: Sequence[Shown], i: int, j: int, full_scale: float
+    frames: Sequence[FrameSample], i: int, j: int, full_scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sampled codes of two images at pixels that are neither black nor saturated in both."""
     one, other = frames[i].sample, frames[j].sample
@@ -58,7 +58,7 @@ def _clear(
 
 
 def _copied_exposures(
-    frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
+    frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
     """Images that are equal in every pixel although their exposures differ."""
     copies = Copies()
@@ -69,7 +69,7 @@ def _copied_exposures(
 
 
 def _of_another_scene(
-    frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
+    frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
     """Return the images whose ranking of pixels by brightness agrees with no other image, if the
     others agree."""
@@ -93,7 +93,7 @@ def _of_another_scene(
 
 
 def _out_of_order(
-    frames: Sequence[Shown], times: np.ndarray, left: list[int], full_scale: float
+    frames: Sequence[FrameSample], times: np.ndarray, left: list[int], full_scale: float
 ) -> dict[int, str]:
     """Images that are darker than shorter exposures, or brighter than longer ones."""
     darker = _darker(frames, left, full_scale)
@@ -117,7 +117,7 @@ def _out_of_order(
 
 
 def _darker(
-    frames: Sequence[Shown], left: list[int], full_scale: float
+    frames: Sequence[FrameSample], left: list[int], full_scale: float
 ) -> Bool[np.ndarray, "frames frames"]:
     """Whether an image is darker than another at most pixels that are unclipped in both."""
     found = np.zeros((len(frames), len(frames)), bool)

@@ -15,7 +15,7 @@ COPIED = "{} are equal in every pixel, so at most one of them was taken as state
 
 
 @dataclass(frozen=True)
-class Shown:
+class FrameSample:
     """The summary of a frame for comparisons.
 
     Attributes:
@@ -34,7 +34,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Odd:
+class OddFrames:
     """Frames that deviate, with the reason.
 
     Attributes:
@@ -54,11 +54,11 @@ class Odd:
         return f"{listed(self.names)} {verb} left out: {self.reason}."
 
 
-def shown(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> Shown:
+def frame_sample(name: str, frame: Float[np.ndarray, "h w"], *, top: float) -> FrameSample:
     """Make the summary of a frame."""
     steps = [-(-size // SIDE) for size in frame.shape]
     sample = frame[steps[0] // 2 :: steps[0], steps[1] // 2 :: steps[1]].astype(np.float32)
-    return Shown(
+    return FrameSample(
         name, float(frame.mean()), float((frame >= top).mean()), float((frame <= 0).mean()), sample
     )
 
@@ -70,7 +70,7 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def refuse_half(where: str | Path, odd: Sequence[Odd], count: int) -> None:
+def refuse_half(where: str | Path, odd: Sequence[OddFrames], count: int) -> None:
     """Ask the user to decide if half of the frames would be dropped."""
     wrong = [one for one in odd if not one.spare]
     if 2 * sum(len(one.names) for one in wrong) >= count > 0:

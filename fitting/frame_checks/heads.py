@@ -10,7 +10,7 @@ import numpy as np
 from jaxvision.errors import InputError
 from jaxvision.files.image_settings import ImageSettings, read_settings
 
-from .frame import Odd
+from .frame import OddFrames
 
 SAME = 0.02  # relative difference of exposures and apertures that heads round to
 ROUNDED = 0.1  # relative difference of an exposure from the one that a camera prints
@@ -34,7 +34,7 @@ class Stated:
     group: int = 0
 
 
-def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], list[str]]:
+def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[OddFrames], list[str]]:
     """Frames of one gain and temperature whose metadata contradict the rig or the majority."""
     said = {one.name: _settings(one.path) for one in frames}
     odd: dict[str, str] = {}
@@ -50,7 +50,7 @@ def odd_heads(where: str | Path, frames: Sequence[Stated]) -> tuple[list[Odd], l
                 name, f"its metadata say {kelvin:.4g} K, those of the others {usual:.4g} K"
             )
     mistimed, remarks = _mistimed(frames, said)
-    found = [Odd((name,), reason) for name, reason in (mistimed | odd).items()]
+    found = [OddFrames((name,), reason) for name, reason in (mistimed | odd).items()]
     return found, remarks
 
 

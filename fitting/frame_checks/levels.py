@@ -27,7 +27,7 @@ from .compared import (
     trimmed_variance,
 )
 from .deviates import beyond_chance, usual_size
-from .frame import COPIED, Odd, Shown, listed
+from .frame import COPIED, FrameSample, OddFrames, listed
 from .moved import moved_frames
 
 PAIRS = 2.22  # standard deviations a quartile of pairwise differences
@@ -37,11 +37,11 @@ BETWEEN = 0.01  # share of pixels that are neither black nor white in a frame th
 
 
 def odd_frames(
-    levels: Sequence[Sequence[Shown]],
+    levels: Sequence[Sequence[FrameSample]],
     *,
     light: ArrayLike,
     black: Float[np.ndarray, " levels"] | None = None,
-) -> list[Odd]:
+) -> list[OddFrames]:
     """Return the frames that differ from the others of their level, and the levels that differ from
     their neighbours.
     """
@@ -156,7 +156,7 @@ def _take(
     levels: ComparedLevels,
     level: int,
     far: Bool[np.ndarray, " frames"] | None,
-    in_words: Callable[[list[Shown], list[Shown]], str],
+    in_words: Callable[[list[FrameSample], list[FrameSample]], str],
 ) -> None:
     """Remove frames that differ, or the whole level if they cannot be identified."""
     frames = levels.frames[level]
@@ -170,7 +170,7 @@ def _take(
             levels.remove(level, [place], in_words([frames[i]], rest))
 
 
-def _mean_in_words(odd: list[Shown], rest: list[Shown]) -> str:
+def _mean_in_words(odd: list[FrameSample], rest: list[FrameSample]) -> str:
     mean = float(np.median([frame.mean for frame in rest]))
     others = "the other frame" if len(rest) == 1 else "the other frames"
     told = f"its mean is {odd[0].mean:.5g} DN, that of {others} of its level {mean:.5g} DN"
@@ -207,7 +207,7 @@ def _unevenness(levels: ComparedLevels) -> None:
         _take(levels, level, _parted(distances, limit, from_expected), _unevenness_in_words)
 
 
-def _unevenness_in_words(odd: list[Shown], rest: list[Shown]) -> str:
+def _unevenness_in_words(odd: list[FrameSample], rest: list[FrameSample]) -> str:
     return "its distribution of light over the frame differs from that of its level"
 
 
@@ -230,11 +230,11 @@ def _noise(levels: ComparedLevels) -> None:
 
 
 def _noise_in_words(
-    variances: np.ndarray, usual: float, frames: list[Shown]
-) -> Callable[[list[Shown], list[Shown]], str]:
+    variances: np.ndarray, usual: float, frames: list[FrameSample]
+) -> Callable[[list[FrameSample], list[FrameSample]], str]:
     by_name = {frame.name: v / usual for frame, v in zip(frames, variances, strict=True)}
 
-    def in_words(odd: list[Shown], rest: list[Shown]) -> str:
+    def in_words(odd: list[FrameSample], rest: list[FrameSample]) -> str:
         ratio = by_name[odd[0].name]
         return (
             f"the variance of its difference from the median of its level is {ratio:.2g} times "

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from .compared import SURE, ComparedLevels, of_one_mean, trimmed_variance, without_lines
-from .frame import Odd, listed
+from .frame import OddFrames, listed
 
 OTHER_NOISE = 1.4  # ratio of variances of two pairs of frames, of which one pair moved
 FEWEST_LEVELS = 3  # at which frames differ by one pattern
@@ -107,7 +107,7 @@ def _leave_out(
             "the two frames of a level differ by a pattern that is the same at other levels and "
             f"grows with the light, {cause} in between"
         )
-        levels.odd.append(Odd(tuple(gone[True]), reason))
+        levels.odd.append(OddFrames(tuple(gone[True]), reason))
     if gone[False]:
         ends = " to ".join(f"{ratio:.2g}" for ratio in (np.nanmin(ratios), np.nanmax(ratios)))
         reason = (
@@ -115,4 +115,4 @@ def _leave_out(
             f"these by {ends} times that variance, in a pattern that is the same at other levels, "
             f"{cause}"
         )
-        levels.odd.append(Odd(tuple(gone[False]), reason, spare=True))
+        levels.odd.append(OddFrames(tuple(gone[False]), reason, spare=True))

@@ -195,7 +195,7 @@ def run_ensemble(
     else:
         state = _start(walkers, mode, covariance, seed)
         state.log_prob = _made_possible(evaluate, state.coords, mode)
-    while (chain := _judged(blocks, options)) is None:
+    while (chain := _chain_if_done(blocks, options)) is None:
         sampler.reset()
         steps = next_length(length(blocks), options.block, options.steps)
         with threadpool_limits(1, user_api="blas"):  # threads cost more than the move's matrices
@@ -303,7 +303,7 @@ def _due(steps: int, block: int) -> bool:
     return math.log(blocks, PATIENCE) // 1 > math.log(blocks - 1, PATIENCE) // 1
 
 
-def _judged(blocks: list[Block], options: Emcee) -> Chain | None:
+def _chain_if_done(blocks: list[Block], options: Emcee) -> Chain | None:
     """Return the chain if it is long enough or may not grow; None if it must continue."""
     steps = length(blocks)
     last = steps >= options.steps

@@ -110,7 +110,7 @@ def _search(
     def goes_on(state: _State) -> Array:
         return _goes_on(state, max_steps, tolerance)
 
-    return _solution(jax.lax.while_loop(goes_on, step, _begun(start)), tolerance)
+    return _solution(jax.lax.while_loop(goes_on, step, _initial_state(start)), tolerance)
 
 
 _minimise = compiled_briefly(_search)
@@ -126,7 +126,7 @@ def minimise_read(
 ) -> NewtonSolution:
     """As `minimise`, for an objective that is computed by several programs because its data are
     read again at every step."""
-    state = _begun(start)
+    state = _initial_state(start)
     while _goes_on(state, max_steps, tolerance):  # in NumPy, without programs for single numbers
         state = jax.device_get(_advanced_alone(state, *derivatives(state.proposal)))
     return _solution(state, tolerance)
@@ -137,7 +137,7 @@ def _goes_on(state: _State, max_steps: int | Array, tolerance: float | Array) ->
     return unfinished & (state.steps < max_steps)
 
 
-def _begun(start: Any) -> _State:
+def _initial_state(start: Any) -> _State:
     def numbers(values: Any, dtype: Any = start.dtype) -> Any:
         return np.array(values, dtype)
 

@@ -18,7 +18,7 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
     it.
 
     `dtype`: of the result; None for its own."""
-    if _apart(values):
+    if _off_device(values):
         from jax.experimental.multihost_utils import process_allgather
 
         values = process_allgather(values, tiled=True)
@@ -28,14 +28,14 @@ def on_host(values: Any, *, dtype: Any = None) -> np.ndarray:
 def require_here(name: str, values: Any) -> None:
     """Refuse arrays that are distributed over several processes, for data that are read in
     parts."""
-    if any(_apart(leaf) for leaf in jax.tree.leaves(values)):
+    if any(_off_device(leaf) for leaf in jax.tree.leaves(values)):
         raise InputError(
             f"{name}: an array lies on several hosts, and what is read in parts must lie on one; "
             "fit it whole (without chunk), or give each host's own part to a task."
         )
 
 
-def _apart(values: Any) -> bool:
+def _off_device(values: Any) -> bool:
     return (
         isinstance(values, jax.Array)
         and not isinstance(values, Tracer)

@@ -36,7 +36,7 @@ from .fit import LikelihoodFit, fitted, likelihood_sheet, noise_data
 from .flicker import extra_in_flats, without_flicker
 from .levels import PhotonTransfer, linear_levels
 from .model import log_density, negative_log_density, predicted_moments
-from .neighbours import are_seen
+from .neighbours import are_significant
 from .parts import Part
 from .pattern import PatternVariance, Spread, fitted_pattern, standard_pattern
 from .periodic import Periodic, periodic_structure, unequal_gains_of
@@ -200,7 +200,7 @@ def calibrate(
             data,
             standard.values,
             trend=drifting(measurement, usable),
-            sharing=are_seen(measurement, usable),
+            sharing=are_significant(measurement, usable),
         )
         posterior = _posterior(chosen, sampling, seed)
         of_chosen = _standard_gain_of(chosen, within, usable)

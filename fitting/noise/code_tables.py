@@ -54,7 +54,7 @@ def dim_levels(measurement: PhotonTransfer) -> Int[np.ndarray, " levels"] | str:
             "or uneven for the histogram of codes: the fit uses means and variances."
         )
     response = fitted_pattern(measurement, usable).response
-    uneven = float(np.sqrt(response.variance)) if response.seen else 0.0
+    uneven = float(np.sqrt(response.variance)) if response.significant else 0.0
     most = min(MOST, UNEVEN * read / uneven) if uneven else MOST
     electrons = signal / gain
     dim = usable[(electrons >= FEWEST) & (electrons <= most)]

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import stdtr
 
-from ..frame_checks.frame import Shown
+from ..frame_checks.frame import FrameSample
 from .emva1288 import least_dark_variance
 from .levels import Doubt, PhotonTransfer, linear_levels
 from .multiplied import multiplied
@@ -52,8 +52,8 @@ class _Step(NamedTuple):
 
 def doubts(
     measurement: PhotonTransfer,
-    flats: Sequence[Sequence[Shown]],
-    darks: Sequence[Sequence[Shown]],
+    flats: Sequence[Sequence[FrameSample]],
+    darks: Sequence[Sequence[FrameSample]],
 ) -> tuple[Doubt, ...]:
     """The doubts that the levels of a series raise about figures that use all of them."""
     found = [_fading(measurement, darks), multiplied(measurement, flats, darks)]
@@ -64,7 +64,7 @@ def doubts(
     return tuple(one for one in found if one is not None)
 
 
-def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Doubt | None:
+def _fading(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]]) -> Doubt | None:
     """Darks that decrease from frame to frame in proportion to the flats of their exposure."""
     dark, matched = measurement.dark, np.asarray(measurement.dark_of)
     signal = np.asarray(measurement.bright.mean) - np.asarray(dark.mean)[matched]
@@ -151,7 +151,7 @@ def _step(values: Float[np.ndarray, " levels"], errors: np.ndarray) -> _Step | N
     return _Step(found, float(low.mean()), float(high.mean()))
 
 
-def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[Shown]]) -> Doubt | None:
+def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[FrameSample]]) -> Doubt | None:
     bright, dark = measurement.bright, measurement.dark
     usable, matched = linear_levels(measurement), np.asarray(measurement.dark_of)
     signal = (np.asarray(bright.mean) - np.asarray(dark.mean)[matched])[usable]
@@ -177,7 +177,7 @@ def _two_gains(measurement: PhotonTransfer, flats: Sequence[Sequence[Shown]]) ->
     )
 
 
-def _two_modes(measurement: PhotonTransfer, darks: Sequence[Sequence[Shown]]) -> Doubt | None:
+def _two_modes(measurement: PhotonTransfer, darks: Sequence[Sequence[FrameSample]]) -> Doubt | None:
     dark = measurement.dark
     order = np.argsort(np.asarray(dark.exposure), kind="stable")
     variance = np.asarray(dark.variance)[order]

@@ -246,17 +246,17 @@ def _linearity(calibration: NoiseCalibration) -> list[str]:
 
 def _neighbours(calibration: NoiseCalibration) -> list[str]:
     """The reduction of variances by the brighter-fatter effect and by mixing with neighbours."""
-    chosen, told = calibration.chosen, []
+    chosen, sentences = calibration.chosen, []
     if "brighter_fatter" in chosen.values:
         share, error = _shown(calibration, "brighter_fatter")
         own, own_error = own_area_change(chosen)
-        told.append(
+        sentences.append(
             "The variance flattens with light more than the mean does. Charges that repel each "
             "other (the brighter-fatter effect) take "
             f"{format_with_error(100 * share, 100 * error)} % of it at the brightest level used: "
             f"a₀₀ = ({format_with_error(own * 1e6, own_error * 1e6)}) · 10⁻⁶ per electron."
         )
-        told.append(
+        sentences.append(
             "The covariances of neighbours, which a compression does not raise, were fitted with "
             "it. Variance and covariances add up to the noise of independent electrons."
             if are_known(chosen.data.neighbours)
@@ -266,12 +266,12 @@ def _neighbours(calibration: NoiseCalibration) -> list[str]:
         )
     if "pixel_mixing" in chosen.values:
         share, error = _shown(calibration, "pixel_mixing")
-        told.append(
+        sentences.append(
             f"Neighbouring pixels share {format_with_error(100 * share, 100 * error)} % of the "
             "variance that is proportional to light, as with capacitance between pixels or "
             "interpolation. The variance alone would give a gain too small by that share."
         )
-    return told
+    return sentences
 
 
 def _compression(calibration: NoiseCalibration) -> list[str]:
@@ -338,19 +338,19 @@ def _by_the_dimmest_alone(measurement: PhotonTransfer, usable: np.ndarray) -> bo
 
 def _random_effects(calibration: NoiseCalibration) -> list[str]:
     values, data = calibration.chosen.values, calibration.chosen.data
-    told = []
+    sentences = []
     if "light_scatter" in values:
         scatter, error = _shown(calibration, "light_scatter")
-        told.append(
+        sentences.append(
             "The light of the levels scatters about the recorded light by "
             f"{format_with_error(100 * scatter, 100 * error)} % rms."
         )
-        told += printed_times_in_words(calibration.measurement, calibration.usable)
+        sentences += printed_times_in_words(calibration.measurement, calibration.usable)
     if "black_scatter" in values:
         wander, error = _shown(calibration, "black_scatter")
         dark = calibration.measurement.dark
         noise = float(np.median(np.sqrt(dark.variance / (dark.pixels * dark.frames))))
-        told.append(
+        sentences.append(
             f"The black level varies by {format_with_error(wander, error)} DN rms from level to "
             f"level, {wander / noise:.0f} times the error of its mean by pixel noise."
         )
@@ -359,23 +359,23 @@ def _random_effects(calibration: NoiseCalibration) -> list[str]:
         expected = float(np.median(np.sqrt(2 / (data.pixels * (data.frames - 1)))))
         known = calibration.linear.data.shared is not None
         shared = ", as by noise shared by rows, columns or whole frames" if known else ""
-        told.append(
+        sentences.append(
             f"Variances scatter by {format_with_error(100 * scatter, 100 * error)} % rms beyond "
             f"the {100 * expected:.2g} % of independent pixels{shared}."
         )
     chosen = calibration.chosen
     if chosen.inflation > 1:
-        told.append(
+        sentences.append(
             "The remaining misfit is significant: chi-square per degree of freedom is "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)}), so all errors "
             f"of the likelihood are multiplied by {np.sqrt(chosen.inflation):.2f}."
         )
     elif chosen is not calibration.linear:
-        told.append(
+        sentences.append(
             "This explains the measurement: chi-square per degree of freedom is "
             f"{chosen.chi_square / chosen.degrees:.2f} ({format_p(chosen.p_value)})."
         )
-    return told
+    return sentences
 
 
 def _standard_scatter(calibration: NoiseCalibration) -> list[str]:
@@ -391,11 +391,11 @@ def _standard_scatter(calibration: NoiseCalibration) -> list[str]:
 
 
 def _near_black(calibration: NoiseCalibration) -> list[str]:
-    told = []
+    sentences = []
     window = None if calibration.likelihood is None else calibration.chosen.data.window
     if window is not None:
         count = len(np.unique(window.levels))
-        told.append(
+        sentences.append(
             "Black is clipped, or read noise is too small to smooth the rounding. At "
             f"{count} level{'s' * (count > 1)} the likelihood uses the exact moments of the "
             "clipped, rounded signal. The standard's figures are biased there."
@@ -403,19 +403,19 @@ def _near_black(calibration: NoiseCalibration) -> list[str]:
     least = least_dark_variance(calibration.measurement)
     dark = calibration.measurement.dark
     if not is_floored(calibration.measurement, calibration.within):
-        return told
+        return sentences
     if float(np.min(np.asarray(dark.variance))) > least:
-        told.append(
+        sentences.append(
             f"The line through the variances of the darks over exposure starts below "
             f"{least:.3g} DN², although every variance is above it. The variances are not linear "
             "in exposure, so the standard gives only an upper bound on dark noise."
         )
     else:
-        told.append(
+        sentences.append(
             f"Dark variance is below {least:.3g} DN², where rounding dominates. The standard gives "
             "only an upper bound on dark noise."
         )
-    return told
+    return sentences
 
 
 def _saturation(calibration: NoiseCalibration) -> list[str]:
@@ -518,14 +518,14 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
         return []
     variance, frames = np.asarray(dark.variance), np.asarray(dark.frames)
     scale, unit = calibration.gain, "e⁻"
-    told = []
+    sentences = []
     for axis, name in enumerate(("rows", "columns")):
         found = temporal_lines(dark.shared, variance, frames, axis)
         if found.believed:
             read = float(np.sqrt(np.mean(variance)))
             rest = float(np.sqrt(max(np.mean(variance) - found.variance, 0)))
             error = found.error / (2 * found.deviation)
-            told.append(
+            sentences.append(
                 f"The {name} of a dark frame share noise of "
                 f"{format_with_error(found.deviation / scale, error / scale)} {unit} rms, new in "
                 f"every frame. It is part of the temporal noise ({read / scale:.3g} {unit}). The "
@@ -534,12 +534,12 @@ def _shared(calibration: NoiseCalibration) -> list[str]:
     for stays, name in zip(unequal_offsets(dark), ("rows", "columns"), strict=False):
         if stays.believed:
             error = stays.error / (2 * stays.deviation)
-            told.append(
+            sentences.append(
                 f"The {name} of the darks differ by "
                 f"{format_with_error(stays.deviation / scale, error / scale)} {unit} rms, the same "
                 f"in every frame: {'' if _glow(calibration) else 'banding, '}part of DSNU."
             )
-    return told
+    return sentences
 
 
 def _drift(calibration: NoiseCalibration) -> list[str]:
@@ -569,7 +569,7 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
         return []
     standard, fitted = calibration.patterns
     measurement, level = calibration.measurement, standard.level
-    told = [
+    sentences = [
         f"PRNU by the standard is from {float(measurement.bright.frames[level]):.0f} frames at "
         f"{float(measurement.bright.mean[level]):.0f} DN, PRNU by the fit from all levels. Uneven "
         "light counts as PRNU in both."
@@ -578,17 +578,17 @@ def _pattern(calibration: NoiseCalibration) -> list[str]:
         found = unequal_gains(measurement, calibration.usable, axis)
         if found.believed:
             size, error = 100 * found.deviation, 50 * found.error / found.deviation
-            told.append(
+            sentences.append(
                 f"The {name} of the flats differ by {format_with_error(size, error)} % rms, "
                 "the same in every frame: part of PRNU, from gains or from uneven light."
             )
     if fitted.p_value is not None and fitted.p_value < MISFIT:
-        told.append(
+        sentences.append(
             "Offsets and gains of pixels do not explain how the pattern grows with signal: "
             f"chi-square per degree of freedom is {fitted.chi_square_per_dof:.3g} "
             f"({format_p(fitted.p_value)}). The errors of the fit include this misfit."
         )
-    return told
+    return sentences
 
 
 def _solver(calibration: NoiseCalibration) -> list[str]:

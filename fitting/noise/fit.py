@@ -138,7 +138,7 @@ def noise_data(
         offsets=offsets,
         unsteady=unsteady,
         converter=measurement.converter,
-        kept=jnp.ones_like(lit),
+        used=jnp.ones_like(lit),
         counted=counted,
     )
 
@@ -288,7 +288,7 @@ def fitted_without(
 ) -> NewtonSolution:
     """The same model fitted by the same compiled program without some levels."""
     kept = jnp.asarray(~left_out, fit.data.mean.dtype)
-    data = eqx.tree_at(lambda data: data.kept, fit.data, kept)
+    data = eqx.tree_at(lambda data: data.used, fit.data, kept)
     if fit.among:
         return _fit_among(fit.among, fit.space, data, standard, fit)[0]
     return minimise(cost, fit.solution.vector, (fit.space, data))

@@ -54,14 +54,14 @@ def without_flicker(measurement: PhotonTransfer, flicker: dict[str, Found]) -> P
 
 def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> list[str]:
     """One finding for each."""
-    told = []
+    sentences = []
     bright = measurement.bright
     for axis, name in enumerate(("rows", "columns")):
         if name not in flicker or bright.flicker is None:
             continue
         one, out = flicker[name], np.asarray(bright.flicker)[axis]
         share = float(np.max(out / np.maximum(np.asarray(bright.variance) + out, 1e-300)))
-        told.append(
+        sentences.append(
             f"The {name} of a flat share noise of "
             f"{format_with_error(one.deviation, one.error / (2 * one.deviation))} DN rms beyond "
             "that of the darks at the level where it is most significant, new in every frame. It "
@@ -70,4 +70,4 @@ def flicker_in_words(measurement: PhotonTransfer, flicker: dict[str, Found]) -> 
             f"{name[:-1]} by {name[:-1]}: gain and quantum efficiency follow from the independent "
             "noise of pixels, and the errors of the flats' means include it."
         )
-    return told
+    return sentences

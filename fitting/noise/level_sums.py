@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..frame_checks.frame import Shown, shown
+from ..frame_checks.frame import FrameSample, frame_sample
 from .hits import hits
 from .live_pixels import LivePixels
 from .neighbours import Neighbours
@@ -39,7 +39,7 @@ class LevelStatistics(NamedTuple):
     lines: tuple[float, ...]
     covariances: np.ndarray
     live: LivePixels
-    shown: tuple[Shown, ...]
+    shown: tuple[FrameSample, ...]
     residues: np.ndarray
     quarters: np.ndarray
     local_pattern: float
@@ -70,7 +70,7 @@ class LevelSums:
         corner: tuple[int, int] = (0, 0),
     ) -> None:
         self.first, self.live = first, live
-        self.shown: list[Shown] = []
+        self.shown: list[FrameSample] = []
         self._top, self._unlit, self._corner = top, unlit, corner
         self._total, self._squares = np.zeros_like(first), np.zeros_like(first)
         self._shifted = np.zeros_like(first)
@@ -87,9 +87,9 @@ class LevelSums:
             self.hits += int(jumps.up.sum() + jumps.down.sum())
             if len(self.shown) == 1:  # so that those below are of the first frame
                 self.first = np.where(jumps.down, frame - deviation, self.first)
-                self.shown[0] = self._shown(self.shown[0].name, self.first)
+                self.shown[0] = self._sample_of(self.shown[0].name, self.first)
             frame = self.first + deviation
-        self.shown.append(self._shown(name, frame))
+        self.shown.append(self._sample_of(name, frame))
         self._shifts.append(self.live.mean(deviation))
         if len(self.shown) == 1:
             return
@@ -101,8 +101,8 @@ class LevelSums:
             self._shifted += self._shifts[-1] * deviation
         self._add_squares(deviation)
 
-    def _shown(self, name: str, frame: np.ndarray) -> Shown:
-        return shown(name, self.live.filled(frame), top=self._top)
+    def _sample_of(self, name: str, frame: np.ndarray) -> FrameSample:
+        return frame_sample(name, self.live.filled(frame), top=self._top)
 
     def _add_squares(self, deviation: np.ndarray, *, weight: float = 1.0) -> None:
         self._squares += weight * deviation**2

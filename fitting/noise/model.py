@@ -103,7 +103,7 @@ class NoiseData(eqx.Module):
         unsteady: (levels,) variance of a frame's mean because the light fluctuates, DN^2; None
             without.
         converter: grid of the values.
-        kept: (levels,) 1 for a level that the likelihood uses, else 0; None uses all.
+        used: (levels,) 1 for a level that the likelihood uses, else 0; None uses all.
         counted: levels whose histograms of codes replace their moments; None for none.
     """
 
@@ -123,7 +123,7 @@ class NoiseData(eqx.Module):
     offsets: OffsetData | None = None
     unsteady: Float[Array, " levels"] | None = None
     converter: Converter = eqx.field(static=True, default=Converter())
-    kept: Float[Array, " levels"] | None = None
+    used: Float[Array, " levels"] | None = None
     counted: CountedLevels | None = None
 
 
@@ -405,7 +405,7 @@ def cost(vector: Float[Array, " parameters"], args: tuple[ParameterSpace, NoiseD
     space, data = args
     values, counted = named(space, vector), data.counted
     terms, _ = log_likelihood_terms(values, data)
-    terms = terms if data.kept is None else terms * data.kept
+    terms = terms if data.used is None else terms * data.used
     if counted is None:
         return -jnp.sum(terms)
     return -jnp.sum(terms.at[counted.levels].set(0)) - _log_density_of_tables(values, data, counted)
@@ -426,8 +426,8 @@ def _log_density_of_tables(
         of_light = of_light + values["light_scatter"] ** 2
     if data.light_step is not None:
         of_light = of_light + data.light_step**2 / 12 / light**2
-    if data.kept is not None:
-        of_light = of_light + UNKNOWN_LIGHT * (1 - data.kept[at])
+    if data.used is not None:
+        of_light = of_light + UNKNOWN_LIGHT * (1 - data.used[at])
     covariance = counted.covariance + jnp.diag(jnp.pad(of_light, (2, 0)))
     root = jnp.linalg.cholesky(covariance)
     deviates = jax.scipy.linalg.solve_triangular(root, missed, lower=True)

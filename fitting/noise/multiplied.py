@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..frame_checks.frame import Shown
+from ..frame_checks.frame import FrameSample
 from ..inference.formatting import format_with_error
 from .levels import Doubt, PhotonTransfer, linear_levels
 from .pattern import pattern_variance
@@ -23,8 +23,8 @@ FEWEST_LEVELS = 3
 
 def multiplied(
     measurement: PhotonTransfer,
-    flats: Sequence[Sequence[Shown]],
-    darks: Sequence[Sequence[Shown]],
+    flats: Sequence[Sequence[FrameSample]],
+    darks: Sequence[Sequence[FrameSample]],
 ) -> Doubt | None:
     """Whether dim flats are as skew as multiplied electrons."""
     bright, dark = measurement.bright, measurement.dark
@@ -66,7 +66,7 @@ def multiplied(
     )
 
 
-def _third_cumulant(frames: Sequence[Shown], variance: float) -> tuple[float, float]:
+def _third_cumulant(frames: Sequence[FrameSample], variance: float) -> tuple[float, float]:
     """The third cumulant over the pixels of each frame, averaged, DN^3, and its standard error."""
     samples = [frame.sample.astype(float) for frame in frames]
     found = float(np.mean([np.mean((one - one.mean()) ** 3) for one in samples]))

@@ -129,7 +129,7 @@ def tell_of_neighbours(measurement: PhotonTransfer) -> bool:
     return not believed_lines(dark.shared, dark.variance, dark.frames)
 
 
-def are_seen(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
+def are_significant(measurement: PhotonTransfer, usable: np.ndarray) -> bool:
     """Whether nearest neighbours covary significantly, in proportion to the variance. The sum over
     all neighbours, which a fit explains, is less precise.
     """

@@ -55,7 +55,7 @@ class Spread:
         return float(np.sqrt(self.noise**2 + sampling_variance(self.parts)))
 
     @property
-    def seen(self) -> bool:
+    def significant(self) -> bool:
         """Whether it is significant."""
         return self.variance > SEEN * self.noise
 

@@ -342,7 +342,7 @@ def periodic_in_words(
     found: tuple[Periodic, ...], gain: float, *, apart: bool = False
 ) -> list[str]:
     """One or two sentences for each structure."""
-    told = []
+    sentences = []
     for one in found:
         if one.where == "mosaic":
             who = "The four sites of a cell of 2 x 2 pixels"
@@ -375,15 +375,15 @@ def periodic_in_words(
             remedy = f"give camera.pattern of a mosaic, or {remedy.removeprefix('give ')}"
         differ = f"{who} differ {' and '.join(parts)}, as with {cause}"
         if apart and one.where != CENTRE:
-            told.append(f"{differ}, and were calibrated separately; {remedy} to state it.")
+            sentences.append(f"{differ}, and were calibrated separately; {remedy} to state it.")
             continue
-        told.append(
+        sentences.append(
             f"{differ}; {remedy}{'' if one.where == CENTRE else ' to calibrate each separately'}."
         )
         if one.gains:
-            told.append(
+            sentences.append(
                 "K is between their gains and is not the gain of any pixel. Its error, and those "
                 "of figures that depend on it, include the deviation of the gains, "
                 f"{100 * one.unequal:.2g} %."
             )
-    return told
+    return sentences

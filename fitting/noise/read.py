@@ -17,7 +17,7 @@ from jaxvision.files.images import read_image
 from jaxvision.sensor import photon_rate
 
 from ..codes import Codes, Converter
-from ..frame_checks.frame import ALONE, Odd, Shown, refuse_half
+from ..frame_checks.frame import ALONE, FrameSample, OddFrames, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..frame_checks.levels import odd_frames
 from ..inference.formatting import format_percent
@@ -290,7 +290,7 @@ def _gaps(bright: Levels, dark: Levels) -> Float[Array, "levels darks"]:
     return jnp.abs(dark.exposure[None, :] - bright.exposure[:, None]) / scale[:, None]
 
 
-def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[Odd]], list[str]]:
+def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[OddFrames]], list[str]]:
     """A rig without the frames whose metadata contradict it, the dropped flats and darks, and
     remarks."""
     entries = {"flat": rig.flat, "dark": rig.dark}
@@ -302,7 +302,7 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[Odd]], list[str]]:
     found, remarks = odd_heads(rig.folder, stated)
     gone = {name for one in found for name in one.names}
     kept: dict[str, list[Any]] = {}
-    odd: dict[str, list[Odd]] = {}
+    odd: dict[str, list[OddFrames]] = {}
     for kind, of_kind in entries.items():
         names = {name for entry in of_kind for name in entry.files}
         odd[kind] = [one for one in found if names.intersection(one.names)]
@@ -311,7 +311,7 @@ def _without_odd_heads(rig: Rig) -> tuple[Rig, dict[str, list[Odd]], list[str]]:
         for entry in of_kind:
             files = tuple(name for name in entry.files if name not in gone)
             if len(files) == 1:
-                odd[kind].append(Odd(files, ALONE))
+                odd[kind].append(OddFrames(files, ALONE))
             if len(files) > 1:
                 kept[kind].append(entry.model_copy(update={"files": files}))
     return rig.model_copy(update={k: tuple(own) for k, own in kept.items()}), odd, remarks
@@ -321,10 +321,10 @@ def _reduced(
     source: _Source,
     entries: Sequence[Flat] | Sequence[Dark],
     *,
-    odd: Sequence[Odd],
+    odd: Sequence[OddFrames],
     light: Float[np.ndarray, " levels"] | None = None,
     dark: Levels | None = None,
-) -> tuple[Levels, list[tuple[Shown, ...]]]:
+) -> tuple[Levels, list[tuple[FrameSample, ...]]]:
     """Levels of matching frames, and a summary of each; `odd` collects the frames dropped
     before."""
     rig, gone = source.rig, list(odd)
@@ -397,7 +397,7 @@ def _hits_in_words(levels: Sequence[LevelStatistics], unlit: bool) -> list[str]:
     ]
 
 
-def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[Odd]) -> None:
+def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[OddFrames]) -> None:
     """Drop levels of another size than the majority."""
     sizes = Counter(level.live.mask.shape for level in found if level is not None)
     if len(sizes) < 2:
@@ -408,11 +408,11 @@ def _leave_out_sizes(rig: Rig, found: list[LevelStatistics | None], gone: list[O
     for i, level in enumerate(found):
         if level is not None and (own := level.live.mask.shape) != shape:
             names = tuple(frame.name for frame in level.shown)
-            gone.append(Odd(names, f"they are {own}, the frames of other levels {shape}"))
+            gone.append(OddFrames(names, f"they are {own}, the frames of other levels {shape}"))
             found[i] = None
 
 
-def _recounted(source: _Source, levels: Sequence[Sequence[Shown]]) -> _Source:
+def _recounted(source: _Source, levels: Sequence[Sequence[FrameSample]]) -> _Source:
     """The measurement with code counts from these frames only."""
     found = replace(source, codes=Codes())
     for frame in (one for level in levels for one in level):
@@ -430,7 +430,7 @@ def _level(
     source: _Source,
     files: Sequence[str],
     unlit: Unlit | None,
-    odd: list[Odd],
+    odd: list[OddFrames],
     *,
     again: bool = False,
 ) -> LevelStatistics | None:
@@ -442,7 +442,7 @@ def _level(
             frame = source.plane(name)
         except _Unreadable as error:
             reason = str(error).removeprefix(f"{rig.path(name)}: ").removesuffix(".")
-            odd.append(Odd((name,), f"it cannot be read ({reason})"))
+            odd.append(OddFrames((name,), f"it cannot be read ({reason})"))
             continue
         live = source.pixels(frame.shape)
         if not again:
@@ -459,9 +459,9 @@ def _level(
     if 2 * len(others) >= len(sums.shown) + len(others):
         return _of_most(source, files, sums, others, unlit, odd)
     for name, shape in others.items():
-        odd.append(Odd((name,), f"it is {shape}, the others of its level {sums.first.shape}"))
+        odd.append(OddFrames((name,), f"it is {shape}, the others of its level {sums.first.shape}"))
     if len(sums.shown) < 2:
-        odd.append(Odd((sums.shown[0].name,), ALONE))
+        odd.append(OddFrames((sums.shown[0].name,), ALONE))
         return None
     if sums.live.count < FEWEST_PIXELS:
         raise InputError(
@@ -477,7 +477,7 @@ def _of_most(
     sums: LevelSums,
     others: dict[str, tuple[int, ...]],
     unlit: Unlit | None,
-    odd: list[Odd],
+    odd: list[OddFrames],
 ) -> LevelStatistics | None:
     """The level with the size of most of its frames, if the first frame differs."""
     rig = source.rig
@@ -491,7 +491,7 @@ def _of_most(
     for name in files:
         if name in {one.name for one in sums.shown} or others.get(name, shape) != shape:
             size = others.get(name, sums.first.shape)
-            odd.append(Odd((name,), f"it is {size}, the others of its level {shape}"))
+            odd.append(OddFrames((name,), f"it is {size}, the others of its level {shape}"))
     kept = [name for name in files if others.get(name) == shape]
     return _level(source, kept, unlit, odd, again=True)
 

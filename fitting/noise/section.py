@@ -240,7 +240,7 @@ def _pattern_estimates(calibration: NoiseCalibration, quantity: Quantity) -> tup
             spread, scale = pattern.dark, 1 / k
         else:
             spread, scale, relative = pattern.response, 100.0, 0.0
-        if not spread.seen:
+        if not spread.significant:
             why = _why_hidden(pattern, spread)
             reason = why.format(f"below {scale * np.sqrt(spread.bound):.3g} {unit}")
             found.append(not_determined(quantity, reason, method=method))

@@ -114,7 +114,7 @@ def offset_data(
     if dark.spatial_variance is None or measurement.bright.spatial_variance is None:
         return None
     offsets = fitted_pattern(measurement, usable).dark
-    if not offsets.seen:
+    if not offsets.significant:
         return None
     spatial, noise = pattern_variance(dark)
     unlit = np.zeros(len(usable))
@@ -134,7 +134,7 @@ def _known_spread(
     dark = measurement.dark
     response = fitted_pattern(measurement, usable).response
     signal = measurement.converter.step * np.maximum(mean - mean[lit == 0].min(), 0)
-    found = lit * signal**2 * (response.variance if response.seen else 0.0)
+    found = lit * signal**2 * (response.variance if response.significant else 0.0)
     if dark.shared is not None:
         wander = drift(dark.shared, np.asarray(dark.variance), np.asarray(dark.frames))
         found = found + (wander.variance if wander.believed else 0.0)

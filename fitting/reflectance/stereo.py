@@ -178,13 +178,13 @@ def photometric_stereo(
     between = (readings > lowest) & (readings < highest)
     limits = (lowest, highest)
     counts = _counted(rows, readings, between, limits, robust=robust)
-    apart, findings = _images_apart(rows, readings, counts, limits)
+    apart, findings = _contradicted_images(rows, readings, counts, limits)
     if robust and apart.any():
         between[apart] = False
     common, alone = _common(rows, readings, between, limits, robust=robust)
     if common is not None and alone.any():
         between[alone] = False
-        findings += _of_factors_apart(common, alone)
+        findings += _of_deviating_factors(common, alone)
         common, _ = _common(rows, readings, between, limits, robust=False)
     agreeing = readings
     if apart.any() or alone.any() or common is not None:
@@ -205,7 +205,7 @@ def photometric_stereo(
         normal_sd, albedo_sd = _deviations(normals, albedo, covariance)
         misfit = np.where(np.isfinite(albedo), found.size / albedo, np.nan)
         by_noise = _deviations(normals, albedo, found.inverse * found.noise[:, None, None])[0]
-    if found.seen and np.nanmedian(misfit) > NEGLIGIBLE:
+    if found.significant and np.nanmedian(misfit) > NEGLIGIBLE:
         findings += (_of_misfit(misfit, normal_sd / by_noise, counts.sum(axis=0)),)
     if not findings:
         findings = _of_contradiction(rows, stack, between, limits)
@@ -262,7 +262,7 @@ def _common(
     return common, alone & few & others_agree
 
 
-def _of_factors_apart(common: Common, alone: Bool[np.ndarray, " lights"]) -> tuple[str, ...]:
+def _of_deviating_factors(common: Common, alone: Bool[np.ndarray, " lights"]) -> tuple[str, ...]:
     return tuple(
         f"images[{i}] is {format_with_error(common.factors[i], common.factor_sds[i])} times as "
         "bright as the other images predict, by the same factor in all pixels, and was left out: "
@@ -356,7 +356,7 @@ def _copies(stack: Float[np.ndarray, "lights h w"]) -> tuple[str, ...]:
     )
 
 
-def _images_apart(
+def _contradicted_images(
     rows: Float[np.ndarray, "lights 3"],
     readings: Float[np.ndarray, "lights pixels"],
     counts: Bool[np.ndarray, "lights pixels"],

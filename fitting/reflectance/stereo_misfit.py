@@ -76,7 +76,7 @@ class Departures:
         covariance: (pixels, 3, 3) of g.
         noise: (pixels,) variance of a reading of weight 1; NaN where no residual is left.
         size: (pixels,) tau, standard deviation of the departures, readings over irradiance.
-        seen: whether departures are significant; if not, all residuals count as noise.
+        significant: whether departures are significant; if not, all residuals count as noise.
     """
 
     weights: Float[np.ndarray, "lights pixels"]
@@ -84,7 +84,7 @@ class Departures:
     covariance: Float[np.ndarray, "pixels 3 3"]
     noise: Float[np.ndarray, " pixels"]
     size: Float[np.ndarray, " pixels"]
-    seen: bool
+    significant: bool
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,9 @@ def departures(
     covariance = np.full_like(inverse, np.nan)
     places = np.flatnonzero(told)
     if not places.size:
-        return Departures(counted.astype(float), inverse, covariance, noise, size, seen=False)
+        return Departures(
+            counted.astype(float), inverse, covariance, noise, size, significant=False
+        )
     features = _features(directions) * np.linalg.norm(rows, axis=1)[:, None]
     expected = np.maximum(np.nan_to_num(rows @ g.T), 0)
     typical = float(np.median(expected[counted & told])) or 1.0
@@ -152,17 +154,17 @@ def departures(
         (of, _prior(of.reduced(some), alone.unshared, RATIOS), alone)
         for of, alone in ([best] if best is fits[0] else [fits[0], best])
     ]
-    seen = all(
+    significant = all(
         prior.likelihood - alone.likelihood > EVIDENCE or prior.unshared < np.inf
         for _, prior, alone in slow
     )
-    of, prior = slow[0][:2] if seen else best
+    of, prior = slow[0][:2] if significant else best
     for start in range(0, len(places), AT_ONCE):
         part = places[start : start + AT_ONCE]
         noise[part], size[part], covariance[part] = _posterior(
             of.reduced(part), of.inverse[part], prior
         )
-    return Departures(of.weights, of.inverse, covariance, noise, size, seen=seen)
+    return Departures(of.weights, of.inverse, covariance, noise, size, significant=significant)
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ def _sheet_table(title: str, found: Sheet, shown: slice) -> RichTable:
         for row in rows:
             name = f"{row.name}\n{row.unit}".rstrip()
             cells = (_cell(cell) for cell in row.cells[shown])
-            compared = (row.apart,) if found.compares else ()
+            compared = (row.difference,) if found.compares else ()
             table.add_row(*map(_escaped, (name, *cells, *compared)))
     return table
 

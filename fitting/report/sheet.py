@@ -39,7 +39,7 @@ class Row:
         subscript: of its symbol.
         unit: as it is printed.
         cells: one for each column.
-        apart: difference of two methods over the larger of their standard errors.
+        difference: difference of two methods over the larger of their standard errors.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Row:
     subscript: str
     unit: str
     cells: tuple[Cell, ...]
-    apart: str = ""
+    difference: str = ""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def sheet(section: Section) -> Sheet:
         own = {key: one for key, one in zip(keys, found, strict=True) if one.name == name}
         first = next(iter(own.values()))
         cells = tuple(_cell(own.get(column, own.get("")), notes) for column in columns)
-        apart = _apart([own.get(column) for column in columns]) if compares else ""
+        apart = _difference([own.get(column) for column in columns]) if compares else ""
         letter, subscript = split_symbol(first.symbol)
         unit = format_unit(first.unit)
         rows[name] = Row(format_name(name), letter, subscript, unit, cells, apart)
@@ -112,7 +112,7 @@ def _cell(estimate: Estimate | None, notes: dict[str, int]) -> Cell:
     return Cell(format_value(estimate), format_interval(estimate, 95))
 
 
-def _apart(pair: Sequence[Estimate | None]) -> str:
+def _difference(pair: Sequence[Estimate | None]) -> str:
     one, other = pair
     if one is None or other is None or one.value is None or other.value is None:
         return ""

@@ -18,13 +18,13 @@ def unused_keys(rig: Rig, kind: str, *, fit_gamma: bool = False) -> tuple[str, .
     found = [*REASONS[kind](rig), *_sites(rig, kind)]
     if fit_gamma:
         found.append((_camera(GAMMA), "the encoding exponent was fitted"))
-    told = []
+    sentences = []
     for keys, why in found:
         given = [key for key in keys if _is_given(rig, key)]
         if given:
             listed = " and ".join(filter(None, (", ".join(given[:-1]), given[-1])))
-            told.append(f"Not used of the rig: {listed}; {why}.")
-    return tuple(told)
+            sentences.append(f"Not used of the rig: {listed}; {why}.")
+    return tuple(sentences)
 
 
 def _sites(rig: Rig, kind: str) -> Unused:

@@ -49,7 +49,7 @@ from .pilot import NO_CURVE, degrees_of_freedom, fit_pilot, on_bins, rising
 from .pixel_noise import NoiseModel, noise_variance
 from .places import CLASSES, Layout, equal_classes, tiles_of
 from .repeats import HeldOut, Repeats, over_exposures, over_tiles, widened
-from .shutter import UNTOLD, Shutter, over_tau
+from .shutter import UNINFORMATIVE, Shutter, over_tau
 from .solve import MOST_ROUNDS, SHAKIEST, STEADIEST, Solution, at_centres, solve, spread_of_times
 from .weights import APART, WeightRule, cells_of, coarsest, hat_rule, noise_rule
 
@@ -349,7 +349,7 @@ def _shutter_error(found: Solution) -> float | None:
         return None
     pull, information = _by_the_images(found)
     known, axes = np.linalg.eigh(information)
-    told = known > UNTOLD * known.max()
+    told = known > UNINFORMATIVE * known.max()
     known, square = known[told], ((pull @ axes)[told] / known[told]) ** 2
 
     def beyond(tau: float) -> float:

@@ -29,7 +29,9 @@ SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
 APART_ERRORS = 3.0  # by which an image's exposure stands apart
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures
 BLACKS = 0.01  # error of exposure times from which they may be the cause
-FELT = 0.5  # share of the variance of a curve that its ripple makes, from which it is said
+NOTABLE_RIPPLE = (
+    0.5  # share of the variance of a curve that its ripple makes, from which it is said
+)
 
 
 def findings(calibration: ResponseCalibration) -> tuple[str, ...]:
@@ -120,7 +122,7 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     if not np.isfinite(sizes).any():
         return "No code is known well enough to judge how far the response is a pure gamma."
     codes = _judged_in_words(channels)
-    shown = np.array([shape.shown for shape in found])
+    shown = np.array([shape.significant for shape in found])
     worst = int(np.argmax(shown) if shown.any() else np.nanargmax(sizes))
     shape, where = found[worst], channels[worst].plane.label or "the grey channel"
     if not shown.any():
@@ -135,9 +137,10 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
             f"A pure gamma describes the response over {codes}: the measured curve departs from it "
             f"by at most {size}, which its errors explain."
         )
+    largest_one = format_percent(np.expm1(shape.significant), decimals=int(shape.pure))
     size = (
-        f"by up to {format_percent(np.expm1(shape.shown), decimals=int(shape.pure))} in exposure "
-        f"({where}, code {shape.shown_code:g}, known to {format_percent(shape.shown_error)})"
+        f"by up to {largest_one} in exposure ({where}, code {shape.significant_code:g}, known to "
+        f"{format_percent(shape.significant_error)})"
     )
     if shape.pure:
         return (
@@ -147,7 +150,7 @@ def _shape_in_words(channels: Sequence[ChannelResponse]) -> str:
     srgb, _ = largest_departure(channels[worst].curve, channels[worst].gamma.srgb_departure)
     better = (
         f"; the sRGB curve fits better, to within {100 * np.expm1(srgb):.2g} %"
-        if srgb < shape.shown / 2
+        if srgb < shape.significant / 2
         else ""
     )
     many = sum(not one.pure for one in found)
@@ -189,7 +192,7 @@ def _judged_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
     """A finding on significant larger deviations outside the codes used for the verdict."""
-    beyond = [_beyond_judged(channel) for channel in channels]
+    beyond = [_outside_of_verdict(channel) for channel in channels]
     judged = [largest_departure(c.curve, c.gamma.departure)[0] for c in channels]
     sizes = [size for size, _ in beyond]
     if not np.isfinite(sizes).any() or not np.nanmax(sizes) > max(PURE, np.nanmax([0, *judged])):
@@ -206,7 +209,7 @@ def _beyond_in_words(channels: Sequence[ChannelResponse]) -> str:
     )
 
 
-def _beyond_judged(channel: ChannelResponse) -> tuple[float, float]:
+def _outside_of_verdict(channel: ChannelResponse) -> tuple[float, float]:
     """The largest significant deviation and its code."""
     curve, error = channel.curve, error_of_departure(channel.curve)
     drawn = curve.seen & (curve.standard_error < DRAWN)
@@ -218,7 +221,7 @@ def _beyond_judged(channel: ChannelResponse) -> tuple[float, float]:
 
 def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
     """The codes of each channel without usable pixels, if there are many."""
-    told = []
+    sentences = []
     for channel in channels:
         curve = channel.curve
         codes = curve.codes[curve.seen]
@@ -226,14 +229,14 @@ def _extrapolated_in_words(channels: Sequence[ChannelResponse]) -> str:
             continue
         low = curve.half_width[np.argmax(curve.codes >= (codes[0] + curve.bins.black) / 2)]
         halfway = (codes[0] + curve.bins.black) / 2
-        told.append(
+        sentences.append(
             f"{channel.plane.label or 'grey'} below {codes[0]:g} and above {codes[-1]:g} (95 % "
             f"within {format_percent(min(np.expm1(low), 99.0))} at code {halfway:g})"
         )
-    if not told:
+    if not sentences:
         return ""
     return (
-        f"The curve is extrapolated over codes without usable pixels: {', '.join(told)}. "
+        f"The curve is extrapolated over codes without usable pixels: {', '.join(sentences)}. "
         "The extrapolation averages gamma, sRGB, logarithmic and film curves that fit the other "
         "codes."
     )
@@ -305,7 +308,7 @@ def _near_clipped_in_words(channels: Sequence[ChannelResponse]) -> str:
 
 
 def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
-    sizes = [_felt_ripple(channel) for channel in channels]
+    sizes = [_notable_ripple(channel) for channel in channels]
     if not max(sizes) > 0:
         return ""
     names = ", ".join(
@@ -319,11 +322,13 @@ def _ripple_in_words(channels: Sequence[ChannelResponse]) -> str:
     )
 
 
-def _felt_ripple(channel: ChannelResponse) -> float:
+def _notable_ripple(channel: ChannelResponse) -> float:
     """The ripple included in the bands; 0 if it is a small part of them."""
     curve = channel.curve
     size = ripple(curve.exposures, curve.smoothness)
-    return size if size**2 > FELT * np.median(curve.standard_error[curve.seen] ** 2) else 0.0
+    return (
+        size if size**2 > NOTABLE_RIPPLE * np.median(curve.standard_error[curve.seen] ** 2) else 0.0
+    )
 
 
 def _busy_in_words(channels: Sequence[ChannelResponse]) -> str:
@@ -351,7 +356,7 @@ def _rough_in_words(channels: Sequence[ChannelResponse]) -> str:
     rough = [
         c
         for c, shape in zip(channels, shapes(channels), strict=True)
-        if c.curve.smoothness <= ROUGHEST and (shape.shown > 0 or np.isnan(shape.size))
+        if c.curve.smoothness <= ROUGHEST and (shape.significant > 0 or np.isnan(shape.size))
     ]
     if not rough:
         return ""

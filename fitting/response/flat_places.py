@@ -64,7 +64,7 @@ def to_flat_places(
     weights = np.array([np.diagonal(matrices[k])[:size] for k in used])
     share, activity = share[used] / share.sum(), activity[used]
     average = share @ activity
-    if not _told_apart(weights, activity) >= APART * average > 0:
+    if not _separation(weights, activity) >= APART * average > 0:
         return found
     without = (average - share * activity) / (1 - share)
     slope = without - without.mean()
@@ -82,7 +82,7 @@ def to_flat_places(
     return _less(found, departure, by_tile, seen)
 
 
-def _told_apart(weights: np.ndarray, activity: np.ndarray) -> float:
+def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
     """Standard deviation of the activity among observations of one code. It is small if codes
     correlate with places, as on a ramp, and if all places are equal. The result is the median over
     codes, with weights (classes, bins)."""

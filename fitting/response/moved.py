@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from scipy.ndimage import uniform_filter
 
-from ..frame_checks.frame import Odd
+from ..frame_checks.frame import OddFrames
 
 QUANTILES = 0.5, 0.35, 0.65, 0.2, 0.8  # at which images are cut
 CUTS = 3  # at most
@@ -32,7 +32,7 @@ def moved_exposures(
     *,
     full_scale: float,
     cell: tuple[int, int] = (1, 1),
-) -> list[Odd]:
+) -> list[OddFrames]:
     """Exposures that are displaced relative to most others."""
     if len({np.shape(frame) for frame in frames}) != 1:
         return []  # refused where they are read
@@ -43,7 +43,7 @@ def moved_exposures(
     far = np.linalg.norm(places[:, None] - places, axis=-1) >= LEAST
     home = places[np.argmin(far.sum(axis=1))]
     return [
-        Odd(
+        OddFrames(
             (name,),
             f"its scene is shifted by {right:+.0f} pixels to the right and {down:+.0f} down from "
             "its position in most exposures; align the images or use a tripod",

@@ -16,7 +16,7 @@ from jaxvision.files.images import read_image
 
 from ..codes import Converter, converter_of
 from ..frame_checks.exposures import blank_images, odd_exposures
-from ..frame_checks.frame import refuse_half, shown
+from ..frame_checks.frame import frame_sample, refuse_half
 from ..frame_checks.heads import Stated, odd_heads
 from ..inference.formatting import format_percent
 from ..observation import Load, in_region, read_frame, read_stack, split_channels
@@ -160,7 +160,9 @@ def _without_odd_images(
     top, seen = rig.camera.at(rig.camera.sites[0]).clip_level, []
     for entry in entries:
         frame = images[entry.file]
-        seen.append(shown(entry.file, frame.mean(axis=2) if frame.ndim == 3 else frame, top=top))
+        seen.append(
+            frame_sample(entry.file, frame.mean(axis=2) if frame.ndim == 3 else frame, top=top)
+        )
     blank = blank_images(seen)
     gone = {name for one in blank for name in one.names}
     clear = [entry.file for entry in entries if entry.file not in gone]

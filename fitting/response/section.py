@@ -76,7 +76,8 @@ def _gamma_estimates(channel: ChannelResponse, shape: Shape) -> list[Estimate]:
         return [channel.gamma.gamma, channel.gamma.shutter_error]
     reason = (
         f"the response is no pure gamma: the best one, {channel.gamma.gamma.value:.3f}, differs "
-        f"from the measured curve by up to {format_percent(np.expm1(shape.shown))} in exposure; "
+        "from the measured curve by up to "
+        f"{format_percent(np.expm1(shape.significant))} in exposure; "
         "use the curve"
     )
     label = channel.plane.label

@@ -37,21 +37,21 @@ class Shape:
     Attributes:
         size: largest departure, in ln exposure; NaN where no code can be judged.
         code: DN of that departure.
-        shown: largest significant departure; 0 where none is significant.
-        shown_code: DN of that departure.
-        shown_error: its standard error, in ln exposure.
+        significant: largest significant departure; 0 where none is significant.
+        significant_code: DN of that departure.
+        significant_error: its standard error, in ln exposure.
     """
 
     size: float
     code: float
-    shown: float = 0.0
-    shown_code: float = float("nan")
-    shown_error: float = 0.0
+    significant: float = 0.0
+    significant_code: float = float("nan")
+    significant_error: float = 0.0
 
     @property
     def pure(self) -> bool:
         """Whether the data are consistent with a pure gamma."""
-        return not self.shown > PURE
+        return not self.significant > PURE
 
 
 def judged_codes(curve: ResponseCurve) -> Bool[np.ndarray, " bins"]:

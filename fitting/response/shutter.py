@@ -29,7 +29,7 @@ BEYOND_LOG_SD = 1.5  # of its logarithm
 TABULATED = (1e-6, 1.0)  # range of tau over which errors are mixed
 GRID = 101  # of ln tau
 MOST_STEPS, NEAR = 100, 1e-6  # toward a quantile
-UNTOLD = 1e-9  # of the information: an error of which the images tell nothing
+UNINFORMATIVE = 1e-9  # of the information: an error of which the images tell nothing
 LEAST = 1e-6  # weight of a tau that is left out
 MOST_FREE = 1e6  # degrees of freedom that are as good as infinitely many
 LEVELS = ndtr(1.0), 0.975
@@ -78,7 +78,7 @@ def over_tau(
     log_tau = np.linspace(np.log(low), np.log(high), GRID)
     tau = np.hypot(np.exp(log_tau), known)
     known_by, axes = np.linalg.eigh(information)
-    told = known_by > UNTOLD * known_by.max(initial=0.0)
+    told = known_by > UNINFORMATIVE * known_by.max(initial=0.0)
     known_by, pull = known_by[told], (score @ axes)[told]
     square = tau[:, None] ** 2
     log_weight = (pull**2 * square / (1 + known_by * square) - np.log1p(known_by * square)).sum(

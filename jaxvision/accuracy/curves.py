@@ -136,7 +136,7 @@ def curve(
         nearest = session.compared(next(iter(last.values())))
         found = Reference(run[-1], np.inf, "finest setting"), nearest
     points = [session.points[setting] for setting in run]
-    told = partial(_told, session, points, *found, names, not_run)
+    told = partial(_curve_of, session, points, *found, names, not_run)
     with np.errstate(invalid="ignore", over="ignore"):
         try:
             with raised_interrupts():
@@ -206,7 +206,7 @@ def _take_turns(session: Session, seeds: int) -> None:
                     continue
 
 
-def _told(
+def _curve_of(
     session: Session,
     points: list[Point],
     reference: Reference,

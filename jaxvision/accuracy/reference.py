@@ -181,7 +181,7 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
     ]
     last = _rms(steps[-1])
     laws = _laws(knob.law, settings, [_rms(step) for step in steps])
-    apart = [_apart(laws[0], *pair) for pair in pairwise(settings)]
+    apart = [_distance(laws[0], *pair) for pair in pairwise(settings)]
     if len(steps) < 2:
         known = knob.order is not None and knob.law == "power"
         return last * max(1.0, 1 / np.expm1(abs(knob.order or 1.0) * apart[0])) if known else last
@@ -191,7 +191,7 @@ def _tail(knob: Knob, settings: Sequence[Any], ladder: Sequence[Mapping[int, np.
     alike = float(np.clip(np.mean(steps[-2] * steps[-1]) / (first * last), 0, 1))
     tails = []
     for law in laws:
-        apart = [_apart(law, *pair) for pair in pairwise(settings)][-2:]
+        apart = [_distance(law, *pair) for pair in pairwise(settings)][-2:]
         bias = _bias_of_last(first / last, *apart)
         chance = _chance_of_last(first / last, *apart)
         tails.append(last * float(np.sqrt(alike * bias**2 + (1 - alike) * chance**2)))
@@ -208,7 +208,7 @@ def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[La
         return law, "power"
 
     def unsteady(law: Law) -> float:
-        apart = [_apart(law, *pair) for pair in pairwise(settings)]
+        apart = [_distance(law, *pair) for pair in pairwise(settings)]
         ratios = [before / after for before, after in pairwise(steps)]
         rates = [_bias_rate(*given) for given in zip(ratios, apart, apart[1:], strict=False)]
         return abs(np.log(rates[1] / rates[0])) if min(rates) > 0 else np.inf
@@ -216,7 +216,7 @@ def _laws(law: Law, settings: Sequence[Any], steps: Sequence[float]) -> tuple[La
     return (min((law, "power"), key=unsteady),)
 
 
-def _apart(law: Law, coarse: Any, fine: Any) -> float:
+def _distance(law: Law, coarse: Any, fine: Any) -> float:
     """Return the distance of two settings in the variable of a law; 1 for words."""
     if not all(isinstance(one, int | float) and one > 0 for one in (coarse, fine)):
         return 1.0

@@ -195,7 +195,7 @@ def may_block(
                 lamp = stacked([source.body])
                 if _within(surface, lamp, relative, reach, strictly=True).all():
                     may[k, inside, i] = False
-    _apart(may, sources, bodies, bounded, reach)
+    _separated(may, sources, bodies, bounded, reach)
     return may
 
 
@@ -222,7 +222,7 @@ def _within(
     return (far + slack < room if strictly else far <= room + relative * size[:, None]).all(1)
 
 
-def _apart(
+def _separated(
     may: np.ndarray,
     sources: Sequence[Source],
     bodies: Bodies,

@@ -180,7 +180,7 @@ class Choice:
     def _certificate(self) -> Certificate:
         names, unit = {row.effect.name for row in self.gone}, self.goal.unit
         went = {id(row) for row in self.gone}
-        dropped = [self._told(row, self.bounds[id(row)], unit) for row in self.gone]
+        dropped = [self._effect(row, self.bounds[id(row)], unit) for row in self.gone]
         kept = []
         for row in self.chain.rows:
             if (
@@ -190,12 +190,12 @@ class Choice:
             ):
                 continue
             if row.part_of in names:
-                told = self._told(row, 0.0, unit)
+                told = self._effect(row, 0.0, unit)
                 dropped.append(
                     replace(told, rank="exact", why=f"gone with {row.part_of}", saves=0.0)
                 )
             elif not row.ladder or row.effect.name not in {effect.name for effect in kept}:
-                told = self._told(row, self.bound(row), unit)
+                told = self._effect(row, self.bound(row), unit)
                 if row.ladder == "bands" and self.all_bands:
                     told = replace(told, why=f"{told.why}; {self.all_bands}")
                 kept.append(told)
@@ -216,7 +216,7 @@ class Choice:
             self.rare,
         )
 
-    def _told(self, row: Row, bound: float, unit: str) -> Effect:
+    def _effect(self, row: Row, bound: float, unit: str) -> Effect:
         free = any(concerns(name, row.effect.name) for name in self.free) or id(row) in self.barred
         return replace(row.effect, bound=bound, unit=unit, saves=row.saves, free=free)
 

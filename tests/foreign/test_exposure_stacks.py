@@ -238,7 +238,7 @@ def test_departures_are_judged_by_the_error_of_all_codes_together():
                 bent += not shape.pure
             else:
                 large += shape.size > 0.05
-                impure += shape.shown > 0
+                impure += shape.significant > 0
     assert large > 30
     assert impure <= 3  # 0.6 expected
     assert bent >= 58

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from fitting.frame_checks.frame import shown
+from fitting.frame_checks.frame import frame_sample
 from fitting.frame_checks.levels import odd_frames
 from fitting.joint import from_photographs as joint_photographs
 from fitting.noise import Camera, calibrate, from_frames, read_photon_transfer
@@ -182,7 +182,7 @@ def test_darks_without_the_offset_of_the_flats_are_refused():
     with pytest.raises(InputError, match=r"6\d.* DN by their light, but the darks have 0\.3\d+ DN"):
         read(darks=subtracted)
     flats = [[np.clip(f.astype(int) - 64, 0, None) for f in level] for level in FLATS]
-    with pytest.raises(InputError, match=r"by their light, but the darks read 64 DN"):
+    with pytest.raises(InputError, match=r"by their light, but the darks have 64 DN"):
         read(flats)
 
 
@@ -437,7 +437,7 @@ def test_darks_that_hardly_leave_one_code_are_no_bad_frames(seed):
     rng, small = np.random.default_rng(seed), [0.1, 0.13, 0.16][seed % 3]
     seen = [
         [
-            shown(f"{i} {j}", np.round(64 + small * noise), top=FULL)
+            frame_sample(f"{i} {j}", np.round(64 + small * noise), top=FULL)
             for j in range([2, 4][seed // 9 % 2])
             for noise in [rng.standard_normal((32, 32)) + rng.standard_normal((32, 1))]
         ]
@@ -460,7 +460,7 @@ def test_good_frames_of_a_flickering_lamp_are_not_called_smoothed(count):
             return np.round(GAIN * (rng.poisson(lit) + rng.normal(0, READ_NOISE, (64, 64))) + BLACK)
 
         levels = [
-            [shown(f"{i}_{j}", flat(x), top=FULL) for j in range(count)]
+            [frame_sample(f"{i}_{j}", flat(x), top=FULL) for j in range(count)]
             for i, x in enumerate(ELECTRONS)
         ]
         assert odd_frames(levels, light=ELECTRONS, black=np.full(14, BLACK)) == []
@@ -495,7 +495,7 @@ def lit(change=None, flicker=0.0, seed=0, drift=0.0):
             light *= 1.0 if change is None else change(i, k, *away)
             counted = rng.poisson(light) + READ_NOISE * rng.standard_normal((64, 64))
             black = BLACK + drift * rng.standard_normal()
-            level.append(shown(f"{i}_{k}", np.round(GAIN * counted + black), top=FULL))
+            level.append(frame_sample(f"{i}_{k}", np.round(GAIN * counted + black), top=FULL))
         levels.append(level)
     return odd_frames(levels, light=ELECTRONS, black=np.full(14, BLACK))
 

@@ -92,7 +92,7 @@ def test_a_pattern_that_fits_no_model_is_not_called_hidden_under_noise():
     leak = 400 * np.linspace(0, 1, SHAPE[1]) ** 2
     found = measured(*series(np.random.default_rng(4), leak=leak))
     pattern = fitted_pattern(found, np.arange(len(ELECTRONS)))
-    assert not pattern.dark.seen
+    assert not pattern.dark.significant
     assert "more frames do not help" in _why_hidden(pattern, pattern.dark)
 
 
@@ -101,8 +101,8 @@ def test_a_pattern_under_noise_is_called_hidden_under_noise():
     levels = [[[exposed(rng, x) for _ in range(2)] for x in own] for own in (ELECTRONS, 8 * [0.0])]
     pattern = fitted_pattern(measured(*levels), np.arange(len(ELECTRONS)))
     for spread in (pattern.dark, pattern.response):
-        assert spread.seen or "take more frames" in _why_hidden(pattern, spread)
-    assert not pattern.response.seen
+        assert spread.significant or "take more frames" in _why_hidden(pattern, spread)
+    assert not pattern.response.significant
 
 
 def doubted(found):

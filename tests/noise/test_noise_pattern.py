@@ -121,7 +121,7 @@ def test_what_few_columns_decide_is_covered(columns):
 def test_a_pattern_of_few_columns_is_not_hidden_under_noise():
     found = Spread(1.0, 0.01, (Part(0.1, 500.0), Part(0.0, 99.0), Part(0.9, 5.0)))
     assert found.error > 0.5  # for want of columns
-    assert found.seen
+    assert found.significant
 
 
 def test_columns_of_independent_offsets_and_gains_are_no_misfit():

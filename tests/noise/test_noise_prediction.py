@@ -103,8 +103,8 @@ def test_a_sensor_predicts_the_closed_form_of_every_quantity():
     planted = {"rows": 6.0, "curve": 0.04, "leak": 30.0}
     exact = measured(np.random.default_rng(0), chance=0.0, **planted)
     found = compare(sensor, None, exact, np.arange(12))
-    np.testing.assert_allclose(found.found.values, found.seen, rtol=2e-3)
-    np.testing.assert_allclose(found.found.values[0], found.seen[0], rtol=1e-5)
+    np.testing.assert_allclose(found.found.values, found.measured, rtol=2e-3)
+    np.testing.assert_allclose(found.found.values[0], found.measured[0], rtol=1e-5)
 
 
 def test_a_true_camera_is_missed_by_no_more_than_chance():

@@ -35,7 +35,7 @@ from fitting.noise.across_settings.calibration import CameraCalibration, calibra
 from fitting.noise.across_settings.pooled import Pooled
 from fitting.noise.across_settings.read import reduce_by_setting
 from fitting.noise.across_settings.section import section, unread
-from fitting.noise.across_settings.setting import FROM_BOTH, Told, told_by_darks
+from fitting.noise.across_settings.setting import FROM_BOTH, SettingEstimates, estimates_from_darks
 from fitting.noise.across_settings.statement import BOLTZMANN_EV, fitted, proportional_gain
 from fitting.noise.levels import Levels, PhotonTransfer
 from fitting.noise.model import NoiseData, cost
@@ -72,7 +72,7 @@ def true_figures(iso, kelvin):
     return gain, EFFICIENCY, np.sqrt(BEFORE**2 + (BEHIND / gain) ** 2), dark
 
 
-def told_by_settings(seed, *, gain=1.0, efficiency=1.0, read_noise=1.0, dark=0.0):
+def estimates_of_settings(seed, *, gain=1.0, efficiency=1.0, read_noise=1.0, dark=0.0):
     """What settings tell, drawn about the truth times factors (settings,), plus dark current."""
     rng = np.random.default_rng(seed)
     found = []
@@ -87,7 +87,7 @@ def told_by_settings(seed, *, gain=1.0, efficiency=1.0, read_noise=1.0, dark=0.0
         correlation[0, 2] = correlation[2, 0] = -0.6
         covariance = correlation * np.outer(ERRORS, ERRORS)
         values = rng.multivariate_normal(true, covariance)
-        found.append(Told(FROM_BOTH, values, covariance))
+        found.append(SettingEstimates(FROM_BOTH, values, covariance))
     return found
 
 
@@ -119,7 +119,7 @@ def fit_by_scipy(told, efficiencies=1):
 
 @pytest.mark.slow
 def test_the_fit_is_that_of_scipy():
-    told = told_by_settings(1)
+    told = estimates_of_settings(1)
     ours, theirs = fitted(SETTINGS, told), fit_by_scipy(told)
     assert not ours.freed
     assert ours.fit.optimum.stationary
@@ -135,7 +135,7 @@ def test_the_fit_is_that_of_scipy():
 @pytest.mark.slow
 def test_a_claim_is_judged_by_what_giving_it_up_saves():
     """The score test gives the fall of chi-square between two fits by scipy, to first order."""
-    told = told_by_settings(2)
+    told = estimates_of_settings(2)
     saved = 2 * (fit_by_scipy(told).cost - fit_by_scipy(told, 4).cost)
     claims = {(c.quantity, c.axis): c for c in fitted(SETTINGS, told).claims}
     assert len(claims) == 7
@@ -164,7 +164,7 @@ def settings_like(**given):
     ],
 )
 def test_what_is_not_shared_is_found_and_given_up(planted, found):
-    fit = fitted(SETTINGS, told_by_settings(3, **planted))
+    fit = fitted(SETTINGS, estimates_of_settings(3, **planted))
     assert fit.freed == {found}
     assert fit.claims[0].p_value < 1e-3
     assert all(claim.holds for claim in fit.claims[1:])
@@ -207,7 +207,7 @@ def as_calibration(fit, **pooled):
 def camera():
     well = Pooled((0, 1), 25_000.0, 500.0, 0.5)
     prnu = Pooled((0, 1), 0.008**2, 1e-6, 0.5)
-    return as_calibration(fitted(SETTINGS, told_by_settings(4)), full_well=well, prnu=prnu)
+    return as_calibration(fitted(SETTINGS, estimates_of_settings(4)), full_well=well, prnu=prnu)
 
 
 def test_the_report_says_and_draws_it(camera):
@@ -240,17 +240,19 @@ def test_the_report_says_and_draws_it(camera):
 
 
 def test_what_fails_is_said(camera):
-    told = told_by_settings(3, efficiency=1 + 0.06 * settings_like(gain=800.0))
+    told = estimates_of_settings(3, efficiency=1 + 0.06 * settings_like(gain=800.0))
     made = section(as_calibration(fitted(SETTINGS, told)))
     assert "The quantum efficiency is not the same at every gain (ISO 800: +" in made.findings[0]
     assert {one.group for one in made.estimates if one.name == "quantum_efficiency"} == {
         f"ISO {gain:g}" for gain in GAINS
     }
-    told = told_by_settings(5, efficiency=1.7)
+    told = estimates_of_settings(5, efficiency=1.7)
     made = section(as_calibration(fitted(SETTINGS, told)))
     assert "above 100 %" in made.findings[0]
     assert not made.records
-    told = told_by_settings(6, gain=1 + 0.2 * settings_like(gain=400.0), dark=np.full(12, -40.0))
+    told = estimates_of_settings(
+        6, gain=1 + 0.2 * settings_like(gain=400.0), dark=np.full(12, -40.0)
+    )
     calibration = as_calibration(fitted(SETTINGS, told))
     found = " ".join(section(calibration).findings)
     assert "not proportional to the stated gain (p < " in found
@@ -291,7 +293,7 @@ def test_no_sensor_is_written_of_a_camera_one_of_whose_settings_was_compressed(c
 def test_gains_that_were_exchanged_are_off_by_their_ratio():
     """Two of four: the other two agree, and each is compared with those alone."""
     exchanged = 1 + settings_like(gain=200.0) - settings_like(gain=400.0) / 2
-    calibration = as_calibration(fitted(SETTINGS, told_by_settings(8, gain=exchanged)))
+    calibration = as_calibration(fitted(SETTINGS, estimates_of_settings(8, gain=exchanged)))
     _, _, own = proportional_gain(calibration.fit)
     assert {one.label for one in own} == {"ISO 200", "ISO 400"}
     for one in own:
@@ -303,7 +305,7 @@ def test_gains_that_were_exchanged_are_off_by_their_ratio():
 def test_a_law_of_read_noise_that_fails_accuses_no_other():
     """p is 0 to all digits for several claims; the one that saves the most is given up."""
     read = np.where(ISO < 400, 6.0, 0.5)
-    found = fitted(SETTINGS, told_by_settings(9, read_noise=read))
+    found = fitted(SETTINGS, estimates_of_settings(9, read_noise=read))
     assert found.freed == {("read_noise", "gain")}
 
 
@@ -339,7 +341,7 @@ def test_darks_alone_tell_what_lines_tell():
     times = np.array([0.01, 0.2, 0.5, 1.0])
     frames = [expose(rng, truth, 0.0, t, (4, 40, 50)).astype(np.uint16) for t in times]
     darks = darks_from_frames(frames, times, camera=Camera(bits=12))
-    told = told_by_darks(Setting(gain=100.0), darks)
+    told = estimates_from_darks(Setting(gain=100.0), darks)
     mean = np.array([f.mean() for f in frames])
     variance = np.array([f.var(axis=0, ddof=1).mean() for f in frames])
     by_numpy = np.polyfit(times, mean, 1, w=np.sqrt(8000 / variance))
@@ -348,7 +350,7 @@ def test_darks_alone_tell_what_lines_tell():
     assert (np.abs(told.values - expected) < 4 * np.sqrt(np.diagonal(told.covariance))).all()
     short = darks_from_frames(frames[:2], times[:2], camera=Camera(bits=12))
     with pytest.raises(InputError, match="fewer than 3 different exposures"):
-        told_by_darks(Setting(gain=100.0), short)
+        estimates_from_darks(Setting(gain=100.0), short)
 
 
 PHOTONS = [400.0, 1000.0, 1600.0, 2200.0, 2800.0]
@@ -596,7 +598,7 @@ def simulated(cameras):
     vectors, covariances = (np.asarray(x) for x in fits_of_settings(*map(jnp.asarray, stacked)))
     index = [names(SPACE).index(name) for name in FROM_BOTH]
     told = [
-        Told(FROM_BOTH, v[index], c[np.ix_(index, index)])
+        SettingEstimates(FROM_BOTH, v[index], c[np.ix_(index, index)])
         for v, c in zip(vectors, covariances, strict=True)
     ]
     return [told[camera::cameras] for camera in range(cameras)]
@@ -626,7 +628,7 @@ def test_intervals_of_many_joint_fits_hold_the_truth():
     stated = np.array([0, np.log(1.08), 0, 0])
     for one in told[:15]:  # photons of the highest gain stated 8 % too low
         wrong = [
-            Told(own.names, own.values + (iso == 800) * stated, own.covariance)
+            SettingEstimates(own.names, own.values + (iso == 800) * stated, own.covariance)
             for own, iso in zip(one, ISO, strict=True)
         ]
         assert ("quantum_efficiency", "gain") in fitted(SETTINGS, wrong).freed

@@ -184,7 +184,7 @@ def test_frames_of_another_phase_are_predicted_by_colour(phase, shift):
     for site in camera.sites:
         measured = noise.from_frames(flats, darks, exposures, photons, camera=camera, channel=site)
         judged = noise.predict(sensor, measured).judged
-        np.testing.assert_allclose(judged.seen[0], judged.found.values[0], rtol=0.002)
+        np.testing.assert_allclose(judged.measured[0], judged.found.values[0], rtol=0.002)
 
 
 def test_taps_that_bear_other_names_than_the_frames_are_refused():

@@ -352,8 +352,8 @@ def test_errors_differ_where_the_jackknife_says_so(count):
         error = np.sqrt((count - 1) / count * np.sum((logs - logs.mean()) ** 2))
         log = np.log(ours.sum() / theirs.sum()) / 2
         wanted = 2 * scipy.stats.t.sf(log / error, count - 1) < 0.05 if error > 0 else False
-        assert ratio(one, other, "cosine").told == wanted
-        assert ratio(other, one, "cosine").told == wanted
+        assert ratio(one, other, "cosine").significant == wanted
+        assert ratio(other, one, "cosine").significant == wanted
         both.append(wanted)
     assert 0 < sum(both) < 60
 
@@ -697,7 +697,7 @@ def test_a_fit_that_did_not_move_is_said(calibration):
     """A search that stood still, and a lobe above the matt surface that it contains."""
     phong = calibration.fits["phong"]
     worse = dataclasses.replace(phong.whole, cost=2 * calibration.fits["lambert"].whole.cost)
-    still = dataclasses.replace(phong.without[0], settled=False)
+    still = dataclasses.replace(phong.without[0], converged=False)
     broken = dataclasses.replace(phong, whole=worse, without=(still, *phong.without[1:]))
     told = findings(dataclasses.replace(calibration, fits={**calibration.fits, "phong": broken}))
     assert any("Phong: 2 of 6 fits did not reach a minimum" in sentence for sentence in told)
@@ -713,5 +713,5 @@ def test_no_model_ends_above_the_matt_one_it_contains(noisy_phong, model):
         fit_model(noisy_phong, m, objective="cube-root", index=INDEX) for m in ("lambert", model)
     ]
     for matt, own in zip(*((f.whole, *f.without) for f in fits), strict=True):
-        assert own.settled
+        assert own.converged
         assert own.cost <= 1.001 * matt.cost

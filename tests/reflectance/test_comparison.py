@@ -127,11 +127,11 @@ def of(parts):
 
 def test_predictions_are_paired_by_incidence():
     base = np.array([1.0, 4.0, 9.0, 30.0])
-    assert ratio(of(base), of(1.3 * base), "cosine").told
-    assert not ratio(of(base), of(base * [1.3, 0.8, 1.1, 0.9]), "cosine").told
-    assert not ratio(of(base[:2]), of(9 * base[:2]), "cosine").told
-    assert not ratio(of(base), of(base), "cube-root").told
-    assert not ratio(of(base), of(base * (1 + 1e-7)), "cosine").told
+    assert ratio(of(base), of(1.3 * base), "cosine").significant
+    assert not ratio(of(base), of(base * [1.3, 0.8, 1.1, 0.9]), "cosine").significant
+    assert not ratio(of(base[:2]), of(9 * base[:2]), "cosine").significant
+    assert not ratio(of(base), of(base), "cube-root").significant
+    assert not ratio(of(base), of(base * (1 + 1e-7)), "cosine").significant
 
 
 def test_the_error_that_is_shown_is_the_one_that_is_judged():
@@ -139,12 +139,12 @@ def test_the_error_that_is_shown_is_the_one_that_is_judged():
     weight favour the worse one; and seven times, which hangs on one incidence."""
     good = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1.0, 1.2, 0.9, 1.1])
     bad = np.array([1e-8, 1e-8, 1e-8, 1e-8, 10.0, 10.5, 9.5, 9.0])
-    assert ratio(of(good), of(bad), "cosine").told
-    assert ratio(of(bad), of(good), "cosine").told
+    assert ratio(of(good), of(bad), "cosine").significant
+    assert ratio(of(bad), of(good), "cosine").significant
     hangs = ratio(of([1, 2, 1, 2, 1, 2, 1, 400]), of([1, 2, 1, 2, 1, 2, 1, 2]), "cosine")
     np.testing.assert_allclose(hangs.value, np.sqrt(410 / 12))
     np.testing.assert_allclose(hangs.without[[0, -1]], [np.sqrt(409 / 11), 1])
-    assert not hangs.told
+    assert not hangs.significant
 
 
 def test_an_order_may_be_sure_where_its_size_is_not():
@@ -155,7 +155,7 @@ def test_an_order_may_be_sure_where_its_size_is_not():
     sure = ratio(of([4, 4, 4, 4, 4, 400]), of(base), "cosine")
     np.testing.assert_allclose(sure.without[[-1, 0]], [2, np.sqrt(416 / 5)])
     np.testing.assert_allclose(sure.alone, [2, 2, 2, 2, 2, 20])
-    assert not sure.told
+    assert not sure.significant
     assert sure.ordered
     assert sure.chance == pytest.approx(2 / 2**6)
     reverse = ratio(of(base), of([4, 4, 4, 4, 4, 400]), "cosine")

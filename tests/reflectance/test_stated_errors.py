@@ -277,7 +277,7 @@ def test_a_model_pays_for_turns_what_an_integral_over_them_takes(fitted):
             turns[one] = np.linalg.solve(np.eye(2) + s.T @ s, s.T @ left[own])
             exact += stats.multivariate_normal(cov=np.eye(20) + s @ s.T).logpdf(left[own])
             exact -= stats.norm.logpdf(left[own] - s @ turns[one]).sum()
-        of_turns = replace(fit, told_of_turns=(turns, told))
+        of_turns = replace(fit, turns_and_information=(turns, told))
         found = of_turns.log_evidence(effect) - fit.log_evidence(effect)
         assert found == pytest.approx(exact)
         assert fit.log_evidence(effect) == fit.log_likelihood / effect

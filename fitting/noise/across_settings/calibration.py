@@ -17,7 +17,7 @@ from ..levels import Levels, PhotonTransfer
 from ..raw_frames import processing_in_words
 from ..settings import Setting
 from .pooled import Pooled, full_well, pattern
-from .setting import FramesOfSetting, told_by_calibration, told_by_darks
+from .setting import FramesOfSetting, estimates_from_calibration, estimates_from_darks
 from .statement import Figures, SharedFit, fitted
 
 
@@ -98,8 +98,8 @@ def calibrate_settings(
     """
     settings = [one.setting for one in frames]
     if len({*settings}) < max(len(settings), 2):
-        told = "; ".join(setting.label or "neither gain nor temperature" for setting in settings)
-        raise InputError(f"A fit over settings needs two or more that differ, got: {told}.")
+        labels = "; ".join(setting.label or "neither gain nor temperature" for setting in settings)
+        raise InputError(f"A fit over settings needs two or more that differ, got: {labels}.")
     if calibrations is None:
         calibrations = [calibrate_one(one, sampling=None, seed=seed) for one in frames]
     why = {
@@ -124,13 +124,13 @@ def calibrate_settings(
     if len(kept) < 2:
         raise InputError(" ".join((*left_out, "A fit over settings needs two or more.")))
     frames, calibrations = zip(*kept, strict=True)
-    told = []
+    estimates = []
     for one, own in kept:
         if own is not None:
-            told.append(told_by_calibration(own))
+            estimates.append(estimates_from_calibration(own))
         elif isinstance(one.frames, Levels):
-            told.append(told_by_darks(one.setting, one.frames))
-    fit = fitted([one.setting for one in frames], told, seed=seed)
+            estimates.append(estimates_from_darks(one.setting, one.frames))
+    fit = fitted([one.setting for one in frames], estimates, seed=seed)
     gains = np.exp(np.asarray(fit.figures.log_gain))
     return CameraCalibration(
         frames=frames,

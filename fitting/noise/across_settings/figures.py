@@ -46,7 +46,7 @@ def camera_pictures(calibration: CameraCalibration) -> tuple[Picture, ...]:
             )
         )
     if len({setting.temperature for setting in calibration.settings}) > 1 and any(
-        {"dark_current", "dark_signal_rate"} & {*told.names} for told in calibration.fit.told
+        {"dark_current", "dark_signal_rate"} & {*told.names} for told in calibration.fit.by_setting
     ):
         found.append(
             Picture(
@@ -139,7 +139,7 @@ def dark_current_figure(calibration: CameraCalibration) -> Figure:
     """Dark current against the inverse of temperature."""
     fit = calibration.fit
     gain = np.exp(np.asarray(calibration.figures.log_gain))
-    points = [told.dark_current(k) for told, k in zip(fit.told, gain, strict=True)]
+    points = [told.dark_current(k) for told, k in zip(fit.by_setting, gain, strict=True)]
     value, error = np.array(points).T
     kelvin = np.array([setting.temperature or ZERO_CELSIUS for setting in fit.settings])
     known = np.isfinite(value)
@@ -214,7 +214,7 @@ def _shade(
 
 def _alone(calibration: CameraCalibration, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The settings that determine a quantity separately, with estimates and errors."""
-    value, error = np.array([told.of(name) for told in calibration.fit.told]).T
+    value, error = np.array([told.of(name) for told in calibration.fit.by_setting]).T
     alone = np.flatnonzero(np.isfinite(value))
     return alone, value[alone], error[alone]
 

@@ -60,7 +60,7 @@ class Pooled:
         return self.error if self.holds else float(np.hypot(self.error, self.spread))
 
     @property
-    def seen(self) -> bool:
+    def significant(self) -> bool:
         return self.value > SEEN * self.error
 
 

@@ -21,7 +21,7 @@ from ..prediction.section import explanations
 from ..settings import Setting
 from .calibration import CameraCalibration
 from .sensor import sensor_at
-from .setting import told_by_calibration
+from .setting import estimates_from_calibration
 from .statement import fitted
 
 SHOWN = 3  # settings of which missing effects are named
@@ -37,8 +37,10 @@ def predict_settings(calibration: CameraCalibration) -> tuple[Prediction, ...]:
     ]
     if not parts:
         return ()
-    lit = {setting: told_by_calibration(own, left_out=apart) for setting, own, apart in parts}
-    every = zip(calibration.settings, calibration.fit.told, strict=True)
+    lit = {
+        setting: estimates_from_calibration(own, left_out=apart) for setting, own, apart in parts
+    }
+    every = zip(calibration.settings, calibration.fit.by_setting, strict=True)
     told = [lit.get(setting, before) for setting, before in every]
     shared = fitted(calibration.settings, told, seed=calibration.posterior.seed)
     camera = replace(calibration, fit=shared)

@@ -258,7 +258,7 @@ def _of_die(calibration: CameraCalibration) -> list[Estimate]:
 def _settings_table(calibration: CameraCalibration) -> Table:
     rows = []
     gains = np.exp(np.asarray(calibration.figures.log_gain))
-    of_settings = zip(calibration.fit.told, gains, calibration.calibrations, strict=True)
+    of_settings = zip(calibration.fit.by_setting, gains, calibration.calibrations, strict=True)
     for setting, (told, gain, own) in zip(calibration.settings, of_settings, strict=True):
         log_gain, responsivity, log_noise = (
             told.of(name)[0] for name in ("system_gain", "responsivity", "read_noise")

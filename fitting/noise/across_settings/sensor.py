@@ -149,7 +149,10 @@ def _sensor(
         None if one is None or not one.serves else one.value
         for one in (
             calibration.full_well,
-            *(one if one and one.seen else None for one in (calibration.dsnu, calibration.prnu)),
+            *(
+                one if one and one.significant else None
+                for one in (calibration.dsnu, calibration.prnu)
+            ),
         )
     )
     return Sensor(

@@ -29,7 +29,7 @@ from ..shared import shared_noise
 
 FROM_BOTH = ("system_gain", "responsivity", "read_noise", "dark_current")
 FROM_DARKS = ("dark_signal_rate", "read_variance", "dark_variance_rate")
-TOLD = FROM_BOTH + FROM_DARKS  # the order of every vector of what settings tell
+ESTIMATED = FROM_BOTH + FROM_DARKS  # the order of every vector of what settings tell
 FEWEST_EXPOSURES = 3  # of darks alone: a line and whether it is one
 
 
@@ -47,10 +47,10 @@ class FramesOfSetting:
 
 
 @dataclass(frozen=True)
-class Told:
+class SettingEstimates:
     """Estimates of one setting: ln DN/e-, ln DN/photon, ln e-, e-/s; or DN/s, DN^2, DN^2/s."""
 
-    names: tuple[str, ...]  # some of `TOLD`
+    names: tuple[str, ...]  # some of `ESTIMATED`
     values: Float[np.ndarray, " quantities"]
     covariance: Float[np.ndarray, "quantities quantities"]
 
@@ -69,9 +69,9 @@ class Told:
         return rate / gain, error / gain
 
 
-def told_by_calibration(
+def estimates_from_calibration(
     calibration: NoiseCalibration, *, left_out: Bool[np.ndarray, " levels"] | None = None
-) -> Told:
+) -> SettingEstimates:
     """The estimates from flats and darks: ln K, ln R if photons are known, ln read noise if
     determined, and a fitted dark current. `left_out` marks levels that are excluded from the
     fit."""
@@ -88,10 +88,10 @@ def told_by_calibration(
     mode, covariance = np.asarray(posterior.unconstrained_mode), posterior.covariance
     if left_out is not None:
         mode, covariance = mode_without(calibration, left_out)
-    return Told(tuple(present), mode[index], covariance[np.ix_(index, index)])
+    return SettingEstimates(tuple(present), mode[index], covariance[np.ix_(index, index)])
 
 
-def told_by_darks(setting: Setting, darks: Levels) -> Told:
+def estimates_from_darks(setting: Setting, darks: Levels) -> SettingEstimates:
     """The estimates from darks alone; `InputError` for fewer than three different exposures."""
     exposure, mean, variance, frames = (
         np.asarray(x) for x in (darks.exposure, darks.mean, darks.variance, darks.frames)
@@ -112,7 +112,7 @@ def told_by_darks(setting: Setting, darks: Levels) -> Told:
     covariance = np.zeros((3, 3))
     covariance[0, 0] = means[0, 0]
     covariance[1:, 1:] = variances[::-1, ::-1]
-    return Told(
+    return SettingEstimates(
         FROM_DARKS, np.array([rate, intercept - darks.converter.rounding, slope]), covariance
     )
 

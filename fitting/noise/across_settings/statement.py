@@ -48,7 +48,7 @@ from ...inference.problem import Problem, Values, prediction, values_at
 from ...inference.search import search, start_at
 from ..misfit import MISFIT, p_value
 from ..settings import Setting
-from .setting import TOLD, Told
+from .setting import ESTIMATED, SettingEstimates
 
 BOLTZMANN_EV = 1.380649e-23 / 1.602176634e-19  # eV/K
 SEEN = 4.0  # standard errors of dark current at the warmest setting from which it has a law
@@ -119,7 +119,7 @@ def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"
     at = figures(values, inputs)
     nothing, gain = jnp.zeros_like(at.log_gain), jnp.exp(at.log_gain)
     dark = nothing if at.dark_current is None else at.dark_current
-    told = (
+    estimates = (
         at.log_gain,
         nothing if at.log_efficiency is None else at.log_efficiency + at.log_gain,
         jnp.log(at.read_variance) / 2,
@@ -128,7 +128,7 @@ def predict(values: Values, inputs: Mapping[str, Array]) -> Float[Array, " data"
         gain**2 * at.read_variance,
         gain**2 * dark,
     )
-    return inputs["whitening"] @ jnp.stack(told, axis=1).ravel()
+    return inputs["whitening"] @ jnp.stack(estimates, axis=1).ravel()
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class SharedFit:
 
     Attributes:
         settings: in the order of gain and temperature.
-        told: estimates of each setting.
+        by_setting: estimates of each setting.
         freed: claims that were dropped.
         labels: by parameter, the gains, temperatures or settings that have a value of their own.
         fit: values of the P parameters.
@@ -199,7 +199,7 @@ class SharedFit:
     """
 
     settings: tuple[Setting, ...]
-    told: tuple[Told, ...]
+    by_setting: tuple[SettingEstimates, ...]
     freed: frozenset[Law]
     labels: dict[str, tuple[str, ...]]
     fit: Fit
@@ -227,17 +227,19 @@ class SharedFit:
         return self.fit.noise**2 * np.linalg.inv(self.fit.optimum.information)
 
 
-def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) -> SharedFit:
+def fitted(
+    settings: Sequence[Setting], estimates: Sequence[SettingEstimates], *, seed: int = 0
+) -> SharedFit:
     """The fit after all failed assumptions were dropped; `InputError` if a parameter is not
     identifiable."""
     freed: frozenset[Law] = frozenset()
     failed: list[Claim] = []
     reference = max((s.temperature for s in settings if s.temperature is not None), default=None)
     while True:
-        problem, start, labels = _stated(settings, told, freed, reference)
+        problem, start, labels = _stated(settings, estimates, freed, reference)
         begin = np.concatenate([np.ravel(start[parameter.name]) for parameter in problem.free])
         optimum = search(problem, np.asarray(start_at(problem.space, begin))[None])
-        claims = _judged(problem, optimum.vector, settings, freed)
+        claims = _tested(problem, optimum.vector, settings, freed)
         worst = max(claims, key=lambda claim: claim.significance, default=None)
         if worst is None or worst.holds:
             break
@@ -249,7 +251,7 @@ def fitted(settings: Sequence[Setting], told: Sequence[Told], *, seed: int = 0) 
         found = fit(problem, start=start, misfit="inflate", seed=seed)
     values = {name: jnp.asarray(value) for name, value in found.values.items()}
     return SharedFit(
-        *(tuple(settings), tuple(told), freed, labels, found, _named(found, labels)),
+        *(tuple(settings), tuple(estimates), freed, labels, found, _named(found, labels)),
         figures=jax.tree.map(np.asarray, figures(values, problem.inputs)),
         claims=(*failed, *claims),
         reference=reference,
@@ -271,22 +273,24 @@ def _named(found: Fit, labels: Mapping[str, Sequence[str]]) -> Posterior:
 
 def _stated(
     settings: Sequence[Setting],
-    told: Sequence[Told],
+    estimates: Sequence[SettingEstimates],
     freed: frozenset[Law],
     reference: float | None,
 ) -> tuple[Problem, dict[str, Any], dict[str, tuple[str, ...]]]:
     """The problem without the dropped assumptions, its starting point, and labels of the parameters
     that have several values."""
-    table = np.array([[one.of(name) for name in TOLD] for one in told])  # (settings, told, 2)
-    column = dict(zip(TOLD, table[..., 0].T, strict=True))
-    error = dict(zip(TOLD, table[..., 1].T, strict=True))
+    table = np.array(
+        [[one.of(name) for name in ESTIMATED] for one in estimates]
+    )  # (settings, quantities, 2)
+    column = dict(zip(ESTIMATED, table[..., 0].T, strict=True))
+    error = dict(zip(ESTIMATED, table[..., 1].T, strict=True))
     gains = [setting.gain_label for setting in settings]
     warmth = [setting.temperature_label for setting in settings]
     both = [setting.label for setting in settings]
     shared: dict[str, list[str]] = {"system_gain": gains}
     if ("system_gain", "temperature") in freed:
         shared["system_gain"] = [
-            both[_nearest_with_flats(settings, told, i)] for i in range(len(both))
+            both[_nearest_with_flats(settings, estimates, i)] for i in range(len(both))
         ]
     if np.isfinite(column["responsivity"]).any():
         axes = {axis for quantity, axis in freed if quantity == "quantum_efficiency"}
@@ -342,10 +346,10 @@ def _stated(
         shared["dark_current"] = both if own_dark[0] else warmth
         start["dark_current"] = averages("dark_current", current)
 
-    whitening = np.zeros((sum(len(one.names) for one in told), *table.shape[:2]))
+    whitening = np.zeros((sum(len(one.names) for one in estimates), *table.shape[:2]))
     row = 0
-    for s, one in enumerate(told):
-        index = [TOLD.index(name) for name in one.names]
+    for s, one in enumerate(estimates):
+        index = [ESTIMATED.index(name) for name in one.names]
         whitening[row : row + len(index), s, index] = np.linalg.cholesky(
             np.linalg.inv(one.covariance)
         ).T
@@ -366,14 +370,16 @@ def _stated(
     return problem, start, labels
 
 
-def _nearest_with_flats(settings: Sequence[Setting], told: Sequence[Told], i: int) -> int:
+def _nearest_with_flats(
+    settings: Sequence[Setting], estimates: Sequence[SettingEstimates], i: int
+) -> int:
     """The setting itself, or for darks alone the setting with flats at the same gain and the
     nearest temperature."""
 
     def distance(j: int) -> float:
         return abs((settings[i].temperature or 0) - (settings[j].temperature or 0))
 
-    lit = [j for j, one in enumerate(told) if "system_gain" in one.names]
+    lit = [j for j, one in enumerate(estimates) if "system_gain" in one.names]
     return min((j for j in lit if settings[j].gain == settings[i].gain), key=distance)
 
 
@@ -396,7 +402,7 @@ def _slopes(vector: Array, problem: Problem) -> tuple[Array, Array, Array, Array
     )
 
 
-def _judged(
+def _tested(
     problem: Problem, vector: np.ndarray, settings: Sequence[Setting], freed: frozenset[Law]
 ) -> tuple[Claim, ...]:
     """The remaining assumptions that the data can contradict."""

@@ -99,9 +99,9 @@ class Comparison:
     ended: int = 0
 
     @property
-    def seen(self) -> Float[np.ndarray, "quantities levels"]:
+    def measured(self) -> Float[np.ndarray, "quantities levels"]:
         """The observed quantities, DN and DN^2."""
-        return self.levels.seen
+        return self.levels.measured
 
     @property
     def errors(self) -> Float[np.ndarray, "quantities levels"]:
@@ -112,7 +112,7 @@ class Comparison:
     @property
     def residuals(self) -> Float[np.ndarray, "quantities levels"]:
         """Observed minus predicted, in standard errors."""
-        return (self.seen - self.found.values) / self.errors
+        return (self.measured - self.found.values) / self.errors
 
     @property
     def missed(self) -> list[str]:
@@ -137,7 +137,7 @@ def compare(
     errors = {"light_error": light_error, "variance_error": variance_error}
     lit, levels = levels_of(measurement, usable, **errors)
     shown = np.ones(lit.lit.size, bool) if shown is None else shown
-    seen = levels.seen
+    seen = levels.measured
     unscaled = best.quantum_efficiency is None or not measurement.photons_known
     every = _every(best, draws)
     if unscaled:
@@ -157,7 +157,7 @@ def compare(
         spread = spread - moved[:, None, None] * found.by_light
     spread = spread[..., shown]
     levels, found, own = levels.at(shown), found.at(shown), own[:, shown]
-    seen, lit = levels.seen, jax.tree.map(lambda x: x[shown], lit)
+    seen, lit = levels.measured, jax.tree.map(lambda x: x[shown], lit)
     flat = spread.reshape(len(spread), -1)
     die = die[np.ix_(*2 * (np.tile(shown, len(seen)),))] / levels.pixels
     camera = flat.T @ flat / len(flat)

@@ -35,7 +35,7 @@ class Size(NamedTuple):
     value: float
     error: float
 
-    def told(self, scale: float = 1.0) -> str:
+    def in_words(self, scale: float = 1.0) -> str:
         return format_with_error(abs(scale * self.value), abs(scale) * self.error)
 
     def root(self, scale: float = 1.0) -> str:
@@ -98,7 +98,7 @@ class Candidate(NamedTuple):
 def _shared(neighbours: str) -> Callable[[Size, Traces], str]:
     """The signature of pixel mixing that the fitted gain did not include."""
     return lambda a, t: (
-        f"{neighbours} {a.told(100)} % of the signal's variance (mixing of pixels, by "
+        f"{neighbours} {a.in_words(100)} % of the signal's variance (mixing of pixels, by "
         "capacitance between them or by interpolation), by which the camera's gain is then too "
         "small"
     )
@@ -109,40 +109,40 @@ CANDIDATES = (
         "light",
         lambda t: (t.light, t.light_shot, None, None),
         lambda a, t: (
-            f"{a.told(100)} % {a.word('more', 'less')} light than stated, or a quantum "
+            f"{a.in_words(100)} % {a.word('more', 'less')} light than stated, or a quantum "
             f"efficiency {a.word('larger', 'smaller')} by that"
         ),
     ),
     Candidate(
         "gain",
         lambda t: (t.signal, 2 * t.total, None, None),
-        lambda a, t: f"a gain {a.word('larger', 'smaller')} by {a.told(100)} %",
+        lambda a, t: f"a gain {a.word('larger', 'smaller')} by {a.in_words(100)} %",
     ),
     Candidate(
         "compression",
         lambda t: (-t.signal * t.share, -4 * t.share * t.shot, None, None),
         lambda a, t: (
             f"a response that is not linear: at the brightest level the mean is "
-            f"{a.told(100)} % {a.word('below', 'above')} the line"
+            f"{a.in_words(100)} % {a.word('below', 'above')} the line"
         ),
     ),
     Candidate(
         "light_offset",
         lambda t: (t.light / t.amount, t.light_shot / t.amount, None, None),
         lambda a, t: (
-            f"{a.told()} photons {a.word('more', 'less')} in every exposure with light, as "
+            f"{a.in_words()} photons {a.word('more', 'less')} in every exposure with light, as "
             "with a shutter that is late or light that leaks"
         ),
     ),
     Candidate(
         "black_level",
         lambda t: (1.0, None, None, None),
-        lambda a, t: f"a black level {a.word('higher', 'lower')} by {a.told()} DN",
+        lambda a, t: f"a black level {a.word('higher', 'lower')} by {a.in_words()} DN",
     ),
     Candidate(
         "dark_current",
         lambda t: (t.step * t.exposure, t.step**2 * t.exposure, None, None),
-        lambda a, t: f"{a.told()} e⁻/s {a.word('more', 'less')} dark current",
+        lambda a, t: f"{a.in_words()} e⁻/s {a.word('more', 'less')} dark current",
     ),
     Candidate(
         "read_noise",
@@ -175,7 +175,7 @@ CANDIDATES = (
         lambda t: (None, -t.share * t.shot, t.share * t.shot / 4, t.share * t.shot / 4),
         lambda a, t: (
             "charges that repel each other (the brighter-fatter effect), which removes "
-            f"{a.told(100)} % of the brightest level's variance"
+            f"{a.in_words(100)} % of the brightest level's variance"
         ),
         positive=True,
     ),
@@ -183,7 +183,7 @@ CANDIDATES = (
         "mixing",
         lambda t: (None, -t.shot, t.shot / 4, t.shot / 4),
         lambda a, t: (
-            f"neighbours that share {a.told(100)} % of the signal's variance (mixing of "
+            f"neighbours that share {a.in_words(100)} % of the signal's variance (mixing of "
             "pixels, as by capacitance between them or by interpolation)"
         ),
         positive=True,
@@ -219,7 +219,7 @@ CANDIDATES = (
         "shot_noise",
         lambda t: (None, t.light_shot, None, None),
         lambda a, t: (
-            f"shot noise whose variance is {a.told(100)} % {a.word('larger', 'smaller')} "
+            f"shot noise whose variance is {a.in_words(100)} % {a.word('larger', 'smaller')} "
             "at the same mean, as if frames were "
             f"{a.word('sharpened, or electrons multiplied', 'averaged, denoised or compressed')}"
         ),
@@ -229,17 +229,17 @@ SCATTERS = (  # new at every level
     Candidate(
         "light_scatter",
         lambda t: (t.light, None, None, None),
-        lambda a, t: f"light that scatters by {a.told(100)} % rms from level to level",
+        lambda a, t: f"light that scatters by {a.in_words(100)} % rms from level to level",
     ),
     Candidate(
         "black_scatter",
         lambda t: (1.0, None, None, None),
-        lambda a, t: f"a black level that varies by {a.told()} DN rms from level to level",
+        lambda a, t: f"a black level that varies by {a.in_words()} DN rms from level to level",
     ),
     Candidate(
         "variance_scatter",
         lambda t: (None, t.total, None, None),
-        lambda a, t: f"variances that scatter by {a.told(100)} % rms from level to level",
+        lambda a, t: f"variances that scatter by {a.in_words(100)} % rms from level to level",
     ),
     Candidate("", lambda t: (None, None, t.total, t.total), lambda a, t: ""),  # of no known kind
 )
@@ -336,7 +336,7 @@ class _Fit:
         frames."""
         comparison = self._comparison
         self._unit = np.sqrt(noise(comparison.levels, self._found)).ravel()
-        self._missed = (comparison.seen - comparison.found.values).ravel() / self._unit
+        self._missed = (comparison.measured - comparison.found.values).ravel() / self._unit
         self._known = np.eye(self._unit.size)
         self._known = self._known + comparison.camera / np.outer(self._unit, self._unit)
         squares = np.array([self._shape(one) ** 2 for one in SCATTERS])

@@ -106,7 +106,7 @@ class Frames:
     variance_error: float
 
     @property
-    def seen(self) -> Float[np.ndarray, "quantities levels"]:
+    def measured(self) -> Float[np.ndarray, "quantities levels"]:
         """The `QUANTITIES` that are known."""
         around = () if self.neighbours is None else tuple(self.neighbours)
         return np.array([self.mean, self.variance, *around])

@@ -126,7 +126,7 @@ def predict(
         draws = eqx.tree_at(_conversion, draws, None, is_leaf=lambda leaf: leaf is None)
     measurement = as_dtype(measurement, np.float64)
     usable = linear_levels(measurement)
-    untold = [field for field in NOISES if getattr(camera, field) is None]
+    unstated = [field for field in NOISES if getattr(camera, field) is None]
     dithered = camera
     if camera.read_noise is None:  # what rounding does to means depends on it
         step = (measurement.converter.step or 1.0) * (1.0 if camera.gain is None else camera.gain)
@@ -135,7 +135,7 @@ def predict(
         if draws is not None:
             draws = replace(draws, read_noise=np.full(len(jax.tree.leaves(draws)[0]), read))
     found = compare(
-        dithered, draws, measurement, usable, noise_known=not untold, light_error=light_error
+        dithered, draws, measurement, usable, noise_known=not unstated, light_error=light_error
     )
     lit = np.asarray(found.lit.lit) > 0
     if not lit.any():
@@ -153,30 +153,30 @@ def predict(
         light_error=light_error,
         variance_error=0.0,
         missing=missing_effects(found),
-        remarks=tuple(_untold(name, camera, untold, found)),
+        remarks=tuple(_remarks(name, camera, unstated, found)),
     )
 
 
-def _untold(name: str, camera: Sensor, noises: list[str], found: Comparison) -> list[str]:
+def _remarks(name: str, camera: Sensor, noises: list[str], found: Comparison) -> list[str]:
     """Sentences on numbers that the camera lacks, and on levels that were therefore left out."""
-    told = [
+    sentences = [
         f"{name} states no {field}: {taken} was taken."
         for field, taken in (("gain", "1 DN/e⁻"), ("offset", "a black level of 0 DN"))
         if getattr(camera, field) is None
     ]
     if noises:
-        seen, lit = np.asarray(found.seen[1]), np.asarray(found.lit.lit) > 0
-        told.append(
+        seen, lit = np.asarray(found.measured[1]), np.asarray(found.lit.lit) > 0
+        sentences.append(
             f"{name} states no {' and no '.join(noises)}, so it predicts no variance: "
             "only means were compared, with the noise of the frames, "
             f"{float(np.sqrt(seen[~lit].mean())):.3g} DN rms in the dark."
         )
     if found.ended:
-        told.append(
+        sentences.append(
             f"{found.ended} level{'s' * (found.ended > 1)} that the camera predicts at an end of "
             "its scale were left out."
         )
-    return told
+    return sentences
 
 
 def _require_bits(name: str, camera: Sensor, measurement: PhotonTransfer) -> None:

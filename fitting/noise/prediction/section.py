@@ -48,16 +48,16 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
     if _scatter_alone(prediction):
         clauses = _joined([one.clause for one in prediction.missing])
         falls = _joined([f"{one.strength**2:.0f}" for one in prediction.missing])
-        told = [
+        sentences = [
             f"The frames show {clauses}, which is not part of a camera file. It "
             f"lowers -2 log likelihood by {falls}. With it {predicts[0].lower()}{predicts[1:]}"
             f"freedom of {_ratios(prediction.missing[-1].after)}; without it they are "
             f"{_ratios(judged.agreement)}."
         ]
     else:
-        told = [f"{predicts}freedom of {_ratios(judged.agreement)}."]
+        sentences = [f"{predicts}freedom of {_ratios(judged.agreement)}."]
     if prediction.unscaled:
-        told.append(
+        sentences.append(
             "The camera or the frames state no photons, so the rate of the light was fitted to the "
             "means."
         )
@@ -70,40 +70,40 @@ def findings(prediction: Prediction) -> tuple[str, ...]:
         if size
     ]
     if errors:
-        told.append(
+        sentences.append(
             "The chi-squares include errors that are not part of a camera file: from level to "
             f"level {' and '.join(errors)} rms."
         )
-    return (*told, *prediction.remarks, *explanations(prediction))
+    return (*sentences, *prediction.remarks, *explanations(prediction))
 
 
 def explanations(prediction: Prediction) -> list[str]:
     """The disagreements with their most likely cause; empty if there are none."""
     agreement = prediction.judged.agreement
-    told = []
+    sentences = []
     far = {name: agreement[name] for name in prediction.judged.missed}
     less = {name: one for name, one in far.items() if one.ratio < 1}
     more = {name: one for name, one in far.items() if one.ratio > 1}
     if less:
-        told.append(
+        sentences.append(
             f"The {_listed(less)} scatter less about the prediction than independent frames do "
             f"({_chances(less)}): frames of a level may be copies or averages of each other, or a "
             "stated error of the light is too large."
         )
     if not more or _scatter_alone(prediction):
-        return told
-    told.append(f"The {_listed(more)} differ significantly ({_chances(more)}).")
+        return sentences
+    sentences.append(f"The {_listed(more)} differ significantly ({_chances(more)}).")
     for one in prediction.missing:
         first = one is prediction.missing[0]
-        told.append(
+        sentences.append(
             f"{'The most likely cause is' if first else 'Added to that:'} {one.clause}. It "
             f"lowers -2 log likelihood by {one.strength**2:.0f}. With it the chi-squares are "
             f"{_ratios(one.after)}."
         )
     left = prediction.missing[-1].after if prediction.missing else agreement
     if any(one.is_missed and one.ratio > 1 for one in left.values()):
-        told.append(NOTHING_KNOWN if not prediction.missing else REST_UNKNOWN)
-    return told
+        sentences.append(NOTHING_KNOWN if not prediction.missing else REST_UNKNOWN)
+    return sentences
 
 
 def _scatter_alone(prediction: Prediction) -> bool:

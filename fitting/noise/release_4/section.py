@@ -221,18 +221,20 @@ def _general(sheet: Release4) -> list[Estimate]:
 
 
 def _findings(sheet: Release4) -> tuple[str, ...]:
-    stacks, told = sheet.stacks, []
+    stacks, sentences = sheet.stacks, []
     if sheet.within.saturation is not None and not sheet.clipped:
         why = "no level has more than .15 % of its numbers at the end of the scale"
         if stacks.numbers is None:
             why = "a table of sums has no pixels to count at the end of the scale"
-        told.append(f"The saturation point is that of the largest variance (release 3.1): {why}.")
-    told.append(_noise_of_linearity(sheet))
+        sentences.append(
+            f"The saturation point is that of the largest variance (release 3.1): {why}."
+        )
+    sentences.append(_noise_of_linearity(sheet))
     if stacks.averages is None:
-        return tuple(told)
+        return tuple(sentences)
     if FILTERED not in sheet.nonuniformity:
         least = 2 * BORDER + FEWEST_LINES
-        told.append(
+        sentences.append(
             "The frames are too small for the high-pass of clause 8.1, which needs at least "
             f"{least} x {least} pixels, so uneven light counts as nonuniformity."
         )
@@ -241,12 +243,12 @@ def _findings(sheet: Release4) -> tuple[str, ...]:
         lines, pixels = (
             format_percent(float(np.sqrt(x)), decimals=1) for x in (loss.lines, loss.pixels)
         )
-        told.append(
+        sentences.append(
             f"The high-pass leaves {lines} of the deviation of independent rows and columns and "
             f"{pixels} of that of independent pixels; figures behind it are not corrected for that."
         )
-        told += _uneven(sheet.nonuniformity)
-    return (*told, *_leaks(sheet, stacks.averages))
+        sentences += _uneven(sheet.nonuniformity)
+    return (*sentences, *_leaks(sheet, stacks.averages))
 
 
 def _noise_of_linearity(sheet: Release4) -> str:
@@ -286,7 +288,7 @@ def _uneven(found: Mapping[str, Nonuniformity]) -> list[str]:
 def _leaks(sheet: Release4, averages: Averages) -> list[str]:
     """Temporal noise of rows and columns, and drift, that stays in an average or that the standard
     subtracts twice."""
-    measurement, unlit, told = sheet.stacks.measurement, averages.unlit, []
+    measurement, unlit, sentences = sheet.stacks.measurement, averages.unlit, []
     shared, own = measurement.dark.shared, int(measurement.dark_of[averages.level])
     split: Split = sheet.nonuniformity[PLAIN].dark
     if shared is not None:
@@ -294,7 +296,7 @@ def _leaks(sheet: Release4, averages: Averages) -> list[str]:
         for name, varying, fixed in of_lines:
             kept = float(varying[own]) / unlit.frames
             if fixed > 0 and kept > LEAK * fixed:
-                told.append(
+                sentences.append(
                     f"The {name} of a dark share temporal noise, of which the average over "
                     f"{unlit.frames} frames keeps {format_number(np.sqrt(kept), 2)} DN. The "
                     f"standard counts that as DSNU of {name} "
@@ -302,12 +304,12 @@ def _leaks(sheet: Release4, averages: Averages) -> list[str]:
                 )
     lost = unlit.drift / unlit.frames
     if lost > LEAK * max(split.total, 0.0) and lost > 0:
-        told.append(
+        sentences.append(
             f"The means of the darks differ by {format_number(np.sqrt(unlit.drift), 2)} DN rms, "
             "which (65) counts as noise of the pixels: spatial variances of the dark are too small "
             f"by {format_number(lost, 2)} DN²."
         )
-    return told
+    return sentences
 
 
 def _signal_to_noise(sheet: Release4) -> Table:

@@ -100,7 +100,7 @@ class Ratio:
     alone: Float[np.ndarray, " incidences"]
 
     @property
-    def told(self) -> bool:
+    def significant(self) -> bool:
         """Whether the ratio differs significantly from 1: its logarithm exceeds Student's 95 %
         limit in units of its standard error from the jackknife over incidences."""
         count, log = len(self.without), abs(np.log(self.value))
@@ -161,7 +161,7 @@ def winner_of(half: Errors, mirror: Errors, objective: Objective) -> Side:
     """The axis of the lobe with the significantly smaller error, half vector or mirror direction;
     None if neither model describes the data."""
     useless = exceeds_signal(half, objective) and exceeds_signal(mirror, objective)
-    if useless or not ratio(half, mirror, objective).told:
+    if useless or not ratio(half, mirror, objective).significant:
         return "neither"
     return "half" if metric(half, objective) < metric(mirror, objective) else "mirror"
 

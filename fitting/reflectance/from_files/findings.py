@@ -124,7 +124,7 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     found: dict[Model, Ratio] = {
         m: ratio(own, held_out[winner], objective) for m, own in held_out.items()
     }
-    open_size: list[Model] = [m for m in held_out if m != winner and not found[m].told]
+    open_size: list[Model] = [m for m in held_out if m != winner and not found[m].significant]
     worse: list[Model] = [m for m in open_size if found[m].ordered]
     useless: list[Model] = [
         m
@@ -143,7 +143,7 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
     def compared(models: Sequence[Model], *, counted: bool = False) -> str:
         """The ratio of each model's error to the best one's, its range with an incidence left out,
         and the number of incidences."""
-        told = []
+        sentences = []
         for m in models:
             one = found[m]
             least, most = (
@@ -151,11 +151,11 @@ def _verdict(calibration: BRDFCalibration) -> Numbers:
                 for i in (np.argmin(one.without), np.argmax(one.without))
             )
             often = f"; more at {one.more_often} of {len(one.alone)}, p = {one.chance:.2g}"
-            told.append(
+            sentences.append(
                 f"{LABELS[m]} ({in_words(held_out[m], objective)}: {one.value:.2f} times the "
                 f"error, {least}, {most}{often * counted})"
             )
-        return listed(told) if told else ""
+        return listed(sentences) if sentences else ""
 
     numbers = {
         "winner": LABELS[winner],
@@ -192,15 +192,15 @@ def _weight(calibration: BRDFCalibration) -> Numbers | None:
 def _pairs(calibration: BRDFCalibration) -> Numbers:
     """The effect of the axis alone: pairs of lobes that differ in nothing else."""
     objective, held_out = calibration.objective, calibration.held_out
-    told = []
+    sentences = []
     for mirror, half in PAIRS:
         ours, theirs = held_out[half], held_out[mirror]
         relation = said(RELATIONS, (ours, theirs, ratio(ours, theirs, objective), objective))[0]
-        told.append(
+        sentences.append(
             f"{LABELS[half]} {relation} {LABELS[mirror]} "
             f"({in_words(ours, objective)} against {in_words(theirs, objective)})"
         )
-    return {"pairs": "; ".join(told)}
+    return {"pairs": "; ".join(sentences)}
 
 
 def _generalisation(calibration: BRDFCalibration) -> Numbers | None:
@@ -241,7 +241,7 @@ def _smooth(calibration: BRDFCalibration) -> Iterable[Numbers]:
     return [{"model": LABELS[model], "shape": shape_of(model).name} for model in smooth]
 
 
-def _stuck(calibration: BRDFCalibration) -> Numbers | None:
+def _at_range_end(calibration: BRDFCalibration) -> Numbers | None:
     told = [
         f"{LABELS[model]} ({shape_of(model).name} {calibration.fits[model].whole.shape:.3g})"
         for model in _ends(calibration)[1]
@@ -258,7 +258,8 @@ def _failures(calibration: BRDFCalibration) -> Iterable[Numbers]:
     for model, fit in calibration.fits.items():
         pairs = zip((fit.whole, *fit.without), (lambert.whole, *lambert.without), strict=True)
         failed = [
-            not own.settled or own.cost > (1 + NESTED) * matt.cost + nothing for own, matt in pairs
+            not own.converged or own.cost > (1 + NESTED) * matt.cost + nothing
+            for own, matt in pairs
         ]
         if any(failed):
             yield {"model": LABELS[model], "failed": sum(failed), "fits": len(failed)}
@@ -341,7 +342,7 @@ def _axis_alone(calibrations: Sequence[BRDFCalibration]) -> Numbers:
 def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
     """If clear facets win, the part of GGX's lead that is lost without Fresnel reflectance."""
     objective = calibrations[0].objective
-    told = []
+    sentences = []
     for calibration in calibrations:
         held_out = calibration.held_out
         clear, metal, matt = (held_out[model] for model in FRESNEL)
@@ -349,12 +350,12 @@ def _fresnel(calibrations: Sequence[BRDFCalibration]) -> Numbers | None:
         if best(held_out, objective) not in CLEAR or lead <= 0:
             continue
         rise = max(metric(metal, objective) - metric(clear, objective), 0.0)
-        told.append(
+        sentences.append(
             f"{readable(calibration.measured.name)} {in_words(metal, objective)} instead of "
             f"{in_words(clear, objective)}; this is {format_percent(rise / lead)} of the "
             f"improvement over Lambert's {in_words(matt, objective)}"
         )
-    return {"told": "; ".join(told)} if told else None
+    return {"told": "; ".join(sentences)} if sentences else None
 
 
 # ---------------------------------------------------------------- the sentences
@@ -482,7 +483,7 @@ FINDINGS = (
     Finding("smooth", _smooth, "{model} fits best without {shape}, as Lambert's model."),
     Finding(
         "end of range",
-        _stuck,
+        _at_range_end,
         "The shape parameter is at the end of its range, so the description is poor: {models}.",
     ),
     Finding(

@@ -56,7 +56,7 @@ class LobeFit:
         shape: in natural units; None for Lambert.
         predicted: (n, bands) f_r of ALL samples, sr^-1.
         cost: value of the objective.
-        settled: whether the search ended at a minimum.
+        converged: whether the search ended at a minimum.
     """
 
     model: Model
@@ -65,7 +65,7 @@ class LobeFit:
     shape: float | None
     predicted: Float[np.ndarray, "n bands"]
     cost: float
-    settled: bool
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ class _Search:
         predicted = np.broadcast_to(predicted, measured.values.shape)
         missed = in_metric(measured, self.objective, predicted) - self.wanted
         cost = float(np.sum((kept * measured.weights)[:, None] * missed**2))
-        return LobeFit(*parameters, predicted, cost, settled=True)
+        return LobeFit(*parameters, predicted, cost, converged=True)
 
     def separable(
         self,
@@ -294,7 +294,7 @@ class _Search:
                 return best
             else:
                 reach /= 16
-        return replace(best, settled=False)
+        return replace(best, converged=False)
 
 
 def fit_model(

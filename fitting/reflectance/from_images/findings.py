@@ -96,14 +96,14 @@ def _regions(fit: ChannelFit) -> int:
     return len(np.unique(fit.regions[fit.selection.light]))
 
 
-def _unjudged(of: OfChannel) -> bool:
+def _too_few_lights(of: OfChannel) -> bool:
     """Whether the lights are too few to measure their disagreement."""
     return of[1].robustness is not None and bool(np.isnan(of[1].robustness.by_light))
 
 
 def _few_freedom(of: OfChannel) -> Numbers | None:
     fit = of[1]
-    if fit.robustness is None or _unjudged(of):
+    if fit.robustness is None or _too_few_lights(of):
         return None
     freedom = np.min(fit.robustness.freedom)
     if freedom >= FEW_FREEDOM:
@@ -368,7 +368,7 @@ OF_CHANNEL = (
     ),
     Finding(
         "unjudged",
-        lambda of: {"lights": _lights(of[1])} if _unjudged(of) else None,
+        lambda of: {"lights": _lights(of[1])} if _too_few_lights(of) else None,
         "With so few fitted lights ({lights}), an error that the pixels of one image share (that of"
         " its light, say) cannot be estimated. The intervals assume that there is none and may"
         " be far too narrow; use more lights.",

@@ -54,7 +54,7 @@ class ChannelFit:
     by_light: Float[np.ndarray, "lights 2"]  # `squared_errors` of the samples
     # (lights, 2) turns and (lights, 2, 2) what the images tell of them, in units of the directions'
     # uncertainty; None without such
-    told_of_turns: tuple[np.ndarray, np.ndarray] | None
+    turns_and_information: tuple[np.ndarray, np.ndarray] | None
     converged: bool  # whether the optimum was reached
 
     @property
@@ -95,9 +95,9 @@ class ChannelFit:
         where ln L and S^T S are divided by a design effect.
         """
         evidence = self.log_likelihood / design_effect
-        if self.told_of_turns is None:
+        if self.turns_and_information is None:
             return evidence
-        turns, information = self.told_of_turns
+        turns, information = self.turns_and_information
         widening = np.linalg.slogdet(np.eye(2) + information / design_effect)[1]
         return evidence - float(np.sum(turns**2) + widening.sum()) / 2
 
@@ -144,7 +144,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         sensor_chi_square=None if sensor is None else chi_square_per_dof(*seen, sensor, dof),
         log_likelihood=float(log_likelihood_of_dn(prediction, likeliest)[0].sum()),
         by_light=squared_errors(prediction.dn, samples, selection),
-        told_of_turns=told,
+        turns_and_information=told,
         converged=found.converged,
     )
 

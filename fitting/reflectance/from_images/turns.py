@@ -36,7 +36,7 @@ from .samples import Gathered, Selection, make_samples, of_some_pixels
 from .spread import Spread
 
 STEP = 0.5  # standard deviations to either side, of a slope
-TOLD = 1e-12  # least information of an image on a rotation, in units of the prior's
+LEAST_INFORMATION = 1e-12  # least information of an image on a rotation, in units of the prior's
 MOST_TURNS = 10  # of the lights
 SETTLED = 0.05  # standard deviations of a light's direction
 IMPLAUSIBLE = 1e-3  # chance that lights as good as stated are off by as much
@@ -114,7 +114,7 @@ def beyond_turns(
     """
     moves, precision = _standard(shifts, samples, selection, lights)
     squares, axes = np.linalg.eigh(precision - np.eye(2))  # of S^T S
-    squares = np.maximum(squares, TOLD)
+    squares = np.maximum(squares, LEAST_INFORMATION)
     taken = (1 - 1 / np.sqrt(1 + squares)) / squares
     pulls = np.stack(
         [[np.bincount(selection.light, row * move, lights) for move in moves] for row in values]
@@ -164,12 +164,12 @@ def among_turns(
     known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
     seen = 2 * np.count_nonzero(known)
     most = float(np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen))
-    found, turns = _settled(nominal, gathered, known, channel, grouping, sensor)
+    found, turns = _consistent_turns(nominal, gathered, known, channel, grouping, sensor)
     lights = TurnedLights(turns, _rms(turns[known]))
     if most < lights.size <= WIDEST:
         widened = lights.size
         wider = replace(gathered, observation=with_wider_directions(observation, widened))
-        found, turns = _settled(nominal, wider, known, channel, grouping, sensor)
+        found, turns = _consistent_turns(nominal, wider, known, channel, grouping, sensor)
         lights = TurnedLights(widened * turns, widened * _rms(turns[known]), widened)
     return (found if lights.followed else nominal), lights
 
@@ -180,7 +180,7 @@ def with_wider_directions(observation: Photographs, factor: float) -> Photograph
     return replace(observation, uncertain=sizes)
 
 
-def _settled(
+def _consistent_turns(
     nominal: Optimum,
     gathered: Gathered,
     known: np.ndarray,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 
-from ...frame_checks.frame import Shown, refuse_half, shown
+from ...frame_checks.frame import FrameSample, frame_sample, refuse_half
 from ...frame_checks.levels import odd_frames
 from ...noise.settings import require_one_setting
 from ...observation import Load, one_site, read_stack, to_one_site
@@ -51,14 +51,14 @@ def read_joint_measurement(
 
 def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
     """A rig without the flats and darks that deviate from the others, with the reason."""
-    told: list[str] = []
+    sentences: list[str] = []
     black = np.zeros(0)
     kept: dict[str, list[Flat | Dark]] = {"dark": [], "flat": []}
     for kind in kept:
         entries: Sequence[Flat | Dark] = getattr(rig, kind)
         if not entries:
             continue
-        levels = [_shown(rig, entry, load) for entry in entries]
+        levels = [_samples_of(rig, entry, load) for entry in entries]
         light = [getattr(entry, "photons", None) or entry.exposure for entry in entries]
         is_flat = kind == "flat"
         floor = np.median(black) if black.size else one_site(rig.camera).black_level or 0.0
@@ -66,21 +66,23 @@ def _without_odd_frames(rig: Rig, load: Load) -> tuple[Rig, list[str]]:
             levels, light=light, black=np.full(len(levels), floor) if is_flat else None
         )
         refuse_half(rig.folder, odd, sum(len(level) for level in levels))
-        told += [one.sentence for one in odd]
+        sentences += [one.sentence for one in odd]
         gone = {name for one in odd for name in one.names}
         black = np.array([one.mean for level in levels for one in level if one.name not in gone])
         for entry in entries:
             if files := tuple(name for name in entry.files if name not in gone):
                 kept[kind].append(entry.model_copy(update={"files": files}))
-    return rig.model_copy(update={kind: tuple(own) for kind, own in kept.items()}), told
+    return rig.model_copy(update={kind: tuple(own) for kind, own in kept.items()}), sentences
 
 
-def _shown(rig: Rig, entry: Flat | Dark, load: Load) -> list[Shown]:
+def _samples_of(rig: Rig, entry: Flat | Dark, load: Load) -> list[FrameSample]:
     """The summaries of a level's frames; for colours, of their mean."""
     stack = read_stack(rig, entry.files, load=load)
     grey = stack.mean(axis=3) if stack.ndim == 4 else stack
     top = one_site(rig.camera).clip_level
-    return [shown(name, frame, top=top) for name, frame in zip(entry.files, grey, strict=True)]
+    return [
+        frame_sample(name, frame, top=top) for name, frame in zip(entry.files, grey, strict=True)
+    ]
 
 
 def _levels(

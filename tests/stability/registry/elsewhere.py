@@ -254,7 +254,7 @@ ELSEWHERE = (
         "foreign/test_noise foreign/test_frames",
         """
             fitting.codes: converter_in_words
-            fitting.frame_checks.frame: listed refuse_half shown
+            fitting.frame_checks.frame: frame_sample listed refuse_half
             fitting.frame_checks.dialled: worst_in_words
             fitting.noise.raw_frames: processing_in_words
             fitting.noise.printed_times: printed_times_in_words
@@ -706,7 +706,7 @@ ELSEWHERE = (
             fitting.noise.across_settings.calibration: calibrate_one calibrate_settings
             fitting.noise.across_settings.pooled: full_well pattern
             fitting.noise.across_settings.statement: figures fitted predict proportional_gain
-            fitting.noise.across_settings.setting: told_by_calibration told_by_darks
+            fitting.noise.across_settings.setting: estimates_from_calibration estimates_from_darks
             fitting.noise.across_settings.prediction: predict_settings
         """,
     ),
