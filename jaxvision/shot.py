@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,7 +22,7 @@ from .development import develop
 from .effects import Certificate, Tolerance, prune
 from .lights import Rule
 from .optics import sensor_irradiance
-from .rendering import PixelSamples, render
+from .rendering import PixelSamples, Traced, render
 from .rendering.band_count import band_count
 from .rendering.shading import DEFAULT_RULE
 from .scene import Camera, PixelAperture, Scene, Sensor, View
@@ -46,6 +47,9 @@ class Capture(Shown):
         picture: (h, w, colours) developed, relative to white; None for a camera without
             development.
         certificate: of the removed effects, where a tolerance was given; static.
+        error: (h, w, bands) W m^-2 sr^-1, the standard error of the radiance, for independent
+            samples, by `Paths` of more than one sample. None for other integrators, with a motion,
+            and where the pixels' aperture is rendered more finely.
 
     Example:
         >>> lamp = jv.Surface(jv.Plane([0, 0, 9], [0, 0, -1]), jv.Lambert([0.0]), [4 / np.pi])
@@ -60,6 +64,7 @@ class Capture(Shown):
     raw: Float[Array, "*batch h w channels"]
     picture: Float[Array, "*batch h w colours"] | None
     certificate: Certificate | None = eqx.field(static=True, default=None)
+    error: Image | None = None
 
     def _repr_html_(self) -> str:
         """The developed picture, or the raw numbers in grey, with the table, for a notebook."""
@@ -163,11 +168,11 @@ def capture(
     if integrator is None or isinstance(integrator, Paths):
         _check_keys(key, die_key, camera, _bands(scene))
     renderer = _renderer(integrator, key, rule, samples)
-    radiance, irradiance = _light_on_sensor(renderer, scene, camera, motion, moments)
+    radiance, irradiance, error = _light_on_sensor(renderer, scene, camera, motion, moments)
     _check_unit(camera, irradiance)
     raw = raw_image(key, camera.sensor, irradiance, die_key=die_key)
     picture = None if camera.development is None else develop(raw, camera.development)
-    return Capture(radiance, irradiance, raw, picture, certificate)
+    return Capture(radiance, irradiance, raw, picture, certificate, error)
 
 
 def _seen_as(shot: Capture) -> np.ndarray:
@@ -245,7 +250,7 @@ def _check_unit(camera: Camera, light: Array) -> None:
 
 def _renderer(
     integrator: Paths | Renderer | None, key: Key | None, rule: Rule, samples: PixelSamples | None
-) -> Renderer:
+) -> Renderer | Callable[[Scene, View], Traced]:
     if integrator is None:
         return partial(render, rule=rule, samples=samples)
     if not isinstance(integrator, Paths):
@@ -253,13 +258,14 @@ def _renderer(
     if key is None:
         raise ValueError("Paths are drawn at random: give a key.")
     paths = jax.random.fold_in(key, _OF_PATHS)
-    return lambda scene, view: path_traced(paths, scene, view, method=integrator).radiance
+    return lambda scene, view: path_traced(paths, scene, view, method=integrator)
 
 
 def _light_on_sensor(
-    renderer: Renderer, scene: Scene, camera: Camera, motion: Motion | None, moments: int
-) -> tuple[Image, Image]:
-    """Radiance and irradiance of each pixel, over its aperture and its exposure."""
+    renderer: Any, scene: Scene, camera: Camera, motion: Motion | None, moments: int
+) -> tuple[Image, Image, Image | None]:
+    """Radiance and irradiance of each pixel, over its aperture and its exposure, and the standard
+    error of the radiance where it is known."""
     sensor = camera.sensor
     if motion is None:
         return _seen(renderer, scene, camera.view, sensor.pixel_aperture)
@@ -267,22 +273,28 @@ def _light_on_sensor(
         raise ValueError("Sensor.exposure_time must be given in seconds for a motion, got None.")
 
     def seen_at(time: Scalar) -> tuple[Image, Image]:
-        return _seen(renderer, *motion(scene, camera.view, time), sensor.pixel_aperture)
+        return _seen(renderer, *motion(scene, camera.view, time), sensor.pixel_aperture)[:2]
 
     rows, _ = camera.view.resolution
-    return exposed(sensor.shutter, sensor.exposure_time, seen_at, rows=rows, slots=moments)
+    light = exposed(sensor.shutter, sensor.exposure_time, seen_at, rows=rows, slots=moments)
+    return *light, None
 
 
 def _seen(
-    renderer: Renderer, scene: Scene, view: View, aperture: PixelAperture | None
-) -> tuple[Image, Image]:
-    """Return radiance and irradiance of a static scene, sampled as finely as the aperture needs."""
+    renderer: Any, scene: Scene, view: View, aperture: PixelAperture | None
+) -> tuple[Image, Image, Image | None]:
+    """Return radiance, irradiance and standard error of a static scene, sampled as finely as the
+    aperture needs."""
     if aperture is None or aperture.oversampling == 1:
-        radiance = renderer(scene, view)
-        return radiance, sensor_irradiance(view, radiance)
+        found = renderer(scene, view)
+        radiance, error = (
+            (found.radiance, found.error) if isinstance(found, Traced) else (found, None)
+        )
+        return radiance, sensor_irradiance(view, radiance), error
     n = aperture.oversampling
     rows, columns = view.resolution
     fine = replace(view, resolution=(n * rows, n * columns), pixel_pitch=view.pixel_pitch / n)
-    radiance = renderer(scene, fine)
+    found = renderer(scene, fine)
+    radiance = found.radiance if isinstance(found, Traced) else found
     irradiance = sensor_irradiance(fine, radiance)
-    return pixel_means(radiance, aperture), pixel_means(irradiance, aperture)
+    return pixel_means(radiance, aperture), pixel_means(irradiance, aperture), None

@@ -18,7 +18,7 @@ from jaxtyping import Array, Int, UInt32
 
 from ..core._arguments import takes_numbers
 from ..core._loops.fusion import LANES, at_a_time
-from ..core._numerics import safe_sqrt
+from ..core._numerics import divide, safe_sqrt
 from ..core._random import Stream, Word, lattice_point, seed_of
 from ..core._shown import Shown
 from ..core._types import Key, Scalar, Spectrum, check_count, check_given, check_key, is_known
@@ -90,6 +90,14 @@ class Traced(Shown):
 
     radiance: Spectrum
     error: Spectrum
+
+    @property
+    def relative_error(self) -> Scalar:
+        """The rms standard error over the rms radiance, of all finite numbers, as the command
+        `jaxvision render` prints it. Four times the samples halve it."""
+        known = jnp.isfinite(self.radiance) & jnp.isfinite(self.error)
+        light, error = (jnp.where(known, x, 0) for x in (self.radiance, self.error))
+        return safe_sqrt(divide(jnp.sum(error**2), jnp.sum(light**2)))
 
     def _repr_html_(self) -> str:
         """The picture for a notebook, if it is an image, with the table."""

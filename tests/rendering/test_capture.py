@@ -25,7 +25,7 @@ from jaxvision import (
 )
 from jaxvision import scene as s
 from jaxvision.optics import sensor_irradiance
-from jaxvision.rendering import PixelSamples, render
+from jaxvision.rendering import PixelSamples, Traced, render
 from jaxvision.shot import Capture, capture
 from jaxvision.transport import Paths, path_traced
 
@@ -355,6 +355,20 @@ def test_what_bounces_is_what_the_integrator_finds():
     apart = np.abs(shot.radiance - found.mean(axis=0)) / np.maximum(error, 1e-3)
     assert np.median(apart) < 1
     assert shot.radiance.mean() > 0.1
+    # the standard error is that of pictures by other keys, through the lens it is unchanged
+    assert shot.error is not None
+    assert np.sqrt((shot.error**2).mean() / (error**2).mean()) == pytest.approx(1, abs=0.3)
+    whole = float(np.sqrt((shot.error**2).mean() / (shot.radiance**2).mean()))
+    assert float(Traced(shot.radiance, shot.error).relative_error) == pytest.approx(whole)
+    moving = capture(
+        key,
+        room,
+        replace(camera, sensor=s.Sensor(gain=3.0, exposure_time=1.0)),
+        integrator=paths,
+        motion=lambda scene, view, time: (scene, view),
+        moments=2,
+    )
+    assert moving.error is None
     np.testing.assert_allclose(shot.irradiance, sensor_irradiance(camera.view, shot.radiance))
     np.testing.assert_allclose(shot.raw, 3 * shot.irradiance, rtol=1e-12)
     cut = capture(key, room, camera, integrator=paths, tolerance="0.001DN")
