@@ -505,7 +505,7 @@ def _without(sensor: Sensor, *fields: str) -> Sensor:
 
 
 def _record(sensor: Sensor | str) -> Sensor:
-    """The sensor: a problem has replaced its path by the record."""
+    """The sensor as a record; a problem has already replaced a path by it."""
     return cast(Sensor, sensor)
 
 

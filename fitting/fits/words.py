@@ -81,9 +81,9 @@ def _same_end(optimum: Optimum) -> float:
 
 
 def is_confirmed(optimum: Optimum, *, wide_noise: bool = False) -> bool:
-    """Whether enough searches from several starts confirm the best optimum. Two must end there.
-    Four must if most searches end at different optima, or if the width of the noise was fitted,
-    because residuals then do not reveal a wrong optimum. The share of searches that end alone
+    """Whether enough searches from several starts confirm the best optimum. Two must end there, or
+    four if most searches end at different optima or the width of the noise was fitted, because
+    residuals then do not reveal a wrong optimum. The share of searches that end alone
     estimates the chance that one more search finds a new optimum.
 
     Source:

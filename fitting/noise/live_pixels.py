@@ -36,7 +36,7 @@ class LivePixels:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns that have pixels."""
+        """The number of rows and of columns with at least one live pixel."""
         rows, columns = (int((of > 0).sum()) for of in self._of_line)
         return rows, columns
 

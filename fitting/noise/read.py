@@ -248,7 +248,7 @@ def _is_jpeg(name: str) -> bool:
 
 
 def _full_scale(stated: float, converter: Converter) -> float:
-    """The largest number of the converter, as the camera or its frames state it."""
+    """The largest code of the ADC, DN, from the rig or from the frames."""
     top = stated if converter.clips_at is None else min(stated, converter.clips_at)
     step, origin = converter.step, converter.origin
     return origin + step * float(np.floor((top - origin) / step + 1e-6)) if step else top

@@ -95,7 +95,8 @@ def _separation(weights: np.ndarray, activity: np.ndarray) -> float:
 def _less(
     found: Solution, departure: np.ndarray, by_tile: np.ndarray, seen: np.ndarray
 ) -> Solution:
-    """The solution minus a deviation, as far as the scatter over tiles, (tiles, bins), allows."""
+    """The solution minus a deviation, which is shrunk for its noise, from the scatter over tiles,
+    (tiles, bins); the solution itself if the deviation is not significant."""
     deviation = np.sqrt(np.sum(by_tile**2, axis=0))
     if not (deviation[seen] > 0).all():
         return found

@@ -51,8 +51,8 @@ def curve(
     settings are called in alternation with other seeds, so that a drift of the machine's speed
     favours none. An interrupt ends the measurement and keeps its results. A call that exceeds its
     predicted time and the remaining time is abandoned. If XLA is compiling a program then, the
-    compilation continues in the background. Later calls wait for its end, up to a quarter of the
-    time. Calls timed while it still runs are marked.
+    compilation continues in the background. Later calls wait until it ends, for at most a quarter
+    of the remaining time. Calls timed while it still runs are marked.
 
     Args:
         problem: the computation and its settings.

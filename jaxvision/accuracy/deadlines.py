@@ -59,7 +59,7 @@ class _Hand:
             job.run()
 
     def leave(self, job: _Job) -> None:
-        """Abandon the thread to its last job."""
+        """Stop to wait for the thread, which ends after its current job."""
         self.jobs.put(None)
         _left_behind.append(job)
         leaves_work_behind()

@@ -88,7 +88,8 @@ class Transport(NamedTuple):
 
     @property
     def norm(self) -> float:
-        """The largest factor by which the maximum grows."""
+        """The operator norm for the maximum: the largest maximum of a result over that of its
+        argument."""
         body, lobe = (
             times(share, np.minimum(part.sum(1), 1))
             for share, part in ((self.body, self.factors), (self.lobe, self.of_lobes))

@@ -49,7 +49,7 @@ class Cells(NamedTuple):
 
 
 class Eye(NamedTuple):
-    """Where a picture is seen from."""
+    """The position and directions of a camera."""
 
     place: np.ndarray  # (3,) m, middle of the pinhole or lens
     moves: float  # m, the farthest from it that a fit may move it

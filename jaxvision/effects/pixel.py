@@ -359,10 +359,10 @@ class Pixel:
         return min(spilt, math.sqrt(well * self.flood.all * mean), well)
 
     def read(self, by: float) -> float:
-        """DN by which a reading changes if every charge changes by so many electrons before the
-        wells. Overflow collects in the pixels between: half of each change arrives from either side
-        where it spills, and all of it where a well is filled on the way. The change is also at most
-        the charge received before and after."""
+        """The largest change of a reading, DN, if every charge before the wells changes by at most
+        `by` electrons. Overflow adds up along a column: half of each change arrives from either
+        side where charge spills, and all of it where a well fills on the way. The change is also
+        at most the charge received before and after."""
         if self.received == 0:
             return self.behind_charge * by
         return self.behind_charge * min(by * (1 + 2 * self.flood.all), by + 2 * self.received)

@@ -69,7 +69,7 @@ def gaussian_profile(radius: Float[Array, ""], sigma: ScaleMap) -> ScaleMap:
 def disk_profile(radius: Float[Array, ""], blur_radius: ScaleMap) -> ScaleMap:
     """The disc of defocus: 1 inside, 0 outside, with a linear edge one pixel wide.
 
-    The edge makes it move smoothly with the radius of blur.
+    Because of this edge the weights are continuous in the blur radius.
 
     Args:
         radius: () in pixels.

@@ -71,7 +71,7 @@ def _emitted(light: SmallLight, u: Float[Array, "4"]) -> Emitted:
 
 
 def _bound(light: Ends[SmallLight]) -> Source:
-    """A lamp at one position; its normal counts if it is fixed."""
+    """The bound of a small lamp. It uses the normal only if a fit cannot change it."""
     fixed = np.array_equal(light.low.normal, light.high.normal)
     return _place_bound(light, normal=unit(numbers(light.low.normal)) if fixed else None)
 

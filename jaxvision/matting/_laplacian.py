@@ -62,7 +62,8 @@ def apply_stencil(stencil: Stencil, x: Plane) -> Plane:
 
 
 def restricted_to(stencil: Stencil, kept: Plane) -> Stencil:
-    """The stencil with the rows and columns of all other pixels 0; `kept`: (h, w) 1 or 0."""
+    """The stencil whose matrix is 0 in the rows and columns of all pixels that are not kept;
+    `kept`: (h, w) 1 or 0."""
     rows, columns = kept.shape
     padded = jnp.pad(kept, 2)
     there = [[padded[i : i + rows, j : j + columns] for j in range(5)] for i in range(5)]
