@@ -142,9 +142,9 @@ tables, measured BRDFs, meshes, images, FITS, DNG and NPY files, and unfinished 
 | after the last changes | 7,600 | | 0 |
 
 Commands are also run on damaged files and folders: flats and darks, an exposure stack, a ball,
-photographs. The damage is to the rig or to an image, which may be a copy of another, constant,
-dim, full of outliers or of another size. The last run tried 2,090 damaged inputs on ten commands: 441 were processed,
-1,649 were refused with a message, and no result was wrong. `pytest -m slow
+photographs. The damage is to the rig or to an image, which may be a copy of another, constant, dim,
+full of outliers or of another size. The last run tried 2,090 damaged inputs on ten commands: 441
+were processed, 1,649 were refused with a message, and no result was wrong. `pytest -m slow
 tests/fuzz/test_fuzz_arguments.py` calls public functions with odd arguments. In its last run, eight
 errors were raised by JAX instead of the function; the functions now raise them themselves. That run
 did not include `transport`.
