@@ -8,6 +8,7 @@ distribution from the diagonal (Kolmogorov). The mean square of z has a chi-squa
 the number of fits. It detects errors of the wrong size with the fewest fits.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,7 @@ class Coverage:
     Attributes:
         name: of the parameter.
         simulations: number of fits that gave an interval.
-        held: share of the intervals that contain the true value, at each of `LEVELS`.
+        covered: share of the intervals that contain the true value, at each of `LEVELS`.
         band: (low, high) range of that share by chance alone, at each level.
         z_mean: mean of z.
         z_sd: standard deviation of z; 1 if errors are right, larger if they are too small.
@@ -42,13 +43,19 @@ class Coverage:
 
     name: str
     simulations: int
-    held: tuple[float, ...]
+    covered: tuple[float, ...]
     band: tuple[tuple[float, float], ...]
     z_mean: float
     z_sd: float
     departure: float
     allowed: float
     faults: tuple[str, ...]
+
+    @property
+    def held(self) -> tuple[float, ...]:
+        """Former name of `covered`."""
+        warnings.warn("Coverage.held is now Coverage.covered.", DeprecationWarning, stacklevel=2)
+        return self.covered
 
 
 def coverage(
@@ -60,7 +67,7 @@ def coverage(
         >>> from fitting.checks.coverage import coverage
         >>> narrow = np.random.default_rng(0).beta(0.7, 0.7, size=(2000, 1))
         >>> coverage(narrow, ("gain",))[0].faults[0]
-        '50 % intervals hold 39 %'
+        '39 % of the 50 % intervals contain the truth'
     """
     chance = CHANCE / (len(names) * TESTS)
     return tuple(
@@ -71,7 +78,7 @@ def coverage(
 
 def _coverage_of(u: np.ndarray, name: str, chance: float) -> Coverage:
     count = len(u)
-    held = tuple(float(np.mean(np.abs(u - 0.5) < q / 2)) if count else np.nan for q in LEVELS)
+    covered = tuple(float(np.mean(np.abs(u - 0.5) < q / 2)) if count else np.nan for q in LEVELS)
     ends = [binom.ppf((chance / 2, 1 - chance / 2), count, q) / max(count, 1) for q in LEVELS]
     band = tuple((float(low), float(high)) for low, high in ends)
     z = ndtri(np.clip(u, EDGE, 1 - EDGE))
@@ -80,18 +87,18 @@ def _coverage_of(u: np.ndarray, name: str, chance: float) -> Coverage:
     departure = float(np.max(np.maximum(steps[1:] - ranked, ranked - steps[:-1]), initial=0.0))
     allowed = float(kstwo.ppf(1 - chance, max(count, 1)))
     faults = [
-        f"{format_percent(q)} intervals hold {format_percent(share)}"
-        for q, share, (low, high) in zip(LEVELS, held, band, strict=True)
+        f"{format_percent(share)} of the {format_percent(q)} intervals contain the truth"
+        for q, share, (low, high) in zip(LEVELS, covered, band, strict=True)
         if count and not low <= share <= high
     ]
     if departure > allowed:
-        faults.append(f"ranks depart by {departure:.3f}, {allowed:.3f} by chance")
+        faults.append(f"ranks depart by {departure:.3f} (chance explains {allowed:.3f})")
     scatter = float(np.sqrt(np.mean(np.clip(z, -FARTHEST, FARTHEST) ** 2))) if count else np.nan
     low, high = np.sqrt(chi2.ppf((chance / 2, 1 - chance / 2), max(count, 1)) / max(count, 1))
     if count and not low <= scatter <= high:
-        faults.append(f"z scatters by {scatter:.2f}, {low:.2f} to {high:.2f} by chance")
+        faults.append(f"z scatters by {scatter:.2f} (chance explains {low:.2f} to {high:.2f})")
     return Coverage(
-        *(name, count, held, band),
+        *(name, count, covered, band),
         *(float(np.mean(z)) if count else np.nan, float(np.std(z)) if count else np.nan),
         *(departure, allowed, tuple(faults)),
     )

@@ -64,14 +64,14 @@ class Check:
         rows = [
             (
                 *(one.name, str(one.simulations)),
-                *(f"{share:.3f}" for share in one.held),
+                *(f"{share:.3f}" for share in one.covered),
                 " to ".join(f"{end:.3f}" for end in one.band[-1]),
                 f"{one.z_mean:+.2f} ± {one.z_sd:.2f}",
             )
             for one in self.coverage
         ]
         heads = ("parameter", "fits", *levels, f"{levels[-1]}, by chance", "z")
-        title = "Share of fits whose interval holds the truth"
+        title = "Share of fits whose interval contains the true value"
         return record_html(heads, rows, title=title, notes=(*self.faults, *self._withheld))
 
 

@@ -10,7 +10,7 @@ from .coverage import LEVELS, Coverage
 def line(one: Coverage) -> str:
     """Coverage of one parameter in one line of text."""
     shares = ", ".join(
-        f"{format_percent(q)}: {share:.3f}" for q, share in zip(LEVELS, one.held, strict=True)
+        f"{format_percent(q)}: {share:.3f}" for q, share in zip(LEVELS, one.covered, strict=True)
     )
     return (
         f"{one.name}: {one.simulations} fits; {shares}; z {one.z_mean:+.2f} ± {one.z_sd:.2f}"
@@ -27,14 +27,14 @@ def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: i
         if one.faults
     )
     withheld = tuple(
-        f"{case}: {simulations - most} of {simulations} fits print no interval and are not counted."
+        f"{case}: {simulations - most} of {simulations} fits gave no interval and are not counted."
         for case, parameters in cases.items()
         for most in [max(one.simulations for one in parameters)]
         if most < simulations
     )
     rows = tuple(
         (
-            *(case, one.name, one.simulations, *one.held),
+            *(case, one.name, one.simulations, *one.covered),
             *(" to ".join(f"{end:.3f}" for end in one.band[-1]), one.z_mean, one.z_sd),
             *(one.departure, one.allowed),
         )
@@ -49,11 +49,12 @@ def section(kind: str, cases: Mapping[str, tuple[Coverage, ...]], simulations: i
             *("95 %, by chance", "z mean", "z s.d.", "ranks", "ranks, by chance"),
         ),
         rows=rows,
-        caption="Share of fits to simulated data whose interval holds the truth. `ranks` is the "
-        "largest distance of the distribution of the truth's place in its posterior from the "
-        "uniform one. By chance, one right check in a hundred has a figure outside.",
+        caption="Share of fits to simulated data whose interval contains the true value. `ranks` "
+        "is the largest distance of the distribution of ranks (the cumulative probability of the "
+        "true value in its posterior) from the uniform one. Of a hundred checks with right errors, "
+        "one has a figure outside its band.",
     )
-    chance = "No figure departs by more than chance at this number of fits."
+    chance = "Every figure is within its band for this number of fits."
     return Section(
         kind="check",
         title=f"Check of {kind} on simulated data",

@@ -344,7 +344,7 @@ OF_CHANNEL = (
         partial(_halves, agree=False),
         "The even and the odd images, fitted alone, differ in {shown}, by up to {worst:.0f}"
         " standard deviations: which images there are decides the answer, for the model misses the"
-        " surface. The intervals hold half of the difference; try another model.",
+        " surface. The intervals include half of the difference; try another model.",
     ),
     Finding(
         "prior alone",

@@ -337,7 +337,7 @@ def test_bands_of_a_response_hold(case):
     places = simulated(lambda seed: response.places(stack, seed), 60, parameters=5)
     for one in coverage(places, response.NAMES):
         low, high = one.band[-1]
-        assert low <= one.held[-1] <= high, one
+        assert low <= one.covered[-1] <= high, one
 
 
 @pytest.mark.slow

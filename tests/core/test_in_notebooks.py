@@ -91,7 +91,7 @@ def test_a_check_shows_coverage_and_what_lies_outside():
     assert head[:5] == ["parameter", "fits", "50 %", "68 %", "95 %"]
     assert right[:2] == ["gain", "200"]
     for row, one in ((right, check.coverage[0]), (wrong, check.coverage[1])):
-        assert row[2:5] == [f"{share:.3f}" for share in one.held]
+        assert row[2:5] == [f"{share:.3f}" for share in one.covered]
     assert check.faults
     assert f"<li>{ESCAPED}: " in check._repr_html_()
 
