@@ -367,7 +367,7 @@ def _levels(
         return groups
 
     groups = grouped(several)
-    if any(len(names) < 2 for names in groups.values()):  # numbers tell levels, not frames
+    if any(len(names) < 2 for names in groups.values()):  # numbers identify levels, not frames
         groups = grouped(False)
     lines = []
     for (seconds, iso, kelvin, _), names in groups.items():

@@ -21,7 +21,7 @@ from ..inference.formatting import format_percent
 LEVELS = (0.50, 0.68, 0.95)
 CHANCE = 0.01  # of flagging a right fit, over all parameters and tests together
 EDGE = 1e-12  # places this close to 0 and 1 count as there
-FARTHEST = 3.7  # |z| that is judged: some thousand draws of a posterior tell no more
+FARTHEST = 3.7  # largest |z| that a few thousand draws of a posterior determine
 TESTS = len(LEVELS) + 2
 
 

@@ -11,8 +11,8 @@ from .compared import HALF, MOSTLY, OTHER_NOISE, SURE, UNEVEN, ComparedLevels, r
 from .frame import FrameSample, OddFrames
 
 SPIKE = 0.15  # by which a level's light differs from that of both levels beside it
-FEWEST_LEVELS = 4  # to tell what a level should be from those beside it
-FEWEST_ON_A_CURVE = 6  # to tell one level from a curve through the others
+FEWEST_LEVELS = 4  # to predict a level from its neighbours
+FEWEST_ON_A_CURVE = 6  # to compare a level with a curve through the others
 ONCE = 1e-3  # chance that a level of a clean camera is named
 STATED_WRONGLY = 0.02  # of the light: shutters and lamps are no better than a percent
 SHADOW = 0.005  # of the light, rms over the frame: half of what pixels' gains differ by

@@ -12,7 +12,7 @@ from jaxvision import ArrayLike
 from ..copies import Copies
 from .frame import COPIED, FrameSample, OddFrames, listed, refuse_half
 
-BLANK = 0.999  # share of saturated pixels of an image that tells nothing
+BLANK = 0.999  # share of saturated pixels of an image without information
 LONGER = 1.2  # ratio of exposures from which the longer must be the brighter
 FEWEST_CLEAR, CONTRAST = 200, 0.02  # sampled pixels to compare scenes by; their spread, of scale
 UNLIKE, LIKE = 0.6, 0.9  # rank correlation of another scene at most, of one scene at least

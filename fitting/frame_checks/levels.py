@@ -32,7 +32,7 @@ from .moved import moved_frames
 
 PAIRS = 2.22  # standard deviations a quartile of pairwise differences
 LAMP = 0.005  # of the signal: less changes no figure by more than half of it
-CLOSER = 3.0  # times that one of two frames must be nearer to what the other levels tell
+CLOSER = 3.0  # times that one of two frames must be nearer to the prediction of the other levels
 BETWEEN = 0.01  # share of pixels that are neither black nor white in a frame that can be a copy
 
 

@@ -125,7 +125,7 @@ def gaussian_estimate(
         (0.2304, 0.2696)
     """
     steps = stdtrit(freedom, QUANTILES) * standard_error
-    with np.errstate(over="ignore"):  # what has no end is told as such
+    with np.errstate(over="ignore"):  # an infinite end is reported as such
         ends = [_shifted(value, float(step), log_scale) for step in steps]
     return quantile_estimate(what, value, standard_error, ends, method=method, group=group)
 

@@ -11,7 +11,7 @@ many clusters: Bester, Conley & Hansen, J. Econometrics 165, 2011).
 import numpy as np
 from jaxtyping import Float, Int
 
-FEWEST = 16  # clusters: of fewer, regions would be too few to tell a variance by
+FEWEST = 16  # clusters: fewer would give too few regions for a variance
 REGIONS = 8
 NEAREST = 2  # neighbours of each
 PERMUTATIONS, CHANCE = 499, 0.01

@@ -44,7 +44,7 @@ from .parameters import (
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
-NEARLY_PRIOR = 0.7  # posterior over prior standard deviation from which the prior is what is seen
+NEARLY_PRIOR = 0.7  # posterior over prior standard deviation above which the prior dominates
 BATCH = 8  # walkers evaluated at a time: blocks of 8 beat a full vmap on a CPU
 
 

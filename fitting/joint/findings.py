@@ -27,8 +27,8 @@ from .model import MISFIT_AT
 from .prediction import Score
 from .unequal_pixels import NOISE, unequal_pixels
 
-PRIOR_ALONE = 0.7  # posterior over prior standard deviation from which the prior is what is seen
-UNLIT, FEWEST_UNLIT = 0.0, 30  # cosine of incidence of pixels in attached shadow; so many tell
+PRIOR_ALONE = 0.7  # posterior over prior standard deviation above which the prior dominates
+UNLIT, FEWEST_UNLIT = 0.0, 30  # cosine of incidence in attached shadow; pixels needed
 BELOW_DARKS, GAINS_APART = 5.0, 5.0  # standard errors by which darks, or gains, are another's
 UNLIKE_GAIN = 0.15  # relative difference of gains worth a word
 ROUNDS = 5  # of reweighting

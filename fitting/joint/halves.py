@@ -21,7 +21,7 @@ from ..reflectance.from_images.read import Photographs
 from .fit import JointFit, fit_turned
 from .model import of_surface
 
-FEWEST_IMAGES = 12  # of which the halves still tell a surface
+FEWEST_IMAGES = 12  # whose halves still determine a surface
 APART = 3.0  # standard deviations between halves from which they do not agree
 
 

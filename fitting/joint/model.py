@@ -195,7 +195,7 @@ class Prediction(eqx.Module):
     """The prediction of cells by a model."""
 
     mean: Table  # DN
-    variance: Table  # DN^2 of one pixel, shared errors apart
+    variance: Table  # DN^2 of one pixel, without shared errors
     relative: Table  # DN by which a relative change of the signal changes it
     # DN for errors of one standard deviation; None if there are none
     image_errors: Float[Array, "images errors cells"] | None

@@ -66,7 +66,7 @@ def unequal_pixels(fit: JointFit) -> UnequalPixels:
     known = slopes[:, used].T * weight[:, None]
     left = column - known @ np.linalg.lstsq(known, column)[0]
     moved = _moved(fit, np.where(count > 0, count / (2 * variance**2), 0) * relative**2, slopes)
-    if left @ left <= ALONE * (column @ column):  # too few cells of several pixels to tell
+    if left @ left <= ALONE * (column @ column):  # too few cells of several pixels
         return UnequalPixels(0.0, 0.0, TYPICAL, TYPICAL**2 * moved)
     square, error = float(left @ beyond / (left @ left)), 1 / float(np.linalg.norm(left))
     most = min((max(square, 0.0) + ONE_SIDED * error) ** 0.5, TYPICAL)

@@ -41,7 +41,7 @@ from .shared import drift, shared_noise
 
 SPURIOUS = 0.01  # chance of a term that a camera does not have
 SPURIOUS_SHARING = 0.001  # the same of neighbours that share charges, which leads the gain astray
-SPURIOUS_BESIDE = 0.05  # the same where nearest neighbours are seen to covary
+SPURIOUS_BESIDE = 0.05  # the same where nearest neighbours covary significantly
 SHARING = (BRIGHTER_FATTER, PIXEL_MIXING)
 CURVE = (COMPRESSION, COMPRESSION_2, LIGHT_OFFSET, SHUTTER_OFFSET)
 

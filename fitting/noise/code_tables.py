@@ -19,11 +19,11 @@ from .levels import CodeTables, PhotonTransfer, linear_levels
 from .pattern import fitted_pattern
 from .shared import drift
 
-SUB_ELECTRON = 1.5  # e- of read noise, from which on moments tell as much
+SUB_ELECTRON = 1.5  # e- of read noise above which moments hold as much information
 FINEST = 0.4  # codes of read noise, below which a pixel's black hides between two codes
 FEWEST, MOST = 0.1, 30.0  # electrons of a level
 UNEVEN = 0.2  # of the read noise, by which unequal gains may move a level's codes
-LEVELS = 8  # of a fit at most: more cost time, and tell little more
+LEVELS = 8  # of a fit at most: more cost time and add little information
 REACH = 8.0  # standard deviations on either side that a table holds
 SIZES = 64  # codes in whose multiples tables come, as each size is compiled by itself
 PLACES = 8  # of the pixels' black between two codes, at most

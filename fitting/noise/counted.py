@@ -29,7 +29,7 @@ from .model import CountedLevels
 
 BEYOND = 1.3  # times the read noise of the moments, that the sum over electrons has room for
 TOLERATED = 2.0  # chi-square per degree of freedom up to which the tables count
-TREND = 3  # exposures of darks, from which on their electrons are told from the black
+TREND = 3  # exposures of darks that separate their electrons from the black level
 
 
 @dataclass(frozen=True)

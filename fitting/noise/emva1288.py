@@ -40,7 +40,7 @@ SENSITIVITY_TOP = 0.7
 LINEARITY_RANGE = (0.05, 0.95)
 # Of the square of a converter's step; below it, the standard says, rounding rules.
 LEAST_DARK_VARIANCE = 0.24
-UNLIKELY = 0.01  # p-value of a chi-square from which scatter is believed
+UNLIKELY = 0.01  # p-value of a chi-square below which scatter is significant
 
 Sheet = dict[str, Float[Array, ""]]
 

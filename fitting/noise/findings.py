@@ -32,7 +32,7 @@ FEWEST_FOR_OFFSET = 5  # levels besides the dimmest, for a line and an offset
 SURE = 6.0  # standard errors by which darks are smoothly uneven
 GROWS = 3.0  # times as uneven as at the shortest exposure, rms
 MATTERS = 0.1  # of the noise of a pixel
-SAID = 2.0  # standard errors below which an offset of the light is not told
+SAID = 2.0  # standard errors below which an offset of the light is not reported
 
 
 def findings(calibration: NoiseCalibration) -> tuple[str, ...]:
@@ -212,7 +212,7 @@ def _misfit(calibration: NoiseCalibration) -> list[str]:
     linear, chosen = calibration.linear, calibration.chosen
     if linear.p_value >= MISFIT:
         return []
-    # By how much it matters; of a fit that went astray the number itself says nothing.
+    # By how much it matters; the number of a failed fit is meaningless.
     off = float(linear.values["system_gain"]) / float(chosen.values["system_gain"]) - 1
     moved = f" ({100 * off:+.2g} % off)" if 0 < abs(off) < ASTRAY else ""
     return [

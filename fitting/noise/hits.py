@@ -15,7 +15,7 @@ from .live_pixels import DECILE, LivePixels
 HIT, BULK = 8.0, 5.0  # standard deviations of a pixel's change: of most hits, and of no noise
 MOST = 0.01  # share of the pixels; of more, something else is the cause
 AWAY = 5  # rows to the pixel whose noise stands in, further than neighbours are compared
-SAMPLED = 100_000  # pixels by which the usual change is told
+SAMPLED = 100_000  # pixels that estimate the usual change
 
 
 class Hits(NamedTuple):

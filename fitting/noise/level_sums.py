@@ -12,7 +12,7 @@ from .periodic import quarters, residues
 from .raw_frames import BLOCK, block_products, combs, local_variance
 from .variance_parts import Moments
 
-UNEVEN = 3.0  # standard errors by which light is seen to be uneven
+UNEVEN = 3.0  # standard errors from which light counts as uneven
 LEAST_FLICKER = 1e-5  # of a pixel's variance, below which what a flickering lamp adds is left
 
 

@@ -2,7 +2,7 @@
 
 from scipy.special import chdtrc
 
-MISFIT = 1e-3  # p-value below which a model is not believed
+MISFIT = 1e-3  # p-value below which a model is rejected
 
 
 def p_value(chi_square: float, degrees: float) -> float:

@@ -113,7 +113,7 @@ def above_dark(bright: Levels, dark: Levels) -> tuple[np.ndarray, np.ndarray]:
         widest = np.maximum(np.asarray(levels.variance), total)
         return (widest**2 / freedom)[:, None, None] / size
 
-    varying = np.asarray(dark.variance) > 0  # frames that are all alike tell nothing
+    varying = np.asarray(dark.variance) > 0  # identical frames hold no information
     weight = 1 / chance(dark)[varying]
     common = np.sum(weight * np.asarray(dark.covariances)[varying], axis=0) / weight.sum(axis=0)
     return np.asarray(bright.covariances) - common, chance(bright) + 1 / weight.sum(axis=0)

@@ -162,7 +162,7 @@ def unequal_gains(
     assert bright.shared is not None
     lines, across = np.asarray(bright.shared.shape)[[axis, 1 - axis]]
     signal = _signal(measurement)
-    usable = usable[signal[usable] > 0]  # flats of no light tell nothing of gains
+    usable = usable[signal[usable] > 0]  # flats without light hold no information on gains
     matched, square = np.asarray(measurement.dark_of)[usable], signal[usable] ** 2
     if not len(usable):
         return NOTHING

@@ -20,7 +20,7 @@ from .live_pixels import LivePixels
 from .shared import believed_lines
 
 RESIDUES = 16  # rows or columns modulo it; also places in a cell of 4 x 4
-LONGER = 30  # modulo which 3, 5 and 6 are seen
+LONGER = 30  # modulo which periods of 3, 5 and 6 show
 CELL = 4
 PERIODS = (2, 4, 8)
 LINES = ("rows", "columns")
@@ -38,7 +38,7 @@ CONTRASTS = (
     (CENTRE, [4], [5]),
 )
 BLOCKS = 24  # of lines along a side, between which steps are looked for
-FEWEST_STEPS = 6  # that tell how blocks of lines differ by chance
+FEWEST_STEPS = 6  # that estimate the chance differences of blocks of lines
 CHANCE = 1e-4  # that a camera without structure shows as much
 SMALL = 0.1  # of a pixel's temporal noise; structure below it changes nothing that noise does not
 BENT = 0.2  # of a difference in signal: what a curved characteristic may make of it in gain

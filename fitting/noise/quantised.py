@@ -47,7 +47,7 @@ SPREAD = 8.0  # standard deviations on either side that a window holds
 DECAY = 6.5  # phi is negligible where K sigma_d u exceeds this
 PADDED = 4  # levels of a window come in multiples of it, the last repeated
 FINER = 2  # sizes of a sum over frequencies in an octave: few, as each is compiled by itself
-FINEST_READ_NOISE = 0.1  # DN; below, phi hardly decays and the data hardly tell
+FINEST_READ_NOISE = 0.1  # DN; below, phi hardly decays and the data hardly determine it
 ORDERS = (1, 2, 3, 4)
 LARGEST = 2**27  # numbers of a transform: 2 GB
 

@@ -122,7 +122,7 @@ def reduced_rig(rig: Rig, *, channel: str = "", load: Load = read_image) -> Redu
     lit = replace(source, codes=Codes())
     amounts = np.array(light if all(known) else [flat.exposure for flat in flats], float)
     bright, of_flats = _reduced(lit, flats, odd=odd["flat"], light=amounts, dark=dark)
-    if bright.left_out:  # numbers of these say nothing of the converter
+    if bright.left_out:  # their values hold no information on the ADC
         lit = _recounted(lit, of_flats)
     if dark.left_out:
         source = _recounted(source, of_darks)

@@ -13,7 +13,7 @@ from .raw_frames import tone_curve
 FEWEST_LEVELS = 4  # levels of light below saturation for a line, its error and its misfit
 MOST_PHOTONS = 1e15  # a full well of 1e7 electrons at a quantum efficiency of 1e-8
 SEEN = 3.0  # standard errors by which a level must vary more than its darks
-FEWEST_FOR_BLACK = 6  # levels from which a parabola tells the flats' own black level
+FEWEST_FOR_BLACK = 6  # levels needed to estimate the flats' black level by a parabola
 SURE_OF_BLACK = 6.0  # standard errors by which it must differ from the darks
 MOST_OFF_BLACK = 0.1  # of the least signal; less changes no gain by more
 

@@ -41,9 +41,9 @@ REACH = 0.8  # w: as slow as n.l and rough surfaces change with the light
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e8, 21)])  # tau^2 / sigma^2
 THINNEST = 1e-4  # of the largest eigenvalue: features of the process that are left out
 WHOLE = 1e-9  # of the largest eigenvalue: what is no more than rounding
-EVIDENCE = 10.0  # logarithm of the likelihood ratio from which departures are seen
+EVIDENCE = 10.0  # logarithm of the likelihood ratio from which departures are significant
 FEW_LIGHTS = 16  # whose residuals, as far as they are no noise, are taken for slow departures
-CLEAR = 3.0  # standard deviations of a reading: the least mean of pixels that tell of departures
+CLEAR = 3.0  # standard deviations of a reading: smallest mean of pixels that estimate departures
 SEEN = 5.0  # standard errors of the correlation of neighbouring pixels, likewise
 ROUNDS = 30  # of the distribution over the pixels
 MATT = 0.95  # share of pixels without departures that the search for it starts from
@@ -52,7 +52,7 @@ FINEST, LEVELS = 0.22, 64  # step of ln sigma^2, and at most so many of them
 QUIETEST = 1e-9  # of the largest variance: noise that is no more than rounding
 LOUDEST = 2.0  # times what neighbours do not share
 INSIDE, NEWTON = 0.95, 8  # probability of a cone; rounds of the search for its radius
-MOST, AT_ONCE = 2_000, 1_000  # pixels that tell it; pixels that are computed together
+MOST, AT_ONCE = 2_000, 1_000  # pixels that estimate it; pixels that are computed together
 OF_PHOTONS = (
     0.0,
     0.5,

@@ -6,7 +6,7 @@ from itertools import compress
 from ..inference.left_out import TOLERANCE, LeftOut
 from .section import Table
 
-NOTHING = 1e-6  # s.d., below which digits say nothing
+NOTHING = 1e-6  # s.d. below which digits are meaningless
 
 
 def left_out_tables(channels: Iterable[tuple[str, tuple[LeftOut, ...]]]) -> tuple[Table, ...]:

@@ -89,7 +89,7 @@ def _way(
     measured = log_exposure[used] - log_exposure[edge]
     step = np.eye(len(log_exposure))[used] - np.eye(len(log_exposure))[edge]
     error = step @ covariance @ step.T
-    error += np.diag(np.diagonal(error) + SURELY_KNOWN)  # neighbours that go together tell no more
+    error += np.diag(np.diagonal(error) + SURELY_KNOWN)  # correlated neighbours add no information
     near = np.argsort(np.abs(log_u[own] - np.log(u[edge])))[: max(FEWEST, len(used) // 4)]
     off = log_u[near] - np.log(u[edge])
     exponent = float(off @ measured[near] / (off @ off))

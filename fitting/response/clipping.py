@@ -18,7 +18,7 @@ from scipy.special import stdtr
 
 MIXED = 4  # pixels over which neighbours are mixed: half a block of a JPEG
 CONTRASTS = 4.0, 6.0, 9.0, 13.0  # of a peak to what a blur has left, the mildest first
-FEWEST_CLIPPED = 50  # pixels, to tell the code of the shorter exposure that clips in the longer
+FEWEST_CLIPPED = 50  # pixels to estimate the code of the shorter exposure that clips in the longer
 BRIGHT = 0.6  # share of the clip level above which codes of the longer exposure are compared
 INTERVALS = 256  # of codes of the shorter exposure, within which they count as one
 SIDE, FEWEST_TILES = 4, 4  # tiles along either side of a picture; that must hold such pixels

@@ -229,7 +229,7 @@ def fit_response_curve(
     reached = (linked & bright).sum() >= max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1])
     if reached or not dim:
         linked &= bright
-    elif linked.any():  # nothing tells of mid-scale: g = 0 in the middle of what is seen
+    elif linked.any():  # mid-scale is not observed: g = 0 in the middle of the observed codes
         anchor = float(np.median(codes[:, linked][bins.lookup[codes[:, linked]] >= 0]))
         bins, coarse = replace(bins, anchor=anchor), replace(coarse, anchor=anchor)
     if linked.sum() < max(FEWEST_PIXELS, FEWEST_SHARE * codes.shape[1]):

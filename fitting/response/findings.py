@@ -24,7 +24,7 @@ from .solve import ROUGHEST
 DRAWN = 0.1  # standard error of ln exposure, up to which the figure shows a departure
 CLUSTERED = 2.0  # pixels that count as one, from which it is said
 MOSTLY_SEEN = 0.8  # share of the codes, below which it is said which are extrapolated
-FEW_FREE = 2  # visible shutter errors below which the prior speaks
+FEW_FREE = 2  # determined shutter errors below which the prior dominates
 SHAKY = 0.1  # shutter error from which a time or a gain is more likely wrong
 APART_ERRORS = 3.0  # by which an image's exposure stands apart
 RARE, WIDE = 0.01, 8.0  # share of pixels at an image's lowest code; range of exposures

@@ -174,7 +174,7 @@ def _without_odd_images(
     odd = odd_exposures(rig.folder, [seen[i] for i in still], times, full_scale=full_scale)
     odd = [*moved, *odd]
     refuse_half(rig.folder, odd, len(entries))
-    # What is blank is not fitted, but tells where black lies and codes clip.
+    # Blank images are not fitted, but show the black level and the clip level.
     remarks += [one.sentence for one in (*blank, *odd)]
     gone = {name for one in odd for name in one.names}
     return tuple(entry for entry in entries if entry.file not in gone)

@@ -25,7 +25,7 @@ HAT_DEVIATION = 0.1  # log standard deviation taken at mid-scale before anything
 HAT_BRIM = 0.08  # below this height the noise of a logarithm is anyone's guess
 OUTLIER = 5.0  # standard deviations beyond which a residual cannot be noise: the pixel is left out
 HARMONICS = 16  # of rounding
-MARGIN = 3.0  # standard deviations that a predicted exposure stays clear of what is not seen
+MARGIN = 3.0  # standard deviations between a predicted exposure and unobserved codes
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def observe(
     weights, by_each = weights[:, linked], by_each[:, linked]
     log_irradiance = weighted_mean(weights, by_each)
     residuals = by_each - log_irradiance
-    known = rule.weight is not None  # before a curve is known, residuals tell nothing
+    known = rule.weight is not None  # before a curve is known, residuals are meaningless
     steady = (weights * residuals**2 < (OUTLIER**2 if known and screened else np.inf)).all(axis=0)
     return Observations(
         binned=np.maximum(binned[:, linked][:, steady], 0),

@@ -29,7 +29,7 @@ from ..shared import shared_noise
 
 FROM_BOTH = ("system_gain", "responsivity", "read_noise", "dark_current")
 FROM_DARKS = ("dark_signal_rate", "read_variance", "dark_variance_rate")
-ESTIMATED = FROM_BOTH + FROM_DARKS  # the order of every vector of what settings tell
+ESTIMATED = FROM_BOTH + FROM_DARKS  # the order of every vector of estimates
 FEWEST_EXPOSURES = 3  # of darks alone: a line and whether it is one
 
 

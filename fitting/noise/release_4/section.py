@@ -46,7 +46,7 @@ BELOW_FLOOR = {
     **dict.fromkeys(("threshold_photons", "threshold_electrons"), True),
     **dict.fromkeys(("dynamic_range", "dynamic_range_db", "usable_bits"), False),
 }
-LEAK = 0.1  # of a part, from which noise of rows and columns that the average keeps is told
+LEAK = 0.1  # of a part: reported share of row and column noise that the average retains
 
 
 def section(sheet: Release4) -> Section:

@@ -32,11 +32,11 @@ from .errors import (
 )
 from .fit import in_metric
 
-MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which a reader is told
+MOST_WEIGHT = 0.5  # of a fit, at one incidence, from which it is reported
 NESTED = 1e-3  # relative excess over a contained model: the ends of the shapes' ranges cost less
 NOTHING = 1e-6  # of the signal's RMS: what those ends miss beside a model that misses nothing
-APART = 1.5  # ratio of two errors from which a reader is told why they are not told apart
-OVERFIT = 1.5  # held-out over fitted error from which a reader is told
+APART = 1.5  # ratio of two errors from which a missing significance is explained
+OVERFIT = 1.5  # held-out over fitted error from which it is reported
 ROUNDING = 1e-3  # of an albedo
 BLACK = 0.005  # albedo of the blackest paints and velvets
 OBLIQUE = np.radians(15.0)  # incidence from which back and forth lie apart

@@ -41,8 +41,8 @@ FEWEST_CLIPPED = 5  # samples that hold the largest value, from which it may be 
 PILED = 3  # times as many as hold the next largest: a step of rounding holds about as many
 PEAK = 1.5  # times the median of the others: a lobe, no matt surface
 HORIZON = np.radians(89.5)  # elevations beyond are rounding about the horizon
-CUT = 0.05  # of the samples, exact zeros in one band alone from which a reader is told
-SWAPPED = 10  # pairs of samples with light and viewer exchanged that tell of a factor
+CUT = 0.05  # of the samples: reported share of exact zeros in one band alone
+SWAPPED = 10  # pairs of samples with exchanged light and viewer that show a factor
 TILTED = np.radians(10.0)  # by which their elevations differ at least
 # f_r in sr^-1 beyond any measurement: an instrument that sees 1e-6 sr, which is finer than any
 # goniometer, reads at most 1e6 from a perfect mirror; the blackest coatings reflect 1e-4.

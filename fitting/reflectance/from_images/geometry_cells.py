@@ -18,7 +18,7 @@ from .signal import in_plane
 
 COSINE_STEP = 0.05  # of a cell in n.l
 FEWEST_SATURATED = 64  # samples of a program of saturated ones
-UNCERTAIN = 1e12  # DN, deviation of a sample that says nothing
+UNCERTAIN = 1e12  # DN, standard deviation of a sample without information
 FINE_ANGLE, ANGLE_RATIO = 0.1, 1.1  # cells are 0.01 rad wide at the mirror direction, 0.11 at 1 rad
 
 

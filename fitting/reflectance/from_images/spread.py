@@ -34,7 +34,7 @@ class Spread:
 
     floor: float  # DN^2
     shot: float  # DN; the system gain, DN per electron
-    relative: float | None  # fraction of the signal; None where the data do not ask for it
+    relative: float | None  # fraction of the signal; None where it is not significant
 
 
 def variance(
