@@ -180,7 +180,7 @@ def _advanced(state: _State, cost: Array, gradient: Array, information: Array) -
     )
 
 
-_advanced_alone = eqx.filter_jit(_advanced)
+_advanced_alone = jax.jit(_advanced)
 
 
 def _solution(end: _State, tolerance: float | Array) -> NewtonSolution:

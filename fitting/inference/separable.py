@@ -28,8 +28,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxvision.errors import InputError
+from jaxvision.programs import briefly
 
-from .compiled import compiled_briefly
 from .on_host import on_host
 from .parameters import ends, prior_values, to_natural, to_unconstrained
 from .problem import Problem, residuals_from
@@ -227,9 +227,7 @@ def _projected(
     return amplitudes, np.sum(weighted * values) + reduction.sum(axis=-1)
 
 
-_non_negative = compiled_briefly(
-    lambda gram, moment: jax.vmap(jax.vmap(non_negative_amplitudes))(gram, moment)
-)
+_non_negative = jax.jit(jax.vmap(jax.vmap(non_negative_amplitudes)), compiler_options=briefly())
 
 
 def in_closed_form(problem: Problem) -> tuple[int, ...]:

@@ -27,7 +27,7 @@ from .signal import decoded, encoding_slope, lobe_with_slopes
 from .spread import Spread, fit_spread, flat_spread, variance
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2, 2.6)  # tried as starts where gamma is free
-NEARBY = 0.3  # of log parameters: weights move an optimum less, unless the data leave it open
+NEARBY = 2.0  # of log parameters: weights move an optimum less, unless the data leave it open
 REACH = 1.0  # half width of the bounded search, in log parameters
 TOLERANCE = 1e-7  # fall in cost that a further step may promise
 MOST_STEPS = 300  # of the bounded search
