@@ -185,6 +185,8 @@ def kept_whole(function: Any, about: str) -> Callable[..., Any]:
     """`function`, a `jax.jit` of arrays and of this distribution's records, whose compiled program
     the next run of a command reads without tracing; `about` says all else that the program depends
     on. The result is made of tuples and arrays. Where nothing is kept it is the function itself."""
+    import jax
+
     programs: dict[str, Callable[..., Any]] = {}
 
     def call(*args: Any) -> Any:
@@ -193,12 +195,16 @@ def kept_whole(function: Any, about: str) -> Callable[..., Any]:
             return function(*args)
         try:
             name = _name_of_program(args, about)
-        except TypeError:
+        except (AttributeError, KeyError, TypeError):  # or a JAX whose settings are elsewhere
             return function(*args)
         if name not in programs:
-            programs[name] = _read_program(folder / name, args) or _written(
-                folder / name, function.lower(*args)
-            )
+            kept = _read_program(folder / name, args)
+            if kept is not None:
+                with suppress(Exception):  # one that this machine cannot run is compiled again
+                    found = jax.block_until_ready(kept(*args))
+                    programs[name] = kept
+                    return found
+            programs[name] = _written(folder / name, function.lower(*args))
         return programs[name](*args)
 
     return call

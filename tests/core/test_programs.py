@@ -150,7 +150,9 @@ def test_another_program_is_traced(kept, monkeypatch):
     call(jnp.arange(3.0), traced=True)
 
 
-@pytest.mark.parametrize("harm", ["cut", "changed", "writable", "of another user"])
+@pytest.mark.parametrize(
+    "harm", ["cut", "changed", "of another shape", "writable", "of another user"]
+)
 def test_a_whole_program_that_is_not_ours_is_compiled_anew(kept, harm, monkeypatch):
     call, file = kept
     if harm == "cut":
@@ -159,6 +161,10 @@ def test_a_whole_program_that_is_not_ours_is_compiled_anew(kept, harm, monkeypat
         data = bytearray(file.read_bytes())
         data[500] ^= 1
         file.write_bytes(data)
+    elif harm == "of another shape":
+        call(jnp.arange(4.0), traced=True)
+        (other,) = set(file.parent.glob("whole-*")) - {file}
+        file.write_bytes(other.read_bytes())
     elif harm == "writable":
         file.chmod(0o666)
     else:
