@@ -97,7 +97,7 @@ def predict(
     path: Annotated[
         Path,
         typer.Argument(
-            help="Flats and darks: a rig folder, or a CSV of sums per exposure.",
+            help="Flats of 4 levels or more, and darks: a rig folder, or a CSV of sums.",
             metavar="FRAMES",
             parser=typed_path,
         ),

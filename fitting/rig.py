@@ -8,6 +8,7 @@ mistake is an `InputError` that names the file, the entry and the remedy.
 import datetime
 import math
 import os
+from collections import Counter
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -600,6 +601,18 @@ class Rig(Entry):
     exposure: tuple[Exposure, ...] = ()
     light: tuple[Light, ...] = ()
     geometry: Geometry | None = None
+
+    @model_validator(mode="after")
+    def _each_file_once(self) -> "Rig":
+        entries = {"flat": (*self.flat, *self.dark), "exposure": self.exposure, "light": self.light}
+        for kind, listed in entries.items():
+            names = Counter(name for entry in listed for name in _images(entry))
+            if twice := [name for name, count in names.items() if count > 1]:
+                which = "[[flat]] and [[dark]]" if kind == "flat" else f"[[{kind}]]"
+                raise ValueError(
+                    f"{', '.join(twice[:3])} stands more than once in {which}; list each file once"
+                )
+        return self
 
     def path(self, name: str) -> Path:
         """The path of a file that the rig names."""

@@ -4,21 +4,26 @@ the noise.
 They offer causes of a failed fit other than the model.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from ..codes import converter_of
 from ..inference.likelihoods import Clustered
 from ..inference.misfit import Misfit
 from ..inference.on_host import on_host
-from ..inference.problem import Problem
+from ..inference.parameters import unconstrained_numbers
+from ..inference.problem import Problem, likelihood_at, prediction, values_at
 from .widening import predicted_at
 
 FEWEST = 10  # data
+PIXELS = 1000  # of a map, whose data are checked
 PILED, STEEP = 5, 3.0  # data at an end, and times as many as at any value beside it
 BESIDE = 8  # values beside an end
 BEYOND = 3  # data that the fit predicts beyond an end at which others pile up
@@ -46,18 +51,77 @@ def data_check(
     if known.size < FEWEST:
         return DataCheck()
     seen = _FitOfPresent(problem, vector, there)
-    biased = None if checks.faults else _errors_of_data(seen, known)
+    faulty = bool(checks.faults)
+    biased = None if faulty else _errors_of_data(seen, known)
     if biased is not None:
         return biased
+    found = _repeated(seen, known, faulty=faulty, overrated=bool(checks.remarks), seed=seed)
+    if faulty and not explained:
+        return DataCheck(failures=found)
+    return DataCheck(findings=found)
+
+
+def data_check_of_map(
+    problem: Problem,
+    data: np.ndarray,
+    natural: np.ndarray,
+    inputs: Sequence[Any],
+    *,
+    faulty: bool,
+    seed: int,
+) -> tuple[str, ...]:
+    """Findings about the data of all pixels of a map, checked together at the pixels' best fits.
+
+    `data`: (..., pixels); `natural`: (parameters, pixels); `inputs`: leaves with the pixel axis
+    first, None for those of the problem; `faulty`: whether many pixels are misfits."""
+    good = np.flatnonzero(np.isfinite(natural).all(axis=0))
+    good = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), PIXELS)).astype(int))]
+    data = np.moveaxis(np.asarray(data[..., good], np.float64), -1, 0)
+    there = np.isfinite(data)
+    if there.sum() < FEWEST:
+        return ()
+    vectors = unconstrained_numbers(problem.space, natural[:, good].T)
+    own = [None if leaf is None else jnp.asarray(leaf[good]) for leaf in inputs]
+    keys = jax.random.split(jax.random.key(seed), len(good))
+    dtype = jnp.result_type(float)
+    predicted, drawn = _of_each(jnp.asarray(vectors, dtype), own, keys, problem)
+    seen = _FitOfPresent(problem, vectors[0], there)
+    seen.known = on_host(predicted, dtype=np.float64)[there]
+    seen.simulated = on_host(drawn, dtype=np.float64)[there]
+    known = data[there]
+    biased = None if faulty else _errors_of_data(seen, known)
+    if biased is not None:
+        return (*biased.failures, *biased.findings)
+    return _repeated(seen, known, faulty=faulty, overrated=False, seed=seed)
+
+
+@eqx.filter_jit
+def _of_each(
+    vectors: Array, inputs: list[Array | None], keys: Array, problem: Problem
+) -> tuple[Array, Array]:
+    """(pixels, ...) predictions and simulated data."""
+    whole, form = jax.tree.flatten(problem.inputs)
+
+    def one(vector: Array, own: list[Array | None], key: Array) -> tuple[Array, Array]:
+        values = values_at(problem, vector)
+        every = [a if b is None else b for a, b in zip(whole, own, strict=True)]
+        predicted = prediction(problem, values, inputs=jax.tree.unflatten(form, every))
+        return predicted, likelihood_at(problem, values).draw(key, predicted)
+
+    return jax.vmap(one)(vectors, inputs, keys)
+
+
+def _repeated(
+    seen: "_FitOfPresent", known: np.ndarray, *, faulty: bool, overrated: bool, seed: int
+) -> tuple[str, ...]:
+    """Findings about values that occur more than once."""
     values, counts = np.unique(known, return_counts=True)
-    if len(values) == len(known):  # no two are equal
-        return DataCheck()
-    found = _clipped(seen, values, counts, checks, seed)
-    if checks.faults:
+    if len(values) == len(known):
+        return ()
+    found = _clipped(seen, values, counts, seed, overrated=overrated)
+    if faulty:
         found += _rounded(seen, known, seed)
-    if checks.faults and not explained:
-        return DataCheck(failures=tuple(found))
-    return DataCheck(findings=tuple(found))
+    return tuple(found)
 
 
 class _FitOfPresent:
@@ -69,28 +133,35 @@ class _FitOfPresent:
             self.likelihood = self.likelihood.likelihood
         self._at = problem, jnp.asarray(vector, problem.data.dtype)
         self._there = there
-        self._drawn: np.ndarray | None = None
+        self.known: np.ndarray | None = None
+        self.simulated: np.ndarray | None = None
 
     def predicted(self) -> np.ndarray:
         """(data present) predictions."""
-        problem, vector = self._at
-        return on_host(predicted_at(vector, problem)[0], dtype=np.float64)[self._there]
+        if self.known is None:
+            problem, vector = self._at
+            predicted = predicted_at(vector, problem)[0]
+            self.known = on_host(predicted, dtype=np.float64)[self._there]
+        return self.known
 
     def drawn(self, seed: int) -> np.ndarray:
         """(data present) simulated data."""
-        if self._drawn is None:
+        if self.simulated is None:
             problem, vector = self._at
             predicted, likelihood = predicted_at(vector, problem)
             drawn = likelihood.draw(jax.random.key(seed), predicted)
-            self._drawn = on_host(drawn, dtype=np.float64)[self._there]
-        return self._drawn
+            self.simulated = on_host(drawn, dtype=np.float64)[self._there]
+        return self.simulated
 
     def widths(self) -> np.ndarray | None:
         """(data present) standard deviations, if each datum has its own."""
         width = getattr(self.likelihood, "sd", getattr(self.likelihood, "scale", None))
-        if width is None or isinstance(width, str) or np.shape(width) != self._there.shape:
+        if width is None or isinstance(width, str) or not np.ndim(width):
             return None
-        return on_host(width, dtype=np.float64)[self._there]
+        own = self._there.ndim - np.ndim(width)  # a pixel axis of a map comes first
+        if np.shape(width) != self._there.shape[own:]:
+            return None
+        return np.broadcast_to(on_host(width, dtype=np.float64), self._there.shape)[self._there]
 
 
 def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
@@ -124,7 +195,7 @@ def _errors_of_data(seen: _FitOfPresent, data: np.ndarray) -> DataCheck | None:
 
 
 def _clipped(
-    seen: _FitOfPresent, values: np.ndarray, counts: np.ndarray, checks: Misfit, seed: int
+    seen: _FitOfPresent, values: np.ndarray, counts: np.ndarray, seed: int, *, overrated: bool
 ) -> list[str]:
     """Values at which data accumulate and beyond which the fit predicts many data."""
     found, total = [], int(counts.sum())
@@ -133,7 +204,7 @@ def _clipped(
         if many[0] < max(PILED, STEEP * float(many[1 : 1 + BESIDE].max(initial=0))):
             continue
         step = converter_of([values]).step
-        if step and checks.remarks:  # rounded, under noise that is overrated
+        if step and overrated:  # rounded, under noise that is overrated
             continue
         if side < 0 and step == 1 and own[0] == 0:  # counts
             continue

@@ -20,11 +20,13 @@ from ..inference.parameters import natural_numbers
 from ..inference.pixelwise import Ends, fit_side_by_side
 from ..inference.problem import Problem, prediction
 from ..inference.search import spread_starts, unstarted
+from .data_checks import data_check_of_map
 from .map import STATES, FitMap, found_in_words
 from .result import Fit
 from .solve import fit
 
 FEW_STEPS, MANY_STEPS = 20, 200  # of all searches, and of those that need more
+MANY = 0.05  # share of pixels that are misfits, from which data are asked for the cause
 OUTLINE = ("estimate", "sd", "low_95", "low_68", "high_68", "high_95")
 
 
@@ -168,7 +170,12 @@ def fit_map(
     given = np.isfinite(flat).sum(axis=tuple(range(len(own_shape))))
     few = int(np.sum((given < numbers) & (state <= STATES.index("misfit"))))
     told = (f"{few} of {pixels} pixels have fewer data than unknowns: bounds and priors decide.",)
-    return _mapped(problem, table, chi_square, dof, state, shape, told=told[: few > 0])
+    many = np.mean(state == STATES.index("misfit")) > MANY
+    told = (
+        *told[: few > 0],
+        *data_check_of_map(problem, flat, table["estimate"], leaves, faulty=many, seed=seed),
+    )
+    return _mapped(problem, table, chi_square, dof, state, shape, told=told)
 
 
 def _parts(places: np.ndarray, size: int) -> Iterator[np.ndarray]:

@@ -32,6 +32,7 @@ UNLIT, FEWEST_UNLIT = 0.0, 30  # cosine of incidence in attached shadow; pixels 
 BELOW_DARKS, GAINS_APART = 5.0, 5.0  # standard errors by which darks, or gains, are another's
 UNLIKE_GAIN = 0.15  # relative difference of gains worth a word
 ROUNDS = 5  # of reweighting
+LITTLE = 1.05  # times, by which scores are larger and intervals wider without a word
 NOTABLE = 2.5  # standard deviations of an image's error worth a word
 
 OfChannel = tuple[JointCalibration, JointFit]
@@ -174,7 +175,8 @@ def _disagree(of: OfChannel) -> Numbers | None:
     if _posterior(of) is None or robust is None or robust.design_effect <= 1:
         return None
     wider = robust.gaussian_covariance.diagonal() / np.linalg.inv(fit.information).diagonal()
-    return {"larger": np.sqrt(robust.design_effect), "wider": np.sqrt(np.median(wider))}
+    told = {"larger": np.sqrt(robust.design_effect), "wider": np.sqrt(np.median(wider))}
+    return None if max(told.values()) < LITTLE else told
 
 
 def _halves(of: OfChannel, *, agree: bool | None) -> Numbers | None:

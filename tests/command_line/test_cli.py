@@ -302,7 +302,7 @@ def test_what_needs_no_computation_imports_none(tmp_path):
     images_missing = broken_rig(
         tmp_path / "missing",
         flat='[[flat]]\nfiles = ["a.tif", "b.tif"]\nexposure = 1',
-        dark='[[dark]]\nfiles = ["a.tif", "b.tif"]\nexposure = 1',
+        dark='[[dark]]\nfiles = ["c.tif", "d.tif"]\nexposure = 1',
         exposure='[[exposure]]\nfile = "a.tif"\nexposure = 1',
         light='[[light]]\nfile = "a.tif"\ndirection = [0, 0, 1]',
         geometry='[geometry]\nnormals = "a.npy"',

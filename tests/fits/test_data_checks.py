@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvision as jv
-from fitting import Censored, Gaussian, Parameter, Problem, SensorCounts, fit
+from fitting import Censored, Gaussian, Parameter, Problem, SensorCounts, fit, fit_map
 
 TIME = np.linspace(0.0, 4.0, 200)
 TRUE = 1.5 * np.exp(-TIME / 0.8) + 0.2
@@ -90,3 +90,26 @@ def test_poissons_law_fits_few_counts():
     assert found.converged
     predicted = decay(TIME, **{name: found.values[name] for name in FREE})
     assert abs(float(predicted.sum()) - counts.sum()) < 0.01 * counts.sum()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda x: np.minimum(x, 30.0), r"of 768 data are equal to the largest, 30, .*high=30"),
+        (lambda x: 2.0 * np.round(x / 2.0), r"All data lie 2 apart .* 4.* times the noise"),
+        (lambda x: 0.05 * np.round(x / 0.05), None),
+    ],
+)
+def test_the_data_of_a_map_are_checked_as_those_of_one_fit(change, expected):
+    rng, seconds = np.random.default_rng(0), np.linspace(1.0, 12.0, 12)
+    dark, offset = rng.uniform(1, 3, (8, 8)), rng.uniform(5, 10, (8, 8))
+    images = offset + dark * seconds[:, None, None] + 0.5 * rng.standard_normal((12, 8, 8))
+    pixel = Problem(
+        {"dark": Parameter(start=1.0), "offset": Parameter(start=0.0)},
+        lambda dark, offset, inputs: offset + dark * inputs,
+        *(Gaussian(sd=0.5), np.zeros(12)),
+        inputs=seconds,
+    )
+    told = [one for one in fit_map(pixel, change(images)).findings if "data " in one]
+    assert len(told) == (expected is not None)
+    assert expected is None or re.search(expected, told[0])

@@ -685,6 +685,16 @@ def test_images_that_disagree_are_checked_by_their_halves(deviations, told):
     assert told in sentence
 
 
+@pytest.mark.parametrize("effect", [1.02, 2.0])
+def test_scores_that_are_larger_by_less_than_a_word_shows_are_not_said(effect):
+    robust = SimpleNamespace(design_effect=effect, gaussian_covariance=effect * np.eye(3))
+    of_fit = {"posteriors": {"grey": ()}, "robust": {"grey": robust}, "halves": {}}
+    rows = [row for row in OF_CHANNEL if row.key == "images disagree"]
+    fit = SimpleNamespace(channel="grey", information=np.eye(3))
+    told = said(rows, (SimpleNamespace(**of_fit), fit))
+    assert len(told) == (effect > 1.1)
+
+
 def test_halves_that_differ_are_two_random_groups():
     """The variance of a mean by two groups is a quarter of their squared difference (Wolter)."""
     rng = np.random.default_rng(2)

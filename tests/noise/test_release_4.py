@@ -21,7 +21,7 @@ from fitting.noise.release_4.linear import figures
 from fitting.noise.release_4.lines import profile, spectrogram
 from fitting.noise.release_4.nonuniformity import high_pass, loss_of_filter, split
 from fitting.noise.release_4.saturation import Numbers, ranges
-from fitting.noise.release_4.section import sections
+from fitting.noise.release_4.section import LINEARITY, _deviation, sections
 from jaxvision.files.images import write_image
 
 SHAPE = (30, 40)
@@ -324,3 +324,12 @@ def test_intervals_cover_the_truth(name):
     )
     covered = np.mean((found > 0.025) & (found < 0.975), axis=0)
     assert covered.min() > 0.85, dict(zip(NAMES, covered, strict=True))
+
+
+def test_a_variance_below_0_is_no_limit_of_0():
+    draws = np.linspace(-2.0, -1.0, 100)
+    told = _deviation(LINEARITY, -1.5, draws, 1.0, 1.0, "")
+    assert told.value is None
+    assert "its variance comes out below 0" in told.reason
+    limit = _deviation(LINEARITY, 0.5, draws + 1.5, 1.0, 1.0, "")
+    assert f"below {np.sqrt(0.475):.3g}" in limit.reason

@@ -331,3 +331,22 @@ def test_pixels_of_several_gains_are_levelled_to_their_mean():
     np.testing.assert_allclose(alike.saturation, 65 + 4025 * 0.55 / 0.6)
     with pytest.raises(InputError, match=r"camera\.gain lists several numbers, but the files"):
         one_site(Camera(bits=12, taps=(1, 2), gain=[0.5, 0.6], gamma=2.2))
+
+
+@pytest.mark.parametrize(
+    ("entries", "which"),
+    [
+        (
+            '[[flat]]\nfiles = ["a.png", "b.png"]\nexposure = 1\n'
+            '[[dark]]\nfiles = ["c.png", "a.png"]\nexposure = 1',
+            "[[flat]] and [[dark]]",
+        ),
+        ('[[exposure]]\nfile = "a.png"\nexposure = 1\n' * 2, "[[exposure]]"),
+        ('[[light]]\nfile = "a.png"\ndirection = [0, 0, 1]\n' * 2, "[[light]]"),
+    ],
+)
+def test_a_file_that_is_listed_twice_is_refused(tmp_path, entries, which):
+    (tmp_path / "rig.toml").write_text(f"camera = {{bits = 8}}\n{entries}\n")
+    with pytest.raises(InputError) as found:
+        load_rig(tmp_path)
+    assert f"a.png stands more than once in {which}; list each file once" in str(found.value)

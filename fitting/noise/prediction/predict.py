@@ -79,7 +79,8 @@ def predict(
     Args:
         camera: a calibration, a sensor, a file of either a sensor (`sensor.toml` of a noise
             calibration, with its draws beside it) or a camera, or the name of a shipped camera.
-        measurement: flats and darks, as `read_photon_transfer` or `from_frames` returns them.
+        measurement: flats of at least 4 levels and darks, as `read_photon_transfer` or
+            `from_frames` returns them.
         draws: for a sensor that is no file, the same sensor with a leading axis of draws at every
             number; None where its numbers are exact.
         light_error: relative standard deviation of the true light of a level about the stated one.

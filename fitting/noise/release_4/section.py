@@ -191,7 +191,9 @@ def _deviation(
     drawn = scale * spread * np.sqrt(np.maximum(draws, 0))
     ends = np.quantile(drawn, QUANTILES)
     if ends[0] <= 0 or variance <= 0:
-        reason = f"below {ends[-1]:.3g} {quantity.unit}: not distinguishable from none"
+        reason = "not distinguishable from none: its variance comes out below 0"
+        if ends[-1] > 0:
+            reason = f"below {ends[-1]:.3g} {quantity.unit}: not distinguishable from none"
         return not_determined(quantity, reason, method=method)
     value = scale * float(np.sqrt(variance))
     return quantile_estimate(quantity, value, float(drawn.std()), ends, method=method)

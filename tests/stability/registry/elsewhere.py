@@ -554,7 +554,7 @@ ELSEWHERE = (
             fitting.fits.bands: bands pushed simulated thinned_draws
             fitting.fits.budget: budget
             fitting.fits.called_for: called_for
-            fitting.fits.data_checks: data_check
+            fitting.fits.data_checks: data_check data_check_of_map
             fitting.fits.prior_check: blamed conflicts loosened
             fitting.fits.information: expected_information slope_of with_inputs
             fitting.fits.information: in_words plan
