@@ -3,6 +3,7 @@
 
 from . import (
     joint as joint,
+    lights as lights,
     noise as noise,
     reflectance as reflectance,
     response as response,

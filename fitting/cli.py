@@ -219,6 +219,56 @@ def brdf(
         run("Reflectance", paths[0], options, calibrate_images)
 
 
+@command(
+    "jaxvision-fit lights ball/*.png --mask ball/mask.png --out lights",
+    "jaxvision-fit lights ball/*.tif --mask ball/mask.tif --kind matte --black-level 64",
+)
+def lights(
+    options: Options,
+    images: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Linear photographs of a ball, one a light.", metavar="IMAGE", parser=typed_path
+        ),
+    ],
+    mask: Annotated[
+        list[Path],
+        typer.Option(
+            help="Image that is non-zero where the ball is; twice, of two mirror balls, for "
+            "positions.",
+            parser=typed_path,
+            metavar="FILE",
+        ),
+    ],
+    kind: Annotated[
+        Literal["mirror", "matte"], typer.Option(help="Highlights of a mirror, or shading.")
+    ] = "mirror",
+    bits: Annotated[int, typer.Option(help="ADC bits of the images.", min=1, max=16)] = 8,
+    black_level: Annotated[float, typer.Option(help="DN without light.", min=0)] = 0.0,
+    focal_length: Annotated[
+        float | None,
+        typer.Option(help="Of the lens, pixels (default: an orthographic view).", min=1.0),
+    ] = None,
+    radius: Annotated[float | None, typer.Option(help="Of each of two balls, m.", min=1e-6)] = None,
+    outline_sd: Annotated[
+        float,
+        typer.Option(help="Pixels by which the whole outline may be off.", min=0.0, max=100.0),
+    ] = 0.5,
+) -> None:
+    """Directions or positions of lights and their intensities from photographs of a ball, with one
+    covariance; --out has a rig that brdf and joint read, and lights.npz."""
+
+    def calibrate_lights(reporter: Reporter) -> folders.Found:
+        refuse_mcmc(options, "the covariance is Gaussian")
+        known = {"bits": bits, "black_level": black_level}
+        asked = {"focal_length": focal_length, "radius": radius, "outline_sd": outline_sd}
+        return folders.lights(
+            images, mask, reporter.step, known, out=options.out, kind=kind, **asked
+        )
+
+    run("Lights", images[0].parent, options, calibrate_lights)
+
+
 @command("jaxvision-fit plan paint --target exponent")
 def plan(
     options: Options,

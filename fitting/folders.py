@@ -4,6 +4,7 @@ figures. A calibration needs only the path, so any process can run it.
 The numerical libraries are imported after the rig has been checked.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -412,6 +413,58 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
         )
     free = settings.get("fit_gamma", False)
     return [with_inputs(found, rig, "a reflectance calibration", fit_gamma=free)], {}
+
+
+def lights(
+    images: Sequence[Path],
+    masks: Sequence[Path],
+    step: Step,
+    known: dict[str, Any],
+    *,
+    out: Path | None = None,
+    **settings: Any,
+) -> Found:
+    """Where lights are, from photographs of a ball.
+
+    Args:
+        images: files, one a light; masks among them are left out.
+        masks: files, one a ball.
+        step: shows what is done.
+        known: `bits` and `black_level` of the camera.
+        out: folder of the rig that is written.
+        settings: of `lights.calibrate`: kind, focal_length, radius, outline_sd.
+
+    Returns:
+        One section, no pictures.
+
+    Raises:
+        InputError: for what cannot be calibrated.
+    """
+    of_balls = {existing(mask).resolve() for mask in masks}
+    images = [image for image in images if existing(image).resolve() not in of_balls]
+    folder = images[0].parent if images else Path()
+    if not images or any(image.parent != folder for image in images):
+        raise InputError("give the photographs of a ball, all of one folder, beside their mask.")
+    from .lights import calibrate
+    from .lights.section import section
+    from .observation import read_frame, read_mask
+    from .rig import Camera
+
+    camera = Camera(**known)
+    with step("reading images"):
+        frames = [read_frame(image, camera) for image in images]
+        balls = [read_mask(mask, camera) for mask in masks]
+    with step("finding the lights"):
+        found = calibrate(
+            frames,
+            balls,
+            camera=camera.at("grey"),
+            files=[image.name for image in images],
+            **settings,
+        )
+    root = os.path.relpath(folder, out or Path()).replace(os.sep, "/")
+    lines = "\n".join(f"{name} = {value}" for name, value in known.items())
+    return [section(found, root=root, camera=lines)], {}
 
 
 def joint(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:

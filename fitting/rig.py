@@ -591,6 +591,8 @@ class Rig(Entry):
         exposure: images for the response calibration.
         light: images for the reflectance calibration.
         geometry: for the reflectance calibration.
+        covariance: file of the errors of all lights together, `lights.npz` as
+            `jaxvision-fit lights` writes it, beside the rig; replaces `direction_sd`.
     """
 
     folder: Path
@@ -601,6 +603,13 @@ class Rig(Entry):
     exposure: tuple[Exposure, ...] = ()
     light: tuple[Light, ...] = ()
     geometry: Geometry | None = None
+    covariance: str | None = None
+
+    @model_validator(mode="after")
+    def _one_error(self) -> "Rig":
+        if self.covariance is not None and any(light.direction_sd for light in self.light):
+            raise ValueError("give either covariance or the direction_sd of lights")
+        return self
 
     @model_validator(mode="after")
     def _each_file_once(self) -> "Rig":

@@ -24,14 +24,23 @@ from ..inference.diagnostics import Identifiability, identifiability
 from ..inference.left_out import LeftOut
 from ..inference.newton import NewtonSolution, minimise
 from ..inference.parameters import ParameterSpace, log_prior, names, to_unconstrained
-from ..reflectance.from_images.read import Photographs
+from ..reflectance.from_images.read import Photographs, turn_prior_of
 from ..reflectance.from_images.signal import Form, Values
 from ..reflectance.from_images.turns import SETTLED, WIDEST, turned
 from ..reflectance.models import is_searched, shape_of
 from . import marginal
 from .candidates import with_misfit, without_small_errors
 from .cells import Grid, cell_width, make_grid, reduce_images
-from .model import JointData, Levels, cost, parameters, predicted_parts, scatter_scales, values_at
+from .model import (
+    JointData,
+    Levels,
+    cost,
+    error_precision,
+    parameters,
+    predicted_parts,
+    scatter_scales,
+    values_at,
+)
 from .start import first_noise, first_reflectance
 
 FEWEST_CELLS = 50
@@ -161,6 +170,8 @@ def _prepared(observation: Photographs, channel: int, form: Form) -> tuple[Grid,
     relative = {n: jnp.asarray(size[grid.lights]) for n, (_, size) in scales.items() if n != "prnu"}
     white = jnp.asarray(observation.white)
     data = JointData(space, form, known, cells, levels, white, relative)
+    if (prior := turn_prior_of(observation, grid.lights)) is not None:
+        data = replace(data, turn_precision=jnp.asarray(np.linalg.inv(prior)))
     return grid, data, to_unconstrained(space, jnp.asarray(list(natural.values())))
 
 
@@ -188,7 +199,11 @@ def _chi_square(vector: Array, data: JointData) -> tuple[float, int]:
     model, weight, of_cells = predicted_parts(vector, data)
     cells = int(jnp.sum(weight > 0))
     left = data.cells.mean - model.mean
-    shared = {"image_errors": model.image_errors, "cell_errors": of_cells}
+    shared = {
+        "image_errors": model.image_errors,
+        "cell_errors": of_cells,
+        "precision": error_precision(data),
+    }
     found = eqx.filter_jit(marginal.chi_square)(left, weight, **shared)
     return float(found) / max(cells - len(data.space), 1), cells
 
@@ -244,5 +259,6 @@ def image_errors(
         return None
     left = fit.data.cells.mean - model.mean
     by_image = eqx.filter_jit(marginal.image_error_means)
-    mean, spread = by_image(left, weight, model.image_errors, cell_errors=of_cells)
+    shared = {"cell_errors": of_cells, "precision": error_precision(fit.data)}
+    mean, spread = by_image(left, weight, model.image_errors, **shared)
     return np.asarray(mean), np.asarray(spread)

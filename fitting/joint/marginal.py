@@ -33,13 +33,14 @@ def log_density(
     *,
     image_errors: ImageErrors | None = None,
     cell_errors: Table | None = None,
+    precision: Array | None = None,
 ) -> Float[Array, ""]:
     """ln p(r) up to a constant.
 
     The (images, cells) residuals r, H and G are in DN and the weights w in DN^-2, 0 for a cell
     without data. H or G is None if there is no such error.
     """
-    square, log_volume = _parts(residual, weight, image_errors, cell_errors)
+    square, log_volume = _parts(residual, weight, image_errors, cell_errors, precision)
     return -(square + log_volume) / 2
 
 
@@ -49,14 +50,19 @@ def chi_square(
     *,
     image_errors: ImageErrors | None = None,
     cell_errors: Table | None = None,
+    precision: Array | None = None,
 ) -> Float[Array, ""]:
     """r' C^-1 r with C the covariance of r; its expectation is the number of cells with data.
     Arguments as in `log_density`."""
-    return _parts(residual, weight, image_errors, cell_errors)[0]
+    return _parts(residual, weight, image_errors, cell_errors, precision)[0]
 
 
 def _parts(
-    residual: Table, weight: Table, image_errors: ImageErrors | None, cell_errors: Table | None
+    residual: Table,
+    weight: Table,
+    image_errors: ImageErrors | None,
+    cell_errors: Table | None,
+    precision: Array | None,
 ) -> tuple[Array, Array]:
     """r' C^-1 r and ln det C."""
     square = jnp.sum(weight * residual**2)
@@ -67,18 +73,23 @@ def _parts(
         log_volume = log_volume + jnp.sum(jnp.log(stiffness))
     if image_errors is None:
         return square, log_volume
-    factor, pull = _of_images(residual, weight, image_errors, cell_errors)
+    factor, pull = _of_images(residual, weight, image_errors, cell_errors, precision)
     explained = jax.vmap(lambda L, b: solve_triangular(L, b, lower=True))(factor, pull)
     log_volume = log_volume + 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)))
     return square - jnp.sum(explained**2), log_volume
 
 
 def image_error_means(
-    residual: Table, weight: Table, image_errors: ImageErrors, *, cell_errors: Table | None = None
+    residual: Table,
+    weight: Table,
+    image_errors: ImageErrors,
+    *,
+    cell_errors: Table | None = None,
+    precision: Array | None = None,
 ) -> tuple[Float[Array, "images errors"], Float[Array, "images errors"]]:
     """Posterior means and standard deviations of u given r, (images, errors), in units of the
     prior's. Arguments as in `log_density`."""
-    factor, pull = _of_images(residual, weight, image_errors, cell_errors)
+    factor, pull = _of_images(residual, weight, image_errors, cell_errors, precision)
     shape = image_errors.shape[:2]
     mean = jax.vmap(lambda L, b: cho_solve((L, True), b))(factor, pull)
     unit = jnp.eye(factor.shape[1], dtype=factor.dtype)
@@ -94,7 +105,11 @@ def _of_cells(residual: Table, weight: Table, cell_errors: Table) -> tuple[Array
 
 
 def _of_images(
-    residual: Table, weight: Table, image_errors: ImageErrors, cell_errors: Table | None
+    residual: Table,
+    weight: Table,
+    image_errors: ImageErrors,
+    cell_errors: Table | None,
+    precision: Array | None,
 ) -> tuple[Array, Array]:
     """Cholesky factor of M, and the right hand side H'W r minus the part that g explains: (blocks,
     n, n) and (blocks, n). A block is an image; if g couples the images there is one block."""
@@ -102,13 +117,18 @@ def _of_images(
     weighted = weight[:, None] * image_errors
     pull = jnp.einsum("jkc,jc->jk", weighted, residual)
     own = jnp.einsum("jkc,jlc->jkl", weighted, image_errors)
-    own = own + jnp.eye(errors, dtype=own.dtype)[None]
-    if cell_errors is None:
-        return jnp.linalg.cholesky(own), pull
-    cell_pull, stiffness = _of_cells(residual, weight, cell_errors)
-    across = (weighted * cell_errors[:, None]).reshape(images * errors, cells)
+    if precision is None:
+        own = own + jnp.eye(errors, dtype=own.dtype)[None]
+        if cell_errors is None:
+            return jnp.linalg.cholesky(own), pull
     blocks = jnp.einsum("jkl,ji->jkil", own, jnp.eye(images, dtype=own.dtype))
     matrix = blocks.reshape(images * errors, images * errors)
+    if precision is not None:
+        matrix = matrix + precision
+    if cell_errors is None:
+        return jnp.linalg.cholesky(matrix)[None], pull.reshape(1, -1)
+    cell_pull, stiffness = _of_cells(residual, weight, cell_errors)
+    across = (weighted * cell_errors[:, None]).reshape(images * errors, cells)
     matrix = matrix - (across / stiffness[None]) @ across.T
     pull = pull.reshape(-1) - across @ (cell_pull / stiffness)
     return jnp.linalg.cholesky(matrix)[None], pull[None]

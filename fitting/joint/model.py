@@ -180,6 +180,9 @@ class JointData(eqx.Module):
     white: Array  # W, DN
     # by name of an error of images, its size in each image relative to its scale, (images,)
     relative: dict[str, Float[Array, " images"]]
+    # inverse covariance of the rotations of all lights together, in units of their scale; None
+    # where lights err by themselves
+    turn_precision: Float[Array, "turns turns"] | None = None
 
 
 Images = tuple[Cells, dict[str, Array], Array | None]
@@ -320,6 +323,7 @@ def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array
         weights(cells, model),
         image_errors=model.image_errors,
         cell_errors=cell_errors(values, cells, model),
+        precision=error_precision(data),
     )
     return total + marginal.scatter_log_density(
         cells.scatter,
@@ -328,6 +332,18 @@ def _log_likelihood(values: Values, model: Prediction, data: JointData) -> Array
         pixel_errors=values["prnu"] * model.relative if "prnu" in values else None,
         products=cells.products,
     )
+
+
+def error_precision(data: JointData) -> Array | None:
+    """Inverse covariance of the errors of all images, (images x errors) squared; None where it is
+    1."""
+    if data.turn_precision is None or "direction_scatter" not in data.relative:
+        return None
+    images = len(data.turn_precision) // 2
+    first = 1 if "light_scatter" in data.relative else 0
+    errors = first + 2 + ("stray_scatter" in data.relative)
+    places = (errors * np.arange(images)[:, None] + first + np.arange(2)).ravel()
+    return jnp.eye(images * errors).at[np.ix_(places, places)].set(data.turn_precision)
 
 
 def _of_levels(values: Values, data: JointData) -> Array:

@@ -24,7 +24,7 @@ from ..copies import Copies
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_percent, format_spread, format_with_error
 from ..inference.given import plain_numbers
-from .stereo_lights import FLAT, Common, common_departure, solved
+from .stereo_lights import FLAT, Common, by_lights, common_departure, solved
 from .stereo_misfit import departures, shared_squares
 
 ROUNDS = 30  # of reweighting toward the least sum of absolute residuals
@@ -115,6 +115,7 @@ def photometric_stereo(
     lights: ArrayLike,
     *,
     intensities: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
     lowest: float = 0.0,
     highest: float = np.inf,
     robust: bool = True,
@@ -127,6 +128,8 @@ def photometric_stereo(
         lights: (lights, 3) unit vectors toward the lights, in any axes.
         intensities: (lights,) irradiance on a surface that faces the light, W m^-2 or relative;
             None for 1.
+        covariance: (lights, 4, lights, 4) of directions and logarithms of intensities, as
+            `fitting.lights.calibrate` finds it; None for exact lights.
         lowest: readings at or below it are left out as shadow, in the unit of the images; so are
             readings that the others predict less than three standard deviations above it.
         highest: readings at or above it are left out as clipped; so are readings that the others
@@ -171,6 +174,7 @@ def photometric_stereo(
     """
     stack, directions, irradiance = _checked(images, lights, intensities)
     rows = directions * irradiance[:, None]
+    together = None if covariance is None else _common_errors(covariance, len(stack))
     readings = stack.reshape(len(stack), -1)
     clipped: tuple[str, ...] = ()
     if np.isinf(highest) and (top := converter_of(stack).clips_at) is not None:
@@ -193,16 +197,20 @@ def photometric_stereo(
     shaped = counts.reshape(stack.shape)
     found = departures(rows, directions, agreeing.reshape(stack.shape), shaped)
     g, _ = solved(rows, readings, found.weights)
-    covariance = found.covariance
+    covariance_of_g = found.covariance
     if common is not None:
-        covariance = departures(rows, directions, stack, shaped).covariance
+        covariance_of_g = departures(rows, directions, stack, shaped).covariance
         moved = solved(rows, agreeing, found.weights)[0] - g
-        covariance = covariance + moved[:, :, None] * moved[:, None, :]
+        covariance_of_g = covariance_of_g + moved[:, :, None] * moved[:, None, :]
         findings += (_of_common(common, moved / _typical(g)),)
+    if together is not None:
+        covariance_of_g = covariance_of_g + by_lights(
+            rows, irradiance, found.weights, found.inverse, g, together
+        )
     albedo = np.linalg.norm(g, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         normals = g / albedo[:, None]
-        normal_sd, albedo_sd = _deviations(normals, albedo, covariance)
+        normal_sd, albedo_sd = _deviations(normals, albedo, covariance_of_g)
         misfit = np.where(np.isfinite(albedo), found.size / albedo, np.nan)
         by_noise = _deviations(normals, albedo, found.inverse * found.noise[:, None, None])[0]
     if found.significant and np.nanmedian(misfit) > NEGLIGIBLE:
@@ -410,6 +418,16 @@ def _checked(
     if len(stack) < 3 or strengths[2] < FLAT * strengths[0]:
         raise InputError("normals need three lights that do not lie in one plane; add a light.")
     return stack, directions, irradiance
+
+
+def _common_errors(covariance: ArrayLike, lights: int) -> np.ndarray:
+    together = np.asarray(plain_numbers("covariance", covariance), float)
+    if together.shape != (lights, 4, lights, 4):
+        raise InputError(
+            f"covariance must be ({lights}, 4, {lights}, 4), of x, y, z and the logarithm of the "
+            f"intensity, got {together.shape}."
+        )
+    return together
 
 
 def _least_squares(

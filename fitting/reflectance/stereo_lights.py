@@ -24,6 +24,7 @@ LIT = 0.1  # of the brightest pixels' mean reading: pixels that tell it
 CLEAR = 5.0  # standard errors from which a factor or offset is significant
 DETERMINED = 10.0  # times what noise in g adds to the information on a factor
 WIDEST = 10.0  # factor of a light; beyond, its direction is wrong or no light is
+AT_ONCE, ROUNDED = 500, 1e-12  # pixels; of the largest variance: no more than rounding
 EXPLAINED = 0.5  # least share of the residuals' squares that it explains
 
 
@@ -64,6 +65,31 @@ def solved(
     inverse[known] = np.linalg.inv(matrix[known])
     right = np.where(weights > 0, weights * readings, 0).T @ rows
     return np.einsum("pij,pj->pi", inverse, right), inverse
+
+
+def by_lights(
+    rows: Float[np.ndarray, "lights 3"],
+    irradiance: Float[np.ndarray, " lights"],
+    weights: Float[np.ndarray, "lights pixels"],
+    inverse: Float[np.ndarray, "pixels 3 3"],
+    g: Float[np.ndarray, "pixels 3"],
+    covariance: Float[np.ndarray, "lights 4 lights 4"],
+) -> Float[np.ndarray, "pixels 3 3"]:
+    """Covariance of g by errors of the lights' directions and logarithms of intensities:
+    dg = -M^-1 sum w r (E dl.g + r.g d ln E), r = E l."""
+    flat = covariance.reshape(4 * len(rows), -1)
+    sizes, axes = np.linalg.eigh(flat)
+    seen = sizes > ROUNDED * sizes[-1]
+    root = (axes[:, seen] * np.sqrt(sizes[seen])).reshape(len(rows), 4, -1)
+    found = np.empty_like(inverse)
+    for start in range(0, len(g), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        pull = np.einsum("pij,kj,kp->pki", inverse[part], rows, weights[:, part])
+        read = np.einsum("k,pc,kcr->pkr", irradiance, g[part], root[:, :3])
+        read += np.einsum("pk,kr->pkr", g[part] @ rows.T, root[:, 3])
+        moved = np.swapaxes(pull, 1, 2) @ read
+        found[part] = moved @ np.swapaxes(moved, 1, 2)
+    return found
 
 
 def common_departure(

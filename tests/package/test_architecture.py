@@ -44,7 +44,7 @@ FITTING_FLOORS = [
     {"rig", "inference", "codes", "copies"},
     {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
     {"fits", "sensor_likelihoods"},
-    {"noise", "response"},
+    {"noise", "response", "lights"},
     {"reflectance"},
     {"accuracy", "demo", "joint"},
     {"checks"},

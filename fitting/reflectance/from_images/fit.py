@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.linalg import block_diag
 
 from ...inference.clustering import Robustness, cluster_robust
 from ...inference.diagnostics import Identifiability, identifiability
@@ -56,6 +57,8 @@ class ChannelFit:
     # uncertainty; None without such
     turns_and_information: tuple[np.ndarray, np.ndarray] | None
     converged: bool  # whether the optimum was reached
+    # (turns, turns) covariance of the rotations where lights err together, in these units
+    turn_prior: np.ndarray | None = None
 
     @property
     def form(self) -> Form:
@@ -98,8 +101,14 @@ class ChannelFit:
         if self.turns_and_information is None:
             return evidence
         turns, information = self.turns_and_information
-        widening = np.linalg.slogdet(np.eye(2) + information / design_effect)[1]
-        return evidence - float(np.sum(turns**2) + widening.sum()) / 2
+        if self.turn_prior is None:
+            widening = np.linalg.slogdet(np.eye(2) + information / design_effect)[1]
+            return evidence - float(np.sum(turns**2) + widening.sum()) / 2
+        prior, flat = self.turn_prior, turns.ravel()
+        root = np.linalg.cholesky(prior)
+        told = root.T @ np.asarray(block_diag(*information)) @ root / design_effect
+        volume = np.linalg.slogdet(np.eye(len(flat)) + told)[1]
+        return evidence - float(flat @ np.linalg.solve(prior, flat) + volume) / 2
 
 
 @in_double
@@ -146,6 +155,7 @@ def fit_channel(gathered: Gathered, channel: int, form: Form, grouping: Grouping
         by_light=squared_errors(prediction.dn, samples, selection),
         turns_and_information=told,
         converged=found.converged,
+        turn_prior=known.turn_prior,
     )
 
 

@@ -13,7 +13,7 @@ from jaxvision.errors import InputError
 
 from ...observation import in_memory, require_as_many, require_frames, require_several_images
 from ...rig import Camera, SphereGeometry
-from .read import Photographs
+from .read import Photographs, with_covariance
 from .uniform_frames import read_joint_measurement
 
 # What a caller calls the keys of the entries.
@@ -62,7 +62,9 @@ def from_photographs(
         intensities: (lights,) or (lights, channels) irradiance on a surface that faces the light, W
             m^-2 or relative; for point lights, radiant intensity. None for 1.
         intensity_sd: relative standard deviation of the intensities.
-        direction_sd: standard deviation of the directions, rad along each of two axes across them.
+        direction_sd: standard deviation of the directions, rad along each of two axes across them;
+            or the covariance of all lights together, (lights, 4, lights, 4), as
+            `fitting.lights.calibrate` finds it (of its intensities, `intensity_sd` counts).
         exposure_sd: relative standard deviation of the images' exposures.
         stray_sd: rms of stray light on all pixels, relative to the irradiance.
         held_out: indices of the lights that are kept for the test; none keeps every fourth.
@@ -91,6 +93,14 @@ def from_photographs(
     require_as_many("lights", lights, "images", images)
     strengths = np.ones(len(lights)) if intensities is None else np.asarray(intensities)
     require_as_many("intensities", strengths, "images", images)
+    together = None
+    if np.ndim(direction_sd) == 4:  # type: ignore[arg-type]
+        together, direction_sd = np.asarray(plain_array("direction_sd", direction_sd)), None
+        if together.shape != 2 * (len(lights), 4):
+            raise InputError(
+                f"direction_sd: a covariance of {len(lights)} lights is ({len(lights)}, 4, "
+                f"{len(lights)}, 4), got {together.shape}."
+            )
     uncertain = {
         "intensity_sd": intensity_sd,
         "direction_sd": direction_sd,
@@ -122,7 +132,12 @@ def from_photographs(
             named |= dict(zip(of_level, frames, strict=True))
         entries[kind] = [{"files": of_level, "exposure": 1.0} for of_level in files]
     rig, load = in_memory(named, called=CALLED, camera=camera, **entries)
-    return read_joint_measurement(rig, load=load)
+    found = read_joint_measurement(rig, load=load)
+    if together is None:
+        return found
+    scale = np.linalg.norm(lights, axis=1)
+    components = together[:, :3, :, :3] / scale[:, None, None, None] / scale[:, None]
+    return with_covariance(found, components)
 
 
 def _each(name: str, sd: ArrayLike, images: Sequence[ArrayLike]) -> Float[np.ndarray, " lights"]:

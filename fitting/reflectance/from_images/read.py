@@ -6,7 +6,7 @@ direction is the same everywhere. Angles are radians, digital numbers as stored.
 """
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +14,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
+from jaxvision import as_array, as_vec
 from jaxvision.errors import InputError
 from jaxvision.files.images import read_image
 from jaxvision.geometry import angle_between, mirror_direction
+from jaxvision.geometry.hemisphere import local_frame
 
 from ...frame_checks.frame import refuse_half
 from ...frame_checks.heads import Stated, odd_heads
 from ...inference.formatting import format_percent
+from ...lights.file import read_lights
 from ...observation import Load, in_region, one_site, read_mask, read_stack, to_one_site
 from ...rig import (
     Camera,
@@ -42,6 +45,7 @@ FEWEST_PIXELS = 50
 DARK_ERRORS = 4.0  # of an image's median, up to which it lies at the black level
 DARK_SHARE = 0.05  # of the signal that the other images let one expect, below which one is dark
 OF_LIGHTS = ("intensity_sd", "direction_sd", "exposure_sd", "stray_sd")
+SAME_LIGHT = 1e-3  # of a place: difference of one light in two files
 NOT_UNIT = 1e-2  # deviation of a normal's length from 1 beyond rounding
 FEWEST_AT_TOP = 20  # samples at the largest number that may be a pile of clipped ones
 PILE, BELOW_TOP = 5, 8  # times as many as at any of so many of the next smaller numbers
@@ -95,6 +99,8 @@ class Photographs:
         read_noise: e- rms; None where unknown.
         findings: sentences on assumptions.
         uncertain: (lights,) standard deviations by their key in the rig; 0 where exact.
+        turn_prior: (turns, turns) covariance of the rotations of all lights, two a light, in units
+            of `direction_sd`; None for independent lights.
         black_sd: DN, standard deviation of the black level; 0 where exact.
         gamma_sd: standard deviation of the encoding exponent; 0 where exact.
         levels: of the uniform frames of each channel; None without any, or where none are
@@ -123,6 +129,7 @@ class Photographs:
     read_noise: float | None
     findings: tuple[str, ...]
     uncertain: dict[str, Float[np.ndarray, " lights"]] = field(default_factory=dict)
+    turn_prior: Float[np.ndarray, "turns turns"] | None = None
     black_sd: float = 0.0
     gamma_sd: float = 0.0
     levels: tuple[UniformLevels, ...] | None = None
@@ -208,7 +215,66 @@ def read_reflectance_observation(
         gamma_sd=camera.gamma_sd or 0.0,
     )
     _refuse_unusable(rig, observation)
+    if rig.covariance is not None:
+        return with_covariance(observation, _covariance_of(rig))
     return observation
+
+
+def _covariance_of(rig: Rig) -> Float[np.ndarray, "lights 3 lights 3"]:
+    """Of the directions of the rig's lights, from the file that it names."""
+    assert rig.covariance is not None
+    known = read_lights(rig.folder / rig.covariance)
+    scale = np.linalg.norm(known.places, axis=1)
+    order = []
+    for light in rig.light:
+        place = light.position if known.near else light.direction
+        apart = np.full(len(scale), np.inf)
+        if place is not None:
+            apart = np.linalg.norm(known.places - np.asarray(place), axis=1) / scale
+        order.append(int(np.argmin(apart)))
+        if not apart.min() < SAME_LIGHT:
+            raise InputError(
+                f"{rig.folder}: light {light.file} is none of those of {rig.covariance}; give its "
+                f"{'position' if known.near else 'direction'} as that file has it, or remove "
+                "covariance."
+            )
+    across = known.covariance[:, :3, :, :3] / scale[:, None, None, None] / scale[:, None]
+    return across[order][:, :, order]
+
+
+def with_covariance(
+    observation: Photographs, covariance: Float[np.ndarray, "lights 3 lights 3"]
+) -> Photographs:
+    """The observation with a covariance of the directions of all lights, of their components."""
+    axes = across(observation.wi)
+    both = np.einsum("lai,limj,mbj->lamb", axes, covariance, axes)
+    sizes = np.sqrt(np.einsum("lala->l", both) / 2)
+    lights = len(sizes)
+    scale = np.repeat(np.maximum(sizes, 1e-12), 2)
+    prior = both.reshape(2 * lights, 2 * lights) / np.outer(scale, scale)
+    return replace(
+        observation,
+        uncertain=observation.uncertain | {"direction_sd": sizes},
+        turn_prior=prior + 1e-9 * np.eye(2 * lights),
+    )
+
+
+def turn_prior_of(
+    observation: Photographs, lights: Bool[np.ndarray, " lights"] | Int[np.ndarray, " some"]
+) -> Float[np.ndarray, "turns turns"] | None:
+    """The common covariance of the rotations of some lights; None where each errs alone."""
+    if observation.turn_prior is None:
+        return None
+    count = len(observation.files)
+    places = np.arange(2 * count).reshape(count, 2)[lights].ravel()
+    return observation.turn_prior[np.ix_(places, places)]
+
+
+def across(wi: Float[np.ndarray, "lights pixels 3"]) -> Float[np.ndarray, "lights 2 3"]:
+    """Two unit axes across each light, about which it may be turned."""
+    middle = wi.mean(axis=1)
+    frame = local_frame(as_vec(middle / np.linalg.norm(middle, axis=1, keepdims=True)))
+    return np.stack([np.asarray(as_array(v)) for v in (frame.tangent, frame.bitangent)], axis=1)
 
 
 def _pile_at_top(dn: Float[np.ndarray, "channels lights pixels"]) -> tuple[float, int] | None:

@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ...copies import Copies
 from ...inference.formatting import format_percent
-from .read import Photographs, lightless_images
+from .read import Photographs, lightless_images, turn_prior_of
 
 LIT = 0.1  # of the brightest: pixels that are surely neither in shadow nor background
 OUTLYING, ROUNDS = 2.5, 8  # median absolute deviations beyond which a pixel is highlight; passes
@@ -119,6 +119,7 @@ def without_strangers(observation: Photographs) -> Photographs:
         dn=observation.dn[:, kept],
         intensity=observation.intensity[:, kept],
         uncertain={name: sizes[kept] for name, sizes in observation.uncertain.items()},
+        turn_prior=turn_prior_of(observation, kept),
         findings=(*sentences, *observation.findings),
         **{name: getattr(observation, name)[kept] for name in by_light},
     )

@@ -99,7 +99,9 @@ def stated_errors(
     def left(values: np.ndarray) -> np.ndarray:
         if turnable is None:
             return values
-        return beyond_turns(values, turnable, samples, selection, lights)
+        return beyond_turns(
+            values, turnable, samples, selection, lights, prior=observation.turn_prior
+        )
 
     slopes = left(slopes)
     of_lights = [

@@ -9,7 +9,9 @@ are the most likely rotations for given parameters. Marginalising over them leav
 
     I - J^T S K^-1 S^T J,    1 - S K^-1 S^T = (1 + S S^T)^-1,
 
-for the parameters, whose derivatives are J and whose information was I.
+for the parameters, whose derivatives are J and whose information was I. Where lights were measured
+together, on a ball whose outline they share, their rotations have a common covariance P, and K is
+P^-1 + S^T S of all lights.
 
 A highlight is not linear in its light's direction. If lights have errors of a degree and the rig's
 directions are kept, the fit shows the mean of displaced highlights, which is wider and weaker than
@@ -22,16 +24,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag, solve_triangular
 from scipy.special import chdtri
-
-from jaxvision import as_array, as_vec
-from jaxvision.geometry.hemisphere import local_frame
 
 from .derivatives import Prediction, Vector, predict, residuals
 from .geometry_cells import Grouping
 from .model import Samples
 from .optimum import Optimum, weighed, weighed_and_fitted
-from .read import Photographs, angles
+from .read import Photographs, across, angles
 from .samples import Gathered, Selection, make_samples, of_some_pixels
 from .spread import Spread
 
@@ -47,10 +47,7 @@ ENOUGH = 20_000  # samples that put lights nearly where all samples do
 
 def turned(observation: Photographs, angles_across: Float[np.ndarray, "lights 2"]) -> Photographs:
     """Rotate the lights by (lights, 2) rad along two axes across them."""
-    middle = observation.wi.mean(axis=1)
-    frame = local_frame(as_vec(middle / np.linalg.norm(middle, axis=1, keepdims=True)))
-    axes = np.stack([np.asarray(as_array(v)) for v in (frame.tangent, frame.bitangent)], axis=1)
-    moved = observation.wi + np.einsum("la,lac->lc", angles_across, axes)[:, None]
+    moved = observation.wi + np.einsum("la,lac->lc", angles_across, across(observation.wi))[:, None]
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
     cosine, mirror = angles(observation.normals, moved)
     return replace(observation, wi=moved, cosine=cosine, mirror_angle=mirror)
@@ -84,14 +81,18 @@ def likeliest_turns(
     prediction: Prediction,
     samples: Samples,
     selection: Selection,
+    prior: Float[np.ndarray, "turns turns"] | None,
 ) -> Float[np.ndarray, "lights 2"]:
     """Return the (lights, 2) most likely rotations at given parameters, in units of `direction_sd`,
     linearised about `turns`."""
     moves, precision = _standard(shifts, samples, selection, len(turns))
     left = -residuals(prediction, samples)
     left += np.einsum("as,sa->s", moves, turns[selection.light])
-    pulls = [np.bincount(selection.light, move * left, len(turns)) for move in moves]
-    return np.linalg.solve(precision, np.stack(pulls, axis=1)[..., None])[..., 0]
+    pulls = np.stack([np.bincount(selection.light, m * left, len(turns)) for m in moves], axis=1)
+    if prior is None:
+        return np.linalg.solve(precision, pulls[..., None])[..., 0]
+    whole = np.linalg.inv(prior) + np.asarray(block_diag(*(precision - np.eye(2))))
+    return np.linalg.solve(whole, pulls.ravel()).reshape(-1, 2)
 
 
 def information_on_turns(
@@ -108,18 +109,30 @@ def beyond_turns(
     samples: Samples,
     selection: Selection,
     lights: int,
+    *,
+    prior: Float[np.ndarray, "turns turns"] | None = None,
 ) -> Float[np.ndarray, "rows samples"]:
-    """Return (1 + S S^T)^(-1/2) x for slopes and errors x, (rows, samples) in standard deviations.
+    """Return (1 + S P S^T)^(-1/2) x for slopes and errors x, (rows, samples) in standard
+    deviations.
     Products of these equal x^T (1 - S K^-1 S^T) y, after marginalising over the light directions.
     """
     moves, precision = _standard(shifts, samples, selection, lights)
-    squares, axes = np.linalg.eigh(precision - np.eye(2))  # of S^T S
-    squares = np.maximum(squares, LEAST_INFORMATION)
+    told = precision - np.eye(2)  # S^T S
+    root = np.eye(2)
+    if prior is not None:
+        root = np.linalg.cholesky(prior)[None]
+        told = np.swapaxes(root, 1, 2) @ np.asarray(block_diag(*told)) @ root
+    squares, axes = np.linalg.eigh(told)
+    squares, axes = np.maximum(squares, LEAST_INFORMATION), root @ axes
     taken = (1 - 1 / np.sqrt(1 + squares)) / squares
     pulls = np.stack(
         [[np.bincount(selection.light, row * move, lights) for move in moves] for row in values]
     )  # (rows, 2, lights)
+    if prior is not None:
+        pulls = np.swapaxes(pulls, 1, 2).reshape(len(pulls), -1, 1)
     back = np.einsum("lab,lb,lcb,rcl->ral", axes, taken, axes, pulls)
+    if prior is not None:
+        back = np.swapaxes(back.reshape(len(back), -1, 2), 1, 2)
     return values - np.einsum("as,ras->rs", moves, back[:, :, selection.light])
 
 
@@ -164,13 +177,22 @@ def among_turns(
     known = (observation.uncertain["direction_sd"] > 0) & ~observation.held_out
     seen = 2 * np.count_nonzero(known)
     most = float(np.sqrt(chdtri(seen, IMPLAUSIBLE) / seen))
+    prior = observation.turn_prior
+
+    def size(turns: np.ndarray) -> float:
+        if prior is None:
+            return _rms(turns[known])
+        both = np.repeat(known, 2)
+        root = np.linalg.cholesky(prior[np.ix_(both, both)])
+        return _rms(solve_triangular(root, turns[known].ravel(), lower=True))
+
     found, turns = _consistent_turns(nominal, gathered, known, channel, grouping, sensor)
-    lights = TurnedLights(turns, _rms(turns[known]))
+    lights = TurnedLights(turns, size(turns))
     if most < lights.size <= WIDEST:
         widened = lights.size
         wider = replace(gathered, observation=with_wider_directions(observation, widened))
         found, turns = _consistent_turns(nominal, wider, known, channel, grouping, sensor)
-        lights = TurnedLights(widened * turns, widened * _rms(turns[known]), widened)
+        lights = TurnedLights(widened * turns, widened * size(turns), widened)
     return (found if lights.followed else nominal), lights
 
 
@@ -205,7 +227,9 @@ def _consistent_turns(
             vector, samples = found.vector, found.samples
             shifts = shifts_of_turns(observation, turns, channel, vector, samples, selection)
             before = turns
-            turns = likeliest_turns(shifts, before, found.prediction, samples, selection)
+            turns = likeliest_turns(
+                shifts, before, found.prediction, samples, selection, observation.turn_prior
+            )
             if _rms(turns[known]) > ABSURD:
                 return nominal, turns
             samples = _about(observation, selection, channel, found, turns)

@@ -226,8 +226,21 @@ ELSEWHERE = (
         "test_photometric_stereo",
         """
             fitting.reflectance.stereo: photometric_stereo
-            fitting.reflectance.stereo_lights: common_departure solved
+            fitting.reflectance.stereo_lights: by_lights common_departure solved
             fitting.reflectance.stereo_misfit: departures shared_squares
+        """,
+    ),
+    Elsewhere(
+        STATISTICS,
+        "test_lights_calibration",
+        """
+            fitting.lights.calibration: calibrate
+            fitting.lights.file: read_lights write_lights
+            fitting.lights.highlight: highlight_of reflected
+            fitting.lights.matte: shading_of
+            fitting.lights.outline: centre_of outline_of surface
+            fitting.reflectance.from_images.read: across turn_prior_of with_covariance
+            fitting.joint.model: error_precision
         """,
     ),
     Elsewhere(

@@ -1,0 +1,8 @@
+"""Where the lights are, from photographs of a ball: directions or positions, with one covariance.
+
+The ball's outline is an error that all lights share.
+"""
+
+from jaxvision.core.lazy_names import names_of
+
+__getattr__, __dir__, __all__ = names_of(__name__, __file__)

@@ -1,0 +1,312 @@
+"""Directions, or near positions, and intensities of lights from photographs of a ball.
+
+A mirror ball shows a light where l = 2 (n.v) n - v. A matte ball is shaded by n.l. Both take n from
+the outline of the ball, whose error rotates all directions alike: two careful outlines differ by a
+pixel, that is by .5 to .8 degrees of all lights. The covariance is therefore one of all lights,
+
+    C = J_o C_o J_o' + diag(own),    J_o = d(places)/d(outline).
+
+Two mirror balls give two lines of sight, which meet in a near light.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxvision import ArrayLike
+from jaxvision.core.plain_arrays import plain_array
+from jaxvision.errors import InputError
+
+from ..copies import Copies
+from ..inference.diagnostics import listed
+from ..inference.formatting import format_percent
+from ..inference.given import plain_numbers
+from ..observation import require_as_many, require_several_images
+from ..rig import SiteCamera
+from .file import Lights
+from .highlight import Highlight, highlight_of, reflected
+from .matte import shading_of
+from .outline import Lens, Outline, centre_of, outline_of
+
+Kind = Literal["mirror", "matte"]
+OUTLINE_SD = 0.5  # pixels
+INSIDE = 0.97  # of the radius: where highlights are looked for
+STEP = 1e-3  # pixels
+NOT_MATTE = 0.03  # of the largest signal: a residual that is told
+SEEN_FROM = 0.5  # of a light's distance: the largest standard deviation of a position
+
+
+def calibrate(
+    images: Sequence[ArrayLike],
+    masks: Sequence[ArrayLike],
+    *,
+    camera: SiteCamera,
+    kind: Kind = "mirror",
+    files: Sequence[str] | None = None,
+    focal_length: float | None = None,
+    radius: float | None = None,
+    outline_sd: float = OUTLINE_SD,
+) -> Lights:
+    """Directions or positions of lights and relative intensities, with one covariance.
+
+    Args:
+        images: one a light, (h, w) or (h, w, 3) linear DN, all of one still view.
+        masks: (h, w) true where the ball is, one a ball; two mirror balls give positions.
+        camera: bits, and black level and saturation where they are not 0 and full scale.
+        kind: `mirror` for highlights, `matte` for shading.
+        files: names of the images; None for `images[0]` and on.
+        focal_length: of the lens, pixels, its axis through the middle of the picture; None for an
+            orthographic view.
+        radius: of two equal balls, m, whose centres lie, without a focal length, equally far from
+            the camera.
+        outline_sd: pixels by which centre and radius of a careful outline may be off as a whole.
+
+    Returns:
+        The lights. Intensities are NaN where a highlight is clipped.
+
+    Raises:
+        InputError: for a ball without a highlight, with two, saturated or cut by the border, a mask
+            that is no ball's, and lights too far for a position.
+
+    Example:
+        >>> from fitting.lights import calibrate
+        >>> from fitting.reflectance import Camera
+        >>> row, column = np.mgrid[:64, :64] - 31.5
+        >>> ball = np.hypot(row, column) < 28
+        >>> spot = 3000 * np.exp(-(row**2 + column**2) / 8)  # toward the camera
+        >>> found = calibrate([spot.round()], [ball], camera=Camera(bits=12).at("grey"))
+        >>> print(found.places.round(2) + 0.0)
+        [[0. 0. 1.]]
+    """
+    require_several_images("images", images)
+    require_several_images("masks", masks)
+    names = [f"images[{i}]" for i in range(len(images))] if files is None else list(files)
+    require_as_many("files", names, "images", images)
+    readings = [_grey(name, image) for name, image in zip(names, images, strict=True)]
+    balls = [_mask(f"masks[{i}]", mask) for i, mask in enumerate(masks)]
+    for name, one in zip(
+        (*names, *(f"masks[{i}]" for i in range(len(balls)))), (*readings, *balls), strict=True
+    ):
+        if one.shape != readings[0].shape:
+            raise InputError(
+                f"{name}: is {one.shape}, but {names[0]} is {readings[0].shape}; all images and "
+                "masks need the same size."
+            )
+    if len(balls) > 1 and (len(balls) > 2 or kind == "matte" or radius is None):
+        raise InputError(
+            f"{len(balls)} masks of {kind} balls; give one, or two of mirror balls and their "
+            "radius in metres, which gives positions."
+        )
+    height, width = readings[0].shape
+    lens = Lens(focal_length, ((width - 1) / 2, (height - 1) / 2))
+    outlines = [
+        outline_of(ball, lens, sd=outline_sd, name=f"masks[{i}]") for i, ball in enumerate(balls)
+    ]
+    black, clip = camera.black_level or 0.0, camera.clip_level
+    signals = np.stack(readings) - black
+    found = (
+        _from_shading(signals, balls[0], clip - black, outlines[0], names)
+        if kind == "matte"
+        else _from_highlights(signals, balls, clip - black, outlines, names, radius)
+    )
+    copies = Copies()
+    for name, reading in zip(names, readings, strict=True):
+        copies.add(name, reading)
+    told = tuple(
+        f"{listed(list(same))} hold equal numbers: they are copies of one exposure; of these "
+        "lights all but one are wrong."
+        for same in copies.found
+    )
+    return Lights(**{**found.__dict__, "findings": (*told, *found.findings)})
+
+
+def _grey(name: str, image: ArrayLike) -> Float[np.ndarray, "h w"]:
+    pixels = np.asarray(plain_numbers(name, image), float)
+    if pixels.ndim not in (2, 3) or not np.isfinite(pixels).all():
+        raise InputError(f"{name}: holds {pixels.shape}; give (h, w) or (h, w, 3) finite numbers.")
+    return pixels if pixels.ndim == 2 else pixels.mean(axis=2)
+
+
+def _mask(name: str, mask: ArrayLike) -> Bool[np.ndarray, "h w"]:
+    stored = np.asarray(plain_array(name, mask))
+    return stored.astype(bool) if stored.ndim == 2 else np.asarray(stored.astype(bool).any(axis=-1))
+
+
+def _from_highlights(
+    signals: Float[np.ndarray, "lights h w"],
+    balls: list[Bool[np.ndarray, "h w"]],
+    clip: float,
+    outlines: list[Outline],
+    names: list[str],
+    radius: float | None,
+) -> Lights:
+    values = np.array([outline.values for outline in outlines])
+    row, column = np.indices(signals.shape[1:])
+    seen: list[list[Highlight]] = []
+    for ball, (x, y, r) in zip(balls, values, strict=True):
+        inner = ball & (np.hypot(column - x, row - y) < INSIDE * r)
+        seen.append(
+            [
+                highlight_of(signal, inner, clip, name=name)
+                for signal, name in zip(signals, names, strict=True)
+            ]
+        )
+    spots = np.array([[one.place for one in of_ball] for of_ball in seen])  # (balls, lights, 2)
+    lens = outlines[0].lens
+
+    def places(values: np.ndarray, spots: np.ndarray) -> np.ndarray:
+        toward, normals = reflected(values[:, None], spots, lens)
+        if len(values) == 1:
+            return toward[0]
+        assert radius is not None
+        centres = centre_of(values, lens)
+        if lens.focal_length is None:  # equal balls, equally far
+            centres = centres * values[:, 2:] / values[:, 2].mean()
+        return _crossing(radius * (centres - centres[0])[:, None] + radius * normals, toward)
+
+    found = places(values, spots)
+    by_outline = np.stack(
+        [
+            _slope(lambda step, b=b, i=i: places(_moved(values, (b, i), step), spots))
+            for b in range(len(balls))
+            for i in range(3)
+        ],
+        axis=-1,
+    )  # (lights, 3, outlines)
+    size = len(balls) * 3
+    of_outline = np.zeros((size, size))
+    for b, outline in enumerate(outlines):
+        of_outline[3 * b : 3 * b + 3, 3 * b : 3 * b + 3] = outline.covariance
+    own = np.zeros((len(names), 3, 3))
+    for b, of_ball in enumerate(seen):
+        for axis in (0, 1):
+            slope = _slope(
+                lambda h, b=b, a=axis: places(values, _moved(spots, (b, slice(None), a), h))
+            )
+            slope = slope * np.sqrt(np.mean([one.sd**2 for one in of_ball]))  # one shows it poorly
+            own += slope[:, :, None] * slope[:, None, :]
+    shared = np.einsum("lio,op,mjp->limj", by_outline, of_outline, by_outline)
+    flux = np.array([one.flux for one in seen[0]])
+    relative = np.array([one.flux_sd for one in seen[0]])
+    covariance = np.zeros((len(names), 4, len(names), 4))
+    covariance[:, :3, :, :3] = shared
+    each = np.arange(len(names))
+    covariance[each, :3, each, :3] += own
+    findings = _outline_findings(outlines)
+    if np.isnan(flux).any():
+        flux = np.full_like(flux, np.nan)
+        findings += (
+            "Highlights are clipped, so that they give no intensities; take them from a matte "
+            "ball, or expose less.",
+        )
+    else:
+        if len(balls) == 2:
+            flux = flux * np.sum(found**2, axis=1)  # radiant intensity
+        covariance[each, 3, each, 3] = relative**2
+        covariance = _about_mean(covariance)
+    if len(balls) == 2:
+        _refuse_far(found, covariance, names)
+    return Lights(
+        tuple(names),
+        found,
+        flux / flux.mean(),
+        covariance,
+        near=len(balls) == 2,
+        outlines=values,
+        outline_sds=np.sqrt([np.diag(outline.covariance) for outline in outlines]),
+        common=float(np.einsum("lili->", shared) / np.einsum("lili->", covariance[:, :3, :, :3])),
+        findings=findings,
+    )
+
+
+def _moved(values: np.ndarray, at: tuple, step: float) -> np.ndarray:
+    moved = values.copy()
+    moved[at] += step
+    return moved
+
+
+def _slope(of: Callable[[float], np.ndarray]) -> np.ndarray:
+    return (of(STEP) - of(-STEP)) / (2 * STEP)
+
+
+def _crossing(
+    starts: Float[np.ndarray, "balls lights 3"], toward: Float[np.ndarray, "balls lights 3"]
+) -> Float[np.ndarray, "lights 3"]:
+    """The points nearest to the lines of sight."""
+    across = np.eye(3) - toward[..., :, None] * toward[..., None, :]
+    right = np.einsum("blij,blj->li", across, starts)
+    return np.linalg.solve(across.sum(axis=0), right[..., None])[..., 0]
+
+
+def _refuse_far(places: np.ndarray, covariance: np.ndarray, names: list[str]) -> None:
+    for i, place in enumerate(places):
+        sd = np.sqrt(np.trace(covariance[i, :3, i, :3]))
+        distance = np.linalg.norm(place)
+        if not sd < SEEN_FROM * distance:
+            raise InputError(
+                f"{names[i]}: the two balls see its light at {distance:.3g} m with a standard "
+                f"deviation of {sd:.3g} m; it is too far for a position, so give one mask, or move "
+                "the balls apart."
+            )
+
+
+def _from_shading(
+    signals: Float[np.ndarray, "lights h w"],
+    ball: Bool[np.ndarray, "h w"],
+    clip: float,
+    outline: Outline,
+    names: list[str],
+) -> Lights:
+    found = shading_of(signals, ball, clip, outline, names=names)
+    size = np.linalg.norm(found.g, axis=1)
+    toward = found.g / size[:, None]
+    across = np.eye(3) - toward[:, :, None] * toward[:, None, :]
+    to_four = np.concatenate([across, toward[:, None, :]], axis=1) / size[:, None, None]
+    by_outline = to_four @ found.by_outline
+    shared = np.einsum("lio,op,mjp->limj", by_outline, found.outline_covariance, by_outline)
+    covariance, each = shared.copy(), np.arange(len(names))
+    covariance[each, :, each, :] += to_four @ found.own @ np.swapaxes(to_four, 1, 2)
+    findings = _outline_findings([outline])
+    if found.misfit > NOT_MATTE:
+        findings += (
+            "The ball is not Lambert's: readings differ from g.n by "
+            f"{format_percent(found.misfit)} of the largest signal (rms, median over lights), by "
+            "highlights, roughness, a gamma or shadows. Directions may be further off than their "
+            "standard deviations say.",
+        )
+    return Lights(
+        tuple(names),
+        toward,
+        size / size.mean(),
+        _about_mean(covariance),
+        near=False,
+        outlines=found.values[None],
+        outline_sds=np.sqrt(np.diag(found.outline_covariance))[None],
+        common=float(
+            np.einsum("lili->", shared[:, :3, :, :3])
+            / np.einsum("lili->", covariance[:, :3, :, :3])
+        ),
+        findings=findings,
+    )
+
+
+def _about_mean(
+    covariance: Float[np.ndarray, "lights 4 lights 4"],
+) -> Float[np.ndarray, "lights 4 lights 4"]:
+    """Logarithms of intensities about their mean, which is no information."""
+    centred = covariance.copy()
+    centred[:, 3] -= centred[:, 3].mean(axis=0)
+    centred[..., 3] -= centred[..., 3].mean(axis=-1, keepdims=True)
+    return centred
+
+
+def _outline_findings(outlines: list[Outline]) -> tuple[str, ...]:
+    return tuple(
+        f"By its mask, ball {i} has its centre at ({one.values[0]:.2f}, {one.values[1]:.2f}) and a "
+        f"radius of {one.values[2]:.2f} pixels, each ± "
+        f"{np.sqrt(np.trace(one.covariance) / 3):.2f}; the mask's edge is {one.scatter:.2f} pixels "
+        "(rms) from it."
+        for i, one in enumerate(outlines)
+    )

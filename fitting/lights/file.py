@@ -1,0 +1,140 @@
+"""Lights and their covariance: the record, and the `lights.npz` that a rig names."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxvision.core.in_notebooks import record_html
+from jaxvision.errors import InputError
+
+HEADS = ("light", "x", "y", "z", "s.d.", "intensity")
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Where lights are and how strong. Print it, or show it in a notebook.
+
+    Attributes:
+        files: names of their images.
+        places: (lights, 3) unit directions toward distant lights; m from the centre of the first
+            ball where `near`. Axes are x right, y up, z toward the camera.
+        intensities: (lights,) relative, 1 on average; NaN where unknown.
+        covariance: (lights, 4, lights, 4) of x, y, z and the logarithm of the intensity, with what
+            all lights share.
+        near: whether places are positions.
+        outlines: (balls, 3) column, row and radius of each ball, pixels.
+        outline_sds: (balls, 3) pixels.
+        common: share of the variance of the places that comes from the outlines, which all lights
+            share.
+        findings: sentences.
+    """
+
+    files: tuple[str, ...]
+    places: Float[np.ndarray, "lights 3"]
+    intensities: Float[np.ndarray, " lights"]
+    covariance: Float[np.ndarray, "lights 4 lights 4"]
+    near: bool
+    outlines: Float[np.ndarray, "balls 3"]
+    outline_sds: Float[np.ndarray, "balls 3"]
+    common: float
+    findings: tuple[str, ...] = ()
+
+    @property
+    def place_sd(self) -> Float[np.ndarray, " lights"]:
+        """Rad, rms along the two axes across a direction; m, along three, of a position."""
+        own = np.einsum("lili->l", self.covariance[:, :3, :, :3])
+        return np.sqrt(own / (3 if self.near else 2))
+
+    @property
+    def intensity_sd(self) -> Float[np.ndarray, " lights"]:
+        """Relative."""
+        return np.sqrt(np.einsum("ll->l", self.covariance[:, 3, :, 3]))
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Cells of a table, a row a light."""
+        sds = [f"{sd:.2g} m" if self.near else f"{np.degrees(sd):.2g}°" for sd in self.place_sd]
+        strengths = [
+            "-" if np.isnan(one) else f"{one:.4g} ± {one * sd:.1g}"
+            for one, sd in zip(self.intensities, self.intensity_sd, strict=True)
+        ]
+        places = [[f"{x:+.4f}" for x in place] for place in self.places]
+        return [
+            (file, *place, sd, strength)
+            for file, place, sd, strength in zip(self.files, places, sds, strengths, strict=True)
+        ]
+
+    def heading(self) -> str:
+        """One line."""
+        kind = "Positions (m)" if self.near else "Directions"
+        return (
+            f"{kind} of {len(self.files)} lights; {100 * self.common:.0f} % of their variance is "
+            "common to all"
+        )
+
+    def __str__(self) -> str:
+        lines = [" ".join(f"{cell:>10}" for cell in row) for row in (HEADS, *self.rows())]
+        return "\n".join([self.heading(), *lines, *self.findings])
+
+    def _repr_html_(self) -> str:
+        return record_html(HEADS, self.rows(), title=self.heading(), notes=self.findings)
+
+
+def write_lights(lights: Lights, path: str | os.PathLike[str]) -> None:
+    """Write places, intensities and covariance as `.npz`.
+
+    Args:
+        lights: to write.
+        path: of the file.
+    """
+    with Path(path).open("wb") as stream:
+        np.savez(
+            stream,
+            files=np.array(lights.files),
+            places=lights.places,
+            intensities=lights.intensities,
+            covariance=lights.covariance,
+            near=lights.near,
+            outlines=lights.outlines,
+            outline_sds=lights.outline_sds,
+            common=lights.common,
+        )
+
+
+def read_lights(path: str | os.PathLike[str]) -> Lights:
+    """Read what `write_lights` has written.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        The lights, without findings.
+
+    Raises:
+        InputError: for a file that is missing or another.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file of lights; `jaxvision-fit lights` writes one.")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            found = Lights(
+                tuple(str(name) for name in stored["files"]),
+                stored["places"],
+                stored["intensities"],
+                stored["covariance"],
+                bool(stored["near"]),
+                stored["outlines"],
+                stored["outline_sds"],
+                float(stored["common"]),
+            )
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise InputError(f"{path}: is no file of lights ({error}).") from error
+    count = len(found.files)
+    if found.places.shape != (count, 3) or found.covariance.shape != (count, 4, count, 4):
+        raise InputError(
+            f"{path}: {count} files, places {found.places.shape} and covariance "
+            f"{found.covariance.shape} do not agree; write it anew."
+        )
+    return found

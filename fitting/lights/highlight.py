@@ -1,0 +1,101 @@
+"""The highlight of a light on a mirror ball, and the direction in which the ball sees the light."""
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import label
+
+from jaxvision.errors import InputError
+
+from ..inference.formatting import format_percent
+from .outline import ROUNDING, Lens, surface
+
+SEEN = 10.0  # standard deviations of the ball's pixels above their median
+BRIGHT = 0.2  # of full scale above black: a highlight is at least as bright as that
+LEVELS = (0.5, 0.25)  # of the highlight's height, at which its centroid is taken
+SECOND = 0.3  # of the flux of the first
+WIDEST = 0.1  # of the ball's pixels
+FINEST = 0.05  # pixels, of a centroid
+UNEVEN = 0.01  # of the reflectance of a mirror
+
+
+@dataclass(frozen=True)
+class Highlight:
+    """Where a highlight is.
+
+    Attributes:
+        place: column and row.
+        sd: pixels, of each.
+        flux: DN, of all its pixels; NaN where some are clipped.
+        flux_sd: relative.
+    """
+
+    place: Float[np.ndarray, "2"]
+    sd: float
+    flux: float
+    flux_sd: float
+
+
+def highlight_of(
+    signal: Float[np.ndarray, "h w"],
+    ball: Bool[np.ndarray, "h w"],
+    clip: float,
+    *,
+    name: str,
+) -> Highlight:
+    """The one highlight of a picture above black, DN."""
+    seen = signal[ball]
+    level, peak = float(np.median(seen)), float(seen.max())
+    if (share := float(np.mean(seen >= clip))) > WIDEST:
+        raise InputError(f"{name}: {format_percent(share)} of the ball are saturated; expose less.")
+    noise = max(1.4826 * float(np.median(np.abs(seen - level))), 0.5)
+    if peak - level < max(SEEN * noise, BRIGHT * (clip - level)):
+        raise InputError(
+            f"{name}: no highlight on the ball; its brightest pixel is {peak - level:.3g} DN above "
+            f"the median of {level:.3g} DN; expose longer, or leave the image out."
+        )
+    places = []
+    rows = columns = np.zeros(0, int)
+    weight = np.zeros(0)
+    for part in LEVELS:
+        above = ball & (signal > level + part * (peak - level))
+        if (share := above.sum() / ball.sum()) > WIDEST:
+            raise InputError(
+                f"{name}: {format_percent(share)} of the ball are bright, as of a matte or a "
+                "saturated ball; expose less, or choose the kind matte."
+            )
+        pieces, count = cast("tuple[np.ndarray, int]", label(above, np.ones((3, 3))))
+        fluxes = np.bincount(pieces[above], (signal - level)[above], count + 1)
+        first = int(np.argmax(fluxes))
+        others = np.delete(fluxes, first)
+        if others.max(initial=0) > SECOND * fluxes[first]:
+            raise InputError(
+                f"{name}: the ball has two highlights; the second has "
+                f"{format_percent(others.max() / fluxes[first])} of the light of the first; switch "
+                "other lamps off and cover windows, or mask the second."
+            )
+        rows, columns = np.nonzero(pieces == first)
+        weight = signal[rows, columns] - level
+        places.append(np.average(np.stack([columns, rows], axis=1), axis=0, weights=weight))
+    clipped = bool((signal[rows, columns] >= clip).any())
+    spread = np.sqrt(np.average((columns - places[-1][0]) ** 2, weights=weight))
+    sd = np.sqrt(
+        (noise * spread) ** 2 * len(weight) / weight.sum() ** 2
+        + np.sum((places[0] - places[1]) ** 2) / 2
+        + (ROUNDING**2 / len(weight) if clipped else FINEST**2)
+    )
+    row, column = np.indices(signal.shape)
+    around = np.hypot(column - places[0][0], row - places[0][1]) < 3 * spread + 2
+    flux = float((signal - level)[around & ball].sum())
+    relative = float(np.hypot(noise * np.sqrt(around.sum()) / flux, UNEVEN))
+    return Highlight(places[0], float(sd), np.nan if clipped else flux, relative)
+
+
+def reflected(
+    values: Float[np.ndarray, "*of 3"], pixels: Float[np.ndarray, "*of 2"], lens: Lens
+) -> tuple[Float[np.ndarray, "*of 3"], Float[np.ndarray, "*of 3"]]:
+    """Unit directions in which a mirror ball shows the world at a pixel, and its normals there."""
+    normal, view = surface(values, pixels, lens)
+    return 2 * np.sum(normal * view, axis=-1, keepdims=True) * normal - view, normal

@@ -1,0 +1,153 @@
+"""Directions and irradiances of distant lights from the shading of a matte ball.
+
+The ball's normals n(o) follow from its outline o. Each light has g = E rho l in m = g.n where
+n.l > 0. The outline, with the prior of its own fit, is common to all lights:
+
+    H_oo = C_o^-1 + sum_k (D_k' D_k - B_k' A_k^-1 B_k) / s_k^2,   A = N'N, B_k = N'D_k,
+
+with D_k = d(N g_k)/do. Residuals that neighbouring pixels share count as fewer pixels, by the
+design effect of sectors of the ball.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxvision.errors import InputError
+
+from ..inference.formatting import format_percent
+from .outline import Outline, surface
+
+LIT = 0.2  # n.l of the pixels that count
+ROUNDS = 4  # of the outline
+SIGHT = 0.9  # of the radius: pixels that count
+FEWEST = 50  # pixels
+STEP = 1e-3  # pixels
+SECTORS, RINGS = 8, 3
+
+
+@dataclass(frozen=True)
+class Shading:
+    """Estimates for each light and what they have in common.
+
+    Attributes:
+        values: (3,) the outline.
+        outline_covariance: (3, 3).
+        g: (lights, 3) DN.
+        own: (lights, 3, 3) covariance of g at a known outline.
+        by_outline: (lights, 3, 3) dg/do.
+        misfit: rms residual over the largest signal, median over lights.
+        effect: design effect of the residuals.
+    """
+
+    values: Float[np.ndarray, "3"]
+    outline_covariance: Float[np.ndarray, "3 3"]
+    g: Float[np.ndarray, "lights 3"]
+    own: Float[np.ndarray, "lights 3 3"]
+    by_outline: Float[np.ndarray, "lights 3 3"]
+    misfit: float
+    effect: float
+
+
+def shading_of(
+    signals: Float[np.ndarray, "lights h w"],
+    ball: Bool[np.ndarray, "h w"],
+    clip: float,
+    outline: Outline,
+    *,
+    names: list[str],
+) -> Shading:
+    """Lights and outline together, by Gauss and Newton's method; signals above black, DN."""
+    rows, columns = np.nonzero(ball)
+    whole = np.stack([columns, rows], axis=1).astype(float)
+    prior = np.linalg.inv(outline.covariance)
+    values, effect, parts = outline.values.copy(), 1.0, []
+    information = prior
+    for _ in range(ROUNDS):
+        apart = (whole - values[:2]) / values[2]
+        kept = np.hypot(*apart.T) < SIGHT
+        pixels, apart = whole[kept], apart[kept] / SIGHT
+        ring = np.minimum(np.sum(apart**2, axis=1) * RINGS, RINGS - 1).astype(int)
+        around = np.floor(np.arctan2(*apart.T) / (2 * np.pi) * SECTORS).astype(int) % SECTORS
+        sector = around + SECTORS * ring
+        readings = signals[:, rows[kept], columns[kept]]
+        normals = surface(values, pixels, outline.lens)[0]
+        steps = STEP * np.eye(3)
+        slopes = np.stack(
+            [
+                surface(values + step, pixels, outline.lens)[0]
+                - surface(values - step, pixels, outline.lens)[0]
+                for step in steps
+            ],
+            axis=-1,
+        ) / (2 * STEP)
+        parts = [
+            _of_light(reading, normals, slopes, sector, clip, name)
+            for reading, name in zip(readings, names, strict=True)
+        ]
+        effect = max(float(np.mean([part.effect for part in parts])), 1.0)
+        information = prior + sum(part.information for part in parts) / effect
+        pull = prior @ (outline.values - values) + sum(part.pull for part in parts) / effect
+        values = values + np.linalg.solve(information, pull)
+    return Shading(
+        values,
+        np.linalg.inv(information),
+        np.array([part.g for part in parts]),
+        np.array([part.own for part in parts]) * effect,
+        np.array([part.by_outline for part in parts]),
+        float(np.median([part.misfit for part in parts])),
+        effect,
+    )
+
+
+@dataclass(frozen=True)
+class _Light:
+    g: np.ndarray
+    own: np.ndarray
+    by_outline: np.ndarray
+    information: np.ndarray
+    pull: np.ndarray
+    misfit: float
+    effect: float
+
+
+def _of_light(
+    reading: np.ndarray,
+    normals: np.ndarray,
+    slopes: np.ndarray,
+    sector: np.ndarray,
+    clip: float,
+    name: str,
+) -> _Light:
+    """Least squares of one light and its part of the outline's normal equations."""
+    usable = np.isfinite(normals[:, 2]) & (reading < clip)
+    if (share := float(np.mean(reading >= clip))) > 0.5:
+        raise InputError(f"{name}: {format_percent(share)} of the ball are saturated; expose less.")
+    lit = usable & (reading > 0.3 * np.quantile(reading, 0.98))
+    g = np.zeros(3)
+    for _ in range(6):
+        if lit.sum() < FEWEST or np.quantile(reading, 0.98) < 2:
+            raise InputError(
+                f"{name}: {lit.sum()} pixels of the ball are lit; {FEWEST} are the least, so "
+                "expose longer, or leave the image out."
+            )
+        g = np.linalg.lstsq(normals[lit], reading[lit], rcond=None)[0]
+        lit = usable & (normals @ g > LIT * np.linalg.norm(g))
+    n, left = normals[lit], reading[lit] - normals[lit] @ g
+    inverse = np.linalg.inv(n.T @ n)
+    variance = max(float(left @ left) / (lit.sum() - 3), 1e-12 * float(g @ g))
+    change = np.einsum("pco,c->po", slopes[lit], g)
+    back = inverse @ (n.T @ change)
+    beyond = change - n @ back
+    sums = np.stack([np.bincount(sector[lit], column * left) for column in n.T], axis=1)
+    effect = float(np.einsum("si,ij,sj->", sums, inverse, sums)) / (3 * variance)
+    return _Light(
+        g,
+        inverse * variance,
+        -back,
+        beyond.T @ beyond / variance,
+        beyond.T @ left / variance,
+        float(np.sqrt(variance) / np.linalg.norm(g)),
+        effect,
+    )

@@ -1,0 +1,161 @@
+"""The outline of a ball in a picture, and the normal of the ball at a pixel.
+
+An orthographic camera sees a circle. A lens sees the cone of rays that touch the ball: with c the
+direction of its centre, a ray q lies on the cone where tan(q, c) = r / f. Its picture is an ellipse
+unless the centre is on the axis. Axes are x right, y up, z toward the camera.
+"""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.ndimage import map_coordinates
+
+from jaxvision.errors import InputError
+
+from ..fits.solve import fit
+from ..inference.likelihoods import Gaussian
+from ..inference.parameters import Parameter
+from ..inference.problem import Problem
+
+RAYS = 256  # from the middle of a mask to its edge
+ROUNDING = 12**-0.5  # pixels, of an edge between two pixels
+SMALLEST = 8.0  # pixels, of a radius
+ROUND = 0.05  # of the radius: rms of a mask's edge about the outline
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How rays reach the picture.
+
+    Attributes:
+        focal_length: pixels; None for an orthographic view.
+        centre: (column, row) of the axis.
+    """
+
+    focal_length: float | None
+    centre: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Column and row of a ball's centre and its radius, pixels.
+
+    Through a lens they are the column and row where the ray to the ball's centre meets the picture,
+    and f tan of half the angle that the ball subtends.
+    """
+
+    values: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+    scatter: float  # rms of the edge, pixels
+    lens: Lens
+
+
+def _from_centre(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
+    """Pixels by which edges lie outside a circle; parameters are changes of a start, in its
+    radius."""
+    x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
+    return jnp.hypot(inputs["edge"][:, 0] - x, inputs["edge"][:, 1] - y) - r
+
+
+def _from_axis(column: Array, row: Array, radius: Array, inputs: dict[str, Array]) -> Array:
+    """Likewise outside a cone of rays; columns and rows are about the lens' axis."""
+    x, y, r = inputs["start"] + inputs["start"][2] * jnp.stack([column, row, radius])
+    focal, edge = inputs["focal"], inputs["edge"]
+    rays = jnp.concatenate([edge, jnp.full((len(edge), 1), focal)], axis=1)
+    axis = jnp.stack([x, y, focal])
+    across = jnp.linalg.norm(jnp.cross(rays, axis[None]), axis=1)
+    return focal * across / (rays @ axis) - r
+
+
+def outline_of(mask: Bool[np.ndarray, "h w"], lens: Lens, *, sd: float, name: str) -> Outline:
+    """The outline of a mask's ball; `sd` pixels is how far centre and radius may be off as a whole,
+    which no scatter of the edge shows."""
+    if not mask.any():
+        raise InputError(f"{name}: the mask is empty; it must be non-zero where the ball is.")
+    if mask[[0, -1]].any() or mask[:, [0, -1]].any():
+        raise InputError(
+            f"{name}: the mask reaches the border of the picture, and a ball cut by the border has "
+            "no whole outline; photograph all of it, or correct the mask."
+        )
+    row, column = (float(np.mean(at)) for at in np.nonzero(mask))
+    radius = float(np.sqrt(mask.sum() / np.pi))
+    if radius < SMALLEST:
+        raise InputError(
+            f"{name}: the mask's ball has a radius of {radius:.1f} pixels; {SMALLEST:.0f} are the "
+            "least, so photograph it larger."
+        )
+    turn = 2 * np.pi * np.arange(RAYS) / RAYS
+    along = np.arange(0, 1.5 * radius, 0.05)
+    columns, rows = (
+        middle + along * way(turn)[:, None] for middle, way in ((column, np.cos), (row, np.sin))
+    )
+    inside = map_coordinates(mask.astype(float), [rows, columns], order=1) > 0.5
+    edge = along[inside.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)]
+    points = np.stack([column + edge * np.cos(turn), row + edge * np.sin(turn)], axis=1)
+    start = np.array([column, row, radius])
+    inputs: dict[str, np.ndarray] = {"edge": points, "start": start}
+    if lens.focal_length is not None:
+        start[:2] -= lens.centre
+        inputs |= {"edge": points - lens.centre, "focal": np.array(lens.focal_length)}
+    names = ("column", "row", "radius")
+    problem = Problem(
+        {name: Parameter(start=0.0) for name in names},  # of equal structure: compiled once
+        _from_centre if lens.focal_length is None else _from_axis,
+        Gaussian(sd=ROUNDING),
+        np.zeros(RAYS),
+        inputs=inputs,
+    )
+    found = fit(problem, start=dict.fromkeys(names, 0.0), misfit="inflate")
+    values = start + radius * np.array([float(found.values[name]) for name in names])
+    scatter = float(np.sqrt(np.mean(found.residuals**2)) * ROUNDING)
+    if not scatter < ROUND * values[2]:
+        raise InputError(
+            f"{name}: the mask's edge is {scatter:.1f} pixels (rms) from the outline of a ball of "
+            f"radius {values[2]:.0f}; give the mask of one whole ball, without its stand."
+        )
+    if lens.focal_length is not None:
+        values[:2] += lens.centre
+    covariance = radius**2 * np.asarray(found.posterior.covariance) + sd**2 * np.eye(3)
+    return Outline(values, covariance, scatter, lens)
+
+
+def surface(
+    values: Float[np.ndarray, "*of 3"], pixels: Float[np.ndarray, "*of 2"], lens: Lens
+) -> tuple[Float[np.ndarray, "*of 3"], Float[np.ndarray, "*of 3"]]:
+    """Unit normals and unit directions to the camera at columns and rows; NaN beside the ball."""
+    column, row, radius = np.moveaxis(np.asarray(values, float), -1, 0)
+    with np.errstate(invalid="ignore"):
+        if lens.focal_length is None:
+            x, y = (pixels[..., 0] - column) / radius, (row - pixels[..., 1]) / radius
+            normal = np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1)
+            return normal, np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
+        ray = _ray(pixels[..., 0], pixels[..., 1], lens)
+        away = _distance(radius, lens)[..., None] * _ray(column, row, lens)  # in radii
+        along = np.sum(ray * away, axis=-1)
+        nearest = along - np.sqrt(along**2 - np.sum(away**2, axis=-1) + 1)
+        return nearest[..., None] * ray - away, -ray
+
+
+def centre_of(values: Float[np.ndarray, "*of 3"], lens: Lens) -> Float[np.ndarray, "*of 3"]:
+    """The ball's centre in its radii, from the lens or, orthographic, from the axis."""
+    column, row, radius = np.moveaxis(np.asarray(values, float), -1, 0)
+    if lens.focal_length is not None:
+        return _distance(radius, lens)[..., None] * _ray(column, row, lens)
+    x, y = (column - lens.centre[0]) / radius, (lens.centre[1] - row) / radius
+    return np.stack([x, y, np.zeros_like(x)], axis=-1)
+
+
+def _ray(column: np.ndarray, row: np.ndarray, lens: Lens) -> np.ndarray:
+    """Unit, from the lens through a place of the picture."""
+    assert lens.focal_length is not None
+    x, y = (column - lens.centre[0]) / lens.focal_length, (lens.centre[1] - row) / lens.focal_length
+    ray = np.stack([x, y, -np.ones_like(x)], axis=-1)
+    return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+
+
+def _distance(radius: np.ndarray, lens: Lens) -> np.ndarray:
+    """From the lens to a ball's centre, in its radii."""
+    assert lens.focal_length is not None
+    return np.hypot(1, lens.focal_length / radius)

@@ -1,0 +1,353 @@
+"""Lights from photographs of a ball: against simulated balls, whose outline is off as a whole."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from commands import called
+from scipy.linalg import block_diag
+from scipy.stats import chi2, multivariate_normal
+
+from fitting.checks.reflectance import directions
+from fitting.cli import app
+from fitting.joint import marginal
+from fitting.lights import calibrate, read_lights, write_lights
+from fitting.lights.section import section
+from fitting.reflectance import Camera, from_photographs, photometric_stereo
+from fitting.reflectance.from_images.fit import fit_channel
+from fitting.reflectance.from_images.geometry_cells import group
+from fitting.reflectance.from_images.read import across, read_reflectance_observation
+from fitting.reflectance.from_images.samples import gather, select
+from fitting.reflectance.from_images.signal import Form
+from fitting.reflectance.from_images.turns import beyond_turns
+from fitting.rig import SiteCamera
+from jaxvision.errors import InputError
+from jaxvision.files.images import write_image
+
+CAMERA = SiteCamera(bits=12, black_level=64)
+SIDE, RADIUS = 80, 32.0
+ROWS, COLUMNS = np.mgrid[:SIDE, :SIDE].astype(float)
+
+
+def ball(centre, radius):
+    """Unit normals of a ball seen orthographically, NaN beside it."""
+    x, y = (COLUMNS - centre[0]) / radius, (centre[1] - ROWS) / radius
+    with np.errstate(invalid="ignore"):
+        return np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1)
+
+
+def photograph(normals, light, strength, rng, *, mirror):
+    """12-bit DN of a lobe about the light in a mirror, or of a matte ball."""
+    cosine = normals @ light
+    if mirror:
+        shown = 2 * normals[..., 2] * cosine - light[2]  # of the mirror direction with the light
+        signal = 60 + 3000 * strength * np.exp(600 * (shown - 1))
+    else:
+        signal = 2500 * strength * np.maximum(cosine, 0)
+    noise = 64 + 3 * rng.normal(size=signal.shape)
+    return np.clip(np.round(np.nan_to_num(signal) + noise), 0, 4095)
+
+
+def simulated(kind, seed, *, lights=None, off=0.5):
+    """Images, a mask off by `off` pixels (s.d.) as a whole, lights and intensities."""
+    rng = np.random.default_rng(seed)
+    lights = directions(8) if lights is None else lights
+    strengths = rng.uniform(0.7, 1.2, len(lights))
+    centre = (SIDE - 1) / 2 + rng.uniform(-3, 3, 2)
+    wrong = off * rng.normal(size=3)
+    mask = np.hypot(COLUMNS - centre[0] - wrong[0], ROWS - centre[1] - wrong[1]) < RADIUS + wrong[2]
+    normals = ball(centre, RADIUS)
+    images = [
+        photograph(normals, light, strength, rng, mirror=kind == "mirror")
+        for light, strength in zip(lights, strengths, strict=True)
+    ]
+    return images, mask, lights, strengths
+
+
+def standardised(found, truth):
+    """Errors across each direction over their standard deviation, and their joint chi-square."""
+    axes = across(found.places[:, None])
+    error = np.einsum("lai,li->la", axes, found.places - truth).ravel()
+    both = np.einsum("lai,limj,mbj->lamb", axes, found.covariance[:, :3, :, :3], axes)
+    covariance = both.reshape(error.size, error.size)
+    return error / np.sqrt(np.diag(covariance)), error @ np.linalg.solve(covariance, error)
+
+
+def check_coverage(kind, seeds):
+    z, square, dof = [], [], 0
+    for seed in seeds:
+        images, mask, truth, strengths = simulated(kind, seed)
+        found = calibrate(images, [mask], camera=CAMERA, kind=kind)
+        own, joint = standardised(found, truth)
+        z.append(own)
+        square.append(joint)
+        dof = len(own)
+        ratio = np.log(found.intensities / strengths)
+        far = np.abs(ratio - ratio.mean()) / found.intensity_sd
+        assert np.mean(far < 3.3) == 1
+    return np.abs(np.array(z)), np.array(square), dof
+
+
+@pytest.mark.parametrize("kind", ["mirror", "matte"])
+def test_directions_are_off_by_no_more_than_their_covariance_says(kind):
+    z, square, dof = check_coverage(kind, range(2))
+    assert z.max() < 4
+    assert (square < chi2.ppf(1 - 1e-4, dof)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["mirror", "matte"])
+def test_intervals_of_directions_hold(kind):
+    """Of 200 balls; marginally 16 errors share one outline, so that their share varies much."""
+    z, square, dof = check_coverage(kind, range(200))
+    assert 0.92 < np.mean(z < 1.96) < 0.98
+    assert np.mean(square < chi2.ppf(0.95, dof)) > 0.92
+
+
+def test_an_outline_off_as_a_whole_turns_all_directions_alike():
+    images, mask, truth, _ = simulated("mirror", 1, off=0.0)
+    there = calibrate(images, [mask], camera=CAMERA)
+    aside = calibrate([np.roll(i, 0, 1) for i in images], [np.roll(mask, 1, 1)], camera=CAMERA)
+    turn = np.degrees(np.linalg.norm(aside.places - there.places, axis=1))
+    np.testing.assert_allclose(turn, np.degrees(2 / RADIUS), rtol=0.35)  # 2 / r of the highlight
+    assert there.common > 0.8
+    exact = calibrate(images, [mask], camera=CAMERA, outline_sd=0.0)
+    assert exact.place_sd.max() < 0.5 * there.place_sd.min()
+    off = np.degrees(np.arccos(np.clip(np.sum(exact.places * truth, axis=1), -1, 1)))
+    assert off.max() < 1
+
+
+def test_through_a_lens_the_outline_is_an_ellipse():
+    """A ball of 1 at (1.2, -.7, -8) from a lens of 400 pixels, by rays against a sphere."""
+    focal, side = 400.0, 301
+    rows, columns = np.mgrid[:side, :side] - (side - 1) / 2
+    rays = np.stack([columns, -rows, np.full_like(rows, -focal)], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    centre, light = np.array([1.2, -0.7, -8.0]), np.array([0.3, 0.5, np.sqrt(0.66)])
+    along = rays @ centre
+    within = along**2 - centre @ centre + 1
+    mask = within > 0
+    touched = (along - np.sqrt(np.maximum(within, 0)))[..., None] * rays
+    normals = touched - centre
+    shown = rays - 2 * np.sum(rays * normals, axis=-1, keepdims=True) * normals
+    image = np.where(mask, np.round(3000 * np.exp(800 * (shown @ light - 1)) + 20), 0)
+    given = {"camera": SiteCamera(bits=12), "outline_sd": 0.1}
+    found = calibrate([image], [mask], focal_length=focal, **given)
+    off = np.degrees(np.arccos(found.places[0] @ light))
+    assert off < 3 * np.degrees(found.place_sd[0]) < 1.5
+    flat = calibrate([image], [mask], **given)
+    assert np.degrees(np.arccos(flat.places[0] @ light)) > 5  # the view is not along -z
+
+
+def test_two_balls_give_positions():
+    """Of 20 mm radius, 100 mm apart, lights at about .4 m: the errors are a few millimetres."""
+    rng, radius, pixels = np.random.default_rng(4), 0.02, 24.0
+    rows, columns = np.mgrid[:60, :180].astype(float)
+    centres = np.array([[30.0, 30.0], [150.0, 30.0]])
+    lights = np.array([[0.1, 0.2, 0.35], [-0.15, 0.0, 0.4], [0.2, -0.1, 0.3]])
+    images = np.zeros((3, 60, 180))
+    masks = []
+    for x, y in centres:
+        masks.append(np.hypot(columns - x, rows - y) < pixels)
+        place = np.array([(x - 30) * radius / pixels, 0, 0])
+        u, v = (columns - x) / pixels, (y - rows) / pixels
+        normals = np.stack([u, v, np.sqrt(np.maximum(1 - u**2 - v**2, 0))], axis=-1)
+        for image, light in zip(images, lights, strict=True):
+            toward = light - place - radius * normals
+            distance = np.linalg.norm(toward, axis=-1)
+            mirrored = 2 * normals[..., 2:] * normals - [0, 0, 1.0]
+            shown = np.sum(mirrored * toward, axis=-1) / distance
+            image += masks[-1] * (3000 * np.exp(500 * (shown - 1)) + 30)
+    images = np.round(images + 2 * rng.normal(size=images.shape) + 64).clip(0)
+    found = calibrate(list(images), masks, camera=CAMERA, radius=radius, outline_sd=0.1)
+    assert found.near
+    error = found.places - lights
+    own = found.covariance[:, :3, :, :3].reshape(9, 9)
+    assert error.ravel() @ np.linalg.solve(own, error.ravel()) < chi2.ppf(0.9999, 9)
+    assert np.linalg.norm(error, axis=1).max() < 0.05
+    with pytest.raises(InputError, match="too far for a position"):
+        calibrate(list(images), masks, camera=CAMERA, radius=radius, outline_sd=5.0)
+
+
+IMAGES, MASK, TRUTH, _ = simulated("mirror", 0)
+TWICE = [np.maximum(IMAGES[0], IMAGES[1])]
+
+
+@pytest.mark.parametrize(
+    ("images", "mask", "options", "said"),
+    [
+        ([0 * IMAGES[0] + 64], MASK, {}, r"images\[0\]: no highlight on the ball"),
+        (TWICE, MASK, {}, "two highlights"),
+        ([64 + 0 * IMAGES[0] + 2000.0 * (ROWS < 36)], MASK, {}, "are bright, as of a matte or"),
+        ([64 + 0 * IMAGES[0] + 4031.0 * (ROWS < 50)], MASK, {}, "ball are saturated"),
+        (IMAGES[:1], np.roll(MASK, 12, axis=0), {}, "cut by the border"),
+        (IMAGES[:1], MASK & (ROWS < 45), {}, "from the outline of a ball"),
+        (IMAGES[:1], 0 * MASK, {}, "mask is empty"),
+        (IMAGES[:1], MASK[1:], {}, "need the same size"),
+        ([4095 + 0 * IMAGES[0]], MASK, {"kind": "matte"}, "of the ball are saturated"),
+        ([64 + 0 * IMAGES[0]], MASK, {"kind": "matte"}, "expose longer"),
+        ([IMAGES[0] * np.nan], MASK, {}, "finite numbers"),
+    ],
+)
+def test_bad_images_are_a_sentence(images, mask, options, said):
+    with pytest.raises(InputError, match=said):
+        calibrate(images, [mask], camera=CAMERA, **options)
+
+
+def test_a_file_and_its_rig_are_read_by_reflectance(tmp_path):
+    found = calibrate(IMAGES, [MASK], camera=CAMERA, files=[f"{i}.png" for i in range(8)])
+    write_lights(found, tmp_path / "lights.npz")
+    again = read_lights(tmp_path / "lights.npz")
+    np.testing.assert_array_equal(again.covariance, found.covariance)
+    camera = "bits = 12\nblack_level = 64"
+    section(found, camera=camera).records["rig"](tmp_path / "rig.toml")
+    for name, image in zip(found.files, IMAGES, strict=True):
+        write_image(tmp_path / name, image.astype(np.uint16))
+    sphere = "\n[geometry]\nsphere = {centre = [39.5, 39.5], radius = 30}\n"
+    rig = (tmp_path / "rig.toml").read_text() + sphere
+    (tmp_path / "rig.toml").write_text(rig)
+    seen = read_reflectance_observation(tmp_path)
+    sizes = seen.uncertain["direction_sd"]
+    np.testing.assert_allclose(sizes, found.place_sd, rtol=1e-3)
+    axes = across(seen.wi)
+    both = np.einsum("lai,limj,mbj->lamb", axes, found.covariance[:, :3, :, :3], axes)
+    scale = np.repeat(sizes, 2)
+    np.testing.assert_allclose(
+        seen.turn_prior, both.reshape(16, 16) / np.outer(scale, scale), atol=1e-4
+    )
+    np.testing.assert_allclose(seen.uncertain["intensity_sd"], found.intensity_sd, rtol=1e-2)
+    other = rig.replace(f"{found.places[0, 0]:.6f}", f"{found.places[0, 0] + 0.005:.6f}")
+    (tmp_path / "rig.toml").write_text(other)
+    with pytest.raises(InputError, match=r"is none of those of lights\.npz"):
+        read_reflectance_observation(tmp_path)
+    both_given = rig.replace("intensity_sd", "direction_sd = 0.01\nintensity_sd", 1)
+    (tmp_path / "rig.toml").write_text(both_given)
+    with pytest.raises(InputError, match="either covariance or the direction_sd"):
+        read_reflectance_observation(tmp_path)
+    (tmp_path / "lights.npz").write_bytes(b"none")
+    with pytest.raises(InputError, match="no file of lights"):
+        read_lights(tmp_path / "lights.npz")
+
+
+def test_the_command_writes_a_rig(tmp_path):
+    for i, image in enumerate(IMAGES[:3]):
+        write_image(tmp_path / f"{i}.png", image.astype(np.uint16))
+    write_image(tmp_path / "mask.png", MASK.astype(np.uint8) * 255)
+    images = [str(tmp_path / name) for name in ("0.png", "1.png", "2.png", "mask.png")]
+    asked = ["--mask", images[3], "--bits", "12", "--black-level", "64"]
+    out = tmp_path / "out"
+    status, shown, told = called(app, "lights", *images, *asked, "--out", out)
+    assert status == 0, told
+    assert "3 lights" in shown
+    assert read_lights(out / "lights.npz").files == ("0.png", "1.png", "2.png")
+    assert 'root = ".."' in (out / "rig.toml").read_text()
+    write_image(tmp_path / "0.png", np.full((SIDE, SIDE), 64, np.uint16))
+    status, _, told = called(app, "lights", *images, *asked)
+    assert status == 2
+    assert "0.png: no highlight on the ball" in told
+
+
+def test_turns_that_err_together_are_marginalised_as_one_gaussian():
+    """(1 + S P S')^(-1/2) against dense matrices."""
+    rng = np.random.default_rng(0)
+    light = np.repeat(np.arange(4), 6)
+    root = rng.normal(size=(8, 8))
+    prior = root @ root.T / 4
+    shifts, deviation = rng.normal(size=(2, 24)), rng.uniform(1, 2, 24)
+    samples = SimpleNamespace(deviation=deviation, saturated=None)
+    selection = SimpleNamespace(light=light)
+    values = rng.normal(size=(3, 24))
+    left = beyond_turns(values, shifts, samples, selection, 4, prior=prior)
+    wide = np.zeros((24, 8))
+    for axis in (0, 1):
+        wide[np.arange(24), 2 * light + axis] = shifts[axis] / deviation
+    whole = np.eye(24) + wide @ prior @ wide.T
+    np.testing.assert_allclose(left @ left.T, values @ np.linalg.solve(whole, values.T), rtol=1e-9)
+    one = beyond_turns(values, shifts, samples, selection, 4)
+    np.testing.assert_allclose(
+        beyond_turns(values, shifts, samples, selection, 4, prior=np.eye(8)), one
+    )
+
+
+@pytest.mark.parametrize("cells", [False, True])
+def test_image_errors_with_a_common_precision_are_a_dense_gaussian(cells):
+    rng = np.random.default_rng(1)
+    residual, weight = rng.normal(size=(3, 5)), rng.uniform(0.5, 2, (3, 5))
+    errors, shared = rng.normal(size=(3, 2, 5)), rng.normal(size=(3, 5))
+    root = rng.normal(size=(6, 6))
+    prior = root @ root.T + np.eye(6)
+    found = marginal.log_density(
+        jnp.asarray(residual),
+        jnp.asarray(weight),
+        image_errors=jnp.asarray(errors),
+        cell_errors=jnp.asarray(shared) if cells else None,
+        precision=jnp.asarray(np.linalg.inv(prior)),
+    )
+    wide = block_diag(*(one.T for one in errors))
+    whole = np.diag(1 / weight.ravel()) + wide @ prior @ wide.T
+    if cells:
+        columns = np.concatenate([np.diag(one) for one in shared])
+        whole = whole + columns @ columns.T
+    dense = multivariate_normal(np.zeros(15), whole).logpdf(residual.ravel())
+    constant = -15 / 2 * np.log(2 * np.pi) - np.linalg.slogdet(prior)[1] / 2
+    np.testing.assert_allclose(float(found) + constant, dense, rtol=1e-5)
+
+
+def test_photometric_stereo_allows_for_lights_that_err_together():
+    """Normals of a matte ball under lights all off by one turn of 1 degree (s.d.)."""
+    rng, lights = np.random.default_rng(5), directions(12)
+    normals = ball((SIDE / 2, SIDE / 2), 45.0)[::8, ::8].reshape(-1, 3)
+    normals = normals[normals[:, 2] > 0.8]
+    sd, inside, alone = np.radians(1.0), [], []
+    generators = np.array(
+        [np.cross(np.eye(3)[axis], lights) for axis in range(3)]
+    )  # dl of a turn about each axis
+    covariance = np.zeros((12, 4, 12, 4))
+    covariance[:, :3, :, :3] = sd**2 * np.einsum("ali,amj->limj", generators, generators)
+    for _ in range(20):
+        turn = sd * rng.normal(size=3)
+        told = lights - np.einsum("a,ali->li", turn, generators)
+        told /= np.linalg.norm(told, axis=1, keepdims=True)
+        readings = 1000 * np.maximum(lights @ normals.T, 0) + rng.normal(0, 2, (12, len(normals)))
+        for given, kept in ((covariance, inside), (None, alone)):
+            found = photometric_stereo(readings[:, None], told, covariance=given)
+            if given is not None:  # a turn of the lights turns the normals by as much
+                np.testing.assert_allclose(np.median(found.normal_sd), sd, rtol=0.1)
+            off = np.arccos(np.clip(np.sum(found.normals[0] * normals, axis=1), -1, 1))
+            kept.append(np.mean(off < 2.448 * found.normal_sd[0]))
+    assert np.mean(inside) > 0.85
+    assert np.mean(alone) < 0.3
+
+
+@pytest.mark.slow
+def test_intervals_of_a_reflectance_hold_through_the_lights():
+    """A flat matte patch, which shows no direction by itself. With independent errors of the same
+    size its z have a standard deviation of 1.4."""
+    normal, lights = np.array([0.6, 0, 0.8]), directions(24)
+    lights = lights[lights @ normal > 0.4]
+    z = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        images, mask, _, _ = simulated("mirror", 500 + seed, lights=lights)
+        found = calibrate(images, [mask], camera=CAMERA)
+        signal = 1800 * np.broadcast_to((lights @ normal)[:, None, None], (len(lights), 20, 20))
+        noise = np.sqrt(9 + 0.1 * signal) * rng.normal(size=signal.shape)
+        patch = from_photographs(
+            list(np.round(60 + signal + noise)),
+            found.places,
+            camera=Camera(bits=12, black_level=60),
+            normals=np.broadcast_to(normal, (20, 20, 3)),
+            intensities=np.full(len(lights), 2000.0),
+            direction_sd=found.covariance,
+        )
+        patch = replace(patch, held_out=np.zeros(len(lights), bool))
+        form = Form("lambert")
+        chosen = select(patch, held_out=False, form=form)
+        at = chosen.light, chosen.pixel
+        cells = group(chosen.light, patch.cosine[at], patch.mirror_angle[at])
+        fit = fit_channel(gather(patch, chosen, channels=(0,)), 0, form, cells)
+        assert fit.robustness is not None
+        z.append(np.log(fit.natural[0] / 0.9) / np.sqrt(fit.robustness.covariance[0, 0]))
+    assert np.mean(np.abs(z) < 1.96) >= 0.86
