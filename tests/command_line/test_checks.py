@@ -93,7 +93,7 @@ def test_a_check_goes_on_where_it_stopped(tmp_path):
     assert asked == [*range(25), 0, 10, 19, *range(20, 30)]
     assert np.flatnonzero(np.isnan(rows[:, 0])).tolist() == [3]
     told = section("toy", {"case": coverage(rows, ("a", "b"))}, 30).findings
-    assert any("1 of 30 fits print no interval" in sentence for sentence in told)
+    assert any("1 of 30 fits gave no interval" in sentence for sentence in told)
 
 
 def quarters(seed):
