@@ -257,6 +257,7 @@ ELSEWHERE = (
             fitting.report.*
             fitting.inference.formatting.*
             fitting.checks.section.*
+            fitting.fits.moving_edges: warn_of_moving_edges
             fitting.fits.words.*
             fitting.demo.section.*
             fitting.fits.result: left_out_table residual_figure section
