@@ -402,7 +402,7 @@ def brdf(path: Path, step: Step, draws: Draws, **settings: Any) -> Found:
 
     with step("reading images"):
         observation = read_reflectance_observation(rig)
-    with step("fitting reflectance") as progress:
+    with step("compiling and fitting models of reflectance") as progress:
         drawn = draws("brdf", progress)
         by_fit = progress if drawn["sampling"] is None else None  # a chain shows its own
         found = _attempted(

@@ -30,7 +30,7 @@ class Reporter:
             nonlocal told
             self._progress.update(task, completed=done, total=total)
             now = time.perf_counter()
-            if not terminal and 0 < done < total and now - told > SILENT:
+            if not terminal and (done == 0 or (done < total and now - told > SILENT)):
                 told = now
                 self._progress.console.print(f"{description}: {done} of {total}")
 

@@ -1,17 +1,20 @@
-"""Variable projection against 200 random starts of scipy's least squares.
+"""Variable projection against 200 random starts of scipy's least squares; and what a user of
+`jaxvision-fit brdf` waits for, of photographs of a ball, in whole processes.
 
 Both sides see the same 4096 samples of a Phong sphere. Timings are interleaved in one process,
 after a first call that compiles; compilation is printed apart.
 """
 
 from functools import partial
+from tempfile import TemporaryDirectory
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from oracles.sphere_photographs import light_directions, sphere_normals
+from bench_first_picture import COMMAND, process
+from oracles.sphere_photographs import expose, light_directions, shade, sphere_normals, write_rig
 from turns import in_turns
 
 from fitting.inference.separable import fit_separable
@@ -96,3 +99,26 @@ def test_200_starts_against_variable_projection(method, capsys):
     np.testing.assert_allclose((np.log(ours) - best.x) / deviation, 0, atol=0.05)
     assert float(found.cost) <= 2 * best.cost * (1 + 1e-6)
     assert ratio >= 100
+
+
+def test_the_command_on_photographs(tmp_path):
+    """All models under 10 lights; with nothing kept, and with the programs of a first run."""
+    size, radius, directions = 160, 78.0, light_directions(10)
+    normals, rng = sphere_normals(size, radius), np.random.default_rng(0)
+    camera = {"bits": 12, "black_level": 60.0, "gain": 0.25, "read_noise": 6.0}
+    channels = []
+    for diffuse in (0.4, 0.3, 0.2):
+        signal = 3000 * shade(normals, directions, "phong", diffuse, 0.45, 40.0)
+        taken = expose(rng, signal, gain=0.25, read_noise=6.0, black=60.0, clip=4095)
+        channels.append(taken)
+    write_rig(tmp_path, np.stack(channels, -1), directions, [3000.0], radius=radius, camera=camera)
+    command = COMMAND.format("fitting"), "brdf", str(tmp_path), "--compare-all"
+
+    def first():
+        with TemporaryDirectory() as home:
+            process(*command, home=home)
+
+    rivals = {"first": first, "again": partial(process, *command, home=tmp_path)}
+    _, seconds = in_turns(rivals, rounds=3, settled=0)
+    for name, taken in seconds.items():
+        print(f"{name:8s} {taken:6.2f} s")

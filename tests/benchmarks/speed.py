@@ -60,6 +60,10 @@ def _rows() -> list[Row]:
         test = f"bench_first_picture.py::test_help_and_a_wrong_path[{package}]"
         rows.append(Row(f"`{command} --help`", test, "help", None))
         rows.append(Row(f"`{command}`, a wrong path", test, "a wrong path", None))
+    test = "bench_reflectance.py::test_the_command_on_photographs"
+    about = "`jaxvision-fit brdf`, all models, photographs under 10 lights, 3 channels"
+    rows.append(Row(f"{about}: nothing kept", test, "first", None))
+    rows.append(Row(f"{about}: second time", test, "again", None))
     for rival in ("lights", "balance"):
         test, about = f"{path}::test_cornell_box", f"{box}: warm, equal error, {rival}"
         rows.append(Row(about, test, f"ours, {rival}", "Mitsuba path"))

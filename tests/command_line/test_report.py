@@ -479,13 +479,14 @@ def test_a_size_that_is_known_from_above_alone_is_drawn_in_its_unit():
 
 
 def test_a_long_step_without_a_terminal_says_how_far_it_is(monkeypatch, capsys):
-    """Once in half a minute, from the second step of the work on."""
-    clock = iter([0.0, 10.0, 45.0, 50.0, 90.0, 91.0])
+    """At its begin where it says so, then once in half a minute."""
+    clock = iter([0.0, 1.0, 10.0, 45.0, 50.0, 90.0, 91.0])
     monkeypatch.setattr(progress, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
     with progress.reporting() as reporter, reporter.step("fitting") as advance:
-        for done in (1, 2, 3, 4):
+        for done in (0, 1, 2, 3, 4):
             advance(done, 5)
-    assert capsys.readouterr().err.split("\n")[:3] == [
+    assert capsys.readouterr().err.split("\n")[:4] == [
+        "fitting: 0 of 5",
         "fitting: 2 of 5",
         "fitting: 4 of 5",
         "fitting: done",

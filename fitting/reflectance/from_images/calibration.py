@@ -114,7 +114,7 @@ def calibrate(
         fit_gamma: whether to fit the encoding exponent; a known `camera.gamma` is then ignored.
         minimum_cosine: samples with a smaller n.l are left out, for shapes whose grazing light is
             uncertain.
-        progress: called with (fits done, all fits).
+        progress: called with (models fitted, all models), first with none of them.
 
     Returns:
         The calibration.
@@ -155,6 +155,8 @@ def calibrate(
 
     # the channels of a model in turn: its lobe is compiled once
     pieces = [partial(fitted_channels, form) for form in forms.values()]
+    if progress is not None:
+        progress(0, len(pieces))  # the first of them may take seconds to compile
     fits = dict(zip(forms, side_by_side(pieces, progress=progress), strict=True))
     reasons = {
         fit.channel: open_parameters(fit, matt)
