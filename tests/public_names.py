@@ -33,6 +33,7 @@ EAGER = {
     "jaxvision.core.side_by_side",
     "jaxvision.tasks",
     "jaxvision.files.cameras",
+    "jaxvision.files.luminaires",
     "jaxvision.files.materials",
     "jaxvision.files.records",
     "jaxvision.files.gltf",

@@ -4,10 +4,11 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
-# What a key may name a file of, beside numbers and spectra: (h, w, bands) W m^-2 sr^-1, and the
-# record of a measured BRDF in the bands of the scene.
+# What a key may name a file of, beside numbers and spectra: (h, w, bands) W m^-2 sr^-1, the record
+# of a measured BRDF in the bands of the scene, and a lamp as sold.
 Picture = Annotated[Any, "picture"]
 Measured = Annotated[Any, "measured"]
+Photometry = Annotated[Any, "photometry"]
 
 
 class Table(NamedTuple):

@@ -5,6 +5,7 @@ from . import (
     gltf as gltf,
     image_settings as image_settings,
     images as images,
+    luminaires as luminaires,
     materials as materials,
     measured as measured,
     meshes as meshes,
@@ -36,6 +37,9 @@ from .cameras import (
     shipped_cameras as shipped_cameras,
     write_camera as write_camera,
     write_sensor as write_sensor,
+)
+from .luminaires import (
+    read_luminaire as read_luminaire,
 )
 from .materials import (
     read_material as read_material,

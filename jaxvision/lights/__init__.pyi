@@ -32,6 +32,14 @@ from ._samples import (
 from .directional import DirectionalLight as DirectionalLight
 from .environment import EnvironmentMap as EnvironmentMap
 from .environment_tables import environment_map as environment_map
+from .goniometric import (
+    GoniometricAreaLight as GoniometricAreaLight,
+    GoniometricLight as GoniometricLight,
+    Luminaire as Luminaire,
+    flux as flux,
+    goniometric_light as goniometric_light,
+    relative_intensity as relative_intensity,
+)
 from .incidence import (
     direction_pdf as direction_pdf,
     direction_sample as direction_sample,
@@ -51,5 +59,13 @@ from .rules import (
     Quadrature as Quadrature,
     Rule as Rule,
 )
+from .skies import (
+    cie_sky as cie_sky,
+    daylight as daylight,
+    perez_sky as perez_sky,
+    sky_radiance as sky_radiance,
+)
 from .small import SmallLight as SmallLight
+from .spot import SpotLight as SpotLight
+from .sun_disc import SunDisc as SunDisc
 from .window import Window as Window

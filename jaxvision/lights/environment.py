@@ -17,7 +17,16 @@ from jaxtyping import Array, Float
 from ..core._bounds import Ends, Source, numbers
 from ..core._kinds import Picture
 from ..core._numerics import arctan2, divide, safe_sqrt
-from ..core._types import AMOUNT, NOT_NEGATIVE, Colour, Scalar, as_float, check_fields, check_shape
+from ..core._types import (
+    AMOUNT,
+    NOT_NEGATIVE,
+    Colour,
+    Range,
+    Scalar,
+    as_float,
+    check_fields,
+    check_shape,
+)
 from ..core._vector import Direction, Vec, Vector, as_array, as_vec
 from ..geometry import Ray
 from ..scene import Light
@@ -201,15 +210,26 @@ def _from_file(
     *,
     file: Picture | None = None,
     radiance: Colour | None = None,
+    sky: Annotated[int, Range(1, 16)] | None = None,
+    sun: Float[Array, "3"] | None = None,
+    irradiance: Colour | None = None,
     scale: Annotated[float, NOT_NEGATIVE] = 1.0,
     up: Float[Array, "3"] = (0.0, 0.0, 1.0),  # type: ignore[assignment]
     toward: Float[Array, "3"] = (1.0, 0.0, 0.0),  # type: ignore[assignment]
 ) -> EnvironmentMap:
-    """Distant light from all directions: a picture or a constant."""
+    """Distant light from all directions: a picture, a constant, or one of the CIE's skies, 1 to 16
+    (`lights.daylight`), of an irradiance on level ground and with the sun at a direction."""
     from .environment_tables import environment_map
+    from .skies import daylight
 
-    if (file is None) == (radiance is None):
-        raise ValueError("give either file or radiance.")
+    if sum(x is not None for x in (file, radiance, sky)) != 1:
+        raise ValueError("give either file, radiance or sky.")
+    if (sky is None) != (irradiance is None) or (sky is None and sun is not None):
+        raise ValueError("a sky has its irradiance, and may have a sun; give them with a sky only.")
+    if sky is not None and irradiance is not None:
+        toward_sun = (0.0, 0.0, 1.0) if sun is None else sun
+        light = daylight(sky, toward_sun, irradiance=np.asarray(irradiance) * float(scale))
+        file = light.radiance
     picture: Any = file
     if radiance is not None:
         picture = np.broadcast_to(np.asarray(radiance), (4, 8, np.size(radiance)))
@@ -218,7 +238,7 @@ def _from_file(
         raise ValueError("up and toward lie on one line; give another toward.")
     axes = np.stack([np.cross(left, up), left, np.asarray(up)])
     axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    return environment_map(float(scale) * picture, rotation=axes)
+    return environment_map((1 if sky else float(scale)) * picture, rotation=axes)
 
 
 register_extended(

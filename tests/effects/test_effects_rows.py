@@ -52,6 +52,7 @@ ROWS = {
     "Dichromatic": {"interface"},
 }
 LOBE = {"diffuse", "ambient", "exponent"}
+GONIOMETRIC = {"intensity", "distribution", "vertical", "horizontal", "system"}
 TABLE = {"values", "wavelengths", "sampler"}
 QUANTITIES = {
     "Scene": {"rules"},
@@ -88,6 +89,10 @@ QUANTITIES = {
     "PointLight": {"position", "intensity"},
     "SmallLight": {"position", "normal", "intensity"},
     "DirectionalLight": {"direction", "irradiance"},
+    "SunDisc": {"direction", "irradiance", "radius"},
+    "SpotLight": {"position", "direction", "intensity", "inner", "outer", "falloff"},
+    "GoniometricLight": {"position", "rotation"} | GONIOMETRIC,
+    "GoniometricAreaLight": {"corner", "edge_u", "edge_v"} | GONIOMETRIC,
     "RectangleLight": {"corner", "radiance"},
     "LightFieldLight": {"aperture", "focal", "radiance"},
     "EnvironmentMap": {"radiance", "rotation", "rows", "columns", "density"},

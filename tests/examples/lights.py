@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxvision import (
     DirectionalLight,
+    GoniometricLight,
     Lambert,
     LightFieldLight,
     MonteCarlo,
@@ -17,12 +18,15 @@ from jaxvision import (
     Scene,
     SmallLight,
     Sphere,
+    SpotLight,
+    SunDisc,
     Surface,
     Window,
     as_vec,
     environment_map,
 )
 from jaxvision.lights.harmonics import irradiance_coefficients
+from jaxvision.lights.skies import cie_sky
 
 RNG = np.random.default_rng(6)
 
@@ -47,6 +51,11 @@ KEY = jax.random.key(5)
 LAMP, SUN = PointLight([1, 2, -3], [0.3, 0.2]), DirectionalLight([0.3, 0.2, -1], [0.2, 0.1])
 BALL = Scene([Surface(Sphere([0.1, 0.2, 3], 1.0), Lambert([0.2, 0.1]))], [RECTANGLE])
 
+TURNS = [0, 2.0, 4.0, 2 * np.pi]
+SPREAD = np.array([[1.0, 1, 1, 1], [0.5, 0.9, 0.7, 0.5], [0.2, 0.1, 0.4, 0.2]])
+SOLD = GoniometricLight([1, 2, -3], [0.3, 0.2], SPREAD, [0, 1.0, np.pi], TURNS)
+DISC = SunDisc([0.3, 0.2, 1], [0.2, 0.1], 0.5)
+SPOT = SpotLight([1, 2, -3], [-0.4, -0.9, 1.2], [0.3, 0.2], 0.2, 1.5)
 SMALL = SmallLight([1, 2, -3], [-0.4, -0.9, 1.2], [0.3, 0.2])
 
 
@@ -87,6 +96,9 @@ EXAMPLES = {
     "lights.environment.environment_pdf": ((SKY, POINT, UP), {}),
     "lights.environment.environment_radiance": ((SKY, UP), {}),
     "lights.environment.environment_sample": ((SKY, POINT, U), {}),
+    "lights.goniometric.flux": ((SOLD,), {}),
+    "lights.goniometric.from_goniometric_light": ((SOLD, POINT), {}),
+    "lights.goniometric.relative_intensity": ((SOLD, UP), {}),
     "lights.harmonics.harmonic_irradiance": ((SKY, irradiance_coefficients(SKY), N), {}),
     "lights.harmonics.harmonics": ((N,), {}),
     "lights.harmonics.irradiance_coefficients": ((SKY,), {}),
@@ -108,6 +120,10 @@ EXAMPLES = {
     "lights.rectangle.rectangle_seen": ((RECTANGLE, RAY), {}),
     "lights.rectangle.window_of": ((RECTANGLE,), {}),
     "lights.small.from_small_light": ((SMALL, POINT), {}),
+    "lights.spot.from_spot_light": ((SPOT, POINT), {}),
+    "lights.skies.sky_radiance": ((jnp.asarray(cie_sky(12)), N, UP), {}),
+    "lights.sun_disc.sun_pdf": ((DISC, POINT, UP), {}),
+    "lights.sun_disc.sun_sample": ((DISC, POINT, U), {}),
     "lights.window.crossing": ((RAY, WINDOW), {}),
     "lights.window.hit_window": ((RAY, WINDOW), {}),
     "lights.window.window_pdf": ((WINDOW, POINT, UP), {}),

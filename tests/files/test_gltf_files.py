@@ -221,9 +221,9 @@ def changed(*path, to):
         (
             changed(
                 *("extensions", "KHR_lights_punctual", "lights", 0),
-                to={"type": "spot", "spot": {}},
+                to={"type": "area"},
             ),
-            "'spot' is not read",
+            "'area' is not read",
         ),
         (
             changed(

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...brdf import families
-from ...core._kinds import Measured, Picture, Table
+from ...core._kinds import Measured, Photometry, Picture, Table
 from ...core._types import POSITIVE, Colour, Range, members_of
 from ...errors import InputError
 from ...lights import kinds
@@ -38,6 +38,7 @@ from ...scene import (
     View,
 )
 from ..images import read_environment
+from ..luminaires import read_luminaire
 from ..measured import read_measured, table_of_samples
 from ..meshes import read_mesh
 from ..records import Key, Reading, chosen, keys_of, value_of, values_of
@@ -229,6 +230,8 @@ def reading_of(file: str, bands: Bands, folder: Folder, quantity: Quantity) -> R
         if hint == Colour:
             spectrum = spectrum_of(reading, where, value)
             return in_bands(spectrum, bands, folder, quantity=quantity)
+        if hint == Photometry:
+            return read_luminaire(folder.file(value_of(reading, where, str, value)))
         if hint in (Picture, Measured):
             name = value_of(reading, where, str, value)
             return (_picture if hint == Picture else _measured)(folder, name, bands)

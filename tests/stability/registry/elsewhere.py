@@ -111,6 +111,15 @@ ELSEWHERE = (
     ),
     Elsewhere(
         FILES,
+        "test_luminaires test_skies",
+        """
+            files.luminaires.*
+            lights.skies: cie_sky daylight perez_sky
+            lights.goniometric: goniometric_light
+        """,
+    ),
+    Elsewhere(
+        FILES,
         "test_raw_files test_rig_from_folder",
         """
             files.raw.*

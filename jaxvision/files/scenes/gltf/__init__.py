@@ -4,7 +4,7 @@
     materials   metallic-roughness with factors, KHR_materials_ior, KHR_materials_emissive_strength,
                 KHR_materials_specular (factor 0 or 1), and glass by KHR_materials_transmission and
                 KHR_materials_volume
-    lights      point and directional, of KHR_lights_punctual
+    lights      point, directional and spot, of KHR_lights_punctual
     cameras     perspective and orthographic
 
 glTF measures light in candela, lux and cd m^-2. Here 683 lumens are 1 W. Blender writes lamps in
@@ -95,15 +95,30 @@ def _item(items: tuple, index: int, label: str):
 
 
 def _light(light: Light, to_world: np.ndarray) -> dict[str, Any]:
-    """A light at its node; a directional one shines along the node's -z."""
-    if light.type not in ("point", "directional"):
+    """A light at its node; one with a direction shines along the node's -z."""
+    if light.type not in ("point", "directional", "spot"):
         raise InputError(
-            f"a light of type {light.type!r} is not read, only 'point' and 'directional'; put a "
-            "mesh that shines in its place."
+            f"a light of type {light.type!r} is not read, only 'point', 'directional' and 'spot'; "
+            "put a mesh that shines in its place."
         )
     amount = (light.intensity / LUMINOUS_EFFICACY * np.array(light.color)).tolist()
     if light.type == "point":
         return {"kind": "point", "position": to_world[:3, 3].tolist(), "intensity": amount}
+    if light.type == "spot":
+        inner, outer = light.spot.innerConeAngle, light.spot.outerConeAngle
+        if not inner < outer <= np.pi / 2:
+            raise InputError(
+                f"a spot has cones of {inner:g} and {outer:g} rad: the inner one must be the "
+                "smaller, the outer one at most pi / 2; export it again."
+            )
+        return {
+            "kind": "spot",
+            "position": to_world[:3, 3].tolist(),
+            "direction": (-to_world[:3, 2]).tolist(),
+            "intensity": amount,
+            "inner": float(np.degrees(inner)),
+            "outer": float(np.degrees(outer)),
+        }
     return {"kind": "directional", "direction": to_world[:3, 2].tolist(), "irradiance": amount}
 
 

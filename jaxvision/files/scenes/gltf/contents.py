@@ -1,5 +1,6 @@
 """The supported part of glTF's JSON, as models: a missing key has no exact counterpart."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -46,13 +47,20 @@ class Camera(Named):
     orthographic: Parallel | None = None
 
 
+class Spot(Named):
+    """The half angles of a spot's cones, rad."""
+
+    innerConeAngle: NonNegative = 0.0
+    outerConeAngle: NonNegative = math.pi / 4
+
+
 class Light(Named):
     """A light of KHR_lights_punctual, in cd, or in lux if it is directional."""
 
     type: str
     color: Colour = (1.0, 1.0, 1.0)
     intensity: NonNegative = 1.0
-    spot: Any = None
+    spot: Spot = Spot()
 
 
 class Lights(Entry):

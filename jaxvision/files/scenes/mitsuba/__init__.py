@@ -3,7 +3,7 @@
     shapes      sphere, rectangle, disk, cube, obj, ply
     BSDFs       diffuse, twosided, dielectric, conductor (material "none"), roughconductor, plastic,
                 roughplastic
-    emitters    point, directional, constant, envmap; area on any shape
+    emitters    point, directional, spot, constant, envmap; area on any shape
     sensors     perspective, thinlens, orthographic
     integrators path, volpath and direct (as paths), ptracer
 

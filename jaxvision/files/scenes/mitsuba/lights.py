@@ -8,7 +8,7 @@ from ....errors import InputError
 from .document import Node
 from .spectra import light_of
 
-EMITTERS = ("point", "directional", "constant", "envmap")
+EMITTERS = ("point", "directional", "spot", "constant", "envmap")
 
 
 def light_entry(node: Node) -> dict[str, Any]:
@@ -25,6 +25,12 @@ def light_entry(node: Node) -> dict[str, Any]:
             direction = node.take("direction", np.ndarray, to_world[:3, 2])
             made = {"kind": "directional", "direction": (-direction).tolist()}
             made["irradiance"] = light_of(node, "irradiance", 1.0)
+        case "spot":
+            outer = node.take("cutoff_angle", float, 20.0)
+            made = {"kind": "spot", "falloff": "linear", "outer": outer}
+            made["inner"] = node.take("beam_width", float, 0.75 * outer)
+            made |= {"position": to_world[:3, 3].tolist(), "direction": to_world[:3, 2].tolist()}
+            made["intensity"] = light_of(node, "intensity", 1.0)
         case "constant":
             made = {"kind": "environment", "radiance": light_of(node, "radiance", 1.0)}
         case _:

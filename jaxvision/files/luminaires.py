@@ -1,0 +1,310 @@
+"""Lamps as sold: photometric files IES LM-63 (1986 to 2019) and EULUMDAT.
+
+    .ies    types A, B and C; TILT=NONE and INCLUDE, whose factor is that of an upright lamp; feet
+            and metres; ballast factors; absolute photometry (-1 lm)
+    .ldt    all five symmetries; the first set of lamps
+
+What symmetry leaves out is filled in. A round opening becomes a rectangle of the same area. Some
+programs write other line ends, commas or a byte order mark, and texts in Latin-1; these are read.
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from ..errors import InputError
+from ..lights import Luminaire
+from ..lights.goniometric import System
+from ._plain_content import check_size
+
+FOOT = 0.3048  # m
+MOST = 5000  # angles of either kind
+_BRIGHTEST = 1e9  # cd: a lighthouse has 1e6 or so
+_SQUARE = math.sqrt(math.pi / 4)
+
+
+def read_luminaire(file: str | os.PathLike[str]) -> Luminaire:
+    """Reads the photometric file of a lamp.
+
+    Args:
+        file: an IES LM-63 file, or one of EULUMDAT, which ends in .ldt.
+
+    Returns:
+        The lamp's distribution of intensity, its opening and what it holds.
+
+    Raises:
+        InputError: for a file that is none, is cut off, or holds angles or numbers that no lamp
+            has.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from tempfile import mkdtemp
+        >>> file = Path(mkdtemp()) / "lamp.ies"
+        >>> _ = file.write_text(
+        ...     "IESNA:LM-63-2002\\n[LUMINAIRE] a downlight\\nTILT=NONE\\n"
+        ...     "1 400 1 3 1 1 2 0.1 0.1 0\\n1 1 5\\n0 45 90\\n0\\n100 70 0\\n"
+        ... )
+        >>> lamp = jv.files.read_luminaire(file)
+        >>> print(lamp.name, lamp.candela[:, 0])
+        a downlight [100.  70.   0.]
+    """
+    path = Path(file)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    check_size(path)
+    data = path.read_bytes()
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:64]:
+        raise InputError(f"{path}: is no text; give an IES or EULUMDAT file.")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return _eulumdat(path, lines) if path.suffix.lower() == ".ldt" else _ies(path, lines)
+
+
+class _Numbers:
+    """The numbers of a file, taken in order."""
+
+    def __init__(self, path: Path, words: Sequence[str]) -> None:
+        self.path, self.words, self.taken = path, words, 0
+
+    def fail(self, why: str) -> NoReturn:
+        raise InputError(f"{self.path}: {why}")
+
+    def take(self, count: int, what: str) -> np.ndarray:
+        words = self.words[self.taken : self.taken + count]
+        if len(words) < count:
+            self.fail(f"ends within {what}, after {len(words)} of {count} numbers; it is cut off.")
+        self.taken += count
+        try:
+            found = np.array([float(word.replace("D", "E")) for word in words])
+        except ValueError:
+            wrong = next(word for word in words if not _is_number(word))
+            self.fail(f"{what}: {wrong[:20]!r} is no number; correct it.")
+        if not np.isfinite(found).all():
+            self.fail(f"{what}: must be finite numbers; correct it.")
+        return found
+
+    def one(self, what: str, low: float = -math.inf, high: float = math.inf) -> float:
+        value = float(self.take(1, what)[0])
+        if not low <= value <= high:
+            self.fail(f"{what} = {value:g}: must be from {low:g} to {high:g}; correct it.")
+        return value
+
+    def count(self, what: str, low: int, high: int = MOST) -> int:
+        value = self.one(what, low, high)
+        if value != round(value):
+            self.fail(f"{what} = {value:g}: must be a whole number; correct it.")
+        return int(value)
+
+    def angles(self, count: int, what: str, low: float, high: float) -> np.ndarray:
+        found = self.take(count, what)
+        if np.any(np.diff(found) <= 0):
+            self.fail(f"{what} must increase; correct them.")
+        if found[0] < low or found[-1] > high:
+            self.fail(
+                f"{what} run from {found[0]:g} to {found[-1]:g} degrees, beyond {low:g} to "
+                f"{high:g}; correct them."
+            )
+        return found
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word.replace("D", "E"))
+    except ValueError:
+        return False
+    return True
+
+
+# ---------------------------------------------------------------- IES
+
+
+def _ies(path: Path, lines: list[str]) -> Luminaire:
+    heads = [i for i, line in enumerate(lines) if line.strip().upper().startswith("TILT")]
+    if not heads:
+        raise InputError(f"{path}: has no line TILT=; it is no IES file, or its beginning is lost.")
+    at = heads[0]
+    tilt = lines[at].partition("=")[2].strip().upper()
+    words = " ".join(lines[at + 1 :]).replace(",", " ").replace(";", " ").split()
+    numbers = _Numbers(path, words)
+    factor = 1.0
+    if tilt == "INCLUDE":
+        numbers.count("lamp to luminaire geometry", 1, 3)
+        pairs = numbers.count("number of tilt angles", 1)
+        angles = numbers.angles(pairs, "tilt angles", 0, 180)
+        factor = float(np.interp(0, angles, numbers.take(pairs, "tilt factors")))
+    elif tilt != "NONE":
+        numbers.fail(f"TILT={tilt[:40]}: only NONE and INCLUDE are read; include the tilt factors.")
+    lamps = numbers.one("number of lamps", 0, 1e6)
+    lumens = numbers.one("lumens per lamp", -1, 1e10)
+    factor *= numbers.one("candela multiplier", 0, 1e6)
+    rows = numbers.count("number of vertical angles", 2)
+    columns = numbers.count("number of horizontal angles", 1)
+    system: System = ("C", "B", "A")[numbers.count("photometric type", 1, 3) - 1]
+    unit = (FOOT, 1.0)[numbers.count("units type", 1, 2) - 1]
+    width, length, height = unit * numbers.take(3, "luminous opening")
+    factor *= numbers.one("ballast factor", 0, 1e3)
+    further = numbers.one("ballast-lamp photometric factor", -math.inf, math.inf)
+    first = lines[0].strip().upper()
+    if not first.startswith("IES") or "91" in first:  # later versions use the field otherwise
+        factor *= further
+    watts = numbers.one("input watts", 0, 1e7)
+    ends = (0.0, 180.0) if system == "C" else (-90.0, 90.0)
+    vertical = numbers.angles(rows, "vertical angles", *ends)
+    turns = (-180.0, 360.0) if system == "C" else (-90.0, 90.0)
+    horizontal = numbers.angles(columns, "horizontal angles", *turns)
+    table = factor * numbers.take(rows * columns, "candela values").reshape(columns, rows).T
+    if system == "C":
+        _check_polar(numbers, vertical)
+        horizontal, table = _whole_turn(numbers, horizontal, table)
+    else:
+        if columns > 1 and horizontal[0] == 0:
+            horizontal, table = _mirrored(horizontal, table)
+        if system == "B" and vertical[0] == 0:
+            vertical, across = _mirrored(vertical, table.T)
+            table = across.T
+    round_one = _SQUARE if width < 0 and length < 0 else 1.0
+    opening = np.array([abs(length) * round_one, abs(width) * round_one, abs(height)])
+    name = _keyword(lines[:at], "LUMINAIRE") or _keyword(lines[:at], "LUMCAT")
+    total = math.nan if lumens < 0 else lamps * lumens
+    return _made(numbers, table, vertical, horizontal, opening, total, watts, system, name)
+
+
+def _keyword(lines: Sequence[str], word: str) -> str:
+    for line in lines:
+        if line.strip().upper().startswith(f"[{word}]"):
+            return line.partition("]")[2].strip()
+    return ""
+
+
+def _check_polar(numbers: _Numbers, vertical: np.ndarray) -> None:
+    if vertical[0] not in (0, 90) or vertical[-1] not in (90, 180):
+        numbers.fail(
+            f"vertical angles run from {vertical[0]:g} to {vertical[-1]:g} degrees, where a lamp "
+            "of type C begins at 0 or 90 and ends at 90 or 180; add the angles that are missing."
+        )
+
+
+def _whole_turn(
+    numbers: _Numbers, angles: np.ndarray, table: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The planes of type C around a whole turn, by the symmetry that their ends tell."""
+    if len(angles) == 1:
+        return angles[:1], table
+    ends = float(angles[0]), float(angles[-1])
+    match ends:
+        case (0.0, 90.0):
+            return _filled(angles, table, (0, 180))
+        case (0.0, 180.0):
+            return _filled(angles, table, (0,))
+        case (90.0, 270.0):
+            return _filled(angles, table, (180,))
+    step = float(np.diff(angles).max())
+    gap = 360 - (ends[1] - ends[0])
+    if abs(gap) > 1e-6 and not 0 < gap <= 1.001 * step:
+        numbers.fail(
+            f"horizontal angles run from {ends[0]:g} to {ends[1]:g} degrees, where a lamp of type "
+            "C has 0 to 90, 180 or 360, or 90 to 270; add the angles that are missing."
+        )
+    return _filled(angles, table, ())
+
+
+def _filled(
+    angles: np.ndarray, table: np.ndarray, mirrors: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Planes with those mirrored at each axis m / 2, h -> m - h, around a whole turn."""
+    for mirror in mirrors:
+        angles = np.concatenate([angles, mirror - angles])
+        table = np.concatenate([table, table], axis=1)
+    turned, places = np.unique(np.round(angles % 360, 6) % 360, return_index=True)
+    table = table[:, places]
+    return np.append(turned, turned[0] + 360), np.concatenate([table, table[:, :1]], axis=1)
+
+
+def _mirrored(angles: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns at angles from 0 on, and the same at their negatives."""
+    whole = np.concatenate([table[:, :0:-1], table], axis=1)
+    return np.concatenate([-angles[:0:-1], angles]), whole
+
+
+def _made(
+    numbers: _Numbers,
+    table: np.ndarray,
+    vertical: np.ndarray,
+    horizontal: np.ndarray,
+    opening: np.ndarray,
+    lumens: float,
+    watts: float,
+    system: System,
+    name: str,
+) -> Luminaire:
+    if table.min() < 0 or table.max() > _BRIGHTEST:
+        numbers.fail(
+            f"candela values run from {table.min():g} to {table.max():g} cd, where a lamp has 0 to "
+            f"{_BRIGHTEST:g}; correct them or their multiplier."
+        )
+    if not table.any():
+        numbers.fail("all candela values are 0: such a lamp is dark; correct them.")
+    if np.abs(opening).max() > 100:
+        numbers.fail(f"its luminous opening is {opening.max():g} m wide; correct it or its units.")
+    angles = np.radians(vertical), np.radians(horizontal)
+    return Luminaire(table, *angles, opening, lumens, watts, system=system, name=name)
+
+
+# ---------------------------------------------------------------- EULUMDAT
+
+
+def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
+    while lines and not lines[-1].strip():
+        lines = lines[:-1]
+    if len(lines) < 28:
+        raise InputError(f"{path}: has {len(lines)} lines, too few for EULUMDAT; it is cut off.")
+
+    def at(line: int) -> _Numbers:
+        return _Numbers(path, [lines[line - 1].strip().replace(",", ".")])
+
+    symmetry = at(3).count("symmetry (line 3)", 0, 4)
+    planes = at(4).count("number of C planes (line 4)", 1)
+    rows = at(6).count("number of angles (line 6)", 2)
+    size = [at(i).one(f"line {i}", 0, 1e5) / 1000 for i in (16, 17, 18)]  # m
+    factor = at(24).one("conversion factor (line 24)", 0, 1e6)
+    sets = at(26).count("number of lamp sets (line 26)", 1, 20)
+    start = 26 + 6 * sets
+    if len(lines) < start + 10:
+        raise InputError(f"{path}: ends within its sets of lamps; it is cut off.")
+    lumens = at(27 + 2 * sets).one("flux of the lamps", 0, 1e10)
+    watts = at(27 + 5 * sets).one("power of the lamps", 0, 1e7)
+    words = [line.strip().replace(",", ".") for line in lines[start + 10 :] if line.strip()]
+    numbers = _Numbers(path, words)
+    turns = numbers.angles(planes, "C planes", 0, 360)
+    vertical = numbers.angles(rows, "angles", 0, 180)
+    _check_polar(numbers, vertical)
+    first, kept = {
+        0: (0, planes),
+        1: (0, 1),
+        2: (0, planes // 2 + 1),
+        3: (3 * planes // 4, planes // 2 + 1),
+        4: (0, planes // 4 + 1),
+    }[symmetry]
+    if kept > planes or (symmetry > 1 and planes % 4):
+        numbers.fail(f"symmetry {symmetry} needs a multiple of 4 C planes, got {planes}.")
+    table = numbers.take(rows * kept, "intensities").reshape(kept, rows).T
+    table = table * (factor * lumens / 1000)
+    if symmetry == 1:
+        horizontal = turns[:1]
+    else:
+        own = turns[(first + np.arange(kept)) % planes]
+        mirrors = {0: (), 2: (0,), 3: (180,), 4: (0, 180)}[symmetry]
+        horizontal, table = _filled(own, table, mirrors)
+    length, width, height = size
+    if width == 0:  # round
+        length = width = length * _SQUARE
+    opening = np.array([width, length, height])
+    name = lines[8].strip()
+    return _made(numbers, table, vertical, horizontal, opening, lumens, watts, "C", name)

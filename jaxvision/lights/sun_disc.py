@@ -1,0 +1,122 @@
+"""The sun, or any round light infinitely far away, of uniform radiance: its shadows have penumbrae.
+
+A disc of the angular radius r and the radiance L puts E = pi L sin^2(r) on a surface that faces it.
+"""
+
+from typing import Annotated
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..core._bounds import Ends, Source, least, peak
+from ..core._numerics import normalize
+from ..core._types import (
+    AMOUNT,
+    Colour,
+    Range,
+    Scalar,
+    as_float,
+    check_direction,
+    check_fields,
+)
+from ..core._vector import Direction, Vector, as_array, as_vec
+from ..geometry import Ray
+from ..geometry.hemisphere import direction_at, local_frame, to_world
+from ..scene import Light
+from ._registry import Incident, Seen, register_extended
+
+SUN_RADIUS = np.radians(0.2666)  # rad, the mean from the earth
+
+
+class SunDisc(Light):
+    """A round light infinitely far away.
+
+    Attributes:
+        direction: (3,) toward its middle (its length is ignored).
+        irradiance: (bands,) W m^-2 on a surface that faces it.
+        radius: () rad, angular radius, above 0 and at most pi / 2; by default the sun's.
+
+    Example:
+        >>> sun, up = jv.SunDisc([0, 0.6, 0.8], [1000.0]), jnp.array([0.0, 0.0, 1.0])
+        >>> print(jv.irradiance(sun, jnp.zeros(3), up, rule=jv.Quadrature(4)).round(1))
+        [800.]
+    """
+
+    spectra = ("irradiance",)
+    direction: Float[Array, "3"] = eqx.field(converter=as_float)
+    irradiance: Colour = eqx.field(converter=as_float)
+    radius: Scalar = eqx.field(converter=as_float, default=SUN_RADIUS)
+
+    def __check_init__(self) -> None:
+        allowed = Range(0, np.pi / 2, above=True, nan=True)
+        check_fields(self, irradiance=AMOUNT, radius=allowed)
+        check_direction("SunDisc.direction", self.direction)
+
+
+def _height(light: SunDisc) -> Scalar:
+    """1 - cos(r), without cancellation, no unit."""
+    half = jnp.sin(light.radius / 2)
+    return 2 * half * half
+
+
+def _radiance(light: SunDisc) -> Colour:
+    sine = jnp.sin(light.radius)
+    return light.irradiance / (jnp.pi * sine * sine)
+
+
+def _inside(light: SunDisc, direction: Direction) -> Array:
+    apart = as_vec(direction) - as_vec(normalize(light.direction))
+    return apart.x * apart.x + apart.y * apart.y + apart.z * apart.z <= 2 * _height(light)
+
+
+def _seen(light: SunDisc, ray: Ray) -> Seen:
+    """The radiance along a ray's direction, (bands,) W m^-2 sr^-1, at an infinite distance."""
+    radiance = jnp.where(_inside(light, ray.direction), _radiance(light), 0)
+    return Seen(jnp.full_like(ray.origin.x, jnp.inf), radiance)
+
+
+def sun_sample(light: SunDisc, point: Vector, u: Float[Array, "2"]) -> Incident:
+    """A unit direction uniform over the disc by `u`, (2,) in [0, 1], and L times its solid angle,
+    (bands,) W m^-2."""
+    height = _height(light)
+    local = direction_at(height * u[0], 2 * jnp.pi * u[1])
+    direction = to_world(local_frame(normalize(light.direction)), local)
+    wi = as_array(direction) if isinstance(point, Array) else as_vec(direction)
+    return Incident(wi, _radiance(light) * (2 * jnp.pi * height))
+
+
+def sun_pdf(light: SunDisc, point: Vector, wi: Direction) -> Scalar:
+    """Density of `sun_sample` toward a unit direction, () in sr^-1."""
+    del point
+    return jnp.where(_inside(light, wi), 1 / (2 * jnp.pi * _height(light)), 0)
+
+
+def _bound(light: Ends[SunDisc]) -> Source:
+    """Its largest radiance, from anywhere, with the share of the sky that its largest disc is."""
+    smallest, widest = least(light, "radius"), max(float(end.radius) for end in light)
+    radiance = peak(light, "irradiance") / (np.pi * np.sin(smallest) ** 2)
+    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    share = float(2 * np.sin(widest / 2) ** 2)
+    return Source(radiance, *none, None, None, "sky", share=share, even=True)
+
+
+def _from_file(
+    *,
+    direction: Float[Array, "3"],
+    irradiance: Colour,
+    radius: Annotated[float, Range(0, 90, above=True)] = 0.2666,
+) -> SunDisc:
+    """The sun as a disc, whose angular radius is in degrees."""
+    return SunDisc(direction, irradiance, np.radians(radius))
+
+
+register_extended(
+    SunDisc,
+    seen=_seen,
+    sample=sun_sample,
+    pdf=sun_pdf,
+    bound=_bound,
+    from_file=_from_file,
+)

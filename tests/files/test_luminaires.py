@@ -1,0 +1,249 @@
+"""Photometric files, written here: what they hold returns, and what is none is refused in words."""
+
+import numpy as np
+import pytest
+
+import jaxvision as jv
+from jaxvision import lights
+from jaxvision.errors import InputError
+from jaxvision.files import read_luminaire
+
+GAMMA = np.arange(0, 91, 5.0)
+COSINE = 1000 * np.cos(np.radians(GAMMA))  # cd, of a flat white panel: pi I lm
+
+
+def ies(
+    *,
+    table=None,
+    vertical=GAMMA,
+    horizontal=(0,),
+    system=1,
+    head="IESNA:LM-63-2002\n[LUMINAIRE] panel\n",
+    tilt="NONE",
+    lumens=3141.6,
+    multiplier=1,
+    units=2,
+    opening="0.6 1.2 0",
+    ballast="1 1 40",
+    end="\n",
+    between=" ",
+):
+    table = np.broadcast_to(COSINE, (len(horizontal), len(vertical))) if table is None else table
+    lines = [
+        f"{head}TILT={tilt}",
+        f"1 {lumens} {multiplier} {len(vertical)} {len(horizontal)} {system} {units} {opening}",
+        ballast,
+        *(between.join(f"{x:g}" for x in row) for row in (vertical, horizontal, *table)),
+    ]
+    return end.join("\n".join(lines).split("\n")) + end
+
+
+def read(folder, text, name="lamp.ies"):
+    (folder / name).write_bytes(text.encode("latin-1"))
+    return read_luminaire(folder / name)
+
+
+def flux(lamp):
+    """lm of the lamp as a light of the scene."""
+    light = jv.goniometric_light(lamp, [0, 0, 2])
+    return 683 * float(lights.flux(light)[0])
+
+
+def test_the_lumens_of_a_file_return(tmp_path):
+    """A panel of 1000 cd that falls as the cosine sends 1000 pi lm, which is what its file states;
+    of nodes every 5 degrees 0.1 % less, the chords of the cosine."""
+    lamp = read(tmp_path, ies())
+    assert (lamp.name, float(lamp.watts), float(lamp.lumens)) == ("panel", 40, 3141.6)
+    assert flux(lamp) == pytest.approx(3141.6, rel=1e-3)
+    np.testing.assert_allclose(lamp.opening, [1.2, 0.6, 0])
+    light = jv.goniometric_light(lamp, [0, 0, 2])
+    below = float(jv.incident(light, np.zeros(3)).irradiance[0])
+    assert below == pytest.approx(1000 / 683 / 4, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"end": "\r\n"},
+        {"end": "\r"},
+        {"between": ", "},
+        {"head": ""},  # of 1986
+        {"head": "IESNA91\n[MANUFAC] Müller\n"},
+        {"head": "\ufeffIES:LM-63-2019\n".encode().decode("latin-1")},
+        {"multiplier": 2, "ballast": "0.5 1 40"},
+        {"lumens": -1},
+        {"tilt": "INCLUDE\n1\n3\n0 90 180\n1 0.9 1"},
+        {"units": 1, "opening": f"{0.6 / 0.3048} {1.2 / 0.3048} 0"},
+    ],
+)
+def test_the_same_lamp_in_other_forms(change, tmp_path):
+    lamp = read(tmp_path, ies(**change))
+    assert flux(lamp) == pytest.approx(1000 * np.pi, rel=1e-3)
+    np.testing.assert_allclose(lamp.opening, [1.2, 0.6, 0], rtol=1e-6)
+    assert np.isnan(lamp.lumens) == (change.get("lumens") == -1)
+
+
+def test_old_files_have_a_further_factor_and_round_openings_a_minus(tmp_path):
+    old = read(tmp_path, ies(head="IESNA91\n", ballast="1 0.5 40", opening="-0.2 -0.2 0"))
+    assert flux(old) == pytest.approx(500 * np.pi, rel=1e-3)
+    assert old.opening[0] * old.opening[1] == pytest.approx(np.pi * 0.1**2, rel=1e-6)
+    new = read(tmp_path, ies(ballast="1 0.5 40"))
+    assert flux(new) == pytest.approx(1000 * np.pi, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("planes", "mirrors"),
+    [
+        ([0, 30, 90], lambda c: [c, -c, 180 - c, 180 + c]),
+        ([0, 30, 90, 180], lambda c: [c, -c]),
+        ([90, 120, 200, 270], lambda c: [c, 180 - c]),
+        ([0, 30, 90, 180, 300, 360], lambda c: [c]),
+        (list(range(0, 360, 30)), lambda c: [c]),  # the last plane left out
+    ],
+)
+def test_symmetric_planes_are_filled_in(planes, mirrors, tmp_path):
+    rng = np.random.default_rng(0)
+    table = rng.uniform(100, 900, (len(planes), 3))
+    if planes[-1] == 360:
+        table[-1] = table[0]
+    lamp = read(tmp_path, ies(table=table, vertical=[0, 45, 90], horizontal=planes))
+    light = jv.goniometric_light(lamp, [0, 0, 0])
+    for plane, row in zip(planes, table, strict=True):
+        for c in np.radians(mirrors(plane)):
+            w = [np.sin(np.pi / 4) * np.cos(c), np.sin(np.pi / 4) * np.sin(c), -np.cos(np.pi / 4)]
+            got = float(lights.relative_intensity(light, w))
+            assert got == pytest.approx(row[1], rel=1e-4)
+
+
+@pytest.mark.parametrize("system", [2, 3])
+def test_types_a_and_b_are_mirrored_from_zero(system, tmp_path):
+    angles = [0, 20, 90]
+    table = np.random.default_rng(1).uniform(100, 900, (3, 3))
+    lamp = read(tmp_path, ies(table=table, vertical=angles, horizontal=angles, system=system))
+    assert lamp.system == "?CBA"[system]
+    np.testing.assert_allclose(np.degrees(lamp.horizontal), [-90, -20, 0, 20, 90], atol=1e-4)
+    np.testing.assert_allclose(lamp.candela[-1], table[[2, 1, 0, 1, 2], -1], rtol=1e-5)
+
+
+def eulumdat(symmetry, planes, table, *, lumens=2000.0, factor=1.0, sets=1, end="\r\n"):
+    count = len(planes)
+    lines = ["maker", 1, symmetry, count, 0, len(GAMMA), 5, "r", "floor lamp", "n", "f", "d"]
+    lines += [600, 300, 80, 500, 200, 0, 0, 0, 0, 100, 85, factor, 0, sets]
+    lamps = [[1] * sets, ["LED"] * sets, [lumens, 9.0][:sets], ["830"] * sets, [80] * sets]
+    lines += [x for of_kind in (*lamps, [18] * sets) for x in of_kind] + [0] * 10
+    lines += [*planes, *GAMMA, *np.ravel(table)]
+    return end.join(str(x).replace(".", ",") if isinstance(x, float) else str(x) for x in lines)
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "first", "kept"), [(0, 0, 8), (1, 0, 1), (2, 0, 5), (3, 6, 5), (4, 0, 3)]
+)
+@pytest.mark.parametrize("sets", [1, 2])
+def test_eulumdat(symmetry, first, kept, sets, tmp_path):
+    """cd per 1000 lm of the lamps, decimal commas; each stored plane is where it should be, and
+    the flux is the share of the lamps' that 1000 / pi cd for 1000 lm and the cosine make: all."""
+    planes = np.arange(0, 360, 45)
+    table = np.broadcast_to(np.cos(np.radians(GAMMA)) * 1000 / np.pi, (kept, len(GAMMA))).copy()
+    tall = table * (1 + 0.1 * np.arange(kept)[:, None])
+    lamp = read(tmp_path, eulumdat(symmetry, planes, table, sets=sets), "lamp.ldt")
+    assert flux(lamp) == pytest.approx(2000, rel=1e-3)
+    np.testing.assert_allclose(lamp.opening, [0.2, 0.5, 0])
+    assert (lamp.name, float(lamp.watts)) == ("floor lamp", 18)
+    lamp = read(tmp_path, eulumdat(symmetry, planes, tall), "lamp.ldt")
+    own = np.degrees(np.asarray(lamp.horizontal))
+    for k in range(kept):
+        plane = planes[(first + k) % 8]
+        at = np.flatnonzero(np.abs(own - plane) < 0.01)[0]
+        assert lamp.candela[0, at] == pytest.approx(2 * tall[k, 0], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("nothing here", "has no line TILT="),
+        (ies()[:-60], r"ends within candela values, after \d+ of 19 numbers; it is cut off"),
+        (ies(vertical=GAMMA + 2.5), "vertical angles run from 2.5 to 92.5 degrees, where a lamp"),
+        (ies(vertical=GAMMA[::-1]), "vertical angles must increase"),
+        (ies(horizontal=(0, 45), table=np.ones((2, 19))), "horizontal angles run from 0 to 45"),
+        (ies(table=-np.ones((1, 19))), "candela values run from -1 to -1 cd"),
+        (ies(table=np.zeros((1, 19))), "all candela values are 0"),
+        (ies(multiplier=1e9), r"candela multiplier = 1e\+09: must be from 0 to 1e\+06"),
+        (ies().replace("1000", "bright"), "candela values: 'bright' is no number"),
+        (ies().replace("1000", "nan"), "candela values: must be finite numbers"),
+        (ies(system=4), "photometric type = 4: must be from 1 to 3"),
+        (ies(tilt="LAMP.TLT"), "TILT=LAMP.TLT: only NONE and INCLUDE are read"),
+        (ies(opening="600 1200 0"), "its luminous opening is 1200 m wide"),
+        (
+            ies().replace(" 19 1 1", " 19.5 1 1"),
+            "number of vertical angles = 19.5: must be a whole",
+        ),
+        (ies().replace(" 19 1 1", " 190000 1 1"), "must be from 2 to 5000"),
+    ],
+)
+def test_what_is_no_lamp_is_told_in_a_sentence(text, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        read(tmp_path, text)
+
+
+def test_what_is_no_eulumdat_is_told_in_a_sentence(tmp_path):
+    whole = eulumdat(1, [0], [np.ones(len(GAMMA))])
+    for text, words in (
+        (whole[:60], "too few for EULUMDAT"),
+        (whole[:-20], "ends within intensities"),
+        (whole.replace("maker\r\n1\r\n1", "maker\r\n1\r\n7"), r"symmetry \(line 3\) = 7"),
+        ("x" + "\0" * 20, "is no text"),
+    ):
+        with pytest.raises(InputError, match=words):
+            read(tmp_path, text, "lamp.ldt")
+
+
+SCENE = """
+[camera]
+kind = "orthographic"
+position = [0, 0, 1]
+target = [0, 0, 0]
+up = [0, 1, 0]
+width = 0.1
+resolution = [4, 4]
+[material.paper]
+family = "lambert"
+albedo = 0.8
+[[surface]]
+shape = "quad"
+corner = [-1, -1, 0]
+edge_u = [2, 0, 0]
+edge_v = [0, 2, 0]
+material = "paper"
+"""
+
+
+@pytest.mark.parametrize(
+    ("light", "expected"),
+    [
+        ('kind = "goniometric"\nfile = "panel.ies"\nposition = [0, 0, 2]', 1000 / 683 / 4),
+        (
+            'kind = "spot"\nposition = [0, 0, 2]\ndirection = [0, 0, -1]\n'
+            "intensity = 8\nouter = 30",
+            2,
+        ),
+        ('kind = "sun_disc"\ndirection = [0, 0.6, 0.8]\nirradiance = 10', 8),
+    ],
+)
+def test_scene_files_have_lamps_as_sold_spots_and_the_sun(light, expected, tmp_path):
+    """White paper straight below: its radiance is 0.8 E / pi."""
+    (tmp_path / "panel.ies").write_text(ies())
+    (tmp_path / "scene.toml").write_text(f"{SCENE}[[light]]\n{light}\n")
+    source = jv.files.read_scene(tmp_path / "scene.toml")
+    picture = jv.render(source.scene, source.view, rule=jv.Quadrature(4))
+    np.testing.assert_allclose(picture, 0.8 / np.pi * expected, rtol=1e-2)
+
+
+def test_a_scene_file_has_a_sky(tmp_path):
+    sky = 'kind = "environment"\nsky = 16\nirradiance = 10'
+    (tmp_path / "scene.toml").write_text(f"{SCENE}[[light]]\n{sky}\n")
+    light = jv.files.read_scene(tmp_path / "scene.toml").scene.lights[0]
+    top = float(light.radiance[0].mean())
+    assert top == pytest.approx(10 * 9 / (7 * np.pi), rel=1e-2)
+    (tmp_path / "scene.toml").write_text(f"{SCENE}[[light]]\n{sky}\nradiance = 1\n")
+    with pytest.raises(InputError, match="give either file, radiance or sky"):
+        jv.files.read_scene(tmp_path / "scene.toml")
