@@ -52,23 +52,24 @@ def calibrate(
     """Directions or positions of lights and relative intensities, with one covariance.
 
     Args:
-        images: one a light, (h, w) or (h, w, 3) linear DN, all of one still view.
-        masks: (h, w) true where the ball is, one a ball; two mirror balls give positions.
-        camera: bits, and black level and saturation where they are not 0 and full scale.
+        images: one for each light, (h, w) or (h, w, 3) linear DN, all of one fixed view.
+        masks: (h, w) true where the ball is, one for each ball; two mirror balls give positions.
+        camera: its bits, and its black level and saturation where they are not 0 and full scale.
         kind: `mirror` for highlights, `matte` for shading.
         files: names of the images; None for `images[0]` and on.
-        focal_length: of the lens, pixels, its axis through the middle of the picture; None for an
-            orthographic view.
-        radius: of two equal balls, m, whose centres lie, without a focal length, equally far from
-            the camera.
-        outline_sd: pixels by which centre and radius of a careful outline may be off as a whole.
+        focal_length: of the lens, pixels, with its axis through the middle of the picture; None for
+            an orthographic view.
+        radius: of two equal balls, m. Without a focal length, their centres must be equally far
+            from the camera.
+        outline_sd: standard deviation of the centre and radius of a careful outline, pixels.
 
     Returns:
         The lights. Intensities are NaN where a highlight is clipped.
 
     Raises:
-        InputError: for a ball without a highlight, with two, saturated or cut by the border, a mask
-            that is no ball's, and lights too far for a position.
+        InputError: for a ball without a highlight, with two, or with one that is saturated or cut
+            by the border, for a mask that is not a ball's, and for lights too far away for a
+            position.
 
     Example:
         >>> from fitting.lights import calibrate
@@ -234,7 +235,7 @@ def _slope(of: Callable[[float], np.ndarray]) -> np.ndarray:
 def _crossing(
     starts: Float[np.ndarray, "balls lights 3"], toward: Float[np.ndarray, "balls lights 3"]
 ) -> Float[np.ndarray, "lights 3"]:
-    """The points nearest to the lines of sight."""
+    """The points closest to two lines of sight."""
     across = np.eye(3) - toward[..., :, None] * toward[..., None, :]
     right = np.einsum("blij,blj->li", across, starts)
     return np.linalg.solve(across.sum(axis=0), right[..., None])[..., 0]
@@ -295,7 +296,7 @@ def _from_shading(
 def _about_mean(
     covariance: Float[np.ndarray, "lights 4 lights 4"],
 ) -> Float[np.ndarray, "lights 4 lights 4"]:
-    """Logarithms of intensities about their mean, which is no information."""
+    """Logarithms of intensities less their mean, which is arbitrary."""
     centred = covariance.copy()
     centred[:, 3] -= centred[:, 3].mean(axis=0)
     centred[..., 3] -= centred[..., 3].mean(axis=-1, keepdims=True)

@@ -15,7 +15,7 @@ HEADS = ("light", "x", "y", "z", "s.d.", "intensity")
 
 @dataclass(frozen=True)
 class Lights:
-    """Where lights are and how strong. Print it, or show it in a notebook.
+    """Directions or positions of lights, and their intensities. Print it, or show it in a notebook.
 
     Attributes:
         files: names of their images.
@@ -27,8 +27,8 @@ class Lights:
         near: whether places are positions.
         outlines: (balls, 3) column, row and radius of each ball, pixels.
         outline_sds: (balls, 3) pixels.
-        common: share of the variance of the places that comes from the outlines, which all lights
-            share.
+        common: share of the variance of the places that all lights share, because it comes from the
+            outlines.
         findings: sentences.
     """
 
@@ -50,11 +50,11 @@ class Lights:
 
     @property
     def intensity_sd(self) -> Float[np.ndarray, " lights"]:
-        """Relative."""
+        """Relative standard errors of the intensities."""
         return np.sqrt(np.einsum("ll->l", self.covariance[:, 3, :, 3]))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Cells of a table, a row a light."""
+        """Cells of a table with one row for each light."""
         sds = [f"{sd:.2g} m" if self.near else f"{np.degrees(sd):.2g}°" for sd in self.place_sd]
         strengths = [
             "-" if np.isnan(one) else f"{one:.4g} ± {one * sd:.1g}"
@@ -113,7 +113,7 @@ def read_lights(path: str | os.PathLike[str]) -> Lights:
         The lights, without findings.
 
     Raises:
-        InputError: for a file that is missing or another.
+        InputError: for a file that is missing or holds no lights.
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file of lights; `jaxvision-fit lights` writes one.")

@@ -23,11 +23,11 @@ UNEVEN = 0.01  # of the reflectance of a mirror
 
 @dataclass(frozen=True)
 class Highlight:
-    """Where a highlight is.
+    """Position and flux of a highlight.
 
     Attributes:
-        place: column and row.
-        sd: pixels, of each.
+        place: column and row, pixels.
+        sd: standard deviation of each, pixels.
         flux: DN, of all its pixels; NaN where some are clipped.
         flux_sd: relative.
     """

@@ -29,13 +29,13 @@ SECTORS, RINGS = 8, 3
 
 @dataclass(frozen=True)
 class Shading:
-    """Estimates for each light and what they have in common.
+    """Estimates for each light, and the shared outline.
 
     Attributes:
-        values: (3,) the outline.
+        values: (3,) of the outline.
         outline_covariance: (3, 3).
         g: (lights, 3) DN.
-        own: (lights, 3, 3) covariance of g at a known outline.
+        own: (lights, 3, 3) covariance of g for a known outline.
         by_outline: (lights, 3, 3) dg/do.
         misfit: rms residual over the largest signal, median over lights.
         effect: design effect of the residuals.

@@ -27,7 +27,7 @@ ROUND = 0.05  # of the radius: rms of a mask's edge about the outline
 
 @dataclass(frozen=True)
 class Lens:
-    """How rays reach the picture.
+    """Projection of the camera.
 
     Attributes:
         focal_length: pixels; None for an orthographic view.

@@ -1,4 +1,4 @@
-"""What a calibration of lights tells its reader, and the rig that it writes."""
+"""The report of a calibration of lights, and the rig that it writes."""
 
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,9 @@ def section(lights: Lights, *, root: str = ".", camera: str = "bits = 8") -> Sec
     """Report lights: outline, table, findings, picture, and the rig with `lights.npz`.
 
     Args:
-        lights: that were found.
-        root: folder of the images, relative to the rig's.
-        camera: the lines of the rig's `[camera]`.
+        lights: from the calibration.
+        root: folder of the images, relative to that of the rig.
+        camera: lines of the rig's `[camera]`.
 
     Returns:
         The section.
