@@ -86,7 +86,7 @@ def check_coverage(kind, seeds):
         dof = len(own)
         ratio = np.log(found.intensities / strengths)
         far = np.abs(ratio - ratio.mean()) / found.intensity_sd
-        assert np.mean(far < 3.3) == 1
+        assert far.max() < 4.5  # of up to 1,600
     return np.abs(np.array(z)), np.array(square), dof
 
 
