@@ -1,0 +1,189 @@
+"""How many digits of a function's results its own rounding leaves, and which operation loses them.
+
+Every operation of the function's jaxpr runs in float64 on its float32 operands. An inexact result
+is rounded to float32 at random, up or down, so that its expectation is exact; an exact one is kept,
+so that compensated sums and products work. The scatter over several runs is the error by rounding
+(Parker, "Monte Carlo Arithmetic", UCLA CSD-970002, 1997). Loops and branches count as one
+operation, which runs in float32.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Literal
+
+from ..errors import InputError
+
+WHOLE = float(-np.log10(np.finfo(np.float32).eps / 2))  # digits of float32
+_INSIDE = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # parameters that hold what a call runs
+_APART = ("scan", "while", "cond")
+_LOSS = 1.0  # digits, beyond which an operation is named
+
+
+@dataclass(frozen=True)
+class Digits:
+    """The digits that rounding leaves.
+
+    Attributes:
+        digits: of each output, an array of its shape, at most 7.2.
+        operation: where an output lost more than one digit, the operation that lost the most of
+            its operands' digits, and its line; "" elsewhere.
+        lost: digits that it lost.
+    """
+
+    digits: Any
+    operation: str
+    lost: float
+
+    @property
+    def fewest(self) -> float:
+        """The fewest digits of any finite output."""
+        known = [np.ravel(x)[np.isfinite(np.ravel(x))] for x in jax.tree.leaves(self.digits)]
+        return float(min((x.min() for x in known if x.size), default=WHOLE))
+
+    def __str__(self) -> str:
+        left = f"{self.fewest:.1f} of {WHOLE:.1f} digits are left"
+        return f"{left}; {self.operation} loses {self.lost:.1f}." if self.operation else f"{left}."
+
+
+def digits(function: Callable[..., Any], *arguments: Any, runs: int = 16, seed: int = 0) -> Digits:
+    """Count the digits that float32 leaves of a function's results at these arguments.
+
+    Arguments and constants are taken as exact. A function in float64 loses as many digits, of its
+    16. The count is for rounding alone: a series that is cut too early has all of its digits.
+
+    Args:
+        function: of arrays to a pytree of arrays, as `jax.jit` takes it.
+        arguments: pytrees of arrays; floating ones are rounded to float32.
+        runs: with other random roundings, at least 2.
+        seed: of the roundings.
+
+    Returns:
+        The digits of each output, and the operation that loses most.
+
+    Raises:
+        InputError: for fewer than 2 runs.
+
+    Example:
+        >>> from jaxvision.accuracy import digits
+        >>> x = jnp.float32(1e-3)
+        >>> near = digits(lambda x: 1 - jnp.cos(x), x)
+        >>> near.fewest < 2, near.operation.split()[0]
+        (True, 'sub')
+        >>> digits(lambda x: 2 * jnp.sin(x / 2) ** 2, x).fewest > 6.5
+        True
+    """
+    if runs < 2:
+        raise InputError(f"digits: give at least 2 runs, got {runs}.")
+    single = jax.tree.map(_single, arguments)
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*single)
+    names: list[str] = []
+    with jax.enable_x64(True):
+        once = jax.jit(partial(_evaluated, closed.jaxpr, names=names))
+        keys = jax.random.split(jax.random.key(seed), runs)
+        flat = jax.tree.leaves(single)
+        found = [once(key, list(closed.consts), flat) for key in keys]
+        results, traces = zip(*(jax.tree.map(np.asarray, one) for one in found), strict=True)
+    spread = [_digits_of(np.stack(own)) for own in zip(*results, strict=True)]
+    left = jax.tree.unflatten(jax.tree.structure(shapes), spread)
+    lost = [
+        _fewest([np.stack(x) for x in zip(*(inputs for inputs, _ in own), strict=True)])
+        - _fewest([np.stack([x for _, x in own])])
+        for own in zip(*traces, strict=True)
+    ]
+    most = int(np.argmax(lost)) if lost else 0
+    if Digits(left, "", 0.0).fewest > WHOLE - _LOSS or not lost or lost[most] <= _LOSS:
+        return Digits(left, "", 0.0)
+    return Digits(left, names[most], float(lost[most]))
+
+
+def _single(x: Any) -> Any:
+    x = jnp.asarray(x)
+    return x.astype(jnp.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x
+
+
+def _digits_of(values: np.ndarray) -> np.ndarray:
+    """Digits that all of (runs, ...) values share; those of float32 where they are equal."""
+    values = values.astype(np.float64)
+    if not np.size(values):
+        return np.full(values.shape[1:], WHOLE)
+    with np.errstate(all="ignore"):
+        error = values.std(0, ddof=1) / np.abs(values.mean(0))
+        return np.clip(-np.log10(error), 0, WHOLE)  # NaN for 0 and for what is not finite
+
+
+def _fewest(values: list[np.ndarray]) -> float:
+    """The fewest digits of any number that is finite and not 0 in all runs, of (runs, ...) each."""
+    found = [_digits_of(own)[~np.isnan(_digits_of(own))] for own in values]
+    return min((float(own.min()) for own in found if own.size), default=WHOLE)
+
+
+def _evaluated(
+    jaxpr: Any, key: Any, consts: list[Any], arguments: list[Any], *, names: list[str]
+) -> tuple[list[Any], list[Any]]:
+    """The results of a jaxpr with random rounding and, of each rounded operation, its operands and
+    its result. `names` takes the words for the operations."""
+    known: dict[Any, Any] = dict(
+        zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments], strict=True)
+    )
+    traces: list[Any] = []
+
+    def value(x: Any) -> Any:
+        return jnp.asarray(x.val, x.aval.dtype) if isinstance(x, Literal) else known[x]
+
+    for number, eqn in enumerate(jaxpr.eqns):
+        own, inputs = jax.random.fold_in(key, number), [value(x) for x in eqn.invars]
+        inner = next((eqn.params[word] for word in _INSIDE if word in eqn.params), None)
+        if inner is not None and eqn.primitive.name not in _APART:
+            open_ = getattr(inner, "jaxpr", inner)
+            results, more = _evaluated(
+                open_, own, list(getattr(inner, "consts", ())), inputs, names=names
+            )
+            traces += more
+        else:
+            results = _rounded(eqn, own, inputs)
+            floating = [x for x in inputs if jnp.issubdtype(x.dtype, jnp.floating)]
+            if jnp.issubdtype(results[0].dtype, jnp.floating) and floating:
+                names.append(_named(eqn))
+                traces.append((floating, results[0]))
+        known |= dict(zip(eqn.outvars, results, strict=True))
+    return [value(x) for x in jaxpr.outvars], traces
+
+
+def _rounded(eqn: Any, key: Any, inputs: list[Any]) -> list[Any]:
+    """The results of one operation, the inexact ones rounded at random."""
+    params = eqn.primitive.get_bind_params(eqn.params)
+    apart = (*_APART, "convert_element_type", "iota")
+    if eqn.primitive.name not in apart and any(x.aval.dtype == jnp.float32 for x in eqn.outvars):
+        inputs = [x.astype(jnp.float64) if x.dtype == jnp.float32 else x for x in inputs]
+        params = {n: None if n == "preferred_element_type" else v for n, v in params.items()}
+    results = eqn.primitive.bind(*inputs, **params)
+    results = list(results) if eqn.primitive.multiple_results else [results]
+    return [
+        _at_random(x, jax.random.fold_in(key, i)) if x.dtype == jnp.float64 else x
+        for i, x in enumerate(results)
+    ]
+
+
+def _at_random(exact: Any, key: Any) -> Any:
+    """A float64 rounded to a neighbouring float32, so that its expectation is the number itself."""
+    near = exact.astype(jnp.float32)
+    rest = exact - near.astype(jnp.float64)
+    other = jnp.nextafter(near, jnp.where(rest > 0, jnp.inf, -jnp.inf).astype(jnp.float32))
+    gap = jnp.abs(other.astype(jnp.float64) - near.astype(jnp.float64))
+    chance = jnp.where((rest != 0) & jnp.isfinite(gap) & (gap > 0), jnp.abs(rest) / gap, 0)
+    return jnp.where(jax.random.uniform(key, exact.shape) < chance, other, near)
+
+
+def _named(eqn: Any) -> str:
+    """The primitive and the line of the caller's own source."""
+    traceback = eqn.source_info.traceback
+    frames = traceback.frames if traceback is not None else ()
+    own = next((f for f in frames if "/jax/" not in f.file_name and __file__ != f.file_name), None)
+    where = "" if own is None else f" in {own.function_name}, line {own.line_num}"
+    return f"{eqn.primitive.name}{where}"
