@@ -8,7 +8,7 @@ A `Knob` is the setting of an approximation, such as a number of samples.
     session          times the calls of a problem
     reference        computes the reference result
     norms            norms of errors
-    rounding         the digits that rounding leaves of any function, and the operation that loses them
+    rounding         digits that rounding leaves, and the operation that loses them
     spread           bounds on the error of another seed
     fitted           the measured order of convergence
     choice several   choose one setting, or a combination for several knobs

@@ -134,7 +134,11 @@ def _evaluated(
     traces: list[Any] = []
 
     def value(x: Any) -> Any:
-        return jnp.asarray(x.val, x.aval.dtype) if isinstance(x, Literal) else known[x]
+        return (
+            jnp.asarray(x.val, getattr(x.aval, "dtype", None))
+            if isinstance(x, Literal)
+            else known[x]
+        )
 
     for number, eqn in enumerate(jaxpr.eqns):
         own, inputs = jax.random.fold_in(key, number), [value(x) for x in eqn.invars]
