@@ -20,7 +20,7 @@ from ..inference.diagnostics import UNDETERMINED, identifiability
 from ..inference.differences import seen_by_differences
 from ..inference.emcee_run import Emcee
 from ..inference.given import require_kind, require_seed
-from ..inference.importance import laplace_where_it_holds
+from ..inference.importance import laplace_where_it_holds, miss_about
 from ..inference.likelihoods import Clustered, named_width
 from ..inference.misfit import Misfit, judge_sums, sums
 from ..inference.nuts import Nuts, nuts, require_blackjax
@@ -44,7 +44,7 @@ from ..inference.search import (
     spread_starts,
     start_at,
 )
-from ..inference.streams import Advance
+from ..inference.streams import Advance, chunks
 from .data_checks import DataCheck, data_check
 from .moving_edges import warn_of_moving_edges
 from .prior_check import blamed, conflicts, loosened
@@ -395,9 +395,9 @@ def _determined(problem: Problem, optimum: Optimum, advance: Advance) -> Optimum
     judged = identifiability(problem.space, optimum.curvature, rounding=rounding)
     if judged.determined:
         return optimum
-    vector = jnp.asarray(optimum.vector, problem.data.dtype)
-    curvature = derivatives(vector, problem, advance, exact=True)[2]
-    exact = replace(optimum, information=np.asarray(curvature, np.float64))
+    parts = chunks(problem, advance=advance)
+    curvature = derivatives(optimum.vector[None], problem, parts=parts, exact=True)[2][0]
+    exact = replace(optimum, information=curvature)
     if (
         exact.saddle
         and identifiability(problem.space, exact.curvature, rounding=rounding).determined
@@ -498,6 +498,10 @@ def _draw(
         told: dict[str, Any] = {"freedom": wide.freedom, "wider": covariance, "by_chain": False}
         if failed or problem.stream is not None:
             told["missed"] = np.zeros(len(space))
+        elif density[0] is log_density and problem.likelihood.least_squares:
+            told["missed"] = miss_about(
+                lambda vectors: -derivatives(vectors, problem)[0], optimum.vector, covariance
+            )
         run = (density[0], space, vector, wide.covariance, density[1])
         found = laplace_where_it_holds(*run, seed=seed, **told)
         if isinstance(method, Laplace):

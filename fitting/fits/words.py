@@ -21,7 +21,7 @@ from ..inference.trust import convergence_in_words, is_trusted
 
 SKEWED = 0.3  # unconstrained standard deviation from which a Gaussian may mislead
 SAME_END = 0.02  # difference in cost of two optima; of many optima some are near each other
-MANY_OPTIMA = 0.5  # share of searches that end alone
+MANY_OPTIMA = 0.4  # share of searches that end alone
 HARDLY = 0.95  # posterior over prior from which data say little beside those of an earlier fit
 APART = 5.0  # standard deviations between two optima
 NARROWEST = 1e-4  # scaled eigenvalue of a covariance below which a search need not agree

@@ -9,13 +9,11 @@ reported, and never hidden by a pseudo-inverse.
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from .parameters import ParameterSpace, names, scaled_ends, to_natural
+from .parameters import ParameterSpace, names, natural_numbers, natural_slopes, scaled_ends
 
 UNDETERMINED = 1e-10  # scaled eigenvalue below which rounding, not data, fills a direction
 CONFUSED = 5.0  # sqrt(VIF) from which it is reported
@@ -84,10 +82,9 @@ def _relative_slopes(space: ParameterSpace, vector: ArrayLike | None) -> np.ndar
     if vector is None:
         free = [p.transform == "log" and scaled_ends(p) == (-np.inf, np.inf) for p in space]
         return np.where(free, 1.0, np.inf)
-    at = jnp.asarray(vector)
-    value, slope = jax.jvp(lambda x: to_natural(space, x), (at,), (jnp.ones_like(at),))
-    size = np.maximum(np.abs(np.asarray(value)), np.finfo(float).tiny)
-    return np.abs(np.asarray(slope)) / size
+    at = np.asarray(vector, np.float64)
+    size = np.maximum(np.abs(natural_numbers(space, at)), np.finfo(float).tiny)
+    return np.abs(natural_slopes(space, at)[0]) / size
 
 
 def _partners(labels: tuple[str, ...], direction: np.ndarray) -> list[str]:

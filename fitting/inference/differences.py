@@ -8,13 +8,14 @@ curvature and the verdict use finite differences.
 """
 
 from dataclasses import replace
+from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .compiled import compiled_briefly
 from .on_host import on_host
 from .problem import Problem, Vector, least_squares_residuals, log_density
 from .search import Optimum, with_prior
@@ -59,10 +60,10 @@ def _followed(problem: Problem, optimum: Optimum, sizes: np.ndarray) -> Optimum:
     vector, settled, begun = np.asarray(optimum.vector, np.float64), False, np.nan
     cost, decrement, information = np.nan, optimum.decrement, optimum.information
     for _ in range(STEPS):
-        _, gradient, information = (
-            on_host(x, dtype=np.float64)
-            for x in _differenced(jnp.asarray(vector, dtype), jnp.asarray(sizes, dtype), problem)
-        )
+        of_data = _differenced(jnp.asarray(vector, dtype), jnp.asarray(sizes, dtype), problem)
+        at, steepness, curvature = (on_host(x, dtype=np.float64)[None] for x in of_data)
+        found = with_prior(vector[None], problem, (at, steepness, curvature))
+        _, gradient, information = (x[0] for x in found)
         values = np.linalg.eigvalsh(information) if np.isfinite(information).all() else [0.0]
         if not values[0] > 0:
             return optimum
@@ -103,7 +104,7 @@ def _deviations(information: np.ndarray) -> np.ndarray:
         return np.sqrt(np.diagonal(inverse)) / scale
 
 
-@eqx.filter_jit
+@partial(compiled_briefly, always=False)
 def _compared(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> Float[Array, "parameters 4"]:
@@ -130,11 +131,11 @@ def _compared(
     return jax.lax.map(norms, jnp.arange(vector.size))
 
 
-@eqx.filter_jit
+@partial(compiled_briefly, always=False)
 def _differenced(
     vector: Vector, sizes: Float[Array, " parameters"], problem: Problem
 ) -> tuple[Array, Array, Array]:
-    """Cost, gradient and curvature as in `gauss_newton`, by central differences."""
+    """Cost, gradient and curvature as `squares` gives them, by central differences."""
 
     def residuals(vector: Array) -> Array:
         return least_squares_residuals(vector, problem)
@@ -144,10 +145,9 @@ def _differenced(
         return (residuals(vector + way) - residuals(vector - way)) / (2 * sizes[number])
 
     here, jacobian = residuals(vector), jax.lax.map(by, jnp.arange(vector.size))
-    of_data = here @ here / 2, jacobian @ here, jacobian @ jacobian.T
-    return with_prior(vector, problem, of_data)
+    return here @ here / 2, jacobian @ here, jacobian @ jacobian.T
 
 
-@eqx.filter_jit
+@partial(compiled_briefly, always=False)
 def _costs(vectors: Array, problem: Problem) -> Array:
     return jax.lax.map(lambda vector: -log_density(vector, problem), vectors)

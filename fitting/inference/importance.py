@@ -12,7 +12,7 @@ straight on that scale is curved on the unconstrained one, where a Student's t d
 reach both of its ends. The returned draws are resampled by their weights.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -114,12 +114,22 @@ def gaussian_miss(
     covariance: Float[np.ndarray, "parameters parameters"],
     args: Any,
 ) -> Float[np.ndarray, " parameters"]:
-    """The difference between the decrease of a log density at two standard deviations and a
-    Gaussian's."""
+    """How far the fall of a log density at two standard deviations differs from a Gaussian's."""
+    return miss_about(
+        lambda points: evaluate_density(log_density, jnp.asarray(points, mode.dtype), args),
+        np.asarray(mode, np.float64),
+        covariance,
+    )
+
+
+def miss_about(
+    log_density: Callable[[np.ndarray], np.ndarray],
+    centre: Float[np.ndarray, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+) -> Float[np.ndarray, " parameters"]:
+    """As `gaussian_miss`, by a log density of each of (n, P) vectors."""
     steps = FAR * covariance / np.sqrt(np.diagonal(covariance))
-    centre = np.asarray(mode, np.float64)
-    points = np.concatenate([centre[None], centre + steps.T, centre - steps.T])
-    values = evaluate_density(log_density, jnp.asarray(points, mode.dtype), args)
+    values = log_density(np.concatenate([centre[None], centre + steps.T, centre - steps.T]))
     fall = values[0] - values[1:].reshape(2, -1)
     return np.nan_to_num(np.max(np.abs(fall - FAR**2 / 2), axis=0), nan=np.inf)
 

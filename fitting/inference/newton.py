@@ -7,6 +7,7 @@ approximate, `derivatives` may give the Gauss-Newton curvature instead.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -19,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxvision.programs import thoroughly
 
 from .compiled import compiled_briefly
+from .parameters import numpy_or_jax
 
 Objective = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 Derivatives = Callable[[Float[Array, " parameters"], Any], tuple[Array, Array, Array]]
@@ -26,6 +28,7 @@ Derivatives = Callable[[Float[Array, " parameters"], Any], tuple[Array, Array, A
 EASIER, HARDER = 0.1, 8.0  # what a success and a failure do to the damping
 STUCK = 1e12  # damping at which no descent is left
 FIRST_DAMPING = 1e-3
+CAREFUL = 0.1  # the first damping from a start that may lie anywhere
 SAME_COST = 45  # units of rounding by which an equal cost may rise
 
 
@@ -102,10 +105,11 @@ def _search(
     tolerance: Array,
 ) -> NewtonSolution:
     local = derivatives or partial(twice, objective)
+    digit = float(jnp.finfo(start.dtype).eps)
 
     def step(state: _State) -> _State:
         # The only evaluation in the loop, derivatives included: it is most of what is compiled.
-        return _advanced(state, *local(state.proposal, args))
+        return _advanced(state, *local(state.proposal, args), digit=digit)
 
     def goes_on(state: _State) -> Array:
         return _goes_on(state, max_steps, tolerance)
@@ -117,6 +121,41 @@ _minimise = compiled_briefly(_search)
 _minimise_thoroughly = cast(Any, eqx.filter_jit)(_search, compiler_options=thoroughly())
 
 
+def minimise_many(
+    derivatives: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    start: Float[np.ndarray, "searches parameters"],
+    *,
+    max_steps: int = 100,
+    tolerance: float = 1e-7,
+    digit: float,
+    careful: bool = False,
+    told: Callable[[int], None] | None = None,
+) -> Any:
+    """As `minimise`, from several places in step, in NumPy: only the derivatives are compiled, and
+    evaluated of the searches that have not ended. A `NewtonSolution` of NumPy's arrays.
+
+    `derivatives`: (n,) costs, (n, P) gradients and (n, P, P) curvatures at (n, P) vectors. `digit`:
+    unit of rounding of the costs. `careful`: the damping also holds what the data hardly see, as if
+    each number were known to 1 beforehand; else a first step may lead far away, where nothing has a
+    slope. `told`: is called with how many searches have ended."""
+    state = _initial_state(np.array(start, np.float64), CAREFUL if careful else FIRST_DAMPING)
+    how = {"digit": digit, "least": float(careful)}
+    active = np.ones(len(start), bool)
+    while active.any():
+        part = jax.tree.map(lambda x: x[active], state)  # noqa: B023
+        with np.errstate(all="ignore"):
+            cost, gradient, information = derivatives(part.proposal)
+            known = np.isfinite(cost) & np.isfinite(gradient).all(-1)
+            known &= np.isfinite(information).all((-1, -2))
+            part = _advanced(part, np.where(known, cost, np.nan), gradient, information, **how)
+        for whole, own in zip(jax.tree.leaves(state), jax.tree.leaves(part), strict=True):
+            whole[active] = own
+        active = _goes_on(state, max_steps, tolerance) & np.isfinite(state.cost)
+        if told is not None:
+            told(int(np.sum(~active)))
+    return _solution(state, tolerance)
+
+
 def minimise_read(
     derivatives: Callable[[Any], tuple[Any, Any, Any]],
     start: Float[Any, " parameters"],
@@ -126,64 +165,72 @@ def minimise_read(
 ) -> NewtonSolution:
     """As `minimise`, for an objective that is computed by several programs because its data are
     read again at every step."""
-    state = _initial_state(start)
-    while _goes_on(state, max_steps, tolerance):  # in NumPy, without programs for single numbers
-        state = jax.device_get(_advanced_alone(state, *derivatives(state.proposal)))
-    return _solution(state, tolerance)
+
+    def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        found = derivatives(vectors[0].astype(start.dtype))
+        cost, gradient, curvature = (np.asarray(x, np.float64)[None] for x in found)
+        return cost, gradient, curvature
+
+    how = {"max_steps": max_steps, "digit": float(jnp.finfo(start.dtype).eps)}
+    found = minimise_many(local, np.asarray(start)[None], tolerance=tolerance, **how)
+    return jax.tree.map(lambda x: x[0], found)
 
 
-def _goes_on(state: _State, max_steps: int | Array, tolerance: float | Array) -> Array:
+def _goes_on(state: _State, max_steps: Any, tolerance: Any) -> Any:
     unfinished = (state.decrement > tolerance) & (state.damping < STUCK)
     return unfinished & (state.steps < max_steps)
 
 
-def _initial_state(start: Any) -> _State:
-    def numbers(values: Any, dtype: Any = start.dtype) -> Any:
-        return np.array(values, dtype)
-
+def _initial_state(start: Any, damping: float = FIRST_DAMPING) -> _State:
+    """One search from (P,), or many from (searches, P)."""
+    xp, one = numpy_or_jax(start), start[..., 0]
     return _State(
         vector=start,
-        cost=numbers(np.inf),
-        gradient=numbers(np.zeros(start.shape)),
-        information=numbers(np.eye(start.size)),
-        proposal=start,
-        beyond=start,
-        damping=numbers(FIRST_DAMPING),
-        lowest=numbers(-np.inf),
-        decrement=numbers(np.inf),
-        steps=numbers(0, int),
+        cost=xp.full_like(one, np.inf),
+        gradient=xp.zeros_like(start),
+        information=xp.zeros_like(start)[..., None] + xp.eye(start.shape[-1], dtype=start.dtype),
+        proposal=xp.array(start),
+        beyond=xp.array(start),
+        damping=xp.full_like(one, damping),
+        lowest=xp.full_like(one, -np.inf),
+        decrement=xp.full_like(one, np.inf),
+        steps=xp.zeros(one.shape, int),
     )
 
 
-def _advanced(state: _State, cost: Array, gradient: Array, information: Array) -> _State:
-    """The state after an evaluation: the better of the two points, and the next point to
-    evaluate."""
-    rounding = SAME_COST * jnp.finfo(cost.dtype).eps * jnp.abs(state.cost)
-    better = cost <= state.cost + jnp.where(jnp.isfinite(rounding), rounding, 0)
-    here = _State(
-        vector=jnp.where(better, state.proposal, state.vector),
-        cost=jnp.where(better, cost, state.cost),
-        gradient=jnp.where(better, gradient, state.gradient),
-        information=jnp.where(better, information, state.information),
-        proposal=state.proposal,
-        beyond=state.beyond,
-        damping=jnp.where(better, EASIER, HARDER) * state.damping,
-        lowest=state.lowest,
-        decrement=state.decrement,
+def _advanced(
+    state: _State,
+    cost: Any,
+    gradient: Any,
+    information: Any,
+    *,
+    digit: float,
+    least: float = 0.0,
+) -> _State:
+    """After the proposal was evaluated: the better of the two points, and where to look next."""
+    xp = numpy_or_jax(state.vector)
+    rounding = SAME_COST * digit * xp.abs(state.cost)
+    better = cost <= state.cost + xp.where(xp.isfinite(rounding), rounding, 0)
+    here = replace(
+        state,
+        vector=xp.where(better[..., None], state.proposal, state.vector),
+        cost=xp.where(better, cost, state.cost),
+        gradient=xp.where(better[..., None], gradient, state.gradient),
+        information=xp.where(better[..., None, None], information, state.information),
+        damping=xp.where(better, EASIER, HARDER) * state.damping,
         steps=state.steps + 1,
     )
-    move, full, fall, lowest = _steps(here)
-    return eqx.tree_at(
-        lambda state: (state.proposal, state.beyond, state.decrement, state.lowest),
+    move, full, fall, lowest = _steps(here, digit, least)
+    return replace(
         here,
-        (here.vector + move, here.vector + full, jnp.where(better, fall, jnp.inf), lowest),
+        proposal=here.vector + move,
+        beyond=here.vector + full,
+        decrement=xp.where(better, fall, np.inf),
+        lowest=lowest,
     )
 
 
-_advanced_alone = jax.jit(_advanced)
-
-
-def _solution(end: _State, tolerance: float | Array) -> NewtonSolution:
+def _solution(end: _State, tolerance: Any) -> NewtonSolution:
     return NewtonSolution(
         vector=end.vector,
         beyond=end.beyond,
@@ -211,21 +258,23 @@ def twice(
     return cost[0], gradient[0], information
 
 
-def _steps(state: _State) -> tuple[Array, Array, Array, Array]:
+def _steps(state: _State, digit: float, least: float) -> tuple[Any, Any, Any, Any]:
     """Return Newton's damped step, the undamped step, the decrease of the cost that the latter
-    predicts, and the lowest eigenvalue. The Hessian is scaled to unit diagonal, and `damping` is
-    added to the absolute values of its eigenvalues. The step goes downhill from any point, also
-    away from saddles (Dauphin et al. 2014).
+    predicts, and the lowest eigenvalue. The Hessian is scaled to unit diagonal, as if that were at
+    least `least`, and `damping` is added to the absolute values of its eigenvalues. The step goes
+    downhill from any point, also away from saddles (Dauphin et al. 2014).
 
     There is only one decomposition, whose results are used for everything. If two decompositions of
     a batch run at the same time, each waits in XLA's pool for threads that the other holds, which
     deadlocks on two cores (jaxlib 0.10)."""
-    size = jnp.sqrt(jnp.abs(jnp.diagonal(state.information)))
-    size = jnp.where(size > 0, size, 1)
-    curvature, axes = jnp.linalg.eigh(state.information / jnp.outer(size, size))
-    along = axes.T @ (state.gradient / size)
-    steepness = jnp.abs(curvature)
-    undamped = along / jnp.maximum(steepness, jnp.finfo(along.dtype).eps)
-    damped = along / (steepness + state.damping)
-    move, full = (-axes @ step / size for step in (damped, undamped))
-    return move, full, along @ undamped / 2, curvature[0]
+    xp = numpy_or_jax(state.vector)
+    diagonal = xp.diagonal(state.information, axis1=-2, axis2=-1)
+    size = xp.sqrt(xp.maximum(xp.abs(diagonal), least))
+    size = xp.where(size > 0, size, 1)
+    curvature, axes = xp.linalg.eigh(state.information / (size[..., :, None] * size[..., None, :]))
+    along = ((state.gradient / size)[..., None, :] @ axes)[..., 0, :]
+    steepness = xp.abs(curvature)
+    undamped = along / xp.maximum(steepness, digit)
+    damped = along / (steepness + state.damping[..., None])
+    move, full = (-(axes @ step[..., None])[..., 0] / size for step in (damped, undamped))
+    return move, full, xp.sum(along * undamped, axis=-1) / 2, curvature[..., 0]

@@ -209,11 +209,11 @@ def scaled_ends(parameter: Parameter) -> tuple[float, float]:
 
 def _natural(parameter: Parameter, v: Array) -> Array:
     """x(v)."""
-    return v if parameter.transform == "identity" else _library(v).exp(v)
+    return v if parameter.transform == "identity" else numpy_or_jax(v).exp(v)
 
 
-def _library(values: Any) -> Any:
-    """NumPy for NumPy arrays, so that no program is compiled for their shape."""
+def numpy_or_jax(values: Any) -> Any:
+    """NumPy for its own arrays, which compile no program for their shape."""
     return np if isinstance(values, np.ndarray) else jnp
 
 
@@ -232,7 +232,7 @@ def _into_bounds(u: Array, a: float, b: float) -> Array:
 
 def _out_of_bounds(v: Array, a: float, b: float) -> Array:
     """u(v)."""
-    xp = _library(v)
+    xp = numpy_or_jax(v)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
             return xp.log(v - a) - xp.log(b - v)
@@ -245,14 +245,28 @@ def _out_of_bounds(v: Array, a: float, b: float) -> Array:
 
 def _log_slope(u: Array, a: float, b: float) -> Array | None:
     """ln dv/du; None where it is 0."""
+    xp = numpy_or_jax(u)
     match bool(np.isfinite(a)), bool(np.isfinite(b)):
         case True, True:
-            return jax.nn.log_sigmoid(u) + jax.nn.log_sigmoid(-u) + math.log(b - a)
+            return math.log(b - a) - xp.logaddexp(0 * u, -u) - xp.logaddexp(0 * u, u)
         case True, False:
             return u
         case False, True:
             return -u
     return None
+
+
+def _bend(u: Array, a: float, b: float) -> Array:
+    """v'' / v' by u, which is the slope of ln v'."""
+    xp = numpy_or_jax(u)
+    match bool(np.isfinite(a)), bool(np.isfinite(b)):
+        case True, True:
+            return -xp.tanh(u / 2)
+        case True, False:
+            return xp.ones_like(u)
+        case False, True:
+            return -xp.ones_like(u)
+    return xp.zeros_like(u)
 
 
 def _to_natural(space: ParameterSpace, unconstrained: Any) -> Any:
@@ -264,7 +278,7 @@ def _to_natural(space: ParameterSpace, unconstrained: Any) -> Any:
 
 def _to_unconstrained(space: ParameterSpace, natural: Any) -> Any:
     def columns(parameter: Parameter, x: Any) -> Any:
-        v = x if parameter.transform == "identity" else _library(x).log(x)
+        v = x if parameter.transform == "identity" else numpy_or_jax(x).log(x)
         return _out_of_bounds(v, *scaled_ends(parameter))
 
     return _by_kind(space, natural, columns)
@@ -305,6 +319,37 @@ def unconstrained_numbers(
         return _to_unconstrained(space, natural)
 
 
+def natural_slopes(space: ParameterSpace, unconstrained: Any) -> tuple[Any, Any]:
+    """x' and x'' / x' of each natural value x by its unconstrained one, (..., P) each."""
+
+    def both(parameter: Parameter, u: Any) -> tuple[Any, Any]:
+        xp, (a, b) = numpy_or_jax(u), scaled_ends(parameter)
+        log_slope, bend = _log_slope(u, a, b), _bend(u, a, b)
+        slope = xp.ones_like(u) if log_slope is None else xp.exp(log_slope)
+        if parameter.transform == "log":
+            return slope * xp.exp(_into_bounds(u, a, b)), bend + slope
+        return slope, bend
+
+    slopes, bends = (
+        _by_kind(space, unconstrained, lambda parameter, u, i=i: both(parameter, u)[i])
+        for i in (0, 1)
+    )
+    return slopes, bends
+
+
+def log_flat_slopes(
+    space: ParameterSpace, unconstrained: Any
+) -> tuple[Float[Array, "... parameters"], Float[Array, "... parameters"]]:
+    """First and second derivatives of `log_prior` of a space without priors."""
+
+    def second(parameter: Parameter, u: Any) -> Any:
+        bend = _bend(u, *scaled_ends(parameter))
+        return (bend**2 - 1) / 2 if np.isfinite(scaled_ends(parameter)).all() else 0 * u
+
+    first = _by_kind(space, unconstrained, lambda p, u: _bend(u, *scaled_ends(p)))
+    return first, _by_kind(space, unconstrained, second)
+
+
 @partial(jax.jit, static_argnums=0)
 def to_scaled(space: ParameterSpace, unconstrained: Vector) -> tuple[Vector, Float[Array, "..."]]:
     """Unconstrained values on the scale of each number (identity or logarithm), inside its bounds.
@@ -337,7 +382,8 @@ def from_scaled(space: ParameterSpace, scaled: Vector) -> Vector:
 
 def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "..."]:
     """Log prior density of the unconstrained values, up to a constant."""
-    total = jnp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
+    xp = numpy_or_jax(unconstrained)
+    total = xp.zeros(unconstrained.shape[:-1], unconstrained.dtype)
     for parameter, index in _kinds(space):
         u = unconstrained[..., np.array(index)]
         a, b = scaled_ends(parameter)
@@ -348,7 +394,7 @@ def log_prior(space: ParameterSpace, unconstrained: Vector) -> Float[Array, "...
             if parameter.transform == "log":
                 terms.append(v)
         for term in terms:
-            total = total + jnp.sum(term, axis=-1)
+            total = total + xp.sum(term, axis=-1)
     return total
 
 
@@ -406,4 +452,4 @@ def _by_kind(
     kinds = _kinds(space)
     parts = [columns(parameter, values[..., np.array(index)]) for parameter, index in kinds]
     order = np.argsort(np.concatenate([index for _, index in kinds]))
-    return _library(values).concatenate(parts, axis=-1)[..., order]
+    return numpy_or_jax(values).concatenate(parts, axis=-1)[..., order]

@@ -7,7 +7,6 @@ walkers in one compiled call (`emcee_run`).
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 import equinox as eqx
@@ -37,9 +36,9 @@ from .parameters import (
     ends,
     names,
     natural_numbers,
+    natural_slopes,
     prior_values,
     scaled_ends,
-    to_natural,
 )
 
 LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
@@ -283,7 +282,7 @@ def estimates(posterior: Posterior, *, group: str = "") -> tuple[Estimate, ...]:
     freedom = np.inf if posterior.freedom is None else posterior.freedom
     steps = stdtrit(freedom, np.asarray(QUANTILES)[:, None]) * deviation
     found = natural_numbers(posterior.space, centre + steps)
-    slope = np.asarray(_slope(posterior.space, jnp.asarray(centre)))
+    slope = natural_slopes(posterior.space, centre)[0]
     spread = np.abs(slope) * deviation
     return tuple(
         quantile_estimate(
@@ -337,12 +336,6 @@ def _sampled_ends(
             other = np.exp(other) if parameter.transform == "log" else other
             found[first], found[last] = sorted((bound, other))
     return found
-
-
-@partial(jax.jit, static_argnums=0)
-def _slope(space: ParameterSpace, vector: Array) -> Array:
-    """d natural / d unconstrained for each number."""
-    return jax.jvp(partial(to_natural, space), (vector,), (jnp.ones_like(vector),))[1]
 
 
 @eqx.filter_jit

@@ -7,8 +7,13 @@ posterior, with the Gauss-Newton curvature J^T J of the data. Other likelihoods 
 Newton's method. If they have a least-squares surrogate, it starts from the Levenberg-Marquardt
 optimum of the surrogate.
 
-Of 100 single starts in the box, these reached the best optimum (a Phong ball with 5 unknowns, two
-decays with 5, a peak of unknown noise with 5 and a likelihood that is not a sum of squares):
+All searches go on in step, in NumPy; one compiled program evaluates the data's cost and its
+derivatives at each of their places. It serves the search, the mode, the covariance and the test of
+Laplace's approximation.
+
+Of 100 single starts in the box these reached the best optimum (a Phong ball with 5 unknowns, two
+decays with 5, a peak of unknown noise with 5 and a likelihood that is no sum of squares), each
+search compiled as a whole:
 
                         ball    decays    peak    CPU seconds, ball (first, again)
     Levenberg-Marquardt  62       58        -        31,  10
@@ -29,6 +34,7 @@ best. Cost, gradient and curvature are summed over the chunks in float64. Every 
 once.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -37,7 +43,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import ndtri
@@ -45,19 +50,22 @@ from scipy.special import ndtri
 from jaxvision.errors import InputError
 from jaxvision.programs import on_processor
 
+from .compiled import compiled_briefly
 from .diagnostics import UNDETERMINED, listed
 from .given import require_whole
-from .least_squares import minimise_residuals
-from .newton import NewtonSolution, minimise, minimise_read, twice
+from .newton import minimise_many, twice
 from .on_host import on_host
 from .parameters import (
     FLAT_QUANTILES,
     Parameter,
     ParameterSpace,
     ends,
+    log_flat_slopes,
+    log_prior,
+    natural_slopes,
+    numpy_or_jax,
     prior_gaussian,
     prior_values,
-    to_natural,
     to_unconstrained,
     unconstrained_numbers,
 )
@@ -77,8 +85,13 @@ from .streams import Advance, chunks
 _OF_CORE = 2  # starts searched at a time: the cache holds their residuals, and both end sooner
 STEPS = 100  # of a search; a straggler ends there
 MANY_STEPS = 1000  # of a solver that a user gives: those that know no curvature take more
+BEYOND, NOTHING = 30, 1e-6  # most steps beyond the end of a search, and share of its tolerance
 EDGE = 1e-3  # of a range, the nearest to an end that a search begins
 SAME_PLACE = 0.5  # rise in cost within which two searches ended at one optimum
+TOGETHER = 16  # vectors of one call: as many as `fit` begins with
+
+Derivatives = tuple[Any, Any, Any]  # a cost, its gradient and its curvature
+Told = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -249,37 +262,38 @@ def search(
     *,
     solver: Any = None,
     as_given: bool = True,
+    told: Told | None = None,
 ) -> Optimum:
     """The mode of a problem's posterior.
 
-    `solver`: a least-squares solver or minimiser of optimistix; None chooses by the likelihood."""
-    begin = jnp.asarray(starts, jnp.result_type(float))
-    mean, sd = (jnp.asarray(part, begin.dtype) for part in prior_gaussian(problem.space))
-    modes = None
+    `solver`: a least-squares solver or minimiser of optimistix; None chooses by the likelihood.
+    `told`: is called with how many searches have ended."""
+    begin, modes = np.asarray(starts, np.float64), None
     if solver is not None:
         _require_solver(solver, problem)
-        vectors = _by_solver(begin, problem, mean, 1 / sd, solver)
-        costs = _costs(vectors, problem)
+        mean, sd = (jnp.asarray(x, jnp.result_type(float)) for x in prior_gaussian(problem.space))
+        vectors = _by_solver(jnp.asarray(begin, mean.dtype), problem, mean, 1 / sd, solver)
+        vectors = on_host(vectors, dtype=np.float64)
+        costs = derivatives(vectors, problem)[0]
     elif problem.likelihood.least_squares:
-        vectors, costs = _levenberg_marquardt(begin, problem, mean, 1 / sd, as_given=as_given)
+        vectors, costs = _levenberg_marquardt(begin, problem, as_given=as_given, told=told)
     else:
-        modes = _newton(_by_surrogate(begin, problem, mean, 1 / sd, as_given), problem)
-        vectors, costs = modes[0].vector, modes[0].cost
-    vectors, costs = on_host(vectors, dtype=np.float64), on_host(costs, dtype=np.float64)
+        modes = _modes(_by_surrogate(begin, problem, as_given, told), problem, told)
+        vectors, costs = modes.vector, modes.cost
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         why = _missing(problem) or "check predict, bounds and start."
         raise InputError(f"The log density is finite at none of the {len(costs)} starts: {why}")
-    if modes is not None and on_host(modes[0].converged)[best]:
-        found, prior_information = jax.tree.map(lambda x: x[best], modes)
+    if modes is None or not modes.converged[best]:
+        found = jax.tree.map(lambda x: x[0], _mode(vectors[best][None], problem))
     else:
-        found, prior_information = _to_mode(jnp.asarray(vectors[best], begin.dtype), problem)
+        found = jax.tree.map(lambda x: x[best], modes)
     return Optimum(
-        vector=on_host(found.beyond if found.converged else found.vector, dtype=np.float64),
+        vector=found.beyond if found.converged else found.vector,
         cost=float(found.cost),
-        information=on_host(found.information, dtype=np.float64),
-        prior_information=on_host(prior_information, dtype=np.float64),
+        information=found.information,
+        prior_information=prior_derivatives(found.vector[None], problem)[2][0],
         decrement=float(found.decrement),
         stationary=bool(found.converged),
         ends=vectors,
@@ -298,17 +312,18 @@ def joined(one: Optimum, other: Optimum) -> Optimum:
 
 
 def _by_surrogate(
-    starts: Array, problem: Problem, mean: Array, weight: Array, as_given: bool
-) -> Array:
-    """The ends of the searches of the surrogate. A start is kept if it is more likely than its end,
-    as with outliers, or if there is no surrogate."""
+    starts: np.ndarray, problem: Problem, as_given: bool, told: Told | None
+) -> np.ndarray:
+    """Where searches of the surrogate end; a start stays where it is likelier than its end, among
+    outliers for instance, or where there is no surrogate."""
     surrogate = problem.likelihood.surrogate
     if surrogate is None:
         return starts
     squares = eqx.tree_at(lambda problem: problem.likelihood, problem, surrogate)
-    ends, _ = _levenberg_marquardt(starts, squares, mean, weight, as_given=as_given)
-    better = _costs(ends, problem) < _costs(starts, problem)
-    return jnp.where(better[:, None], ends, starts)
+    ends, _ = _levenberg_marquardt(starts, squares, as_given=as_given, told=told)
+    costs = [derivatives(vectors, problem)[0] for vectors in (ends, starts)]
+    at_end, at_start = (np.where(np.isnan(cost), np.inf, cost) for cost in costs)
+    return np.where((at_end < at_start)[:, None], ends, starts)
 
 
 def _require_solver(solver: Any, problem: Problem) -> None:
@@ -369,38 +384,74 @@ def _whole(vector: Vector, problem: Problem) -> Vector:
     return completed(vector, problem) if vector.size < len(problem.space) else vector
 
 
-def at_a_time(vectors: Float[Array, "searches parameters"]) -> int:
-    """The number of searches that run at once. On a processor it is small: the residuals stay in
-    the cache, and a search waits for at most one other. An accelerator takes all."""
+def at_a_time(vectors: Any) -> int:
+    """How many are searched at once by a solver that a user gives. On a processor it is few: their
+    residuals stay in its cache, and none waits for more than one other to end. An accelerator takes
+    all."""
     return min(_OF_CORE if on_processor() else len(vectors), len(vectors))
 
 
-@eqx.filter_jit
-def _costs(vectors: Array, problem: Problem) -> Array:
-    """The cost of each vector, infinite where it is NaN."""
-
-    def one(vector: Array) -> Array:
-        cost = negative_log_density(vector, problem)
-        return jnp.where(jnp.isnan(cost), jnp.inf, cost)
-
-    return jax.lax.map(one, vectors, batch_size=at_a_time(vectors))
-
-
 def _levenberg_marquardt(
-    starts: Array, problem: Problem, mean: Array, weight: Array, *, as_given: bool
-) -> tuple[Array, Array]:
-    shared_out = any(map(_shared_out, jax.tree.leaves(problem)))
-    if not in_closed_form(problem):
-        return _searched(starts, problem, mean, weight, shared_out)
-    others = _nonlinear(problem)
-    starts, mean, weight = starts[:, others], mean[others], weight[others]
-    require_linear(starts[0], problem)
-    if not others.size:
-        end = _closed(starts[0], problem)
-        return jnp.tile(end, (len(starts), 1)), jnp.zeros(len(starts))
-    if others.size == 1 and not as_given:
-        starts = _lowest_of_grid(starts, problem, mean, weight)
-    return _searched(starts, problem, mean, weight, shared_out)
+    starts: np.ndarray, problem: Problem, *, as_given: bool, told: Told | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the searches ended and their costs, under a Gaussian prior."""
+    mean, sd = prior_gaussian(problem.space)
+    closed, searched, others = in_closed_form(problem), problem.space, _nonlinear(problem)
+    if closed:
+        starts, mean, sd = starts[:, others], mean[others], sd[others]
+        searched = tuple(problem.space[i] for i in others)
+        first = jnp.asarray(starts[0], jnp.result_type(float))
+        require_linear(first, problem)
+        if not others.size:
+            end = on_host(_completed(first[None], problem), dtype=np.float64)
+            return np.tile(end, (len(starts), 1)), np.zeros(len(starts))
+
+    def local(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        cost, gradient, gram = _in_groups(_squares_at, vectors, problem)
+        away = (vectors - mean) / sd
+        # Against a bound the prediction hardly changes, and Gauss and Newton's step has no end.
+        bent = np.maximum(gradient * natural_slopes(searched, vectors)[1], 0)
+        curvature = gram + _diagonal(bent + sd**-2.0)
+        return cost + np.sum(away**2, -1) / 2, gradient + away / sd, curvature
+
+    if closed and others.size == 1 and not as_given:
+        starts = _lowest_of_grid(starts, problem, lambda knots: local(knots)[0])
+    how = _tolerances()
+    found = minimise_many(local, starts, max_steps=STEPS, careful=True, told=told, **how)
+    if not closed:
+        return found.vector, found.cost
+    ends = _completed(jnp.asarray(found.vector, jnp.result_type(float)), problem)
+    return on_host(ends, dtype=np.float64), found.cost
+
+
+def _modes(starts: np.ndarray, problem: Problem, told: Told | None = None) -> Any:
+    """Ends of Newton's method."""
+    how = _tolerances()
+    return minimise_many(
+        lambda vectors: derivatives(vectors, problem), starts, max_steps=STEPS, told=told, **how
+    )
+
+
+def _mode(start: np.ndarray, problem: Problem) -> Any:
+    """As `_modes`, of one search, which goes on beyond its end as long as steps become smaller: the
+    curvature of a sum of squares neglects a part, so that a small step is not the last."""
+    found = _modes(start, problem)
+    for _ in range(BEYOND):
+        if not found.converged[0] or found.decrement[0] <= NOTHING * _tolerances()["tolerance"]:
+            break
+        nearer = _modes(found.beyond, problem)
+        if not (nearer.converged[0] and nearer.decrement[0] < found.decrement[0]):
+            break
+        found = nearer
+    return found
+
+
+def _tolerances() -> dict[str, Any]:
+    """The promised fall in cost at which a search ends, and the unit of rounding. In single
+    precision, a sum over many data resolves no less."""
+    precise = jnp.result_type(float) == jnp.float64
+    digit = float(jnp.finfo(jnp.result_type(float)).eps)
+    return {"tolerance": 1e-7 if precise else 1e-3, "digit": digit}
 
 
 def _nonlinear(problem: Problem) -> np.ndarray:
@@ -408,115 +459,71 @@ def _nonlinear(problem: Problem) -> np.ndarray:
     return np.setdiff1d(np.arange(len(problem.space)), in_closed_form(problem))
 
 
-_closed = eqx.filter_jit(completed)
+@compiled_briefly
+def _completed(vectors: Array, problem: Problem) -> Array:
+    return jax.lax.map(lambda vector: completed(vector, problem), vectors)
 
 
-def _lowest_of_grid(starts: Array, problem: Problem, mean: Array, weight: Array) -> Array:
-    """(starts, 1) the minimum of the cost over the only searched number, on a grid over its bounds
-    or prior and the first start."""
+def _lowest_of_grid(
+    starts: np.ndarray, problem: Problem, cost: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """(starts, 1) where the cost over the only number that is searched is lowest, of a grid over
+    its bounds or prior and the first start."""
     parameter = problem.space[int(_nonlinear(problem)[0])]
     values = prior_values(parameter)
     if values is None:
         return starts
     shares = (np.arange(KNOTS) + 0.5) / KNOTS
     knots = unconstrained_numbers((parameter,), np.interp(shares, FLAT_QUANTILES, values)[:, None])
-    every = jnp.concatenate([starts[:1], jnp.asarray(knots, starts.dtype)])
-    costs = on_host(_costs_of_grid(every, problem, mean, weight))
+    every = np.concatenate([starts[:1], knots])
+    costs = cost(every)
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
     return every[np.resize(order, len(starts))]
 
 
-@eqx.filter_jit
-def _costs_of_grid(knots: Array, problem: Problem, mean: Array, weight: Array) -> Array:
-    def one(vector: Array) -> Array:
-        residuals = _with_gaussian_prior(vector, (problem, mean, weight))
-        return residuals @ residuals / 2
-
-    return jax.lax.map(one, knots, batch_size=at_a_time(knots))
-
-
-def _shared_out(leaf: Any) -> bool:
-    """Return whether an array is on several devices; False for a traced one."""
-    known = isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer)
-    return known and len(leaf.sharding.device_set) > 1
-
-
-@eqx.filter_jit
-def _searched(
-    starts: Array, problem: Problem, mean: Array, weight: Array, shared_out: bool
-) -> tuple[Array, Array]:
-    def one(start: Array) -> tuple[Array, Array]:
-        args = (problem, mean, weight)
-        found = minimise_residuals(
-            _with_gaussian_prior, start, args, max_steps=STEPS, shared_out=shared_out
-        )
-        return _whole(found.vector, problem), found.cost
-
-    return jax.lax.map(one, starts, batch_size=at_a_time(starts))
-
-
-def _enough(start: Array) -> float:
-    """The predicted decrease of the cost at which a search ends. In single precision, a sum over
-    many data resolves no smaller decrease."""
-    return 1e-7 if start.dtype == jnp.float64 else 1e-3
-
-
-@eqx.filter_jit
-def _newton(starts: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
-    """The ends of Newton's method, and the prior's information at each."""
-
-    def one(start: Array) -> tuple[NewtonSolution, Array]:
-        enough = _enough(start)
-        found = minimise(negative_log_density, start, problem, max_steps=STEPS, tolerance=enough)
-        return found, _prior_information(found.vector, problem)
-
-    return jax.lax.map(one, starts, batch_size=at_a_time(starts))
-
-
-@eqx.filter_jit
-def _to_mode(start: Array, problem: Problem) -> tuple[NewtonSolution, Array]:
-    squares = problem.likelihood.least_squares
-    found = minimise(
-        negative_log_density,
-        start,
-        problem,
-        derivatives=gauss_newton if squares else None,
-        tolerance=_enough(start),
-    )
-    return found, _prior_information(found.vector, problem)
-
-
-def _prior_information(vector: Vector, problem: Problem) -> Array:
-    return jax.hessian(lambda vector: -log_prior_at(problem, vector))(vector)
-
-
-def gauss_newton(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
+def gauss_newton(vector: Vector, problem: Problem) -> Derivatives:
     """Cost, gradient and curvature of a sum of squares and its prior, as `with_prior` says."""
     return with_prior(vector, problem, squares(vector, problem))
 
 
-def squares(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
-    """Half the sum of squared residuals, its gradient J^T r, and J^T J."""
-    residuals, along = jax.linearize(lambda v: least_squares_residuals(v, problem), vector)
+def squares(vector: Vector, problem: Problem) -> Derivatives:
+    """Half the sum of squared residuals, its gradient J^T r, and J^T J. `vector` is all numbers, or
+    those that are not found in closed form."""
+
+    def of(vector: Vector) -> Array:
+        if vector.size < len(problem.space):
+            return eliminated(vector, problem).residuals
+        return least_squares_residuals(vector, problem)
+
+    residuals, along = jax.linearize(of, vector)
     jacobian = jax.vmap(along)(jnp.eye(vector.size, dtype=vector.dtype))
     return residuals @ residuals / 2, jacobian @ residuals, jacobian @ jacobian.T
 
 
 def with_prior(
-    vector: Vector, problem: Problem, of_data: tuple[Array, Array, Array]
-) -> tuple[Array, Array, Array]:
-    """Return cost, gradient and curvature of a sum of squares, with the prior's exact derivatives.
+    vector: Any, problem: Problem, of_data: Derivatives, *, squared: bool = True
+) -> Derivatives:
+    """Return cost, gradient and curvature of the data with the prior's exact derivatives.
 
-    Like J^T J, the curvature neglects second derivatives of the prediction by the natural values.
-    It includes those of the transforms, which dominate at an active bound."""
-    cost, steepness, gram = of_data
+    Like J^T J, the curvature of a sum of squares neglects second derivatives of the prediction by
+    the natural values. It includes those of the transforms, which dominate at an active bound."""
+    cost, steepness, curvature = of_data
     unlikely, slope, bend = prior_derivatives(vector, problem)
-    bent = jnp.diag(steepness * _relative_bend(problem, vector))
-    return cost + unlikely, steepness + slope, gram + bent + bend
+    if squared:
+        bent = steepness * natural_slopes(problem.space, vector)[1]
+        curvature = curvature + _diagonal(bent)
+    return cost + unlikely, steepness + slope, curvature + bend
 
 
-def prior_derivatives(vector: Vector, problem: Problem) -> tuple[Array, Array, Array]:
-    """The prior's part of the cost, its gradient and curvature."""
+def prior_derivatives(vector: Any, problem: Problem) -> Derivatives:
+    """The prior's part of the cost, its gradient and curvature: at one vector (P,) of JAX, or at
+    each of several (n, P) of NumPy."""
+    space = problem.space
+    if problem.prior is None and all(parameter.prior is None for parameter in space):
+        first, second = log_flat_slopes(space, vector)
+        return -log_prior(space, vector), -first, -_diagonal(second)
+    if isinstance(vector, np.ndarray):
+        return _in_groups(_prior_at, vector, problem)
 
     def prior(vector: Array) -> Array:
         return -log_prior_at(problem, vector)
@@ -524,22 +531,65 @@ def prior_derivatives(vector: Vector, problem: Problem) -> tuple[Array, Array, A
     return *jax.value_and_grad(prior)(vector), jax.hessian(prior)(vector)
 
 
-def _relative_bend(problem: Problem, vector: Vector) -> Vector:
-    """x'' / x' of each natural value x by its unconstrained one."""
-    ones = jnp.ones_like(vector)
+def _diagonal(values: Any) -> Any:
+    xp = numpy_or_jax(values)
+    return values[..., None] * xp.eye(values.shape[-1], dtype=values.dtype)
 
-    def slope(vector: Vector) -> Vector:
-        return jax.jvp(partial(to_natural, problem.space), (vector,), (ones,))[1]
 
-    first, second = jax.jvp(slope, (vector,), (ones,))
-    return jnp.where(first == 0, 0, second / jnp.where(first == 0, 1, first))
+def _negative_log_likelihood(vector: Vector, problem: Problem) -> Float[Array, ""]:
+    return -log_likelihood(vector, problem)
+
+
+def _each(
+    local: Callable[[Vector, Problem], Derivatives], vectors: Array, wanted: Array, problem: Problem
+) -> Derivatives:
+    """Derivatives at each vector that is wanted, one after another; all at once on an
+    accelerator."""
+    count = vectors.shape[1]
+    nothing = tuple(jnp.zeros((count,) * axes, vectors.dtype) for axes in (0, 1, 2))
+
+    def one(pair: tuple[Array, Array]) -> Derivatives:
+        vector, asked = pair
+        return jax.lax.cond(asked, lambda v: local(v, problem), lambda _: nothing, vector)
+
+    together = None if on_processor() else len(vectors)
+    return jax.lax.map(one, (vectors, wanted), batch_size=together)
+
+
+@partial(compiled_briefly, always=False)
+def _squares_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
+    return _each(squares, vectors, wanted, problem)
+
+
+@partial(compiled_briefly, always=False)
+def _twice_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
+    return _each(partial(twice, _negative_log_likelihood), vectors, wanted, problem)
+
+
+@compiled_briefly
+def _prior_at(vectors: Array, wanted: Array, problem: Problem) -> Derivatives:
+    del wanted
+    return jax.vmap(lambda vector: prior_derivatives(vector, problem))(vectors)
+
+
+def _in_groups(
+    program: Callable[..., Derivatives], vectors: np.ndarray, problem: Problem
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a program of `TOGETHER` vectors finds at (n, P) vectors: one program for any n."""
+    found = []
+    for begin in range(0, len(vectors), TOGETHER):
+        own = vectors[begin : begin + TOGETHER]
+        filled = np.resize(own, (TOGETHER, own.shape[1]))
+        wanted = np.arange(TOGETHER) < len(own)
+        parts = program(filled.astype(jnp.result_type(float)), wanted, problem)
+        found.append([on_host(part, dtype=np.float64)[: len(own)] for part in parts])
+    cost, gradient, curvature = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return cost, gradient, curvature
 
 
 # Squared standard errors of the sample within which its searches ended at one place: all data tell
 # apart what the sample's searches, at rest in its own precision, do not.
 ONE_END = 0.1
-
-Derivatives = tuple[Array, Array, Array]
 
 
 def _missing(problem: Problem) -> str:
@@ -556,9 +606,13 @@ def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum
     assert problem.stream is not None
     dtype, count = problem.data.dtype, problem.stream.count
     ends = jnp.asarray(sampled.ends, dtype)
-    costs = sum(
-        np.asarray(_costs_read(ends, part), np.float64) for part in chunks(problem, advance=advance)
-    ) + np.asarray(_prior_costs(ends, problem), np.float64)
+    costs = (
+        sum(
+            np.asarray(_costs_read(ends, part), np.float64)
+            for part in chunks(problem, advance=advance)
+        )
+        + prior_derivatives(sampled.ends, problem)[0]
+    )
     costs = np.where(np.isfinite(costs), costs, np.inf)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
@@ -568,20 +622,21 @@ def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum
             f"{_missing(problem) or 'check predict and the data.'}"
         )
     start = sampled.vector if best == int(np.argmin(sampled.costs)) else sampled.ends[best]
-    found = minimise_read(
-        lambda vector: derivatives(vector, problem, advance),
-        jnp.asarray(start, dtype),
-        tolerance=1e-7 if dtype == jnp.float64 else 1e-3,
+    found = minimise_many(
+        lambda vectors: derivatives(vectors, problem, parts=chunks(problem, advance=advance)),
+        start[None],
+        **_tolerances(),
     )
-    information = np.asarray(found.information, np.float64)
+    found = jax.tree.map(lambda x: x[0], found)
+    information = found.information
     apart = sampled.ends - sampled.ends[best]
     share = min(1.0, problem.data.shape[0] / count)
     one_end = share * np.einsum("ip,pq,iq->i", apart, information, apart) < ONE_END
     return Optimum(
-        vector=np.asarray(found.vector, np.float64),
+        vector=found.vector,
         cost=float(found.cost),
         information=information,
-        prior_information=np.asarray(_of_prior(found.vector, problem)[2], np.float64),
+        prior_information=prior_derivatives(found.vector[None], problem)[2][0],
         decrement=float(found.decrement),
         stationary=bool(found.converged),
         ends=sampled.ends,
@@ -590,34 +645,21 @@ def search_read(problem: Problem, sampled: Optimum, advance: Advance) -> Optimum
 
 
 def derivatives(
-    vector: Vector, problem: Problem, advance: Advance, *, exact: bool = False
-) -> Derivatives:
-    """Cost, gradient and curvature over all data."""
-    by_squares = problem.likelihood.least_squares and not exact
-    of_chunk = _squares if by_squares else _of_data
-    totals: Any = None
-    for part in chunks(problem, advance=advance):
-        found = [on_host(x, dtype=np.float64) for x in of_chunk(vector, part)]
-        totals = found if totals is None else [a + b for a, b in zip(totals, found, strict=True)]
-    cost, gradient, curvature = (jnp.asarray(x, vector.dtype) for x in totals)
-    if by_squares:
-        return _with_prior(vector, problem, (cost, gradient, curvature))
-    prior = _of_prior(vector, problem)
-    return cost + prior[0], gradient + prior[1], curvature + prior[2]
+    vectors: Float[np.ndarray, "searches parameters"],
+    problem: Problem,
+    *,
+    parts: Iterable[Problem] | None = None,
+    exact: bool = False,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cost (n,), gradient (n, P) and curvature (n, P, P) at each of (n, P) vectors.
 
-
-_squares = eqx.filter_jit(squares)
-_with_prior = eqx.filter_jit(with_prior)
-_of_prior = eqx.filter_jit(prior_derivatives)
-
-
-def _negative_log_likelihood(vector: Vector, problem: Problem) -> Float[Array, ""]:
-    return -log_likelihood(vector, problem)
-
-
-@eqx.filter_jit
-def _of_data(vector: Vector, problem: Problem) -> Derivatives:
-    return twice(_negative_log_likelihood, vector, problem)
+    `parts`: the problem with each chunk of its data; None for the data that it holds. `exact`: the
+    curvature of a sum of squares too is that of second derivatives."""
+    squared = problem.likelihood.least_squares and not exact
+    program = _squares_at if squared else _twice_at
+    found = [_in_groups(program, vectors, part) for part in parts or [problem]]
+    cost, gradient, curvature = (sum(sums) for sums in zip(*found, strict=True))
+    return with_prior(vectors, problem, (cost, gradient, curvature), squared=squared)
 
 
 @eqx.filter_jit
@@ -627,8 +669,3 @@ def _costs_read(vectors: Array, problem: Problem) -> Array:
         vectors,
         batch_size=at_a_time(vectors),
     )
-
-
-@eqx.filter_jit
-def _prior_costs(vectors: Array, problem: Problem) -> Array:
-    return -log_prior_at(problem, vectors)

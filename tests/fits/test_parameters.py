@@ -9,8 +9,10 @@ from scipy import stats
 from fitting.inference.parameters import (
     Parameter,
     ends,
+    log_flat_slopes,
     log_prior,
     names,
+    natural_slopes,
     prior_values,
     scalars,
     to_natural,
@@ -48,6 +50,25 @@ def test_no_vector_leaves_the_bounds():
         lower, upper = (np.array(end) for end in zip(*map(ends, SPACE), strict=True))
         assert (natural >= lower).all()
         assert (natural <= upper).all()
+
+
+def test_slopes_in_numpy_are_jaxs():
+    """Of natural values, and of the density that is flat where a number is at home."""
+    places = np.linspace(-3, 3, 16).reshape(2, 8)
+    for u, slope, bend, first, second in zip(
+        places, *natural_slopes(SPACE, places), *log_flat_slopes(SPACE, places), strict=True
+    ):
+        ones = jnp.ones(8)
+        expected, curved = jax.jvp(
+            lambda u, ones=ones: jax.jvp(lambda u: to_natural(SPACE, u), (u,), (ones,))[1],
+            (jnp.asarray(u),),
+            (ones,),
+        )
+        np.testing.assert_allclose(slope, expected, rtol=1e-12)
+        np.testing.assert_allclose(bend, curved / expected, rtol=1e-9, atol=1e-12)
+        density = lambda u: log_prior(SPACE, u)  # noqa: E731
+        np.testing.assert_allclose(first, jax.grad(density)(jnp.asarray(u)), atol=1e-12)
+        np.testing.assert_allclose(np.diag(second), jax.hessian(density)(u), atol=1e-12)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Searches for the best fit under Student's t, against scipy from the truth."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -87,3 +88,26 @@ def test_a_solver_that_cannot_be_used_is_refused():
         fit(counted, solver=optx.Dogleg(rtol=1e-8, atol=1e-8))
     with pytest.raises(InputError, match=r"solver = 'lm': give a least-squares solver"):
         fit(counted, solver="lm")
+
+
+def test_a_first_fit_compiles_few_programs():
+    """One for search, mode and the test of Laplace's approximation, and a few small ones."""
+    compiled = []
+
+    def listen(name, seconds, **_):
+        if "backend_compile" in name:
+            compiled.append(seconds)
+
+    def decay(height, rate, inputs):
+        return height * jnp.exp(-rate * inputs)
+
+    free = {"height": Parameter(lower=0, upper=9), "rate": Parameter(lower=0, upper=9)}
+    data = 2 * np.exp(-0.7 * (PLACE + 5)) + 0.01 * np.random.default_rng(0).standard_normal(150)
+    problem = Problem(free, decay, Gaussian(0.01), data, inputs=PLACE + 5)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        found = fit(problem)
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert found.converged
+    assert len(compiled) <= 4

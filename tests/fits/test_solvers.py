@@ -11,7 +11,7 @@ from decompositions import beside_each_other
 
 from fitting.inference.bounded import minimise_in_box
 from fitting.inference.least_squares import minimise_residuals
-from fitting.inference.newton import minimise
+from fitting.inference.newton import minimise, minimise_many
 
 RNG = np.random.default_rng(1)
 X = np.linspace(0, 3, 40)
@@ -162,3 +162,24 @@ def test_newton_knows_whether_it_ended_at_a_minimum():
         lowest = np.linalg.eigvalsh(hessian / np.outer(size, size))[0]
         np.testing.assert_allclose(found.lowest, lowest, rtol=1e-12)
         assert bool(found.converged) == (signs == (1, 1))
+
+
+def test_searches_in_step_end_where_scipys_do_and_none_spoils_another():
+    """A decay from three places, one where the cost is not finite and one where it is flat."""
+    starts = np.array([[1.0, 1.0], [5.0, 0.3], [1.0, -600.0], [0.5, 4.0]])
+
+    def local(vectors):
+        height, rate = vectors.T[..., None]
+        shape = np.exp(-rate * X)
+        r = (height * shape - Y) / 0.01
+        jacobian = np.stack([shape, -height * X * shape], axis=1) / 0.01
+        gram = jacobian @ np.swapaxes(jacobian, 1, 2)
+        return np.sum(r**2, -1) / 2, np.sum(jacobian * r[:, None], -1), gram
+
+    found = minimise_many(local, starts, careful=True, digit=2.2e-16)
+    best = scipy.optimize.least_squares(
+        lambda p: (p[0] * np.exp(-p[1] * X) - Y) / 0.01, [1.0, 1.0], xtol=1e-14, ftol=1e-14
+    ).x
+    assert found.converged.tolist() == [True, True, False, True]
+    np.testing.assert_allclose(found.beyond[[0, 1, 3]], [best] * 3, rtol=1e-6)
+    np.testing.assert_array_equal(found.vector[2], starts[2])

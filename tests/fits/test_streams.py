@@ -84,9 +84,9 @@ def test_a_line_in_chunks_is_weighted_least_squares(tmp_path):
 @pytest.mark.parametrize("likelihood", [CLIPPED, SMALL])
 def test_sums_over_chunks_are_those_of_all_data(likelihood):
     """Cost, gradient and curvature at any place, to rounding."""
-    place = jnp.array([-1.2, 0.3])
-    found = derivatives(place, problem(yielded, likelihood, None, chunk=CHUNK), ignored)
-    expected = derivatives(place, problem(likelihood=likelihood), ignored)
+    place, read = np.array([[-1.2, 0.3]]), problem(yielded, likelihood, None, chunk=CHUNK)
+    found = derivatives(place, read, parts=chunks(read))
+    expected = derivatives(place, problem(likelihood=likelihood))
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12)
 

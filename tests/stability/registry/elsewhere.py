@@ -549,7 +549,7 @@ ELSEWHERE = (
             fitting.inference.convergence: without_bias
             fitting.inference.emcee_run: enough_walkers for_group run_ensemble
             fitting.inference.blocks: fingerprint
-            fitting.inference.importance: gaussian_miss laplace_where_it_holds
+            fitting.inference.importance: miss_about gaussian_miss laplace_where_it_holds
             fitting.inference.nuts: nuts require_blackjax
             fitting.inference.on_host: on_host require_here
             fitting.inference.posterior: estimates evaluate_density laplace laplace_or_emcee sample
@@ -599,7 +599,7 @@ ELSEWHERE = (
         """
             fitting.fits.widening: residual_sums
             fitting.inference.misfit: judge_sums sums
-            fitting.inference.newton: minimise_read twice
+            fitting.inference.newton: minimise_many minimise_read twice
             fitting.inference.search: prior_derivatives squares with_prior
             fitting.inference.search: derivatives search_read
             fitting.inference.streams: chunks opened
@@ -637,6 +637,7 @@ ELSEWHERE = (
             fitting.inference.parameters: ends log_prior names prior_gaussian prior_values scalars
             fitting.inference.parameters: from_scaled scaled_ends to_natural to_scaled
             fitting.inference.parameters: share_below to_unconstrained
+            fitting.inference.parameters: log_flat_slopes natural_slopes numpy_or_jax
             fitting.inference.parameters: natural_numbers unconstrained_numbers
             fitting.inference.priors: support
             fitting.inference.joint_prior: as_prior log_dependence places_of posterior_prior
