@@ -22,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from scipy.special import chdtrc, ndtr, ndtri
-from scipy.stats import norm
 
 from ..inference.diagnostics import listed
 from ..inference.formatting import format_with_error
@@ -192,7 +191,7 @@ def _on_scale(prior: Prior, x: float) -> tuple[float, float]:
         below, density = (1 + below) / 2, density / 2
     place = float(ndtri(below))
     if abs(place) < 6:
-        return place, float(density / norm.pdf(place))
+        return place, float(density * np.sqrt(2 * np.pi) * np.exp(place**2 / 2))
     # Beyond the digits of a share of 1, along the line through the quantiles of one and two.
     one, two = (_quantile(prior, np.sign(place) * k) for k in (1.0, 2.0))
     slope = float(np.sign(place) / (two - one))

@@ -56,6 +56,14 @@ def _rows() -> list[Row]:
     test = "bench_first_picture.py::test_import_and_a_small_call"
     rows.append(Row("`import jaxvision`", test, "import", None))
     rows.append(Row("import and `lambert_shading` of one point", test, "first call", None))
+    fit, about = (
+        "bench_first_fit.py::test_first_fit",
+        "fit of one's own model, 7 parameters, 16 starts",
+    )
+    rows.append(
+        Row(f"{about}: new process; SciPy: 1 start", fit, "ours, first", "SciPy, one start")
+    )
+    rows.append(Row(f"{about}: six in a new process", fit, "ours, six", None))
     for package, command in (("jaxvision", "jaxvision"), ("fitting", "jaxvision-fit")):
         test = f"bench_first_picture.py::test_help_and_a_wrong_path[{package}]"
         rows.append(Row(f"`{command} --help`", test, "help", None))
