@@ -162,7 +162,9 @@ def fit(
     warn_of_moving_edges(problem)
     how = _How(starts, start, solver, misfit == "inflate", seed)
     choices: tuple[Choice, ...] = ()
-    with progress_bar("reading data", shown=problem.stream is not None) as advance:
+    held = problem.stream is None
+    title = "compiling, then searching from several starts" if held else "reading data"
+    with progress_bar(title, transient=held) as advance:
         if after is not None:
             optimum, choices = _searched_before(after, method), after.choices
             for choice in choices:
@@ -236,7 +238,7 @@ def _optimum(
         found = search(problem, _given(problem, begin)[None], solver=how.solver)
         optimum = seen_by_differences(problem, found)
     else:
-        optimum = _searched(problem, how.starts, how.seed, how.solver)
+        optimum = _searched(problem, how.starts, how.seed, how.solver, advance)
     if problem.stream is not None:
         optimum = search_read(problem, optimum, advance)
     return optimum
@@ -354,17 +356,20 @@ def _fits_width(problem: Problem) -> bool:
     return named_width(problem.likelihood) in {parameter.name for parameter in problem.free}
 
 
-def _searched(problem: Problem, starts: int, seed: int, solver: Any) -> Optimum:
+def _searched(problem: Problem, starts: int, seed: int, solver: Any, advance: Advance) -> Optimum:
     """Return the best of many searches. If no other search ends at the same optimum, run more."""
     wide_noise = _fits_width(problem)
     begin = spread_starts(problem, starts, seed=seed)
-    found = search(problem, begin, solver=solver, as_given=False)
+    how: dict[str, Any] = {"solver": solver}
+    if problem.stream is None:
+        how["told"] = lambda ended: advance(ended, len(begin))
+    found = search(problem, begin, as_given=False, **how)
     optimum = seen_by_differences(problem, found)
     for again in range(1, ROUNDS * (2 if wide_noise else 1)):
         if starts == 1 or is_confirmed(optimum, wide_noise=wide_noise):
             break
         others = spread_starts(problem, starts + 1, seed=seed + again * OTHER_SEED)[1:]
-        found = search(problem, others, solver=solver)
+        found = search(problem, others, **how)
         optimum = seen_by_differences(problem, joined(optimum, found))
     return optimum
 

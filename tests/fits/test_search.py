@@ -1,5 +1,8 @@
 """Searches for the best fit under Student's t, against scipy from the truth."""
 
+import io
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -111,3 +114,17 @@ def test_a_first_fit_compiles_few_programs():
         jax.monitoring.clear_event_listeners()
     assert found.converged
     assert len(compiled) <= 4
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("stream", [Terminal, io.StringIO])
+def test_a_terminal_is_told_of_the_search(stream, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", stream())
+    monkeypatch.setenv("TERM", "xterm")
+    free = {"a": Parameter(lower=0, upper=9)}
+    fit(Problem(free, lambda a: a * jnp.ones(4), Gaussian(0.1), np.full(4, 2.0)), starts=2)
+    assert ("searching from several starts" in sys.stderr.getvalue()) == (stream is Terminal)
