@@ -6,6 +6,7 @@ from . import (
     lights as lights,
     noise as noise,
     reflectance as reflectance,
+    resolution as resolution,
     response as response,
 )
 from .fits.bands import (

@@ -44,7 +44,7 @@ FITTING_FLOORS = [
     {"rig", "inference", "codes", "copies"},
     {"frame_checks", "observation", "poisson", "report", "rig_from_folder"},
     {"fits", "sensor_likelihoods"},
-    {"noise", "response", "lights"},
+    {"lights", "noise", "resolution", "response"},
     {"reflectance"},
     {"accuracy", "demo", "joint"},
     {"checks"},

@@ -239,6 +239,7 @@ ELSEWHERE = (
             fitting.reflectance.stereo_misfit: departures shared_squares
         """,
     ),
+    Elsewhere(STATISTICS, "test_from_edge", "fitting.resolution: from_edge"),
     Elsewhere(
         STATISTICS,
         "test_lights_calibration",

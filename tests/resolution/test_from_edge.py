@@ -1,0 +1,164 @@
+"""Resolution from an edge against pictures that were averaged over 16 x 16 places of each pixel."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import chi2, norm
+
+import jaxvision as jv
+from fitting import resolution
+from fitting.resolution import Blur, _edge, _free_transfer, _transfer
+
+NODES = (np.arange(16) + 0.5) / 16 - 0.5
+ANGLES = 2 * np.pi * (np.arange(40) + 0.5) / 40
+RADII = np.sqrt((np.arange(20) + 0.5) / 20) / 2  # of a disc of diameter 1
+
+
+def spread(distance, angle, gaussian, disc=0.0):
+    """Share of light of a pixel at a distance from a sharp edge, by brute force."""
+    turn = np.radians(angle)
+    x, y = np.meshgrid(NODES, NODES)
+    shifts = (np.cos(turn) * x + np.sin(turn) * y).ravel()
+    if disc:
+        shifts = (shifts[:, None] + disc * np.outer(RADII, np.cos(ANGLES)).ravel()).ravel()
+    return norm.cdf((np.asarray(distance)[..., None] + shifts) / gaussian).mean(-1)
+
+
+def places(shape, angle, place):
+    y, x = np.indices(shape) - (np.array(shape)[:, None, None] - 1) / 2
+    return np.cos(np.radians(angle)) * x + np.sin(np.radians(angle)) * y - place
+
+
+def expected(shape, angle, place, gaussian, low=100.0, high=1000.0):
+    distance = places(shape, angle, place)
+    fine = np.linspace(distance.min(), distance.max(), 4000)
+    return low + (high - low) * np.interp(distance, fine, spread(fine, angle, gaussian))
+
+
+def noisy(mean, rng, gain=0.25, read=5.0):
+    return np.round(mean + rng.normal(size=mean.shape) * np.sqrt(read**2 + gain * mean))
+
+
+@pytest.mark.parametrize("angle", [5.0, 38.0, 180.0])
+@pytest.mark.parametrize(("shape", "blur"), [("gaussian", 0.4), ("disc", 2.5)])
+def test_edge_spread_is_that_of_light_gathered_over_pixels(angle, shape, blur):
+    distance = np.linspace(-4, 4, 41)
+    gaussian, disc = (blur, 0.0) if shape == "gaussian" else (1e-3, blur)
+    with jax.enable_x64(True):
+        at = {"angle": angle, "blur": blur}
+        found = _edge(jnp.asarray(distance), at, Blur(shape, None), 20.0)
+    assert np.allclose(found, spread(distance, angle, gaussian, disc), atol=2e-3)
+
+
+@pytest.mark.parametrize(("shape", "blur"), [("gaussian", 0.7), ("disc", 2.0)])
+def test_transfer_is_that_of_the_line_spread(shape, blur):
+    at, frequency = {"angle": 10.0, "blur": blur}, np.array([0.1, 0.3, 0.6])
+    with jax.enable_x64(True):
+        place = jnp.linspace(-8, 8, 3201)
+        edge = np.asarray(_edge(place, at, Blur(shape, None), 20.0))
+        found = _transfer(jnp.asarray(frequency), at, Blur(shape, None))
+    wave = np.cos(2 * np.pi * np.outer(frequency, np.asarray(place)))
+    assert np.allclose(found, wave @ np.gradient(edge), atol=1e-4)
+
+
+def test_diffraction_spreads_as_an_airy_pattern():
+    """Shares of light from `optics.airy_kernel` in fifths of a pixel, gathered over pixels."""
+    with jax.enable_x64(True):  # wavelength times f-number is 1.5 pixels
+        kernel = np.asarray(jv.optics.airy_kernel(1.5e-6, 1.0, 0.2e-6, size=401, order=4))
+        place = (np.arange(401) - 200 + 0.5) / 5
+        wanted = np.convolve(kernel.sum(0), np.full(5, 0.2), "same").cumsum()
+        at = {"angle": 0.0, "blur": 0.0}
+        found = _edge(jnp.asarray(place), at, Blur("gaussian", 1.5), 100.0)
+    assert np.abs(np.asarray(found) - wanted)[np.abs(place) < 5].max() < 4e-3
+
+
+def test_the_free_transfer_is_unbiased_where_noise_hides_it():
+    rng, reach = np.random.default_rng(3), 10.0
+    distance = rng.uniform(-reach, reach, 900)
+    sd, truth = np.full(900, 2.0), 0.4
+    order = np.arange(1, 40, 2)
+    signal = 2 / (np.pi * order[3]) * truth * np.sin(2 * np.pi * distance * order[3] / (4 * reach))
+    found = []
+    for _ in range(200):
+        made = _free_transfer(distance, signal + sd * rng.normal(size=900), sd, reach, None)
+        found.append(made[0][1])
+    error = np.sqrt(np.diag(made[1]) / 200)
+    wanted = np.where(order == order[3], truth, 0)[: len(found[0])]
+    z = (np.mean(found, 0) - wanted) / error
+    assert error.max() > 0.005
+    assert np.abs(z).max() < 4
+
+
+EDGE = noisy(expected((40, 40), 5, 0, 0.5), np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(
+    ("image", "options", "words"),
+    [
+        (np.ones((4, 40)), {}, "at least 8 x 8"),
+        (np.full((40, 40), np.nan), {}, "no pixel"),
+        (np.random.default_rng(0).normal(100, 5, (40, 40)), {}, "edge"),
+        (np.minimum(expected((40, 40), 5, 0, 0.5), 600), {}, "clipped"),
+        (expected((40, 12), 5, 0, 0.5) + 0.01 * np.arange(12), {}, "beside the edge"),
+        (np.ones((40, 40, 3)), {}, "band is None"),
+        (np.ones((40, 40)), {"diffraction": -1.0}, "diffraction is -1"),
+        (np.ones((40, 40)), {"reach": 2}, "reach is 2"),
+        (EDGE, {"shape": "square"}, "shape is"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(image, options, words):
+    with pytest.raises(jv.errors.InputError, match=words):
+        resolution.from_edge(image, **options)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth():
+    """Forty edges at angles of every kind: the widths' z, and the chi-square of the transfer."""
+    rng, z, free = np.random.default_rng(4), [], []
+    for _ in range(40):
+        angle, gaussian = rng.uniform(0, 360), rng.uniform(0.4, 1.2)
+        mean = expected((48, 48), angle, rng.uniform(-1, 1), gaussian)
+        found = resolution.from_edge(noisy(mean, rng))
+        (width,) = (e for e in found.estimates if e.name == "blur")
+        z.append((width.value - gaussian) / width.standard_error)
+        turn = np.radians(angle)
+        f = found.frequency
+        truth = np.sinc(f * np.cos(turn)) * np.sinc(f * np.sin(turn))
+        missed = found.otf - truth * np.exp(-2 * (np.pi * gaussian * f) ** 2)
+        free.append(chi2.sf(missed @ np.linalg.pinv(found.otf_covariance) @ missed, f.size))
+    assert np.mean(np.abs(z) < 1.96) > 0.84
+    assert abs(np.mean(z)) < 4 / np.sqrt(40)
+    assert np.mean(np.array(free) < 0.05) < 0.16
+
+
+@pytest.mark.slow
+def test_a_plane_of_a_mosaic_needs_no_demosaicing():
+    rng = np.random.default_rng(5)
+    sensor = jv.Sensor(colour_filter=jv.ColourFilter(np.eye(3), pattern="RGGB"), bits=12)
+    mean = expected((64, 64), 7.0, 0.4, 0.6)
+    mean[::2, ::2] = expected((64, 64), 7.0, 0.4, 1.4)[::2, ::2]  # red is less sharp
+    raw = noisy(mean, rng)
+    for band, truth in ((0, 1.4), (1, 0.6)):
+        found = resolution.from_edge(raw, sensor=sensor, band=band)
+        (width,) = (e for e in found.estimates if e.name == "blur")
+        assert abs(width.value - truth) < 4 * width.standard_error
+        assert width.standard_error < 0.1
+
+
+@pytest.mark.slow
+def test_sharpening_smoothing_and_the_psf_are_told():
+    rng = np.random.default_rng(6)
+    mean = expected((64, 64), 5.0, 0.0, 0.7)
+    found = resolution.from_edge(noisy(mean, rng))
+    psf = found.psf(9)
+    assert psf.sum() == pytest.approx(1)
+    assert psf[4, 4] == pytest.approx((2 * norm.cdf(0.5 / 0.7) - 1) ** 2, abs=0.04)
+    assert str(found)
+    from scipy.ndimage import gaussian_filter
+
+    raw = noisy(mean, rng)
+    sharp = raw + 1.5 * (raw - gaussian_filter(raw, 1.0))
+    told = " ".join(resolution.from_edge(sharp).findings)
+    assert "sharpened" in told
+    assert "err together" in told
