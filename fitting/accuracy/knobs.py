@@ -11,10 +11,7 @@ _OF_RIGS = (
         "where a search for the mode ends",
         (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7),
         (1e-9, 1e-11),
-        sets=(
-            *("*.minimise*.tolerance", "*.minimise_residuals.?tol", "*.max_steps"),
-            "*.LevenbergMarquardt.?tol",
-        ),
+        sets=("*.minimise*.tolerance", "*.max_steps"),
     ),
     Knob(
         "pixels",

@@ -101,8 +101,9 @@ def fit(
             With one, four of up to eight times as many searches must end at the same point, and a
             single search always fails.
         solver: the method of the searches: any least-squares solver or minimiser of optimistix
-            (`optimistix.Dogleg(rtol=1e-8, atol=1e-8)`). A least-squares solver needs a
-            least-squares likelihood. None takes the Levenberg-Marquardt method for such a
+            (`optimistix.Dogleg(rtol=1e-8, atol=1e-8)`), or a class of jaxopt's minimisers
+            (`jaxopt.LBFGSB`, or a `functools.partial` with its options). A least-squares solver
+            needs a least-squares likelihood. None takes the Levenberg-Marquardt method for such a
             likelihood and Newton's method for any other.
         posterior: `Laplace()` is a Gaussian about the mode of the unconstrained values; where the
             posterior is not Gaussian enough, it draws by importance sampling. `Emcee(...)` and

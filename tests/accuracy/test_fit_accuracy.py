@@ -44,11 +44,11 @@ OTHER = words("""
 *.convergence_in_words.posterior *.*Calibration.* *.Fit.posterior *.GammaFit.posterior
 *.fitted_material.* *.fit_separable.coarse *.over_exposures.coarse *.scatter_log_density.count
 *.quantised_moments.window *.sampled_estimate.* *.split_r_hat.draws *.effective_draws.draws
-*.calibrate_lab.draws *.folders.*.draws *.minimise_in_box.* *.commands.run.repeats
-*.format_within.width *.plain_tables.width *.called_for.tolerance *.summed.terms *.bands.bands.draws
+*.calibrate_lab.draws *.folders.*.draws *.commands.run.repeats
+*.format_within.width *.plain_tables.width *.called_for.tolerance *.bands.bands.draws
 *.bands.thinned_draws.* *.Window.nodes *.refuse_half.count *.prediction.*.draws
 *.posterior_prior.posterior *.as_prior.draws *.refitted.terms *.histogram.steps *.General.draws
-*.SensorOfSites.draws
+*.SensorOfSites.draws *.from_edge.reach
 """)
 
 

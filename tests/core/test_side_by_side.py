@@ -5,13 +5,10 @@ import threading
 import time
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
-from fitting.inference.in_blocks import mapped, summed
 from jaxvision.core.side_by_side import cores, side_by_side
 
 
@@ -57,28 +54,3 @@ def test_pieces_have_the_precision_and_the_context_of_the_caller():
     for double in (True, False):
         with jax.enable_x64(double):
             assert side_by_side([found]) == [("float64" if double else "float32", "caller's")]
-
-
-class _Samples(eqx.Module):
-    value: jax.Array
-    error: jax.Array | None
-    scale: jax.Array
-
-
-@pytest.mark.parametrize("count", [1, 7, 8, 9, 100])
-def test_blocks_sum_and_map_as_all_samples_at_once(count):
-    rng = np.random.default_rng(count)
-    value, scale = rng.normal(size=count), 3.0
-    samples = _Samples(jnp.asarray(value), None, jnp.asarray(scale))
-
-    def terms(part, counts):
-        each = jnp.cos(part.scale * part.value)
-        each = each if counts is None else jnp.where(counts, each, 0)
-        return jnp.sum(each), jnp.stack([jnp.sum(each), jnp.sum(each**2)])
-
-    one, two = summed(terms, samples, block=8)
-    each = np.cos(scale * value)
-    np.testing.assert_allclose(one, each.sum(), rtol=1e-13)
-    np.testing.assert_allclose(two, [each.sum(), (each**2).sum()], rtol=1e-13)
-    found = mapped(lambda part: jnp.stack([part.value, part.scale * part.value]), samples, block=8)
-    np.testing.assert_allclose(found, [value, scale * value], rtol=1e-15)

@@ -2,6 +2,7 @@
 
 import io
 import sys
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -67,8 +68,9 @@ def test_a_peak_under_students_t_is_found_whatever_the_starts(scale):
         assert (np.abs(found - best[:4]) < 0.05 * errors).all()
 
 
-@pytest.mark.parametrize("solver", [optx.Dogleg, optx.BFGS], ids=lambda solver: solver.__name__)
-def test_a_solver_of_optimistix_ends_where_the_default_does(solver):
+@pytest.mark.filterwarnings("ignore:JAXopt is no longer maintained")
+@pytest.mark.parametrize("solver", ["Dogleg", "BFGS", "LBFGSB", "partial"])
+def test_a_solver_of_optimistix_or_jaxopt_ends_where_the_default_does(solver):
     """A decay of 2 exp(-1.3 t), whose mode SciPy finds too."""
     time = np.linspace(0, 3, 40)
     data = 2 * np.exp(-1.3 * time) + 0.01 * np.random.default_rng(3).standard_normal(40)
@@ -76,7 +78,15 @@ def test_a_solver_of_optimistix_ends_where_the_default_does(solver):
     problem = Problem(
         free, lambda height, rate: height * jnp.exp(-rate * time), Gaussian(0.01), data
     )
-    found = fit(problem, starts=4, solver=solver(rtol=1e-8, atol=1e-8))
+    import jaxopt
+
+    if solver == "partial":
+        how = partial(jaxopt.LBFGS, tol=1e-8)
+    elif solver == "LBFGSB":
+        how = jaxopt.LBFGSB
+    else:
+        how = getattr(optx, solver)(rtol=1e-8, atol=1e-8)
+    found = fit(problem, starts=4, solver=how)
     expected = scipy.optimize.least_squares(
         lambda p: p[0] * np.exp(-p[1] * time) - data, [1.0, 0.5]
     ).x

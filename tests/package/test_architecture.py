@@ -235,12 +235,6 @@ def test_jaxvision_knows_no_solver(room):
     assert not outside(rooms("jaxvision")[room]) & NEVER_IN_JAXVISION
 
 
-def test_only_bounded_imports_jaxopt():
-    files = (ROOT / "fitting").rglob("*.py")
-    users = {file.name for file in files if "jaxopt" in outside(imports(file))}
-    assert users == {"bounded.py"}
-
-
 @pytest.mark.parametrize("room", sorted(files_of_rooms("fitting")))
 def test_a_calibration_goes_one_way(room):
     floor = {name: i for i, names in enumerate(FITTING_FLOORS) for name in names}

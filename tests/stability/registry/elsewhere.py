@@ -561,8 +561,6 @@ ELSEWHERE = (
         SOLVERS,
         "test_solvers test_search test_varpro test_linear_parameters test_starts test_fit",
         """
-            fitting.inference.bounded: minimise_in_box
-            fitting.inference.least_squares: minimise_residuals
             fitting.inference.newton: minimise
             fitting.inference.search: at_a_time given_start joined negative_log_density search
             fitting.inference.search: spread_starts start_at starts_about unstarted
