@@ -229,6 +229,7 @@ def test_few_groups_give_students_t():
     assert any("groups share errors" in one for one in found.findings)
 
 
+@pytest.mark.slow
 def test_a_prior_that_new_data_contradict_is_named(half):
     with jax.enable_x64(True):
         agreeing = fitted(line(SECOND, half.as_prior()))

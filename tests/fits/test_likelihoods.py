@@ -527,6 +527,7 @@ def test_deviates_of_clipped_data_far_from_the_prediction(beyond, chance):
     assert float(share) == pytest.approx(chance, rel=3e-4)
 
 
+@pytest.mark.slow
 def test_a_nonlinearity_taps_and_a_light_offset_count_in_the_law_of_a_code():
     """A plain sum: Poisson of light and offset, over the curve's signal and each tap's numbers."""
     camera = sensor(
@@ -597,6 +598,7 @@ def test_a_table_of_codes_is_multinomial_within_its_codes():
         tables.check_data(np.array([-1.0, 2.0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("traced", [False, True])
 @pytest.mark.sweep
 def test_residuals_of_tables_are_binomial_deviates(traced):

@@ -583,6 +583,7 @@ def test_a_time_that_no_shutter_explains_is_named():
     assert not any("smoothness is at its lower bound" in s for s in found.findings)
 
 
+@pytest.mark.slow
 def test_black_that_is_uncertain_as_stated_leaves_the_curve_right():
     """Black off by one of its errors bends a pure gamma. Taken for pure, the curve was off by 4 to
     5 of its errors at codes 190 and 230."""

@@ -285,6 +285,7 @@ def test_structure_of_a_known_period_is_found(camera, where, period, what):
     assert len(periodic_in_words((found,), K)) == 1 + bool(found.gains)
 
 
+@pytest.mark.slow
 def test_unequal_columns_and_a_light_that_falls_off_are_no_structure():
     alarms = 0
     for seed in range(12):
@@ -620,6 +621,7 @@ def test_tails_of_few_electrons_and_of_warm_pixels_are_no_cosmic_rays():
         assert hits(np.round(frames[1]) - np.round(frames[0]), live) is None
 
 
+@pytest.mark.slow
 def test_a_knee_of_a_piecewise_linear_response_is_no_full_well():
     """Numbers above 1800 DN count a quarter (1736 above black)."""
     rng = np.random.default_rng(3)

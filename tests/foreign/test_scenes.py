@@ -71,6 +71,7 @@ def test_the_sentences_agree_with_pictures():
     assert abs(by_path / THROUGH - 1) < 0.1
 
 
+@pytest.mark.slow
 def test_glass_that_takes_more_pieces_than_depth_is_named():
     area = replace(BEHIND_GLASS, lights=(PANEL,))
     assert any(
@@ -522,6 +523,7 @@ def test_known_scenes_are_looked_at_inside_a_trace_too():
         assert sum("times the light that it receives" in str(one.message) for one in said) == warned
 
 
+@pytest.mark.slow
 def test_shapes_far_from_the_origin_are_named_by_python_too():
     east = np.array([1e5, 1e5, 0])
     view = replace(BELOW, position=jnp.asarray(BELOW.position + east, jnp.float32))

@@ -95,6 +95,7 @@ def test_a_spot_sends_what_its_formula_integrates_to(falloff):
         assert got == pytest.approx(5 / 4 * share(theta), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_opening_is_a_point_from_afar_and_its_light_near_by():
     """At 100 m the same as a point; near by the sum over 200 x 200 points of the opening."""
     table = np.array([[1.0, 0.8, 1.0], [0.7, 0.9, 0.7], [0, 0, 0]])

@@ -30,6 +30,7 @@ def test_overcast_skies_have_closed_integrals(kind, a, b):
     assert kind != 5 or expected == pytest.approx(np.pi)
 
 
+@pytest.mark.slow
 def test_the_traditional_overcast_sky():
     """7 / 9 pi L_zenith on level ground; a third as bright at the horizon."""
     sky = lights.daylight(16, [0, 0, 1], irradiance=[7 * np.pi / 9, 1.0])
@@ -103,6 +104,7 @@ def test_perezs_sky_is_his_formula(clearness, brightness, zenith):
         assert got == pytest.approx(perez(z, abs(z - zenith)) / perez(0, zenith), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_sun_is_a_disc():
     """Its light on level ground by quadrature, by its radiance seen from there, and its penumbra
     behind an edge: half the light where the edge hides half of it."""

@@ -327,6 +327,7 @@ def test_a_camera_without_a_noise_predicts_means_alone(left_out):
     assert "2.00" in more.clause or "1.99" in more.clause or "2.01" in more.clause
 
 
+@pytest.mark.slow
 def test_a_gain_that_saturates_every_level_is_refused_and_a_missing_one_is_said():
     made = measured(np.random.default_rng(3))
     with pytest.raises(InputError, match="predicts every level of light at an end of its scale"):

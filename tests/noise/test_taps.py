@@ -124,6 +124,7 @@ def test_intervals_of_taps_cover_their_numbers(kind):
     assert missed <= 0.05 * len(found) * far.shape[2]
 
 
+@pytest.mark.slow
 @in_double
 def test_what_taps_have_in_common_is_one_number_as_of_dense_conditioning():
     """Numbers of two taps of which the offset of the light is common, against the Normal of both

@@ -403,6 +403,7 @@ def test_bad_input_is_a_sentence(images, lights, options, said):
         photometric_stereo(images, lights, **options)
 
 
+@pytest.mark.slow
 def test_a_ball_of_8_bits_that_is_clipped_leaves_out_its_largest_code():
     """Without `highest`; a ball that is not clipped has no such code, of 8 bits or not."""
     y, x = (np.mgrid[:64, :64] - 31.5) / 30

@@ -502,6 +502,7 @@ def test_fits_are_double_where_jax_computes_in_single_precision(observation):
     np.testing.assert_array_equal(found.vector, double.vector)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "vector", "changes"),
     [

@@ -62,6 +62,7 @@ def test_transfer_is_that_of_the_line_spread(shape, blur):
     assert np.allclose(found, wave @ np.gradient(edge), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_diffraction_spreads_as_an_airy_pattern():
     """Shares of light from `optics.airy_kernel` in fifths of a pixel, gathered over pixels."""
     with jax.enable_x64(True):  # wavelength times f-number is 1.5 pixels

@@ -173,6 +173,7 @@ def test_a_filter_carries_the_errors_as_a_mean_does():
     np.testing.assert_allclose(filtered.shared[:, 12, 11], found.shared[:, box].mean(1), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_what_pixels_share_is_how_far_draws_move_them():
     """The sum of squares against the variance of frames corrected with each draw."""
     best = jv.Sensor(gain=0.5, offset=100.0, nonlinearity=jv.Compression(0.05, electrons=1e4))
@@ -244,6 +245,7 @@ def check(count, found):
         assert abs(z.var() - 1) < 4 * np.sqrt(2 / count)
 
 
+@pytest.mark.slow
 def test_stated_errors_are_those_of_a_few_simulated_frames():
     """Mixing, a curve, lines and read noise, of one die without a pattern."""
     plain = replace(SIMPLE, prnu=None, dsnu=None, row_noise=12.0)

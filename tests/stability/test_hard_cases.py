@@ -324,6 +324,7 @@ def test_photons_in_ulps(dtype, irradiance):
     assert_finite(jax.grad(lambda w: photon_rate(e[None], w, area)[0])(wavelength))
 
 
+@pytest.mark.slow
 def test_a_whole_camera_in_the_dark():
     camera = Camera(
         Pinhole([0, 0, 0], EYE, 1, 0.1, resolution=(3, 3), f_number=2),
