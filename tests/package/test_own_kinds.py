@@ -28,6 +28,7 @@ from jaxvision import (
     path_radiance,
     render,
 )
+from jaxvision.errors import InputError
 from jaxvision.geometry import intersect, point_on, surface_area
 from jaxvision.scene import Disc
 from jaxvision.transport import ray_tree_radiance
@@ -38,7 +39,7 @@ KEY = jax.random.key(11)
 # ------------------------------------------------ the kinds: what a user would write
 
 
-class SpotLight(Light):
+class Headlamp(Light):
     """A lamp that shines along an axis: intensity I [cos(theta)]+^4, in W sr^-1."""
 
     position: jax.Array = eqx.field(converter=jnp.asarray)
@@ -119,7 +120,7 @@ def both_ways(material, w):
     return brdf.Specular(mirrored, material.mirrors, -w, material.passes)
 
 
-lights.register(SpotLight, incident=from_spot)
+lights.register(Headlamp, incident=from_spot)
 lights.register_extended(
     DiscLamp,
     seen=disc_seen,
@@ -137,7 +138,7 @@ STRENGTH, GLOW = np.array([3.0, 1.5]), np.array([5.0, 2.0])
 FLOOR = Quad([-3.0, -3, 0], [6.0, 0, 0], [0, 6.0, 0])
 ROUGH, WHITE = Surface(FLOOR, Minnaert(RHO, K)), Surface(FLOOR, Lambert(RHO / np.pi))
 SPOT_AT, LAMP_AT, RADIUS = np.array([0.3, -0.2, 1.5]), np.array([-0.2, 0.1, 1.2]), 0.4
-SPOT = SpotLight(SPOT_AT, np.array([0, 0, -1.0]), STRENGTH)
+SPOT = Headlamp(SPOT_AT, np.array([0, 0, -1.0]), STRENGTH)
 LAMP = DiscLamp(Disc(LAMP_AT, [0, 0, -1.0], RADIUS), GLOW)
 KINDS = {"spot": SPOT, "disc": LAMP}
 DOWN = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
@@ -259,7 +260,7 @@ MIRRORS, PASSES = np.array([0.3, 0.5]), np.array([0.6, 0.2])
 SHEET = Surface(Quad([-3.0, -3, 0.8], [6.0, 0, 0], [0, 6.0, 0]), HalfSilvered(MIRRORS, PASSES))
 CEILING = Surface(Quad([-3.0, -3, 3], [0, 6.0, 0], [6.0, 0, 0]), Lambert([0.0, 0.0]), [2.0, 7.0])
 LOW = np.array([0.3, -0.2, 0.5])  # a spot below the sheet
-BELOW = SpotLight(LOW, np.array([0, 0, -1.0]), STRENGTH)
+BELOW = Headlamp(LOW, np.array([0, 0, -1.0]), STRENGTH)
 
 
 @pytest.mark.slow
@@ -316,3 +317,13 @@ def test_an_extended_light_without_rays_is_refused_by_light_tracing_alone():
     with pytest.raises(ValueError, match=r"needs NoRays to be registered with `emitted`.*leave it"):
         light_traced(KEY, scene, VIEW, paths=4)
     assert (np.asarray(render(scene, VIEW)) > 0).all()
+
+
+def test_two_lights_of_one_word_are_refused_by_a_scene_file(monkeypatch):
+    from jaxvision.files.scenes.tables import light_tables
+    from jaxvision.lights import _registry
+
+    monkeypatch.setattr(_registry, "_KINDS", dict(lights.kinds()))
+    lights.register(Headlamp, incident=from_spot, word="point")
+    with pytest.raises(InputError, match=r'"point" .*PointLight and .*Headlamp.* another `word`'):
+        light_tables()

@@ -26,8 +26,8 @@ import jaxvision as jv
 from jaxvision import effects, lights
 
 
-class Torch(jv.Light):
-    """A torch.
+class Lantern(jv.Light):
+    """A lantern.
 
     Attributes:
         position: (3,) m.
@@ -56,7 +56,7 @@ def bound(ends):
     return effects.Source(most, at, 0 * one, one, None, (at, 0 * one), "place")
 
 
-lights.register(Torch, incident=arriving, bound=bound)
+lights.register(Lantern, incident=arriving, bound=bound)
 '''
 
 TAPE = '''
@@ -121,13 +121,13 @@ material = "tape"
 
 [[light]]
 name = "spot"
-kind = "torch"
+kind = "lantern"
 position = [0, 0, 2]
 axis = [0, 0, -1]
 intensity = 8
 
 [[light]]
-kind = "torch"
+kind = "lantern"
 position = [0, 0, 90]
 axis = [0, 0, -1]
 intensity = [1, 2, 3]
@@ -170,7 +170,7 @@ def seen_points():
 
 def test_a_scene_file_holds_them_and_they_render(source):
     """Against the closed form."""
-    assert [type(light).__name__ for light in source.scene.lights] == ["Torch", "Torch"]
+    assert [type(light).__name__ for light in source.scene.lights] == ["Lantern", "Lantern"]
     assert type(source.scene.surfaces[0].material).__name__ == "Tape"
     points = seen_points()
     wanted = expected(2, 8, points) + expected(90, np.array([1, 2, 3]), points)
@@ -228,7 +228,7 @@ def test_a_fit_estimates_them(source, kinds):
     truth = expected(2, 8, points)[:, 1]
 
     def predict(inputs, intensity, exponent):
-        lamp = spot.Torch(jnp.array([0.0, 0, 2]), jnp.array([0.0, 0, -1]), jnp.stack([intensity]))
+        lamp = spot.Lantern(jnp.array([0.0, 0, 2]), jnp.array([0.0, 0, -1]), jnp.stack([intensity]))
         material = tape.Tape(jnp.array([0.3]), exponent)
         up = jnp.array([0.0, 0, 1])
 

@@ -202,12 +202,34 @@ def beside_light(*, name: str | None = None) -> None:
 
 def light_tables() -> dict[str, Table]:
     """The tables of all registered lights, by their `kind`."""
-    return {own.table.word: own.table for own in kinds().values() if own.table is not None}
+    return _by_word("lights", kinds())
 
 
 def material_tables() -> dict[str, Table]:
     """The tables of all registered materials, by their `family`."""
-    return {own.table.word: own.table for own in families().values() if own.table is not None}
+    return _by_word("materials", families())
+
+
+def _by_word(things: str, registered: Mapping[type, Any]) -> dict[str, Table]:
+    """The tables by their word. A class that is defined again replaces itself; two classes may not
+    share a word."""
+    found: dict[str, Table] = {}
+    tables: list[Table | None] = [own.table for own in registered.values()]
+    for table in tables:
+        if table is not None:
+            other = found.get(table.word, table)
+            if _name_of(table.record) != _name_of(other.record):
+                raise InputError(
+                    f'Two {things} have the word "{table.word}" in scene files: '
+                    f"{_name_of(other.record)} and {_name_of(table.record)}. Register one with "
+                    "another `word`."
+                )
+            found[table.word] = table
+    return found
+
+
+def _name_of(record: type) -> str:
+    return f"{record.__module__}.{record.__qualname__}"
 
 
 def keys_of_kind(table: Table) -> dict[str, Key]:
