@@ -367,6 +367,7 @@ def test_a_code_far_from_the_mean_has_its_probability(light, code):
     assert np.isfinite(slope)
 
 
+@pytest.mark.slow
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize(

@@ -639,6 +639,7 @@ def test_black_points_of_each_image_are_named():
 
 
 @pytest.mark.parametrize(("parts", "printed"), [(1, "60 30 15 8 4 2"), (3, "25 20 15 13 10 8 6")])
+@pytest.mark.sweep
 def test_times_that_cameras_print_are_replaced_by_whole_fractions_of_a_stop(parts, printed):
     times = 1 / np.array(printed.split(), float)
     exact = 2.0 ** (np.round(parts * np.log2(times)) / parts)

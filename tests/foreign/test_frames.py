@@ -447,6 +447,7 @@ def test_darks_that_hardly_leave_one_code_are_no_bad_frames(seed):
 
 
 @pytest.mark.parametrize("count", [5, 8])
+@pytest.mark.sweep
 def test_good_frames_of_a_flickering_lamp_are_not_called_smoothed(count):
     """Of pixels that are unequal by a percent, under light that falls off toward the corners."""
     die = 1 + 0.01 * np.random.default_rng(99).standard_normal((64, 64))

@@ -378,6 +378,7 @@ def test_an_offset_of_the_light_within_twice_its_error_is_not_said(offset, said)
     assert len(_light_offset(told)) == said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", [12, 16])
 @pytest.mark.sweep
 def test_dead_columns_rows_and_pixels_are_left_out(bits):
@@ -705,6 +706,7 @@ def exposed(rng, *, offset=64.0, side=128, read=4.0, dark=20.0, light=None, leve
     return flats, darks, list(times), list(photons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, 7, 8])
 @pytest.mark.sweep
 def test_bands_of_a_dimmed_lamp_are_no_camera_that_moved(seed):

@@ -251,6 +251,7 @@ def test_lamps_that_light_nothing_are_named():
     assert [s[:9] for s in idle_lamps(jv.Scene([both], [away, under, below]))] == ["lights[0]"]
 
 
+@pytest.mark.slow
 def test_ambient_light_that_is_left_out_is_named():
     sky = jv.AmbientLight([2.0])
     bare, paint = (replace(FLOOR, material=jv.Lambert([0.1], ambient=k)) for k in (None, [0.5]))

@@ -307,6 +307,7 @@ def _equations(closed):
                 yield from _equations(value)
 
 
+@pytest.mark.slow
 def test_a_linear_camera_is_called_linear():
     calibration = calibrate_noise(simulate(CameraTruth(), seed=4))
     assert calibration.chosen is calibration.linear

@@ -280,6 +280,7 @@ def test_stated_errors_are_those_of_frames_of_several_taps(kind, masters):
     check(100, simulated(100, masters, taps=TAPS[kind]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TAPS)
 @pytest.mark.sweep
 def test_frames_of_several_taps_are_undone(kind):

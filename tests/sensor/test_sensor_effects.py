@@ -55,6 +55,7 @@ def by_hand(curve, x):
 
 
 @pytest.mark.parametrize("name", CURVES)
+@pytest.mark.sweep
 def test_curves_their_inverses_and_slopes(name):
     curve = CURVES[name]
     signal = js.signal_of_charge(curve, jnp.asarray(CHARGES))
