@@ -249,13 +249,14 @@ def from_edge(
         InputError: for a picture without an edge, one that is clipped, or too small a region.
 
     Example:
+        >>> from scipy.stats import norm
         >>> from fitting import resolution
         >>> y, x = np.mgrid[:40, :40]
         >>> distance = np.cos(0.1) * (x - 19.3) + np.sin(0.1) * (y - 19.5)
-        >>> edge = 100 + 900 / (1 + np.exp(-distance / 0.5))  # a logistic edge, no aperture
+        >>> edge = 100 + 900 * norm.cdf(distance / 0.75)  # pixels
         >>> noisy = edge + np.random.default_rng(0).normal(0, 5.0, edge.shape)
         >>> found = resolution.from_edge(noisy)
-        >>> round(float(found.fwhm.mean), 1)  # pixels; 2 ln(3 + sqrt 8) / 2 = 1.76
+        >>> round(float(found.fwhm.mean), 1)  # pixels; 2.355 * 0.75 = 1.77
         1.8
     """
     picture = _one_band(plain_array("from_edge: image", image), sensor, band)

@@ -47,8 +47,8 @@ def stuck_bits(frames: Sequence[np.ndarray]) -> list[StuckBit]:
         >>> from fitting.noise.stuck_bits import stuck_bits
         >>> frames = np.random.default_rng(0).normal(900, 20, (4, 50, 60)).round()
         >>> frames[:, :, 7] = frames[:, :, 7].astype(int) | 8
-        >>> print(stuck_bits(list(frames))[0].clause[:54])
-        in column 7, where bit 3 of the codes is always 1, so
+        >>> print(stuck_bits(list(frames))[0].clause[:53])
+        in column 7, where bit 3 of the codes is always 1 and
     """
     if len(frames) < 2 or not all(np.array_equal(one, np.floor(one)) for one in frames[:2]):
         return []

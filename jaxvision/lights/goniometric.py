@@ -104,7 +104,7 @@ class GoniometricAreaLight(Light):
         >>> lamp = jv.GoniometricAreaLight([-1, 1, 2], [2, 0, 0], [0, -2, 0], [8.0], *even)
         >>> up, rule = jnp.array([0.0, 0.0, 1.0]), jv.Quadrature(32)
         >>> print(jv.irradiance(lamp, jnp.zeros(3), up, rule=rule).round(2))  # a point's: 2
-        [1.6]
+        [1.61]
     """
 
     spectra = ("intensity",)

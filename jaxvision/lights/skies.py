@@ -137,7 +137,7 @@ def sky_radiance(parameters: Float[Array, "5"], sun: Direction, direction: Direc
         >>> for at in ([0.0, 0.0, 1.0], sun):
         ...     print(jv.lights.sky_radiance(jv.lights.cie_sky(12), sun, at).round(3))
         1.0
-        6.285
+        5.163
     """
     a, b, c, d, e = parameters
     zenith = jnp.array([0.0, 0.0, 1.0], parameters.dtype)

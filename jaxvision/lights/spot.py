@@ -53,7 +53,7 @@ class SpotLight(Light):
         >>> for x in (0.0, 1.0, 2.0):  # m to the side: at 0, 27 and 45 degrees
         ...     print(jv.incident(spot, jnp.array([x, 0, 0])).irradiance.round(3))
         [2.]
-        [0.647]
+        [0.875]
         [0.]
     """
 
