@@ -196,6 +196,7 @@ def test_methods_stand_beside_each_other_in_one_row_a_quantity():
     (read_noise,), (k,), (x,) = (rows for _, rows in found.blocks)
     assert [cell.value for cell in k.cells] == ["0.2500 ± 0.0040", "0.2512 ± 0.0020"]
     assert k.difference == "+0.3 σ"  # 0.0012 over 0.004
+    assert "+0.3 σ" in as_html([section], title="")
     assert read_noise.name == "read noise"
     assert [cell.note for cell in read_noise.cells] == [0, 1]
     assert [cell.note for cell in x.cells] == [1, 1]
