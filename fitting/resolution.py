@@ -48,9 +48,11 @@ _SIGNIFICANT = 4.0  # standard errors
 _FINEST = 1.0  # cycles per pixel, the highest frequency of the free MTF
 _NARROWEST = 1e-3  # pixels: of widths in a denominator
 _LEAST_DIFFRACTION = 0.02  # pixels
-_CLIPPED = 0.2  # of all pixels at one value
+_PILED = 0.01  # of all pixels at an end of the range
+_ONE_VALUE = 0.2  # of all pixels, of a side without noise
 _CONDITION = 1e4  # of the frequencies' normal matrix
 _CHANCE = 1e-3
+_MATTERS = 0.005  # of the transfer
 _TINY = 1e-30
 _NODES = 32
 _ANGLES = np.pi * np.arange(1, _NODES + 1) / (_NODES + 1)
@@ -267,10 +269,10 @@ def from_edge(
         )
     if not reach >= _LEAST:
         raise InputError(f"from_edge: reach is {reach!r} pixels; give at least {_LEAST}.")
-    _refuse_clipped(picture, sensor)
-    pixels = _Pixels(picture, *_first_line(picture))
     if shape not in ("gaussian", "disc"):
         raise InputError(f'from_edge: shape is {shape!r}; give "gaussian" or "disc".')
+    _refuse_clipped(picture, sensor)
+    pixels = _Pixels(picture, *_first_line(picture))
     blur = Blur(shape, diffraction)
     problem, start = _problem(pixels, sensor, blur)
     found = fit(problem, start=start, misfit="inflate")
@@ -309,7 +311,8 @@ class _Pixels:
                 "from_edge: the levels on both sides are equal within the noise; give a region "
                 "with one edge."
             )
-        least = max(1e-6 * (high - low), np.finfo(np.float32).eps * abs(high))
+        step = np.diff(np.unique(self.value)).min()  # of whole numbers, which are rounded
+        least = max(step / np.sqrt(12), 1e-6 * (high - low), np.finfo(np.float32).eps * abs(high))
         bins = np.round(distance).astype(int)
         bins -= bins.min()
         mean = np.bincount(bins, self.value) / np.maximum(np.bincount(bins), 1)
@@ -358,18 +361,33 @@ def _one_band(image: Any, sensor: jv.Sensor | None, band: int | None) -> Float[n
 
 
 def _refuse_clipped(picture: Float[np.ndarray, "h w"], sensor: jv.Sensor | None) -> None:
-    """Refuse numbers at the end of their range."""
+    """Refuse numbers that pile up at an end of their range."""
     known = picture[np.isfinite(picture)]
     if known.size == 0:
         raise InputError("from_edge: no pixel of the image is a finite number.")
-    top = known.max() if sensor is None or sensor.bits is None else 2.0 ** float(sensor.bits) - 1
-    for end, name in ((top, "highest"), (known.min(), "lowest")):
-        # noise seldom repeats its extreme; a clipped side does so in most of its pixels
-        share = np.mean(known >= end) if name == "highest" else np.mean(known <= end)
-        if share > _CLIPPED and np.ptp(known) > 0 and np.std(known[known != end]) > 0:
+    codes, counts = np.unique(known, return_counts=True)
+    top = np.inf if sensor is None or sensor.bits is None else 2.0 ** float(sensor.bits) - 1
+    for end, inner, name in ((-1, -2, "highest"), (0, 1, "lowest")):
+        share = counts[end] / known.size
+        at_an_end = codes[end] >= top if name == "highest" else codes[end] == 0 and top < np.inf
+        # Noise has fewer pixels at its extreme than next to it.
+        noisy = codes.size > 2 and counts[inner] > _PILED * known.size
+        piled = noisy and counts[end] > counts[inner]
+        if share > _PILED and (at_an_end or piled):
             raise InputError(
-                f"from_edge: {share:.0%} of the pixels have the {name} value, {end:g}, so that one "
-                "side is clipped or without noise; expose so that both sides lie within the range."
+                f"from_edge: {share:.0%} of the pixels have the {name} value, {codes[end]:g}, so "
+                "that one side is clipped; expose so that both sides lie within the range."
+            )
+
+
+def _plateau(pixels: "_Pixels") -> Iterator[str]:
+    """A sentence where a side has one value only, so that it may be clipped."""
+    for value, name in ((pixels.value.max(), "highest"), (pixels.value.min(), "lowest")):
+        share = np.mean(pixels.value == value)
+        if share > _ONE_VALUE:
+            yield (
+                f"{share:.0%} of the pixels have the {name} value, {value:g}. If the range ends "
+                "there, that side is clipped, and the MTF is too high."
             )
 
 
@@ -597,6 +615,7 @@ def _findings(
     """What the reader should know, in sentences."""
     yield from result.fit.failures
     yield from result.fit.findings
+    yield from _plateau(pixels)
     if pixels.blocks is not None:
         yield (
             "Neighbouring pixels err together, as in a developed or compressed picture; intervals "
@@ -609,14 +628,14 @@ def _findings(
             "pixel only. Turn the chart by about 5 degrees."
         )
     sd = np.sqrt(np.diag(covariance))
-    if _p_value(added, covariance) < _CHANCE:
+    if np.abs(added).max() > _MATTERS and _p_value(added, covariance) < _CHANCE:
         worst = int(np.argmax(np.abs(added) / sd))
         yield (
             f"The measured MTF differs from the model's by up to {abs(added[worst]):.3f}, at "
             f"{result.frequency[worst]:.2f} cycles per pixel ({abs(added[worst]) / sd[worst]:.0f} "
             "standard errors). Use `otf`, which is measured without the model."
         )
-    if _p_value(*skew) < _CHANCE:
+    if np.abs(skew[0]).max() > _MATTERS and _p_value(*skew) < _CHANCE:
         yield (
             f"The blur is not symmetric about the edge: the transfer has an imaginary part of up "
             f"to {np.abs(skew[0]).max():.3f}. `otf` is its real part."

@@ -100,7 +100,7 @@ EDGE = noisy(expected((40, 40), 5, 0, 0.5), np.random.default_rng(1))
         (np.ones((4, 40)), {}, "at least 8 x 8"),
         (np.full((40, 40), np.nan), {}, "no pixel"),
         (np.random.default_rng(0).normal(100, 5, (40, 40)), {}, "edge"),
-        (np.minimum(expected((40, 40), 5, 0, 0.5), 600), {}, "clipped"),
+        (np.minimum(EDGE, 1000), {}, "clipped"),
         (expected((40, 12), 5, 0, 0.5) + 0.01 * np.arange(12), {}, "beside the edge"),
         (np.ones((40, 40, 3)), {}, "band is None"),
         (np.ones((40, 40)), {"diffraction": -1.0}, "diffraction is -1"),
@@ -163,3 +163,14 @@ def test_sharpening_smoothing_and_the_psf_are_told():
     told = " ".join(resolution.from_edge(sharp).findings)
     assert "sharpened" in told
     assert "err together" in told
+
+
+@pytest.mark.slow
+def test_a_synthetic_edge_of_8_bits_without_noise_is_measured():
+    """A Gaussian of full width 2.101 pixels at 16.78 degrees."""
+    mean = expected((100, 100), 16.78, 0.2, 2.101 / 2.35482, low=51.0, high=204.0)
+    found = resolution.from_edge(np.round(mean))
+    angle, width = found.fit.values["angle"], found.fit.values["blur"]
+    assert angle == pytest.approx(16.78, abs=0.005)
+    assert 2.35482 * width == pytest.approx(2.101, abs=0.003)
+    assert "highest value, 204" in " ".join(found.findings)
