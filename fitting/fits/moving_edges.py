@@ -71,8 +71,8 @@ def _geometric(problem: Problem) -> Iterator[str]:
 
 @eqx.filter_jit
 def _compared(problem: Problem, values: Values, step: Values) -> Array:
-    """Norms over blocks of pixels: of the change by a central difference over half of `step`, of
-    what the derivative misses of it, and of how far the difference depends on its step."""
+    """Three norms over blocks of pixels: of the change by a central difference over half of `step`,
+    of its difference from the derivative, and of its difference from that over the whole step."""
 
     def picture(share: Array) -> Array:
         moved = values | {name: values[name] + share * by for name, by in step.items()}

@@ -9,15 +9,13 @@ approximate, `derivatives` may give the Gauss-Newton curvature instead.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-
-from jaxvision.programs import thoroughly
 
 from .compiled import compiled_briefly
 from .parameters import numpy_or_jax
@@ -80,7 +78,6 @@ def minimise(
     derivatives: Derivatives | None = None,
     max_steps: int | Int[Array, ""] = 100,
     tolerance: float = 1e-7,
-    long: bool = False,
 ) -> NewtonSolution:
     """Minimise objective(vector, args) until a step predicts a decrease below the tolerance. Works
     under `vmap`.
@@ -92,8 +89,7 @@ def minimise(
     objective at (vector, args); None differentiates it twice.
     """
     most, enough = jnp.asarray(max_steps), jnp.asarray(tolerance, start.dtype)
-    search = _minimise_thoroughly if long else _minimise
-    return search(objective, start, args, derivatives, most, enough)
+    return _minimise(objective, start, args, derivatives, most, enough)
 
 
 def _search(
@@ -118,7 +114,6 @@ def _search(
 
 
 _minimise = compiled_briefly(_search)
-_minimise_thoroughly = cast(Any, eqx.filter_jit)(_search, compiler_options=thoroughly())
 
 
 def minimise_many(
@@ -134,10 +129,10 @@ def minimise_many(
     """As `minimise`, from several places in step, in NumPy: only the derivatives are compiled, and
     evaluated of the searches that have not ended. A `NewtonSolution` of NumPy's arrays.
 
-    `derivatives`: (n,) costs, (n, P) gradients and (n, P, P) curvatures at (n, P) vectors. `digit`:
-    unit of rounding of the costs. `careful`: the damping also holds what the data hardly see, as if
-    each number were known to 1 beforehand; else a first step may lead far away, where nothing has a
-    slope. `told`: is called with how many searches have ended."""
+    `derivatives` gives (n,) costs, (n, P) gradients and (n, P, P) curvatures at (n, P) vectors.
+    `digit` is the unit of rounding of the costs. With `careful` the damping also limits steps along
+    numbers that the data hardly determine, as a prior of width 1 would. Without it a first step may
+    end far away, where all slopes vanish. `told` is called with the number of ended searches."""
     state = _initial_state(np.array(start, np.float64), CAREFUL if careful else FIRST_DAMPING)
     how = {"digit": digit, "least": float(careful)}
     active = np.ones(len(start), bool)

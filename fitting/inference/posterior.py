@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from scipy.special import ndtr, stdtrit
 
 from jaxvision.errors import InputError
+from jaxvision.programs import on_processor
 
 from .blocks import Block, fingerprint
 from .diagnostics import identifiability
@@ -28,7 +29,6 @@ from .estimates import (
     quantile_estimate,
     sampled_estimate,
 )
-from .in_blocks import at_a_time
 from .on_host import on_host
 from .parameters import (
     Parameter,
@@ -45,6 +45,7 @@ LogDensity = Callable[[Float[Array, " parameters"], Any], Float[Array, ""]]
 
 NEARLY_PRIOR = 0.7  # posterior over prior standard deviation above which the prior dominates
 BATCH = 8  # walkers evaluated at a time: blocks of 8 beat a full vmap on a CPU
+_OF_KERNEL = 128  # times as many on an accelerator, where each operation costs a launch
 
 
 @dataclass(frozen=True)
@@ -352,9 +353,14 @@ def evaluate_density(
     return on_host(_evaluate(log_density, vectors, args), dtype=float)
 
 
+def walkers_at_a_time() -> int:
+    """How many walkers are evaluated at a time on this device."""
+    return BATCH if on_processor() else BATCH * _OF_KERNEL
+
+
 @eqx.filter_jit
 def _evaluate(log_density: LogDensity, vectors: Array, args: Any) -> Array:
     values = jax.lax.map(
-        lambda vector: log_density(vector, args), vectors, batch_size=at_a_time(BATCH)
+        lambda vector: log_density(vector, args), vectors, batch_size=walkers_at_a_time()
     )
     return jnp.where(jnp.isnan(values), -jnp.inf, values)

@@ -56,8 +56,8 @@ def unmet(
     eye: Eye,
     occluders: tuple[int, ...] | None,
 ) -> np.ndarray:
-    """Return (n,) whether no ray from the eye, and no ray from what it may see to a light, meets a
-    surface; True is certain. `occluders` are the numbers of those that block light, None: all."""
+    """Return (n,) whether no ray from the eye and no shadow ray meets a surface. True is certain,
+    False is not. `occluders` are the numbers of the surfaces that block light; None for all."""
     found = [body_of(surface.of("shape")) for surface in surfaces]
     never = np.array([body is not None for body in found])
     if eye.everywhere or not never.any():

@@ -21,13 +21,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from bench_direct_light import ours as spheres
-from bench_mcmc import BATCH, posterior_of
+from bench_mcmc import posterior_of
 from bench_mcmc import walkers as start_of_walkers
 from bench_mesh import bumpy_ball, camera_rays
 from bench_sensor import ALL, DIE
 from oracles import cornell_box
 
-from fitting.inference.in_blocks import at_a_time
+from fitting.inference.posterior import walkers_at_a_time
 from fitting.reflectance.from_images.posterior import adjusted_log_density
 from jaxvision import Vec, as_dtype, filters, histogram, render
 from jaxvision.accuracy.scene_settings import machine
@@ -73,7 +73,7 @@ def walkers() -> Program:
         def one(vector):
             return adjusted_log_density(vector, posterior)
 
-        return jax.lax.map(one, vectors, batch_size=at_a_time(BATCH))
+        return jax.lax.map(one, vectors, batch_size=walkers_at_a_time())
 
     return densities, (jnp.asarray(start_of_walkers(), jnp.result_type(float)),)
 

@@ -554,6 +554,7 @@ ELSEWHERE = (
             fitting.inference.nuts: nuts require_blackjax
             fitting.inference.on_host: on_host require_here
             fitting.inference.posterior: estimates evaluate_density laplace laplace_or_emcee sample
+            fitting.inference.posterior: walkers_at_a_time
             fitting.inference.trust: convergence_in_words is_trusted
         """,
     ),
@@ -588,7 +589,6 @@ ELSEWHERE = (
         SOLVERS,
         "test_side_by_side",
         """
-            fitting.inference.in_blocks.*
             core.side_by_side.*
         """,
     ),
