@@ -27,6 +27,7 @@ COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
 # Smaller numbers for what takes minutes as written, and files for those that a user has.
 INSTEAD = {
     "--samples 64": "--samples 1 --resolution 16,16",
+    "IMAGE ... --mask FILE": "ball_0.png ball_1.png ball_2.png --mask mask.png --kind matte --bits 16",
     "FILE ...": "paint.binary",
     "CAMERA": "emva1288",
     "check brdf": "check brdf --simulations 4",
@@ -71,6 +72,12 @@ def workplace(tmp_path, monkeypatch, lab):
     write_image(tmp_path / "photo.png", np.arange(6000, dtype=np.uint16).reshape(40, 50, 3))
     for kind in ("noise", "response", "brdf"):
         (tmp_path / kind).symlink_to(lab[0] / kind)
+    x, y = np.meshgrid(*2 * [np.linspace(-1.2, 1.2, 49)])
+    z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+    write_image(tmp_path / "mask.png", np.uint8(255 * (z > 0)))
+    for i, light in enumerate([(0.5, 0.0, 0.866), (-0.5, 0.0, 0.866), (0.0, 0.6, 0.8)]):
+        shading = np.maximum(light[0] * x - light[1] * y + light[2] * z, 0) * (z > 0)
+        write_image(tmp_path / f"ball_{i}.png", np.uint16(30000 * shading))
     (tmp_path / "init").mkdir()
     for ms in (2, 4):
         write_image(tmp_path / "init" / f"flat_{ms}ms_0.tif", np.full((6, 8), 99 * ms, np.uint16))
