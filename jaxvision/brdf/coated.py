@@ -131,7 +131,7 @@ def _returned(material: Coated) -> Colour:
     eta = material.interface.eta
     critical = safe_sqrt((eta - 1) * (eta + 1)) / eta
 
-    def crossed(cosine: Float[Array, "_"]) -> Float[Array, "_"]:  # twice; (1,) or (bands,)
+    def crossed(cosine: Float[Array, " _"]) -> Float[Array, " _"]:  # twice; (1,) or (bands,)
         if material.optical_depth is None:
             return jnp.ones_like(cosine)
         return jnp.exp(-2 * material.optical_depth / cosine)

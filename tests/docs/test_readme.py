@@ -27,7 +27,7 @@ COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
 # Smaller numbers for what takes minutes as written, and files for those that a user has.
 INSTEAD = {
     "--samples 64": "--samples 1 --resolution 16,16",
-    "IMAGE ... --mask FILE": "ball_0.png ball_1.png ball_2.png --mask mask.png --kind matte --bits 16",
+    "IMAGE ... --mask FILE": "ball_0.png ball_1.png ball_2.png --mask mask.png --kind matte",
     "FILE ...": "paint.binary",
     "CAMERA": "emva1288",
     "check brdf": "check brdf --simulations 4",
