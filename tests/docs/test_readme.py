@@ -27,7 +27,7 @@ COMMANDS = {"jaxvision": jaxvision.cli.app, "jaxvision-fit": fitting.cli.app}
 # Smaller numbers for what takes minutes as written, and files for those that a user has.
 INSTEAD = {
     "--samples 64": "--samples 1 --resolution 16,16",
-    "IMAGE ... --mask FILE": "ball_0.png ball_1.png ball_2.png --mask mask.png --kind matte",
+    "IMAGE ... --mask FILE": "b0.png b1.png b2.png --bits 16 --mask mask.png --kind matte",
     "FILE ...": "paint.binary",
     "CAMERA": "emva1288",
     "check brdf": "check brdf --simulations 4",
@@ -77,7 +77,7 @@ def workplace(tmp_path, monkeypatch, lab):
     write_image(tmp_path / "mask.png", np.uint8(255 * (z > 0)))
     for i, light in enumerate([(0.5, 0.0, 0.866), (-0.5, 0.0, 0.866), (0.0, 0.6, 0.8)]):
         shading = np.maximum(light[0] * x - light[1] * y + light[2] * z, 0) * (z > 0)
-        write_image(tmp_path / f"ball_{i}.png", np.uint16(30000 * shading))
+        write_image(tmp_path / f"b{i}.png", np.uint16(30000 * shading))
     (tmp_path / "init").mkdir()
     for ms in (2, 4):
         write_image(tmp_path / "init" / f"flat_{ms}ms_0.tif", np.full((6, 8), 99 * ms, np.uint16))

@@ -172,7 +172,12 @@ def mosaic_sensor(pattern, names):
 
 
 @pytest.mark.parametrize(
-    ("phase", "shift"), [("RGGB", (0, 0)), ("BGGR", (1, 1)), ("GRBG", (0, 1)), ("GBRG", (1, 0))]
+    ("phase", "shift"),
+    [
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in [("RGGB", (0, 0)), ("GRBG", (0, 1))]),
+        ("BGGR", (1, 1)),
+        pytest.param("GBRG", (1, 0), marks=pytest.mark.slow),
+    ],
 )
 def test_frames_of_another_phase_are_predicted_by_colour(phase, shift):
     """A frame that begins one row or column later has the same pixels under other places; green

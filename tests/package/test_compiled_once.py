@@ -23,7 +23,7 @@ import jaxvision
 from jaxvision.scene import FastPoissonShotNoise, PoissonShotNoise, Sensor
 from jaxvision.sensor import count, exposed, raw_image
 
-QUICK = {"compositing", "matting", "point_ops"}
+QUICK = {"compositing", "point_ops"}
 # One for each loop that many functions of a slow room share.
 QUICKLY = [
     ("measured", "brdf.rgl.sample"),

@@ -260,7 +260,13 @@ def sizes(strips):
     return np.array([[float(number) for number in one.groups()] for one in found])
 
 
-@pytest.mark.parametrize(("widest", "columns"), [(600, [4]), (300, [2, 2]), (200, [1] * 4)])
+@pytest.mark.parametrize(
+    ("widest", "columns"),
+    [
+        (300, [2, 2]),
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in [(600, [4]), (200, [1] * 4)]),
+    ],
+)
 def test_a_wide_figure_is_cut_between_its_columns(widest, columns):
     strips = figure_strips(lambda: panels(4, 8), widest=widest)
     kept = [sorted(map(int, re.findall(r">x (\d)<", svg))) for svg in strips]

@@ -247,7 +247,13 @@ def missed(found, normals):
     return off, np.mean((off > 2.448 * found.normal_sd.ravel())[normals[:, 2] > 0.85])
 
 
-@pytest.mark.parametrize("exposures", [[1, 1.3, 1, 1], [1, 0.95, 0.9, 0.85], 3 * [1, 1.1]])
+@pytest.mark.parametrize(
+    "exposures",
+    [
+        [1, 1.3, 1, 1],
+        *(pytest.param(e, marks=pytest.mark.slow) for e in ([1, 0.95, 0.9, 0.85], 3 * [1, 1.1])),
+    ],
+)
 def test_factors_that_all_pixels_ask_for_are_named_and_allowed_for(exposures):
     lights, normals = ring(len(exposures)), ball(30).reshape(-1, 3)
     readings = photons(lights, normals, exposures)
@@ -264,7 +270,7 @@ def test_factors_that_all_pixels_ask_for_are_named_and_allowed_for(exposures):
     assert np.degrees(np.nanmedian(missed(right, normals)[0][normals[:, 2] > 0.85])) < 2
 
 
-@pytest.mark.parametrize("count", [5, 8])
+@pytest.mark.parametrize("count", [5, pytest.param(8, marks=pytest.mark.slow)])
 def test_an_image_of_another_exposure_is_left_out_of_few(count):
     lights, normals = ring(count), ball(30).reshape(-1, 3)
     readings = photons(lights, normals, np.where(np.arange(count) == 1, 1.3, 1))
@@ -276,7 +282,7 @@ def test_an_image_of_another_exposure_is_left_out_of_few(count):
     assert out < 0.1
 
 
-@pytest.mark.parametrize("brighter", [2, 4])
+@pytest.mark.parametrize("brighter", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_right_intensities_that_differ_are_not_called_wrong(brighter):
     """The noise of photons grows with the light, which had passed for a surface not Lambert's."""
     lights, normals = ring(8), ball(30).reshape(-1, 3)
@@ -289,7 +295,9 @@ def test_right_intensities_that_differ_are_not_called_wrong(brighter):
     assert 0.91 < np.mean(z < 1.96) < 0.98  # was all of them, of errors three times too large
 
 
-@pytest.mark.parametrize("albedo", [1.0, np.linspace(0.1, 1, 900)])
+@pytest.mark.parametrize(
+    "albedo", [pytest.param(1.0, marks=pytest.mark.slow), np.linspace(0.1, 1, 900)]
+)
 def test_noise_that_grows_with_the_reading_is_not_called_another_surface(albedo):
     """Background pixels, kept where their noise is above 0, had passed for departures."""
     lights, normals = hemisphere(64, 0.5), ball(30).reshape(-1, 3)

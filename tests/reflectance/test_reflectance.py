@@ -537,6 +537,7 @@ def test_derivatives_are_those_that_jax_takes_of_the_density(observation, form, 
             np.testing.assert_allclose(ours / unit, jaxs / unit, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_programs_grow_neither_with_pixels_nor_with_lights_nor_with_channels(tmp_path):
     """Of a second calibration, of other photographs, only the density of its cells and the angles
     of its pixels are compiled anew; of all models a lobe each, and few besides."""

@@ -273,6 +273,7 @@ def test_a_channel_that_fails_is_named_and_the_others_are_written(tmp_path):
     section.pictures[3].draw()
 
 
+@pytest.mark.slow
 def test_a_small_picture_keeps_its_pixels_near_clipped_ones():
     """Raw pixels that a few clipped ones all are next to: nothing else would remain."""
     rng, times = np.random.default_rng(3), 2.0 ** np.arange(-4, 3)

@@ -317,7 +317,7 @@ def test_a_full_well_cuts_counts_with_the_bias_that_is_stated():
     assert (slope[number > well - 0.5] < 1).all()
 
 
-@pytest.mark.sweep
+@pytest.mark.slow
 @pytest.mark.parametrize(("well", "most"), [(5, 0.037), (10, 0.014), (100, 9e-4)])
 def test_a_full_well_biases_the_slope_of_mean_squares_as_stated(well, most):
     """Of squares of Poisson counts up to the mean that fills the well."""
@@ -380,6 +380,7 @@ def test_defects_have_slopes_by_what_they_draw_from():
     assert abs(float(by_light) / 9e4 - 0.7) < 3 * np.sqrt(0.21 / 9e4)
 
 
+@pytest.mark.slow
 def test_charge_transfer_has_unbiased_moments():
     """A packet of mean m leaves the share eps behind: with a full well, which it never fills, by a
     draw of its own."""

@@ -329,7 +329,7 @@ def test_slots_share_out_each_rows_exposure(line_time):
 
 
 @pytest.mark.parametrize("slots", [2, 3, 4, 7])
-@pytest.mark.parametrize("exposure", [2.0, 12.0, 45.0])
+@pytest.mark.parametrize("exposure", [2.0, pytest.param(12.0, marks=pytest.mark.slow), 45.0])
 def test_a_linear_ramp_is_averaged_exactly_however_slots_fall(slots, exposure):
     """Rows 10 s apart: the mean of t over a row's exposure is the middle of it."""
     shutter, time = s.RollingShutter(10.0), jnp.asarray(exposure)
@@ -337,6 +337,7 @@ def test_a_linear_ramp_is_averaged_exactly_however_slots_fall(slots, exposure):
     np.testing.assert_allclose(seen[:, 0, 0], 10 * np.arange(4) + exposure / 2, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_parabola_is_averaged_with_the_square_of_the_slots():
     """The mean of t^2 over begin .. end is (end^3 - begin^3) / 3 / (end - begin)."""
     shutter, begin = s.RollingShutter(10.0), 10 * np.arange(4)

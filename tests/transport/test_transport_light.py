@@ -353,6 +353,7 @@ def test_light_traced_is_path_traced():
     assert totals[0] == pytest.approx(totals[1], rel=0.01)
 
 
+@pytest.mark.slow
 def test_light_reaches_a_lens_that_distorts():
     """A wall under a point light, seen through a barrel: k_d I cos / d^2 where each pixel's ray
     meets it, its slope undistorted by bisection in NumPy; the sum over quarters of the picture."""
