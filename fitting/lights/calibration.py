@@ -35,6 +35,8 @@ OUTLINE_SD = 0.5  # pixels
 INSIDE = 0.97  # of the radius: where highlights are looked for
 STEP = 1e-3  # pixels
 NOT_MATTE = 0.03  # of the largest signal: a residual that is told
+CONTRADICTED = 3.5  # standard deviations between the outlines of mask and shading: told
+FOCAL = 5000.0  # pixels: of a lens of 25 mm and pixels of 5 micrometres
 SEEN_FROM = 0.5  # of a light's distance: the largest standard deviation of a position
 
 
@@ -120,7 +122,24 @@ def calibrate(
         "lights all but one are wrong."
         for same in copies.found
     )
+    if focal_length is None:
+        told += _of_no_lens(found, lens.centre)
     return Lights(**{**found.__dict__, "findings": (*told, *found.findings)})
+
+
+def _of_no_lens(found: Lights, middle: tuple[float, float]) -> tuple[str, ...]:
+    """What a lens that was not stated could change, where this is more than the errors."""
+    beside = np.hypot(*(found.outlines[:, :2] - middle).T) + found.outlines[:, 2]
+    turn, sd = float(beside.max()) / FOCAL, np.median(found.place_sd)
+    if found.near:
+        sd = sd / np.median(np.linalg.norm(found.places, axis=1))
+    if turn < sd / 2:
+        return ()
+    return (
+        "The view was taken as orthographic. Through a lens of focal length f, in pixels, "
+        f"directions differ by up to {beside.max():.0f} / f rad; at f = {FOCAL:.0f} these are "
+        f"{np.degrees(turn):.2g} degrees. State the focal length.",
+    )
 
 
 def _grey(name: str, image: ArrayLike) -> Float[np.ndarray, "h w"]:
@@ -270,6 +289,20 @@ def _from_shading(
     covariance, each = shared.copy(), np.arange(len(names))
     covariance[each, :, each, :] += to_four @ found.own @ np.swapaxes(to_four, 1, 2)
     findings = _outline_findings([outline])
+    if found.floor:
+        findings += (
+            f"Pixels of the ball that are turned from a light read {found.floor:.4g} DN above "
+            "black (median). This was taken off all numbers. Camera.black_level is wrong, or the "
+            "room was not dark.",
+        )
+    off = np.abs(found.values - outline.values) / np.sqrt(np.diag(outline.covariance))
+    if off.max() > CONTRADICTED:
+        findings += (
+            f"The shading has its outline at ({found.values[0]:.2f}, {found.values[1]:.2f}) with a "
+            f"radius of {found.values[2]:.2f} pixels, {off.max():.1f} standard deviations from the "
+            "mask's. The mask is wrong, or the ball is not Lambert's; directions may be further "
+            "off than their standard deviations say.",
+        )
     if found.misfit > NOT_MATTE:
         findings += (
             "The ball is not Lambert's: readings differ from g.n by "

@@ -9,7 +9,7 @@ with D_k = d(N g_k)/do. Residuals that neighbouring pixels share count as fewer 
 design effect of sectors of the ball.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,6 +24,8 @@ ROUNDS = 4  # of the outline
 SIGHT = 0.9  # of the radius: pixels that count
 FEWEST = 50  # pixels
 STEP = 1e-3  # pixels
+UNLIT = 0.1  # -n.l of pixels that should read black
+SMALL = 0.002  # of the largest signal: a reading of the unlit side that changes no direction
 SECTORS, RINGS = 8, 3
 
 
@@ -39,6 +41,7 @@ class Shading:
         by_outline: (lights, 3, 3) dg/do.
         misfit: rms residual over the largest signal, median over lights.
         effect: design effect of the residuals.
+        floor: DN that pixels turned from the lights read, which was taken off.
     """
 
     values: Float[np.ndarray, "3"]
@@ -48,6 +51,7 @@ class Shading:
     by_outline: Float[np.ndarray, "lights 3 3"]
     misfit: float
     effect: float
+    floor: float = 0.0
 
 
 def shading_of(
@@ -58,7 +62,50 @@ def shading_of(
     *,
     names: list[str],
 ) -> Shading:
-    """Lights and outline together, by Gauss and Newton's method; signals above black, DN."""
+    """Lights and outline together, by Gauss and Newton's method; signals above black, DN.
+
+    What the unlit side reads above black, of a black level or of room light, is taken off.
+    """
+    found = _shading(signals, ball, clip, outline, names)
+    floor = _floor(signals, ball, found, outline)
+    if floor == 0:
+        return found
+    return replace(_shading(signals - floor, ball, clip - floor, outline, names), floor=floor)
+
+
+def _floor(
+    signals: Float[np.ndarray, "lights h w"],
+    ball: Bool[np.ndarray, "h w"],
+    found: Shading,
+    outline: Outline,
+) -> float:
+    """DN that pixels read where n.l < 0, 0 where that is within its standard error or small."""
+    rows, columns = np.nonzero(ball)
+    pixels = np.stack([columns, rows], axis=1).astype(float)
+    inner = np.hypot(*(pixels - found.values[:2]).T) < SIGHT * found.values[2]
+    normals = surface(found.values, pixels[inner], outline.lens)[0]
+    size = np.linalg.norm(found.g, axis=1)
+    unlit = found.g @ normals.T < -UNLIT * size[:, None]
+    readings = signals[:, rows[inner], columns[inner]]
+    kept = unlit.sum(axis=1) >= FEWEST
+    if not kept.any():
+        return 0.0
+    of_light = np.array(
+        [np.median(line[at]) for line, at in zip(readings[kept], unlit[kept], strict=True)]
+    )
+    floor, largest = float(np.median(of_light)), float(size.max())
+    spread = 1.4826 * float(np.median(np.abs(readings[kept][unlit[kept]] - floor)))
+    sd = 1.2533 * spread / np.sqrt(unlit[kept].sum())
+    return floor if abs(floor) > max(4 * sd, SMALL * largest) else 0.0
+
+
+def _shading(
+    signals: Float[np.ndarray, "lights h w"],
+    ball: Bool[np.ndarray, "h w"],
+    clip: float,
+    outline: Outline,
+    names: list[str],
+) -> Shading:
     rows, columns = np.nonzero(ball)
     whole = np.stack([columns, rows], axis=1).astype(float)
     prior = np.linalg.inv(outline.covariance)

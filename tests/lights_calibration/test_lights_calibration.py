@@ -106,6 +106,26 @@ def test_intervals_of_directions_hold(kind):
     assert np.mean(square < chi2.ppf(0.95, dof)) > 0.92
 
 
+@pytest.mark.parametrize("floor", [0.0, 300.0])
+def test_what_the_unlit_side_reads_is_taken_off(floor):
+    """A black level that is not stated, or room light, had turned directions by 3 degrees."""
+    images, mask, truth, _ = simulated("matte", 3)
+    found = calibrate([one + floor for one in images], [mask], camera=CAMERA, kind="matte")
+    assert np.abs(standardised(found, truth)[0]).max() < 4
+    told = [text for text in found.findings if "turned from a light read" in text]
+    assert len(told) == (floor > 0)
+    if told:
+        assert float(told[0].split("read ")[1].split()[0]) == pytest.approx(floor, abs=2)
+
+
+def test_outlines_of_mask_and_shading_that_differ_and_a_view_without_lens_are_told():
+    images, _, _, _ = simulated("matte", 3, off=0.0)
+    mask = np.hypot(COLUMNS - (SIDE - 1) / 2, ROWS - (SIDE - 1) / 2) < RADIUS + 5
+    found = calibrate(images, [mask], camera=CAMERA, kind="matte")
+    assert "standard deviations from the mask's" in str(found)
+    assert "Through a lens of focal length f" in str(found)
+
+
 def test_an_outline_off_as_a_whole_turns_all_directions_alike():
     images, mask, truth, _ = simulated("mirror", 1, off=0.0)
     there = calibrate(images, [mask], camera=CAMERA)
