@@ -10,6 +10,7 @@ programs write other line ends, commas or a byte order mark, and texts in Latin-
 
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -17,12 +18,14 @@ from typing import NoReturn
 import numpy as np
 
 from ..errors import InputError
-from ..lights import Luminaire
-from ..lights.goniometric import System
+from ..lights import Luminaire, flux, goniometric_light
+from ..lights.goniometric import LUMINOUS_EFFICACY, System
 from ._plain_content import check_size
 
 FOOT = 0.3048  # m
 MOST = 5000  # angles of either kind
+RATIO = 0.05  # of a stated light output ratio: what a coarse grid of angles may miss
+MORE = 1.2  # times the lamps' lumens: what leaves a luminaire at most, with a ballast's factor
 _BRIGHTEST = 1e9  # cd: a lighthouse has 1e6 or so
 _SQUARE = math.sqrt(math.pi / 4)
 
@@ -113,6 +116,15 @@ class _Numbers:
             )
         return found
 
+    def end(self) -> None:
+        """No number may be left: a decimal comma makes two of one."""
+        left = self.words[self.taken :]
+        if left and _is_number(left[0]):
+            self.fail(
+                f"holds {len(left)} numbers more than its heads ask for; where numbers have "
+                "decimal commas, write points, else correct its heads."
+            )
+
 
 def _is_number(word: str) -> bool:
     try:
@@ -160,6 +172,7 @@ def _ies(path: Path, lines: list[str]) -> Luminaire:
     turns = (-180.0, 360.0) if system == "C" else (-90.0, 90.0)
     horizontal = numbers.angles(columns, "horizontal angles", *turns)
     table = factor * numbers.take(rows * columns, "candela values").reshape(columns, rows).T
+    numbers.end()
     if system == "C":
         _check_polar(numbers, vertical)
         horizontal, table = _whole_turn(numbers, horizontal, table)
@@ -243,7 +256,9 @@ def _made(
     watts: float,
     system: System,
     name: str,
+    stated: float = 0.0,
 ) -> Luminaire:
+    """`stated` percent of the lamps' lumens leave it; 0 where the file does not say."""
     if table.min() < 0 or table.max() > _BRIGHTEST:
         numbers.fail(
             f"candela values run from {table.min():g} to {table.max():g} cd, where a lamp has 0 to "
@@ -254,7 +269,22 @@ def _made(
     if np.abs(opening).max() > 100:
         numbers.fail(f"its luminous opening is {opening.max():g} m wide; correct it or its units.")
     angles = np.radians(vertical), np.radians(horizontal)
-    return Luminaire(table, *angles, opening, lumens, watts, system=system, name=name)
+    lamp = Luminaire(table, *angles, opening, lumens, watts, system=system, name=name)
+    leaves = LUMINOUS_EFFICACY * float(flux(goniometric_light(lamp, [0.0, 0.0, 0.0]))[0])
+    if leaves > MORE * lumens:
+        warnings.warn(
+            f"{numbers.path}: {leaves:.4g} lm leave a luminaire whose lamps give {lumens:.4g} lm; "
+            "its candela values, their multiplier or the lamps' lumens are wrong.",
+            stacklevel=4,
+        )
+    elif stated and abs(100 * leaves / lumens - stated) > RATIO * stated:
+        warnings.warn(
+            f"{numbers.path}: states a light output ratio of {stated:g} % (line 23), and its "
+            f"intensities send {100 * leaves / lumens:.3g} % of its lamps' {lumens:.4g} lm; one of "
+            "them is wrong.",
+            stacklevel=4,
+        )
+    return lamp
 
 
 # ---------------------------------------------------------------- EULUMDAT
@@ -273,13 +303,15 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
     planes = at(4).count("number of C planes (line 4)", 1)
     rows = at(6).count("number of angles (line 6)", 2)
     size = [at(i).one(f"line {i}", 0, 1e5) / 1000 for i in (16, 17, 18)]  # m
+    ratio = at(23).one("light output ratio (line 23)", 0, 1e4)
     factor = at(24).one("conversion factor (line 24)", 0, 1e6)
     sets = at(26).count("number of lamp sets (line 26)", 1, 20)
     start = 26 + 6 * sets
+    flux_line, watts_line = _of_first_set(path, lines[26:start], sets)
     if len(lines) < start + 10:
         raise InputError(f"{path}: ends within its sets of lamps; it is cut off.")
-    lumens = at(27 + 2 * sets).one("flux of the lamps", 0, 1e10)
-    watts = at(27 + 5 * sets).one("power of the lamps", 0, 1e7)
+    lumens = at(flux_line).one("flux of the lamps", 0, 1e10)
+    watts = at(watts_line).one("power of the lamps", 0, 1e7)
     words = [line.strip().replace(",", ".") for line in lines[start + 10 :] if line.strip()]
     numbers = _Numbers(path, words)
     turns = numbers.angles(planes, "C planes", 0, 360)
@@ -295,6 +327,7 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
     if kept > planes or (symmetry > 1 and planes % 4):
         numbers.fail(f"symmetry {symmetry} needs a multiple of 4 C planes, got {planes}.")
     table = numbers.take(rows * kept, "intensities").reshape(kept, rows).T
+    numbers.end()
     table = table * (factor * lumens / 1000)
     if symmetry == 1:
         horizontal = turns[:1]
@@ -307,4 +340,22 @@ def _eulumdat(path: Path, lines: list[str]) -> Luminaire:
         length = width = length * _SQUARE
     opening = np.array([width, length, height])
     name = lines[8].strip()
-    return _made(numbers, table, vertical, horizontal, opening, lumens, watts, "C", name)
+    return _made(numbers, table, vertical, horizontal, opening, lumens, watts, "C", name, ratio)
+
+
+def _of_first_set(path: Path, lines: Sequence[str], sets: int) -> tuple[int, int]:
+    """The lines of the first set's lumens and watts: the standard stores field by field, and many
+    programs set by set. The fields are number, type, lumens, colour, rendering and watts."""
+
+    def holds_numbers(stride: int, step: int) -> bool:
+        places = [field * stride + one * step for field in (0, 2, 5) for one in range(sets)]
+        return all(_is_number(lines[i].strip().replace(",", ".")) for i in places)
+
+    if len(lines) < 6 * sets or holds_numbers(sets, 1):
+        return 27 + 2 * sets, 27 + 5 * sets
+    if holds_numbers(1, 6):
+        return 29, 32
+    raise InputError(
+        f"{path}: the {sets} sets of lamps (line 27 on) have no numbers where their counts, lumens "
+        "and watts are due; correct them."
+    )

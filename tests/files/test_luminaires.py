@@ -106,7 +106,7 @@ def test_symmetric_planes_are_filled_in(planes, mirrors, tmp_path):
     table = rng.uniform(100, 900, (len(planes), 3))
     if planes[-1] == 360:
         table[-1] = table[0]
-    lamp = read(tmp_path, ies(table=table, vertical=[0, 45, 90], horizontal=planes))
+    lamp = read(tmp_path, ies(table=table, vertical=[0, 45, 90], horizontal=planes, lumens=-1))
     light = jv.goniometric_light(lamp, [0, 0, 0])
     for plane, row in zip(planes, table, strict=True):
         for c in np.radians(mirrors(plane)):
@@ -125,10 +125,10 @@ def test_types_a_and_b_are_mirrored_from_zero(system, tmp_path):
     np.testing.assert_allclose(lamp.candela[-1], table[[2, 1, 0, 1, 2], -1], rtol=1e-5)
 
 
-def eulumdat(symmetry, planes, table, *, lumens=2000.0, factor=1.0, sets=1, end="\r\n"):
+def eulumdat(symmetry, planes, table, *, lumens=2000.0, factor=1.0, sets=1, ratio=100, end="\r\n"):
     count = len(planes)
     lines = ["maker", 1, symmetry, count, 0, len(GAMMA), 5, "r", "floor lamp", "n", "f", "d"]
-    lines += [600, 300, 80, 500, 200, 0, 0, 0, 0, 100, 85, factor, 0, sets]
+    lines += [600, 300, 80, 500, 200, 0, 0, 0, 0, 100, ratio, factor, 0, sets]
     lamps = [[1] * sets, ["LED"] * sets, [lumens, 9.0][:sets], ["830"] * sets, [80] * sets]
     lines += [x for of_kind in (*lamps, [18] * sets) for x in of_kind] + [0] * 10
     lines += [*planes, *GAMMA, *np.ravel(table)]
@@ -144,12 +144,12 @@ def test_eulumdat(symmetry, first, kept, sets, tmp_path):
     the flux is the share of the lamps' that 1000 / pi cd for 1000 lm and the cosine make: all."""
     planes = np.arange(0, 360, 45)
     table = np.broadcast_to(np.cos(np.radians(GAMMA)) * 1000 / np.pi, (kept, len(GAMMA))).copy()
-    tall = table * (1 + 0.1 * np.arange(kept)[:, None])
+    tall = table / (1 + 0.1 * np.arange(kept)[:, None])
     lamp = read(tmp_path, eulumdat(symmetry, planes, table, sets=sets), "lamp.ldt")
     assert flux(lamp) == pytest.approx(2000, rel=1e-3)
     np.testing.assert_allclose(lamp.opening, [0.2, 0.5, 0])
     assert (lamp.name, float(lamp.watts)) == ("floor lamp", 18)
-    lamp = read(tmp_path, eulumdat(symmetry, planes, tall), "lamp.ldt")
+    lamp = read(tmp_path, eulumdat(symmetry, planes, tall, ratio=0), "lamp.ldt")
     own = np.degrees(np.asarray(lamp.horizontal))
     for k in range(kept):
         plane = planes[(first + k) % 8]
@@ -157,9 +157,31 @@ def test_eulumdat(symmetry, first, kept, sets, tmp_path):
         assert lamp.candela[0, at] == pytest.approx(2 * tall[k, 0], rel=1e-5)
 
 
+def test_sets_of_lamps_are_read_in_either_order(tmp_path):
+    """The standard has all numbers of lamps, then all types; many programs have one whole set, then
+    the next."""
+    planes, table = np.arange(0, 360, 45), np.cos(np.radians(GAMMA)) * 1000 / np.pi
+    lines = eulumdat(1, planes, table, sets=2).split("\r\n")
+    lines[26:38] = [lines[26 + 2 * field + one] for one in (0, 1) for field in range(6)]
+    lamp = read(tmp_path, "\r\n".join(lines), "lamp.ldt")
+    assert (float(lamp.lumens), float(lamp.watts)) == (2000, 18)
+    lines[26:38] = [*lines[27:38], "0"]
+    with pytest.raises(InputError, match=r"the 2 sets of lamps .* have no numbers where"):
+        read(tmp_path, "\r\n".join(lines), "lamp.ldt")
+
+
+def test_light_that_the_lamps_do_not_have_is_told(tmp_path):
+    with pytest.warns(UserWarning, match=r"3.14e.04 lm leave a luminaire whose lamps give 3142 lm"):
+        read(tmp_path, ies(multiplier=10))
+    planes, table = np.arange(0, 360, 45), np.cos(np.radians(GAMMA)) * 1000 / np.pi
+    with pytest.warns(UserWarning, match=r"ratio of 85 % .*, and its intensities send 99.9 % of"):
+        read(tmp_path, eulumdat(1, planes, table, ratio=85), "lamp.ldt")
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        (ies().replace("1000", "1000,5"), "holds 1 numbers more .* decimal commas, write points"),
         ("nothing here", "has no line TILT="),
         (ies()[:-60], r"ends within candela values, after \d+ of 19 numbers; it is cut off"),
         (ies(vertical=GAMMA + 2.5), "vertical angles run from 2.5 to 92.5 degrees, where a lamp"),
