@@ -35,7 +35,7 @@ def draw(script: Path, folder: Path) -> Path:
         picture = folder / f"{script.stem}.png"
         has_pixels = any(axes.images for axes in plt.gcf().axes)
         dots = STYLE["figure.dpi"] if has_pixels else FINE
-        plt.savefig(picture, metadata={"Software": None}, dpi=dots)
+        plt.savefig(picture, metadata={"Software": None}, dpi=dots, pil_kwargs={"optimize": True})
         plt.close("all")
     return picture
 

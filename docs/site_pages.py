@@ -20,7 +20,8 @@ HERE = Path(__file__).parent
 GALLERY = {  # the gallery's scripts by topic, in the order of the page
     "Light and surfaces": "ball lobes coats sky lamps daylight black_bodies separation gradient",
     "Shadows and global illumination": "soft_shadow cornell_box radiosity glass_and_mirror",
-    "Cameras and lenses": "defocus apertures vignetting shift_variant diffraction rolling_shutter",
+    "Cameras and lenses": "defocus apertures vignetting shift_variant diffraction aberrations"
+    " rolling_shutter",
     "Sensors and files": "noise photon_transfer blooming demosaicing jpeg",
     "Points and filters": "tone equalisation smoothing orientation borders",
     "Compositing": "blue_screen pyramid_blend",

@@ -303,6 +303,7 @@ from .scene import (
     ToneCurve as ToneCurve,
     TriangleMesh as TriangleMesh,
     UnsharpMask as UnsharpMask,
+    Wavefront as Wavefront,
     WhiteBalance as WhiteBalance,
 )
 from .sensor import (

@@ -52,6 +52,7 @@ _WORDS = {
     "vignetting vignette cos4 falloff": "sensor_irradiance Rim point_ops.vignette",
     "chromatic_aberration": "optics.chromatic_defocus Distortion",
     "airy point_spread_function psf": "optics.airy_pattern Diffraction",
+    "aberration coma astigmatism spherical_aberration strehl": "Wavefront optics.zernike",
     # sensor
     "ccd cmos image_sensor": "Sensor read_camera",
     "shutter exposure shutter_time shutter_speed": "exposure_time",

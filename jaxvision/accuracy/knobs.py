@@ -257,7 +257,12 @@ _OF_CAMERAS = (
         (3, 9, 17, 33),
         (65, 97),
         order=-1.0,
-        sets=("*.Diffraction.size", "*.airy_kernel.size"),
+        sets=(
+            "*.Diffraction.size",
+            "*.airy_kernel.size",
+            "*.Wavefront.size",
+            "*.wavefront_kernel.size",
+        ),
     ),
     Knob(
         "diffraction nodes",
@@ -266,7 +271,7 @@ _OF_CAMERAS = (
         (1, 2, 4, 8),
         (12, 16),
         law="geometric",
-        sets=("*.airy_kernel.order",),
+        sets=("*.airy_kernel.order", "*.wavefront_kernel.order", "*.Wavefront.order"),
     ),
     Knob(
         "shot noise",

@@ -18,8 +18,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..optics import airy_kernel, aperture_area, chief_slope, sensor_irradiance, sensor_vergence
-from ..scene import Orthographic, Pinhole, ThinLens, View
+from ..optics import aperture_area, chief_slope, sensor_irradiance, sensor_vergence
+from ..optics.diffraction import lens_kernel
+from ..scene import Orthographic, Pinhole, ThinLens, View, Wavefront
 from .boxes import corners, refuse_tracers
 from .cells import lens_radius
 from .certificate import IRRADIANCE, Effect
@@ -212,15 +213,18 @@ def diffraction(
     for lens in lenses:
         if not (isinstance(lens, ThinLens) and lens.diffraction is not None):
             continue
-        f_number = (
-            lens.f_number if math.isfinite(float(lens.f_number)) else jnp.ones_like(lens.f_number)
-        )
-        working, pitch = f_number / (sensor_vergence(lens) * lens.focal_length), lens.pixel_pitch
-        wavelength, fine = lens.diffraction.wavelength, pitch / oversampling
-        if len(lenses) > 1:
-            middles.append(on_pixel(np.asarray(wavelength * working / fine, float)) - _SHARES)
+        fine = lens.pixel_pitch / oversampling
+        if len(lenses) == 1:
+            kernel = lens_kernel(lens, lens.diffraction, fine)
+        elif isinstance(lens.diffraction, Wavefront):
+            return irradiance, 0.0, "aberrations may take all light from the middle pixel"
+        else:
+            closed = not math.isfinite(float(lens.f_number))
+            f_number = jnp.ones_like(lens.f_number) if closed else lens.f_number
+            working = f_number / (sensor_vergence(lens) * lens.focal_length)
+            wide = lens.diffraction.wavelength * working / fine
+            middles.append(on_pixel(np.asarray(wide, float)) - _SHARES)
             continue
-        kernel = airy_kernel(wavelength, working, fine, size=lens.diffraction.size)
         middles.append(np.asarray(kernel, float)[kernel.shape[0] // 2, kernel.shape[1] // 2])
     least = np.min(middles, axis=0)
     why = f"the middle pixel keeps {float(np.min(least)):.3g}"

@@ -19,6 +19,7 @@ from .diffraction import (
     airy_radius as airy_radius,
     diffracted as diffracted,
     diffraction_mtf as diffraction_mtf,
+    lens_kernel as lens_kernel,
 )
 from .distortion import (
     distort as distort,
@@ -65,3 +66,4 @@ from .views import (
     view_ray as view_ray,
 )
 from .vignetting import clear_fraction as clear_fraction
+from .wavefront import wavefront_kernel as wavefront_kernel, zernike as zernike

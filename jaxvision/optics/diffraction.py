@@ -17,11 +17,12 @@ from ..core._arguments import in_range, takes_numbers
 from ..core._numerics import divide
 from ..core._types import AMOUNT, Colour, Image, Scalar, Scalars, check_count
 from ..filters import correlate
-from ..scene import Diffraction, ThinLens
+from ..scene import AnnularAperture, Diffraction, ThinLens, Wavefront
 from ._bessel import jinc
 from .overlap import overlap_of_discs
 from .thin_lens import _reciprocal
 from .views import sensor_vergence
+from .wavefront import wavefront_kernel
 
 # The first zero of J_1, over pi.
 _FIRST_ZERO = 1.2196698912665045
@@ -178,24 +179,63 @@ def _outside(x: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 @takes_numbers
-def diffracted(view: ThinLens, diffraction: Diffraction, irradiance: Image) -> Image:
+def lens_kernel(
+    view: ThinLens, diffraction: Diffraction | Wavefront, pixel_pitch: Scalar
+) -> Float[Array, "..."]:
+    """Share of a point's light that falls on each pixel around it, through a lens.
+
+    Args:
+        view: the lens, whose working f-number counts.
+        diffraction: wavelengths and size of the kernel, and aberrations.
+        pixel_pitch: () m; a part of that of `view` where a sensor's aperture is oversampled.
+
+    Returns:
+        (size, size), or (size, size, bands); no unit, of sum 1.
+
+    Example:
+        >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(9, 9), f_number=8.0)
+        >>> kernel = jv.optics.lens_kernel(lens, jv.Diffraction(550e-9, size=3), 1e-5)
+        >>> round(float(kernel[1, 1]), 2)
+        0.83
+    """
+    # a closed aperture passes no light to spread
+    f_number = jnp.where(jnp.isinf(view.f_number), 1, view.f_number)
+    working = f_number * _reciprocal(sensor_vergence(view) * view.focal_length)
+    size, wavelength = diffraction.size, diffraction.wavelength
+    if isinstance(diffraction, Diffraction):
+        return airy_kernel(wavelength, working, pixel_pitch, size=size)
+    return wavefront_kernel(
+        diffraction.coefficients,
+        wavelength,
+        working,
+        pixel_pitch,
+        size=size,
+        obstruction=(
+            view.aperture.obstruction if isinstance(view.aperture, AnnularAperture) else None
+        ),
+        order=diffraction.order,
+        samples=diffraction.samples,
+    )
+
+
+@takes_numbers
+def diffracted(view: ThinLens, diffraction: Diffraction | Wavefront, irradiance: Image) -> Image:
     """Irradiance on the sensor after diffraction at the aperture.
 
-    It convolves with the `airy_kernel` of the working f-number. The picture is continued by its
-    border, so a flat picture stays flat.
+    It convolves with the `airy_kernel` of the working f-number, or with the `wavefront_kernel` of
+    a lens with aberrations. The picture is continued by its border, so a flat picture stays flat.
 
     Args:
         view: the lens.
-        diffraction: wavelengths and size of the kernel.
+        diffraction: wavelengths and size of the kernel, and aberrations.
         irradiance: (..., h, w, bands) W m^-2.
 
     Returns:
         (..., h, w, bands) W m^-2.
     """
-    # a closed aperture passes no light to spread
-    f_number = jnp.where(jnp.isinf(view.f_number), 1, view.f_number)
-    working = f_number * _reciprocal(sensor_vergence(view) * view.focal_length)
-    kernel = airy_kernel(diffraction.wavelength, working, view.pixel_pitch, size=diffraction.size)
+    kernel = lens_kernel(view, diffraction, view.pixel_pitch)
+    if isinstance(diffraction, Wavefront):
+        kernel = kernel[::-1, ::-1]  # an Airy pattern is even
     # rounding in a transform may leave negative light
     return jnp.maximum(correlate(irradiance, kernel, border="clamp"), 0)
 

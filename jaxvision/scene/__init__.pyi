@@ -30,6 +30,7 @@ from .lenses import (
     PolygonalAperture as PolygonalAperture,
     RectangularAperture as RectangularAperture,
     Rim as Rim,
+    Wavefront as Wavefront,
 )
 from .light import AmbientLight as AmbientLight, Light as Light
 from .noises import (

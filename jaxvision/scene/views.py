@@ -18,7 +18,15 @@ from ..core._types import (
     is_known,
     print_by_name,
 )
-from .lenses import Aperture, CircularAperture, Diffraction, Distortion, Rim
+from .lenses import (
+    AnnularAperture,
+    Aperture,
+    CircularAperture,
+    Diffraction,
+    Distortion,
+    Rim,
+    Wavefront,
+)
 
 
 class Orthographic(Shown):
@@ -99,7 +107,7 @@ class ThinLens(Shown):
         aperture: its shape.
         rim: a second aperture that blocks oblique light, or None.
         distortion: of the image, or None.
-        diffraction: at a round aperture, or None.
+        diffraction: at a round aperture, also with aberrations, or None.
 
     Example:
         >>> lens = jv.ThinLens([0, 0, 0], np.eye(3), 0.05, 1e-5, resolution=(1, 1), f_number=2.0)
@@ -121,7 +129,7 @@ class ThinLens(Shown):
     aperture: Aperture = eqx.field(default_factory=CircularAperture, kw_only=True)
     rim: Rim | None = eqx.field(default=None, kw_only=True)
     distortion: Distortion | None = eqx.field(default=None, kw_only=True)
-    diffraction: Diffraction | None = eqx.field(default=None, kw_only=True)
+    diffraction: Diffraction | Wavefront | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self) -> None:
         _check_view(self, focal_length=POSITIVE)
@@ -130,7 +138,10 @@ class ThinLens(Shown):
             check_range(
                 "ThinLens.focus_distance", self.focus_distance, nearest, above=True, finite=False
             )
-        if self.diffraction is not None and not isinstance(self.aperture, CircularAperture):
+        round_one = CircularAperture
+        if isinstance(self.diffraction, Wavefront):
+            round_one = CircularAperture | AnnularAperture
+        if self.diffraction is not None and not isinstance(self.aperture, round_one):
             kind = type(self.aperture).__name__
             raise ValueError(f"ThinLens.diffraction needs a CircularAperture, got {kind}.")
 

@@ -47,7 +47,13 @@ EXAMPLES = {
     "optics.diffraction.airy_pattern": ((PITCH, WAVELENGTHS[0], F_NUMBER), {}),
     "optics.diffraction.airy_radius": ((WAVELENGTHS, F_NUMBER), {}),
     "optics.diffraction.diffracted": ((ROUND, s.Diffraction(WAVELENGTHS, size=3), X), {}),
+    "optics.diffraction.lens_kernel": ((ROUND, s.Diffraction(WAVELENGTHS, size=3), PITCH), {}),
     "optics.diffraction.diffraction_mtf": ((0.2 / PITCH, WAVELENGTHS[0], F_NUMBER), {}),
+    "optics.wavefront.wavefront_kernel": (
+        (1e-7 * BAND, WAVELENGTHS, 8 * ONE, PITCH),
+        {"size": 3, "order": 4, "samples": 32},
+    ),
+    "optics.wavefront.zernike": ((TWO / 10, TWO / 9), {"count": 11}),
     "optics.distortion.distort": ((BENT, ONE, TWO / 10), {}),
     "optics.distortion.distortion_area": ((BENT, ONE, TWO / 10), {}),
     "optics.distortion.undistort": ((BENT, ONE, TWO / 10), {}),

@@ -1,0 +1,19 @@
+"""Aberrations
+
+A star through a lens at f/8: the Airy pattern, and a fifth of a wave (rms) of four aberrations.
+Each picture has its own scale, the share of light in its brightest pixel.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxvision as jv
+
+wave = 550e-9  # m
+terms = {"none": 1, "defocus": 4, "astigmatism": 6, "coma": 8, "spherical": 11}
+figure, axes = plt.subplots(1, 5, figsize=(9, 2.2))
+for axis, (name, j) in zip(axes, terms.items(), strict=True):
+    error = np.eye(j)[-1] * wave / 5
+    star = jv.optics.wavefront_kernel(error, wave, 8.0, 1e-6, size=41)
+    axis.imshow(np.sqrt(star), cmap="gray")
+    axis.set(title=f"{name}\n{100 * float(star.max()):.2g} %", xticks=[], yticks=[])

@@ -1,0 +1,183 @@
+"""Aberrations: against the Airy pattern, geometrical optics, Marechal and the pupil's
+autocorrelation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting import Gaussian, Parameter, Problem, fit
+from jaxvision import AnnularAperture, CircularAperture, Diffraction, ThinLens, Wavefront, optics
+
+WAVE = 550e-9  # m
+SHARP = np.zeros(1)
+
+
+def term(j, metres):
+    return np.eye(j)[j - 1] * metres
+
+
+def test_terms_are_orthonormal_and_as_noll_numbers_them():
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    square, angle = (nodes + 1) / 2, 2 * np.pi * np.arange(40) / 40
+    radius = np.sqrt(square)[:, None]
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    z = np.asarray(optics.zernike(x, y, count=66))
+    products = np.einsum("rai,raj,r->ij", z, z, weights / 2) / 40
+    np.testing.assert_allclose(products, np.eye(66), atol=1e-11)
+    rho, theta = np.hypot(x, y), np.arctan2(y, x)
+    for j, wanted in {
+        3: 2 * rho * np.sin(theta),
+        5: np.sqrt(6) * rho**2 * np.sin(2 * theta),
+        8: np.sqrt(8) * (3 * rho**3 - 2 * rho) * np.cos(theta),
+        9: np.sqrt(8) * rho**3 * np.sin(3 * theta),
+        11: np.sqrt(5) * (6 * rho**4 - 6 * rho**2 + 1),
+        14: np.sqrt(10) * rho**4 * np.cos(4 * theta),
+    }.items():
+        np.testing.assert_allclose(z[..., j - 1], wanted, atol=1e-12)
+
+
+def test_without_aberrations_it_is_the_airy_pattern():
+    for pitch, size in ((2e-6, 17), (1.1e-5, 7)):
+        airy = optics.airy_kernel(WAVE, 8.0, pitch, size=size)
+        ours = optics.wavefront_kernel(SHARP, WAVE, 8.0, pitch, size=size)
+        np.testing.assert_allclose(ours, airy, atol=1e-9)
+
+
+def test_with_a_stop_it_is_the_difference_of_two_patterns():
+    """U = 2 J1(x) / x - s^2 2 J1(s x) / (s x)."""
+    from scipy.special import j1
+
+    at = (np.arange(9)[:, None] + (np.arange(40) + 0.5) / 40 - 4.5).ravel() * 2e-6
+    x = np.pi * np.hypot(at[:, None], at) / (WAVE * 8)
+    light = (2 * j1(x) / x - 0.4 * 2 * j1(0.4 * x) / x) ** 2
+    pixels = light.reshape(9, 40, 9, 40).sum((1, 3))
+    ours = optics.wavefront_kernel(SHARP, WAVE, 8.0, 2e-6, size=9, obstruction=0.4)
+    np.testing.assert_allclose(ours, pixels / pixels.sum(), atol=2e-5)
+
+
+@pytest.mark.parametrize("j", [4, 6, 7, 11])
+def test_small_aberrations_lower_the_peak_as_marechal_says(j):
+    def peak(metres):
+        at = {"size": 241, "samples": 96, "order": 1}
+        return optics.wavefront_kernel(term(j, metres), WAVE, 8.0, 4e-7, **at)[120, 120]
+
+    rms = WAVE / 30
+    ratio = float(peak(rms) / peak(0.0))
+    assert ratio == pytest.approx(np.exp(-((2 * np.pi * rms / WAVE) ** 2)), rel=0.01)
+
+
+def test_a_large_defocus_is_the_disc_of_geometrical_optics():
+    """Of radius 2 N dW/drho = 8 sqrt(3) N a at the rim, where the wave has a bright fringe."""
+    waves = 4 * WAVE
+    radius = 8 * np.sqrt(3) * 8 * waves / 1e-5  # pixels
+    lines = [[WAVE * (1 + 0.02 * i) for i in range(-3, 4)]]
+    kernel = optics.wavefront_kernel(
+        term(4, waves), lines, 8.0, 1e-5, size=65, order=8, samples=300
+    )[..., 0]
+    rows, columns = np.mgrid[:65, :65] - 32
+    apart = np.hypot(rows, columns)
+    disc = np.asarray(optics.aperture_kernel(CircularAperture(), radius, size=65))
+    for part, most in ((0.3, 0.02), (0.6, 0.02), (0.9, 0.06), (1.1, 0.02)):
+        inside = apart < part * radius
+        assert float(kernel[inside].sum()) == pytest.approx(float(disc[inside].sum()), abs=most)
+
+
+def test_the_transfer_is_the_autocorrelation_of_the_pupil():
+    """At a fifth of the cut-off in two directions; the pixel's share is divided out."""
+    error = term(8, 0.1 * WAVE) + np.append(term(5, 0.15 * WAVE), [0, 0, 0])
+    pitch, size = 2.2e-6, 61
+    kernel = np.asarray(optics.wavefront_kernel(error, WAVE, 8.0, pitch, size=size))
+    side = (np.arange(1200) + 0.5) / 600 - 1
+    at = np.meshgrid(1.2 * side, 1.2 * side)
+
+    def pupil(x, y):
+        w = np.asarray(optics.zernike(x, y, count=8)) @ error
+        return np.where(x * x + y * y < 1, np.exp(2j * np.pi * w / WAVE), 0)
+
+    for way in ((1.0, 0.0), (0.6, 0.8)):
+        shift = 0.2 * np.array(way)  # of both pupils from the middle
+        overlap = pupil(at[0] + shift[0], at[1] + shift[1]) * np.conj(
+            pupil(at[0] - shift[0], at[1] - shift[1])
+        )
+        wanted = overlap.sum() * (2.4 / 1200) ** 2 / np.pi
+        frequency = 0.2 * np.array(way) / (WAVE * 8)  # m^-1
+        places = (np.arange(size) - size // 2) * pitch
+        phase = np.exp(
+            2j * np.pi * (frequency[0] * places[None, :] + frequency[1] * places[:, None])
+        )
+        found = (kernel * phase).sum() / np.prod(np.sinc(frequency * pitch))
+        assert abs(found - wanted) < 0.01  # light beyond the kernel is 1 %
+
+
+def test_a_lens_with_a_wavefront_spreads_its_picture():
+    lens = {
+        "position": [0, 0, 0],
+        "rotation": np.eye(3),
+        "focal_length": 0.05,
+        "pixel_pitch": 4e-6,
+        "resolution": (9, 9),
+        "f_number": 8.0,
+    }
+    star = jnp.zeros((9, 9, 1)).at[4, 4].set(1.0)
+    airy, sharp, tilted, stopped = (
+        optics.sensor_irradiance(ThinLens(**lens, **more), star)
+        for more in (
+            {"diffraction": Diffraction(WAVE, size=9)},
+            {"diffraction": Wavefront(SHARP, WAVE, size=9)},
+            {"diffraction": Wavefront(term(2, 4e-6 / 4 / 8), WAVE, size=9)},
+            {"diffraction": Wavefront(SHARP, WAVE, size=9), "aperture": AnnularAperture(0.5)},
+        )
+    )
+    np.testing.assert_allclose(sharp, airy, atol=1e-7 * float(airy.max()))
+    np.testing.assert_allclose(tilted[4, 5], airy[4, 4], rtol=0.02)  # one pixel to the right
+    assert stopped[4, 4] < 0.8 * airy[4, 4]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"samples": 20}, "samples = 20: a kernel of 33 pixels and this wavefront need at least"),
+        ({"order": 2}, r"order = 2: a pixel of 0.909 lambda N needs at least 3 nodes"),
+        ({"size": 4}, "size must be an odd number"),
+    ],
+)
+def test_too_few_nodes_are_refused(more, said):
+    with pytest.raises(ValueError, match=said):
+        optics.wavefront_kernel(SHARP, WAVE, 8.0, 4e-6, **{"size": 33, **more})
+
+
+@pytest.mark.slow
+def test_coefficients_are_fitted_from_a_star_with_intervals_that_hold():
+    """Two focus settings tell the signs of the even terms, which one star leaves open."""
+    truth = np.array([30e-9, -45e-9, 60e-9])  # m: astigmatism, coma, spherical aberration
+    offsets = jnp.array([-80e-9, 80e-9])
+
+    def stars(scaled):
+        def of(offset):
+            error = (
+                jnp.zeros(11)
+                .at[jnp.array([3, 5, 7, 10])]
+                .set(jnp.concatenate([offset[None], 1e-9 * scaled]))
+            )
+            return optics.wavefront_kernel(error, WAVE, 8.0, 2e-6, size=15, samples=48)
+
+        return 2e4 * jax.vmap(of)(offsets) + 20
+
+    mean = np.asarray(stars(1e9 * truth))
+    names = ("astigmatism", "coma", "spherical")
+    z = []
+    for seed in range(8):
+        data = np.random.default_rng(seed).poisson(mean)
+        problem = Problem(
+            {name: Parameter(lower=-200.0, upper=200.0, unit="nm") for name in names},
+            lambda astigmatism, coma, spherical: stars(jnp.stack([astigmatism, coma, spherical])),
+            Gaussian(sd=np.sqrt(mean)),
+            data,
+        )
+        found = fit(problem, starts=4)
+        z += [
+            (one.value - 1e9 * true) / one.standard_error
+            for one, true in zip(found.estimates, truth, strict=True)
+        ]
+    assert 0.4 < np.mean(np.square(z)) < 1.9  # of 24
